@@ -1,0 +1,1 @@
+"""What happens while a robot moves: the robot file, the recording and its importers."""

@@ -1,0 +1,155 @@
+"""Other people's files as recordings: CSV, .npz, .mat, HDF5, ROS 2 bags (sqlite3 and MCAP).
+
+A reader (`csv`, `npz`, `mat`, `rosbag`) gives a `Table`; `assembly` puts it into the robot's joint order and into SI;
+`checks` and `plausibility` refuse what is wrong. Whatever was assumed or repaired becomes an event of the recording.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from daq.importers.assembly import Samples, assemble, prismatic_joints
+from daq.importers.checks import check_samples
+from daq.importers.choices import REPAIRS, ImportChoices
+from daq.importers.csv import read_csv
+from daq.importers.mat import read_hdf5, read_mat
+from daq.importers.npz import read_npz
+from daq.importers.plausibility import check_units
+from daq.importers.rosbag import bag_files, read_rosbag
+from daq.importers.table import Table, parsing, printable
+from daq.recording import JOINTS_STREAM, UNITS, Channel, Event, Recording, Stream, software_versions
+from daq.robot import RobotFile
+from drivers.errors import ImportFileError
+
+__all__ = ["REPAIRS", "SUPPORTED", "ImportChoices", "import_file"]
+
+Reader = Callable[[Path, Sequence[str], ImportChoices], Table]
+
+_READERS: Mapping[str, Reader] = {
+    ".csv": read_csv,
+    ".tsv": read_csv,
+    ".txt": read_csv,
+    ".dat": read_csv,
+    ".npz": read_npz,
+    ".mat": read_mat,
+    ".h5": read_hdf5,
+    ".hdf5": read_hdf5,
+    ".db3": read_rosbag,
+    ".mcap": read_rosbag,
+}
+SUPPORTED = (*_READERS, "a ROS 2 bag's folder")
+"""Endings that `import_file` reads."""
+
+_ORDER = ("position", "velocity", "current", "torque", "temperature")
+_MAGIC = (
+    (b"SQLite format 3\0", ".db3"),
+    (b"\x89MCAP0\r\n", ".mcap"),
+    (b"PK\x03\x04", ".npz"),
+    (b"MATLAB ", ".mat"),
+    (b"\x89HDF\r\n\x1a\n", ".h5"),
+)
+
+
+def import_file(path: Path, robot: RobotFile, choices: ImportChoices) -> Recording:
+    """Take over a foreign file as a recording in memory, with one stream `joints`.
+
+    Current stays current: it becomes torque at identification, with the drive gains.
+
+    Args:
+        path: of the file, or of a ROS 2 bag's folder.
+        robot: whose joints the columns are matched to.
+        choices: what the user decided.
+
+    Returns:
+        A recording in SI, columns in the robot's order, every assumption and repair as an event.
+
+    Raises:
+        ImportFileError: an unknown kind of file, or one that is wrong, incomplete or ambiguous.
+        UsageError: choices that don't apply to this kind of file.
+    """
+    path = Path(path)
+    where = str(path)
+    if not path.exists():
+        raise ImportFileError("no such file", where=where)
+    reader = _reader(path)
+    table = reader(path, robot.robot.joint_names, choices)
+    # Absurd values overflow on their way to being refused; the refusal says it, not a warning of NumPy.
+    with np.errstate(over="ignore", invalid="ignore"):
+        samples = assemble(table, robot, choices, where)
+        samples = check_samples(samples, choices, where)
+        samples = check_units(samples, robot.robot, prismatic_joints(robot), choices, where)
+    return Recording(
+        robot_text=robot.text,
+        urdf_text=robot.urdf_text or "",
+        streams={JOINTS_STREAM: _stream(samples, table.source)},
+        events=_events(samples),
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        versions=software_versions(),
+        host=platform.node(),
+        comment=f"imported from {printable(path.name)} ({table.source}), SHA-256 {_sha256(path)}",
+    )
+
+
+def _reader(path: Path) -> Reader:
+    if path.is_dir() or path.name == "metadata.yaml":
+        return read_rosbag
+    suffix = path.suffix.lower()
+    if suffix in _READERS:
+        return _READERS[suffix]
+    if suffix == ".bag":
+        raise ImportFileError(
+            "is a ROS 1 bag, which is not read",
+            where=str(path),
+            hint="convert it: rosbags-convert --src FILE --dst FOLDER",
+        )
+    with parsing(path, "a file"), path.open("rb") as file:
+        head = file.read(16)
+    looks = next((ending for magic, ending in _MAGIC if head.startswith(magic)), None)
+    raise ImportFileError(
+        f"unknown kind of file '{printable(path.suffix) or path.name}'; supported are: {', '.join(SUPPORTED)}",
+        where=str(path),
+        hint=f"its content looks like {looks}; rename it" if looks else "",
+    )
+
+
+def _stream(samples: Samples, source: str) -> Stream:
+    channels = {
+        quantity: Channel(
+            quantity=quantity,
+            values=entry.values,
+            unit=UNITS[quantity],
+            columns=entry.joints,
+            description=f"imported ({source}): {', '.join(dict.fromkeys(map(printable, entry.labels)))}",
+        )
+        for quantity in _ORDER
+        if (entry := samples.quantities.get(quantity)) is not None
+    }
+    return Stream(name=JOINTS_STREAM, time=samples.time, host_time=samples.time, channels=channels)
+
+
+def _events(samples: Samples) -> tuple[Event, ...]:
+    return tuple(
+        Event(float(samples.time[note.sample or 0]), note.level, "import", _one_line(note.message))
+        for note in samples.notes
+    )
+
+
+def _one_line(text: str) -> str:
+    """A message without characters that HDF5 texts cannot hold."""
+    return "".join(character if character.isprintable() else " " for character in text)
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with parsing(path, "a file"):
+        for part in bag_files(path):
+            with part.open("rb") as file:
+                while chunk := file.read(1 << 20):
+                    digest.update(chunk)
+    return digest.hexdigest()

@@ -1,0 +1,162 @@
+"""What makes samples unusable, and the repairs that a user can ask for; nothing is repaired unasked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.importers.assembly import Samples, rows
+from daq.importers.choices import DROP_DUPLICATES, DROP_NAN, SORT, TIME_UNITS, ImportChoices
+from daq.importers.table import Note, printable
+from daq.importers.units import REVOLUTE
+from daq.recording import FloatArray
+from drivers.errors import ImportFileError
+
+SLOWEST, FASTEST = 1.0, 20_000.0
+"""Plausible sampling rates of a robot arm [Hz]; beyond them the stamps are hardly in seconds."""
+
+RESTART_RUN = 50
+"""So many samples that rise in order, all before a stamp already passed, are a second run and not a late message."""
+
+
+def check_samples(samples: Samples, choices: ImportChoices, where: str) -> Samples:
+    """Check for missing values, the order of the stamps and the sampling rate; repair what was asked for.
+
+    Args:
+        samples: in SI, in the robot's order.
+        choices: `repair` names what may be repaired.
+        where: the file, for messages.
+
+    Returns:
+        The samples with strictly rising stamps and finite values, repairs as notes.
+
+    Raises:
+        ImportFileError: something is wrong and its repair was not asked for, or cannot help.
+    """
+    samples = _finite(samples, choices, where)
+    samples = _rising(samples, choices, where)
+    _plausible_rate(samples, choices, where)
+    return samples
+
+
+def sample_place(samples: Samples, index: int, where: str) -> str:
+    """Name a sample, with its line where the file has lines."""
+    line = f" (line {samples.lines[index]})" if samples.lines is not None else ""
+    return f"{where}: sample {index}{line}"
+
+
+def _finite(samples: Samples, choices: ImportChoices, where: str) -> Samples:
+    notes: list[Note] = []
+    if DROP_NAN in choices.repair:
+        empty = [name for name, entry in samples.quantities.items() if not np.isfinite(entry.values).any()]
+        if empty and "position" not in empty:
+            kept = {name: entry for name, entry in samples.quantities.items() if name not in empty}
+            samples = replace(samples, quantities=kept)
+            notes.append(Note("warning", f"{DROP_NAN}: left out without any finite value: {', '.join(empty)}"))
+    good: npt.NDArray[np.bool_] = np.isfinite(samples.time)
+    for entry in samples.quantities.values():
+        good &= np.isfinite(entry.values).all(axis=1)
+    bad = np.flatnonzero(~good)
+    if len(bad) == 0:
+        return replace(samples, notes=(*samples.notes, *notes))
+    first = int(bad[0])
+    if DROP_NAN not in choices.repair:
+        raise ImportFileError(
+            f"{len(bad)} of {len(good)} samples have NaN or infinite values, the first in {_culprit(samples, first)}",
+            where=sample_place(samples, first, where),
+            hint=f"leave them out with --repair {DROP_NAN}",
+        )
+    if good.sum() < 2:
+        raise ImportFileError(f"--repair {DROP_NAN} would leave {good.sum()} of {len(good)} samples", where=where)
+    place = sample_place(samples, first, "first")
+    notes.append(Note("warning", f"{DROP_NAN}: {len(bad)} of {len(good)} samples left out, {place}"))
+    return replace(rows(samples, np.flatnonzero(good)), notes=(*samples.notes, *notes))
+
+
+def _culprit(samples: Samples, index: int) -> str:
+    if not np.isfinite(samples.time[index]):
+        return "the time"
+    for quantity, entry in samples.quantities.items():
+        for label, joint, value in zip(entry.labels, entry.joints, entry.values[index], strict=True):
+            if not np.isfinite(value):
+                return f"the {quantity} of {joint} ('{printable(label)}')"
+    raise ValueError("no value of this sample is missing")
+
+
+def _rising(samples: Samples, choices: ImportChoices, where: str) -> Samples:
+    steps = np.diff(samples.time)
+    backward = np.flatnonzero(steps < 0) + 1
+    if len(backward):
+        first = int(backward[0])
+        back = float(samples.time[first - 1] - samples.time[first])
+        restart = _restart(samples.time)
+        if restart is not None:
+            raise ImportFileError(
+                f"time jumps back by {samples.time[restart - 1] - samples.time[restart]:.6g} s and goes on from there:"
+                " two runs in one file",
+                where=sample_place(samples, restart, where),
+                hint="cut the file there and import the runs one by one",
+            )
+        if SORT not in choices.repair:
+            raise ImportFileError(
+                f"time goes backward {len(backward)} times, first by {back:.6g} s",
+                where=sample_place(samples, first, where),
+                hint=f"put the samples in order with --repair {SORT}",
+            )
+        text = f"{SORT}: time went backward {len(backward)} times, first at sample {first} by {back:.6g} s"
+        samples = rows(samples, np.argsort(samples.time, kind="stable"))
+        samples = replace(samples, notes=(*samples.notes, Note("warning", text)))
+    repeated = np.flatnonzero(np.diff(samples.time) == 0) + 1
+    if len(repeated):
+        first = int(repeated[0])
+        count = len(samples.time)
+        if DROP_DUPLICATES not in choices.repair:
+            raise ImportFileError(
+                f"{len(repeated)} of {count} samples repeat the stamp before them, first {samples.time[first]:.9g} s",
+                where=sample_place(samples, first, where),
+                hint=f"keep the first of each with --repair {DROP_DUPLICATES}",
+            )
+        keep = np.setdiff1d(np.arange(count), repeated)
+        if len(keep) < 2:
+            raise ImportFileError(f"all {count} samples have the same time stamp", where=where)
+        place = sample_place(samples, first, "first")
+        note = Note("warning", f"{DROP_DUPLICATES}: {len(repeated)} of {count} samples left out, {place}")
+        samples = rows(samples, keep)
+        samples = replace(samples, notes=(*samples.notes, note))
+    return samples
+
+
+def _restart(time: FloatArray) -> int | None:
+    """The sample at which a second run begins, None where stamps are merely out of order."""
+    passed = np.maximum.accumulate(time)
+    late = np.concatenate([[False], (time[1:] <= passed[:-1])])
+    for start in np.flatnonzero(np.concatenate([[False], np.diff(time) < 0])):
+        run = slice(start, start + RESTART_RUN)
+        if late[run].sum() == RESTART_RUN and np.all(np.diff(time[run]) > 0):
+            return int(start)
+        if start + RESTART_RUN > len(time):
+            break
+    return None
+
+
+def _plausible_rate(samples: Samples, choices: ImportChoices, where: str) -> None:
+    period = float(np.median(np.diff(samples.time)))
+    if not np.isfinite(period) or period <= 0:
+        raise ImportFileError("time stamps are too large to tell samples apart", where=where)
+    rate = 1.0 / period
+    if SLOWEST <= rate <= FASTEST:
+        return
+    outside = f"{rate:.4g} samples a second is no rate of a robot arm ({SLOWEST:g} to {FASTEST:g} Hz)"
+    if choices.rate is not None:
+        raise ImportFileError(f"--rate: {outside}", where=where)
+    fitting = [unit for unit in TIME_UNITS[1:] if SLOWEST <= rate / REVOLUTE["time"][unit] <= FASTEST]
+    if fitting and choices.time_unit is None:
+        guesses = " or ".join(f"{unit} ({rate / REVOLUTE['time'][unit]:.4g} Hz)" for unit in fitting)
+        raise ImportFileError(
+            f"{outside}; the stamps look like {guesses}",
+            where=where,
+            hint=f"--time-unit {fitting[0]}, or a header like t [{fitting[0]}]",
+        )
+    raise ImportFileError(f"{outside}; is the time column a counter?", where=where, hint="map another: --column t=NAME")

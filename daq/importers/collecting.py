@@ -1,0 +1,204 @@
+"""From named arrays to a `Table`: columns are gathered into one block a quantity, samples down, joints across."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.importers.naming import Role
+from daq.importers.table import Block, Note, Table, listed, printable
+from daq.recording import FloatArray
+from drivers.errors import ImportFileError
+
+_FLOAT_INTEGERS = 2**53
+"""Integers up to here are exact in float64."""
+
+ARM_WIDE = frozenset({"current", "temperature"})
+"""Quantities that a file may have once for the whole arm; such a column is not one of ours."""
+
+
+def collect(
+    source: str,
+    roles: Sequence[Role],
+    arrays: Mapping[str, npt.NDArray[Any]],
+    joints: Sequence[str],
+    where: str,
+    *,
+    array_joints: tuple[str, ...] | None = None,
+    units: Mapping[str, str] | None = None,
+    unused: Sequence[str] = (),
+    notes: Sequence[Note] = (),
+    lines: npt.NDArray[np.int64] | None = None,
+) -> Table:
+    """Gather arrays into a table.
+
+    Args:
+        source: kind of the file, in words.
+        roles: what the names mean.
+        arrays: the file's name → (N,), (N, 1), (1, N), (N, n) or (n, N) numbers.
+        joints: the robot's joint names.
+        where: the file, for messages.
+        array_joints: the joint names that the file gives for the columns of its (N, n) arrays.
+        units: the file's name → unit, where the file states it elsewhere than in the name.
+        unused: names in the file that mean nothing to us.
+        notes: what the reader assumed.
+        lines: (N,) line number of each sample.
+
+    Raises:
+        ImportFileError: an array of another shape or type, a missing or surplus joint, two sources of one quantity.
+    """
+    units = units or {}
+    notes = list(notes)
+    unused = list(unused)
+    time: FloatArray | None = None
+    time_unit = ""
+    groups: dict[str, list[tuple[Role, FloatArray]]] = {}
+    width = len(array_joints) if array_joints is not None else len(joints)
+    for role in roles:
+        raw = arrays[role.name]
+        if role.quantity == "time":
+            raw = _exact_stamps(raw, notes)
+        values = _numbers(raw, role.name, where)
+        unit = role.unit or units.get(role.name, "")
+        if role.quantity == "time":
+            time, time_unit = _vector(values, role.name, where), unit
+            continue
+        single = values.size == max(values.shape, default=0)
+        if role.number is None and role.joint is None and width > 1 and single and role.quantity in ARM_WIDE:
+            unused.append(role.name)
+            continue
+        groups.setdefault(role.quantity, []).append((replace(role, unit=unit), values))
+    blocks = {}
+    for quantity, members in groups.items():
+        whole = [role for role, _ in members if role.number is None and role.joint is None]
+        if whole and len(members) > 1:
+            others = listed(role.name for role, _ in members if role is not whole[0])
+            raise ImportFileError(
+                f"has two sources for the {quantity}: '{printable(whole[0].name)}' and {others}",
+                where=where,
+                hint="choose with --column",
+            )
+        if whole:
+            blocks[quantity] = _whole_block(members[0][0], members[0][1], joints, array_joints, width, where, notes)
+        else:
+            blocks[quantity] = _column_block(quantity, members, joints, where, notes)
+    if unused:
+        notes.append(Note("info", f"not taken over: {listed(unused)}"))
+    return Table(source, time, time_unit, blocks, tuple(notes), lines)
+
+
+def _exact_stamps(stamps: npt.NDArray[Any], notes: list[Note]) -> npt.NDArray[Any]:
+    """Integer stamps that float64 can't hold (nanoseconds since 1970) are counted from the first one."""
+    if stamps.dtype.kind not in "iu" or stamps.size == 0 or int(stamps.flat[0]) <= _FLOAT_INTEGERS:
+        return stamps
+    first = int(stamps.flat[0])
+    notes.append(Note("info", f"time is counted from the first sample, stamped {first}"))
+    if int(stamps.min()) < first:  # unsigned differences would wrap around; checked and reported later
+        return stamps.astype(np.int64) - first
+    rising: npt.NDArray[Any] = stamps - stamps.dtype.type(first)
+    return rising
+
+
+def _numbers(array: npt.NDArray[Any], name: str, where: str) -> FloatArray:
+    if not (np.issubdtype(array.dtype, np.integer) or np.issubdtype(array.dtype, np.floating)):
+        raise ImportFileError(f"holds no real numbers, but {array.dtype.name}", where=f"{where}: {printable(name)}")
+    return np.asarray(array, dtype=np.float64)
+
+
+def _vector(values: FloatArray, name: str, where: str) -> FloatArray:
+    if values.ndim == 1 or (values.ndim == 2 and 1 in values.shape):
+        return values.reshape(-1)
+    raise ImportFileError(
+        f"has shape {values.shape}, but one number a sample is expected: (N,)", where=f"{where}: {printable(name)}"
+    )
+
+
+def _whole_block(
+    role: Role,
+    values: FloatArray,
+    joints: Sequence[str],
+    array_joints: tuple[str, ...] | None,
+    width: int,
+    where: str,
+    notes: list[Note],
+) -> Block:
+    place = f"{where}: {printable(role.name)}"
+    if width == 1 and (values.ndim == 1 or (values.ndim == 2 and 1 in values.shape)):
+        values = values.reshape(-1, 1)
+    expected = f"the robot has {len(joints)} joints, so (N, {width}) is expected"
+    if array_joints is not None:
+        expected = f"the file names {width} joints, so (N, {width}) is expected"
+    if values.ndim != 2 or width not in values.shape:
+        raise ImportFileError(
+            f"has shape {values.shape}, but {expected}", where=place, hint="is it another robot's file? see --robot"
+        )
+    if values.shape[1] != width:
+        values = values.T
+        notes.append(Note("info", f"'{printable(role.name)}' was stored joints × samples and has been transposed"))
+    elif values.shape[0] == width and width > 1:
+        raise ImportFileError(f"has shape {values.shape}: samples and joints cannot be told apart", where=place)
+    labels = tuple(f"{role.name}[:, {column}]" for column in range(width))
+    return Block(np.ascontiguousarray(values), labels, (role.unit,) * width, array_joints)
+
+
+def _column_block(
+    quantity: str, members: list[tuple[Role, FloatArray]], joints: Sequence[str], where: str, notes: list[Note]
+) -> Block:
+    named = [role for role, _ in members if role.joint is not None]
+    numbered = [role for role, _ in members if role.number is not None]
+    if named and numbered:
+        raise ImportFileError(
+            f"has two sources for the {quantity}: {listed(role.name for role in named)}"
+            f" and {listed(role.name for role in numbered)}",
+            where=where,
+            hint="choose with --column",
+        )
+    if named:
+        place = {role.joint: index for index, (role, _) in enumerate(members)}
+        present = [joint for joint in joints if joint in place]
+        order = [place[joint] for joint in present]
+        missing = [joint for joint in joints if joint not in place]
+    else:
+        first = 0 if any(role.number == 0 for role in numbered) else 1
+        if first == 0:
+            notes.append(
+                Note("info", f"columns of the {quantity} are counted from 0, as {listed(r.name for r in numbered)}")
+            )
+        surplus = [role.name for role in numbered if int(role.number or 0) - first >= len(joints)]
+        if surplus:
+            raise ImportFileError(
+                f"has {len(numbered)} columns of {quantity}, but the robot has {len(joints)} joints;"
+                f" too many: {listed(surplus)}",
+                where=where,
+                hint="is it another robot's file? if not, choose the columns with --column",
+            )
+        by_number = {int(role.number or 0) - first: index for index, (role, _) in enumerate(members)}
+        order = [by_number[number] for number in sorted(by_number)]
+        present = [joints[number] for number in sorted(by_number)]
+        missing = [f"{quantity} {k + first} ({joint})" for k, joint in enumerate(joints) if k not in by_number]
+    if missing and quantity != "temperature":
+        raise ImportFileError(
+            f"has {len(members)} columns of {quantity}, but the robot has {len(joints)} joints;"
+            f" missing: {listed(missing)}",
+            where=where,
+            hint="name them with --column",
+        )
+    if missing:
+        notes.append(Note("warning", f"no {quantity} for some joints: {listed(missing)}"))
+    roles = [members[index][0] for index in order]
+    vectors = [_vector(members[index][1], members[index][0].name, where) for index in order]
+    lengths = {role.name: len(vector) for role, vector in zip(roles, vectors, strict=True)}
+    if len(set(lengths.values())) > 1:
+        raise ImportFileError(
+            f"columns of the {quantity} differ in length: {listed(f'{k} {v}' for k, v in lengths.items())}", where=where
+        )
+    return Block(
+        values=np.column_stack(vectors),
+        labels=tuple(role.name for role in roles),
+        units=tuple(role.unit for role in roles),
+        joints=tuple(present) if named or missing else None,
+    )

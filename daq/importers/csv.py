@@ -1,0 +1,195 @@
+"""CSV with a header: comma, semicolon, tab or blanks between the columns, a point in the numbers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.importers.choices import ImportChoices
+from daq.importers.collecting import collect
+from daq.importers.naming import assign_roles
+from daq.importers.table import Note, Table, listed, printable
+from daq.recording import FloatArray
+from drivers.errors import ImportFileError
+
+_SEPARATORS = (";", "\t", ",")
+_SEPARATOR_NAMES = {";": "semicolon", "\t": "tab", ",": "comma", None: "blanks"}
+_DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+([eE][+-]?\d+)?$")
+_MISSING = frozenset({"", "na", "n/a", "null", "none", "-"})
+_EXAMPLE = "t,q1,q2,…,torque1,torque2,…"
+
+
+def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Table:
+    """Read a CSV file; columns are recognised by their header, units in brackets are honoured.
+
+    Args:
+        path: of the file; lines that begin with # are comments.
+        joints: the robot's joint names.
+        choices: `columns` maps headers that say nothing.
+
+    Raises:
+        ImportFileError: not text, no header, no rows, a row of another length, something that is no number; with
+            the line.
+    """
+    where = str(path)
+    lines, numbers, comments = _significant_lines(_decoded(path), where)
+    notes: list[Note] = []
+    header = lines[0]
+    separator = _separator(header)
+    names = _split_header(header, separator)
+    if _is_numeric(names):
+        commented = _split_header(comments.get(numbers[0] - 1, ""), separator)
+        if len(commented) != len(names) or _is_numeric(commented):
+            raise ImportFileError(
+                "begins with numbers instead of a header",
+                where=f"{where}, line {numbers[0]}",
+                hint=f"add a line such as {_EXAMPLE}",
+            )
+        notes.append(Note("info", f"the header was taken from the comment in line {numbers[0] - 1}"))
+        names = commented
+    else:
+        lines, numbers = lines[1:], numbers[1:]
+    if not lines:
+        raise ImportFileError("has a header, but no rows of numbers under it", where=where)
+    _check_columns(lines, numbers, names, separator, where)
+    if len(names) > 1 and names[-1] == "":
+        names = names[:-1]
+    roles = assign_roles(names, joints, choices.columns, where)
+    used = sorted({names.index(role.name) for role in roles})
+    if not used:
+        raise ImportFileError(
+            f"has no column whose name is understood; it has: {listed(names)}",
+            where=where,
+            hint=f"name the columns like {_EXAMPLE}, or map them: --column q1={printable(names[0])}",
+        )
+    values = _values(lines, numbers, names, used, separator, where)
+    return collect(
+        f"CSV ({_SEPARATOR_NAMES[separator]})",
+        roles,
+        {names[column]: values[:, place] for place, column in enumerate(used)},
+        joints,
+        where,
+        unused=[name for column, name in enumerate(names) if column not in set(used)],
+        notes=notes,
+        lines=np.asarray(numbers, dtype=np.int64),
+    )
+
+
+def _decoded(path: Path) -> str:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ImportFileError(f"cannot be read: {error.strerror}", where=str(path)) from error
+    encoding = "utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    if encoding == "utf-8-sig" and b"\0" in content:
+        line = content[: content.index(b"\0")].count(b"\n") + 1
+        raise ImportFileError("is not a text file: it holds zero bytes", where=f"{path}, line {line}")
+    try:
+        return content.decode(encoding)
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise ImportFileError(
+            f"is not {encoding.removesuffix('-sig').upper()} text: {error.reason}",
+            where=f"{path}, line {line}",
+            hint="save it as UTF-8",
+        ) from error
+
+
+def _significant_lines(text: str, where: str) -> tuple[list[str], list[int], dict[int, str]]:
+    """Lines that hold something, their numbers from 1, and the comments by number."""
+    lines, numbers, comments = [], [], {}
+    for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
+        stripped = line.strip(" ")
+        if stripped.startswith("#"):
+            comments[number] = stripped.lstrip("# ")
+        elif stripped.strip():
+            lines.append(stripped)
+            numbers.append(number)
+    if not lines:
+        raise ImportFileError("is empty" if not comments else "holds nothing but comments", where=where)
+    return lines, numbers, comments
+
+
+def _separator(header: str) -> str | None:
+    return next((separator for separator in _SEPARATORS if separator in header), None)
+
+
+def _split(line: str, separator: str | None) -> list[str]:
+    return [field.strip().strip('"').strip() for field in line.split(separator)]
+
+
+def _split_header(line: str, separator: str | None) -> list[str]:
+    # With blanks between the columns, the one in `q1 [deg]` is part of the name.
+    return _split(re.sub(r"\s+(?=[\[(])", "", line) if separator is None else line, separator)
+
+
+def _number(field: str) -> float | None:
+    """The value of a field, NaN for a missing one, None for one that is no number."""
+    if field.casefold() in _MISSING:
+        return float("nan")
+    # float() would also take 1_000, which no instrument writes.
+    if "_" in field:
+        return None
+    try:
+        return float(field)
+    except ValueError:
+        return None
+
+
+def _is_numeric(fields: Sequence[str]) -> bool:
+    return any(field and (_number(field) is not None or _DECIMAL_COMMA.match(field)) for field in fields) and all(
+        _number(field) is not None or _DECIMAL_COMMA.match(field) for field in fields
+    )
+
+
+def _check_columns(lines: list[str], numbers: list[int], names: list[str], separator: str | None, where: str) -> None:
+    expected = len(names)
+    for place, line in enumerate(lines):
+        count = line.count(separator) + 1 if separator is not None else len(line.split())
+        if count == expected:
+            continue
+        hint = ""
+        if place == len(lines) - 1 and count < expected:
+            hint = "it is the last line and seems cut off; delete it"
+        elif separator == "," and count > expected and count % 2 == 0:
+            hint = "numbers must have a point, not a comma, before their decimals"
+        elif separator is not None and count == expected + 1 and line.endswith(separator):
+            hint = "the line ends with a separator that the header doesn't have"
+        raise ImportFileError(
+            f"has {count} columns, but the header has {expected}", where=f"{where}, line {numbers[place]}", hint=hint
+        )
+
+
+def _values(
+    lines: list[str], numbers: list[int], names: list[str], used: list[int], separator: str | None, where: str
+) -> FloatArray:
+    """(N, used) numbers; NumPy's parser first, ours where it stumbles, to name the place or to take missing values."""
+    try:
+        fast: npt.NDArray[np.float64] = np.loadtxt(
+            lines, delimiter=separator, usecols=used, ndmin=2, comments=None, quotechar='"', dtype=np.float64
+        )
+        if fast.shape == (len(lines), len(used)):
+            return fast
+    except ValueError:
+        pass
+    values = np.empty((len(lines), len(used)))
+    for row, line in enumerate(lines):
+        fields = _split(line, separator)
+        for place, column in enumerate(used):
+            value = _number(fields[column])
+            if value is None:
+                raise _not_a_number(fields[column], f"{where}, line {numbers[row]}, column {printable(names[column])}")
+            values[row, place] = value
+    return values
+
+
+def _not_a_number(field: str, where: str) -> ImportFileError:
+    if _DECIMAL_COMMA.match(field):
+        return ImportFileError(
+            f"'{printable(field)}' has a decimal comma", where=where, hint="export it with a decimal point"
+        )
+    return ImportFileError(f"'{printable(field)}' is not a number", where=where)

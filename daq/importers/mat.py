@@ -1,0 +1,126 @@
+"""MATLAB files (v4 to v7 through SciPy, v7.3 through h5py) and other people's HDF5 files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from daq.importers.choices import ImportChoices
+from daq.importers.npz import table_of_arrays
+from daq.importers.table import Table, parsing
+from drivers.errors import ImportFileError
+
+_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_USER_BLOCK = 512
+
+
+def read_mat(path: Path, joints: Sequence[str], choices: ImportChoices) -> Table:
+    """Read a .mat file of any version; a struct's fields appear as `struct.field`, one level deep.
+
+    Args:
+        path: of the file.
+        joints: the robot's joint names.
+        choices: `columns` maps names that say nothing.
+
+    Raises:
+        ImportFileError: not a .mat file, or arrays that do not fit; with the variable.
+    """
+    with parsing(path, "a MATLAB file"), path.open("rb") as file:
+        head = file.read(_USER_BLOCK + len(_HDF5_SIGNATURE))
+    if head.endswith(_HDF5_SIGNATURE) or head.startswith(_HDF5_SIGNATURE):
+        return read_hdf5(path, joints, choices)
+    from scipy.io import loadmat
+
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    opaque: list[str] = []
+    with parsing(path, "a MATLAB file"):
+        content = loadmat(str(path), appendmat=False)
+        for name, value in content.items():
+            if not name.startswith("__"):
+                _add_variable(name, value, arrays, opaque)
+    return table_of_arrays("MATLAB file (up to v7)", arrays, joints, choices, str(path), unreadable=opaque)
+
+
+def _add_variable(name: str, value: Any, arrays: dict[str, npt.NDArray[Any]], opaque: list[str]) -> None:
+    if not isinstance(value, np.ndarray):
+        opaque.append(name)
+    elif value.dtype.names is not None and value.size == 1:
+        for field in value.dtype.names:
+            inner = value.reshape(-1)[0][field]
+            if isinstance(inner, np.ndarray) and inner.dtype.names is None:
+                _add_variable(f"{name}.{field}", inner, arrays, opaque)
+            else:
+                opaque.append(f"{name}.{field}")
+    elif value.dtype.kind == "O" and all(
+        isinstance(cell, np.ndarray) and cell.dtype.kind == "U" for cell in value.flat
+    ):
+        # A cell array of texts: the joint names.
+        arrays[name] = np.array(["".join(cell.flat) for cell in value.flat], dtype=np.str_)
+    elif value.dtype.kind in "OV":
+        opaque.append(name)
+    else:
+        arrays[name] = value
+
+
+def _is_cell_of_texts(value: npt.NDArray[Any]) -> bool:
+    return value.dtype.kind == "O" and all(
+        isinstance(cell, np.ndarray) and cell.dtype.kind == "U" for cell in value.flat
+    )
+
+
+def read_hdf5(path: Path, joints: Sequence[str], choices: ImportChoices) -> Table:
+    """Read datasets of an HDF5 file, those in groups as `group.dataset`, one level deep.
+
+    MATLAB v7.3 stores matrices transposed and says so by the attribute MATLAB_class; they are turned back.
+
+    Args:
+        path: of the file.
+        joints: the robot's joint names.
+        choices: `columns` maps names that say nothing.
+
+    Raises:
+        ImportFileError: not HDF5, a dynid recording, or arrays that do not fit; with the dataset.
+    """
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    opaque: list[str] = []
+    matlab = False
+    with parsing(path, "an HDF5 or MATLAB v7.3 file"), h5py.File(path, "r") as file:
+        if "dynid_schema" in file.attrs:
+            raise ImportFileError("is a dynid recording already", where=str(path), hint="use it as it is")
+        for name, item in file.items():
+            members = item.items() if isinstance(item, h5py.Group) else [("", item)]
+            if name.startswith("#"):  # MATLAB's own store of cells
+                continue
+            for field, dataset in members:
+                label = f"{name}.{field}" if field else name
+                if not isinstance(dataset, h5py.Dataset) or dataset.shape is None:
+                    opaque.append(label)
+                    continue
+                matlab = matlab or "MATLAB_class" in dataset.attrs
+                _add_dataset(label, dataset, file, arrays, opaque)
+    kind = "MATLAB file (v7.3)" if matlab else "HDF5 file"
+    return table_of_arrays(kind, arrays, joints, choices, str(path), unreadable=opaque)
+
+
+def _add_dataset(label: str, dataset: Any, file: Any, arrays: dict[str, npt.NDArray[Any]], opaque: list[str]) -> None:
+    matlab_class = dataset.attrs.get("MATLAB_class", b"")
+    matlab_class = matlab_class.decode("ascii", "replace") if isinstance(matlab_class, bytes) else str(matlab_class)
+    if matlab_class == "cell" and dataset.dtype == h5py.ref_dtype:
+        cells = [file[reference] for reference in np.asarray(dataset[()]).flat]
+        if all(isinstance(cell, h5py.Dataset) and cell.dtype == np.uint16 for cell in cells):
+            arrays[label] = np.array(["".join(map(chr, np.asarray(cell[()]).flat)) for cell in cells], dtype=np.str_)
+            return
+    if matlab_class == "char" and dataset.dtype == np.uint16:
+        arrays[label] = np.array("".join(map(chr, np.asarray(dataset[()]).flat)))
+        return
+    if h5py.check_string_dtype(dataset.dtype) is not None:
+        arrays[label] = np.asarray(dataset.asstr()[()], dtype=np.str_)
+    elif dataset.dtype.kind in "iuf":
+        arrays[label] = np.asarray(dataset[()]).T if matlab_class else np.asarray(dataset[()])
+    else:
+        opaque.append(label)

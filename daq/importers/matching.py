@@ -1,0 +1,104 @@
+"""The file's joints against the robot's, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from daq.closest import did_you_mean
+from daq.importers.table import Note, listed, printable
+from drivers.errors import ImportFileError
+
+_SEPARATORS = "_/.:-"
+
+
+@dataclass(frozen=True)
+class JointMatch:
+    """Where the robot's joints are in a file.
+
+    Attributes:
+        columns: for each of the robot's joints, the index of its column in the file.
+        notes: what to record: a prefix, an order, joints that were left out.
+        by_order: whether names were of no use.
+    """
+
+    columns: tuple[int, ...]
+    notes: tuple[Note, ...] = ()
+    by_order: bool = False
+
+
+def match_joints(names: Sequence[str], joints: Sequence[str], *, by_order: bool, where: str) -> JointMatch:
+    """Find the robot's joints among a file's joint names.
+
+    Equal names match; failing that, names that differ by one prefix that all joints share, on either side
+    (`robot1_elbow_joint` and `elbow_joint`); failing that the order, where the user asked for it.
+
+    Args:
+        names: (m) the file's joint names, m ≥ n.
+        joints: (n) the robot's joint names.
+        by_order: take the file's order where names don't match.
+        where: the file, for messages.
+
+    Raises:
+        ImportFileError: a joint is missing, appears twice, or could be several.
+    """
+    for name in names:
+        if list(names).count(name) > 1:
+            raise ImportFileError(f"names the joint '{printable(name)}' twice", where=where)
+    index = {name: column for column, name in enumerate(names)}
+    if all(joint in index for joint in joints):
+        return _matched(names, [index[joint] for joint in joints], ())
+    prefixed = _prefixes(joints[0], names)
+    fitting = [prefix for prefix in prefixed if all(f"{prefix}{joint}" in index for joint in joints)]
+    if len(fitting) == 1:
+        note = Note("info", f"the file's joint names carry the prefix '{printable(fitting[0])}', the robot's don't")
+        return _matched(names, [index[f"{fitting[0]}{joint}"] for joint in joints], (note,))
+    if len(fitting) > 1:
+        raise ImportFileError(
+            f"holds the robot's joints under several prefixes: {listed(fitting)}",
+            where=where,
+            hint="write the prefix of the arm that you mean into the robot file's joint names",
+        )
+    stripped = [prefix for prefix in _own_prefixes(joints) if all(joint[len(prefix) :] in index for joint in joints)]
+    if stripped:
+        note = Note("info", f"the robot's joint names carry the prefix '{stripped[0]}', the file's don't")
+        return _matched(names, [index[joint[len(stripped[0]) :]] for joint in joints], (note,))
+    if by_order and len(names) == len(joints):
+        pairs = ", ".join(f"{printable(name)} → {joint}" for name, joint in zip(names, joints, strict=True))
+        return JointMatch(tuple(range(len(joints))), (Note("warning", f"joints matched by order: {pairs}"),), True)
+    missing = [joint for joint in joints if joint not in index]
+    if by_order:
+        hint = f"by order needs {len(joints)} joints, the file has {len(names)}"
+    elif len(names) == len(joints):
+        hint = "rename the robot file's joints, or take the file's order with --by-order"
+    else:
+        hint = did_you_mean(missing[0], names) or "is it another robot's file? see --robot"
+    raise ImportFileError(f"has no joint {listed(missing)}; it has: {listed(names) or 'none'}", where=where, hint=hint)
+
+
+def shares_joints(names: Sequence[str], joints: Sequence[str]) -> bool:
+    """Whether any of the file's names could be one of the robot's joints."""
+    return any(name == joint or _ends_in(name, joint) or _ends_in(joint, name) for name in names for joint in joints)
+
+
+def _ends_in(name: str, tail: str) -> bool:
+    return 0 < len(tail) < len(name) and name.endswith(tail) and name[-len(tail) - 1] in _SEPARATORS
+
+
+def _matched(names: Sequence[str], columns: list[int], notes: tuple[Note, ...]) -> JointMatch:
+    taken = set(columns)
+    ignored = [name for column, name in enumerate(names) if column not in taken]
+    if ignored:
+        notes = (*notes, Note("info", f"joints that the robot doesn't have were left out: {listed(ignored)}"))
+    return JointMatch(tuple(columns), notes)
+
+
+def _prefixes(joint: str, names: Sequence[str]) -> list[str]:
+    return [name[: -len(joint)] for name in names if _ends_in(name, joint)]
+
+
+def _own_prefixes(joints: Sequence[str]) -> list[str]:
+    """Prefixes up to a separator that all the robot's joint names share, shortest first."""
+    first = joints[0]
+    ends = [position + 1 for position, character in enumerate(first) if character in _SEPARATORS]
+    return [first[:end] for end in ends if all(joint.startswith(first[:end]) and len(joint) > end for joint in joints)]

@@ -1,0 +1,129 @@
+"""NumPy archives: `t`, `q`, `torque`, … as (N, n) arrays or `q1`, `q2`, … as vectors; never unpickled."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.importers.choices import ImportChoices
+from daq.importers.collecting import collect
+from daq.importers.naming import assign_roles
+from daq.importers.table import Note, Table, listed, parsing, printable
+from drivers.errors import ImportFileError
+
+JOINT_NAME_KEYS = ("joints", "joint_names")
+
+
+def read_npz(path: Path, joints: Sequence[str], choices: ImportChoices) -> Table:
+    """Read an .npz; a JSON text under `meta` may state `units`, `joints` or `joint_names` may name the columns.
+
+    Args:
+        path: of the file.
+        joints: the robot's joint names.
+        choices: `columns` maps keys that say nothing.
+
+    Raises:
+        ImportFileError: not an .npz, pickled objects, or arrays that do not fit; with the key.
+    """
+    where = str(path)
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    pickled: list[str] = []
+    with parsing(path, "an .npz archive"):
+        archive = np.load(path, allow_pickle=False)
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            raise ImportFileError(
+                "holds a single array, not an .npz archive", where=where, hint="save it with numpy.savez"
+            )
+        with archive:
+            for name in archive.files:
+                try:
+                    arrays[name] = archive[name]
+                except ValueError as error:
+                    if "allow_pickle" not in str(error):
+                        raise
+                    pickled.append(name)
+    return table_of_arrays("NumPy archive", arrays, joints, choices, where, unreadable=pickled)
+
+
+def table_of_arrays(
+    source: str,
+    arrays: Mapping[str, npt.NDArray[Any]],
+    joints: Sequence[str],
+    choices: ImportChoices,
+    where: str,
+    unreadable: Sequence[str] = (),
+) -> Table:
+    """A table from named arrays, for the formats that hold such.
+
+    Args:
+        source: kind of the file, in words.
+        arrays: name → array; texts under `meta`, `joints` and `joint_names` are understood too.
+        joints: the robot's joint names.
+        choices: `columns` maps names that say nothing.
+        where: the file, for messages.
+        unreadable: names of things in the file that are no arrays (pickled objects, cells, functions).
+
+    Raises:
+        ImportFileError: nothing usable in it, or arrays that do not fit.
+    """
+    notes: list[Note] = []
+    named = next((key for key in JOINT_NAME_KEYS if key in arrays and arrays[key].dtype.kind in "US"), None)
+    array_joints = tuple(_text(name) for name in arrays[named].reshape(-1)) if named is not None else None
+    aside = {"meta", *JOINT_NAME_KEYS}
+    names = [name for name in arrays if name not in aside]
+    roles = assign_roles([*names, *unreadable], joints, choices.columns, where)
+    for role in roles:
+        if role.name in unreadable:
+            raise ImportFileError(
+                "is a pickled or otherwise opaque object, which is not opened",
+                where=f"{where}: {printable(role.name)}",
+                hint="store it as a plain array of numbers",
+            )
+    if not roles:
+        raise ImportFileError(
+            f"has no array whose name is understood; it has: {listed(arrays) or 'nothing'}",
+            where=where,
+            hint="name them t, q, qd, torque or current, or map them: --column q=NAME",
+        )
+    taken = {role.name for role in roles}
+    units = (
+        _stated_units(arrays["meta"], {role.name: role.quantity for role in roles}, notes) if "meta" in arrays else {}
+    )
+    return collect(
+        source,
+        roles,
+        arrays,
+        joints,
+        where,
+        array_joints=array_joints,
+        units=units,
+        unused=[name for name in (*names, *unreadable) if name not in taken],
+        notes=notes,
+    )
+
+
+def _text(value: Any) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value).strip()
+
+
+def _stated_units(meta: npt.NDArray[Any], quantities: Mapping[str, str], notes: list[Note]) -> dict[str, str]:
+    """Units in `meta`: either one angle unit ("deg") or a mapping of the file's names to units."""
+    if meta.dtype.kind not in "US" or meta.size != 1:
+        return {}
+    try:
+        content = json.loads(_text(meta.reshape(-1)[0]))
+    except (json.JSONDecodeError, RecursionError):
+        notes.append(Note("info", "'meta' is no JSON text and was ignored"))
+        return {}
+    units = content.get("units") if isinstance(content, dict) else None
+    if isinstance(units, str):
+        angles = {"position": units, "velocity": f"{units}/s"}
+        return {name: angles[quantity] for name, quantity in quantities.items() if quantity in angles}
+    if isinstance(units, dict):
+        return {name: str(units[name]) for name in quantities if isinstance(units.get(name), str)}
+    return {}

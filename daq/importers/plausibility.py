@@ -1,0 +1,155 @@
+"""Do the numbers look like the units that they are said to have?"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from daq.importers.assembly import Quantity, Samples
+from daq.importers.checks import sample_place
+from daq.importers.choices import ImportChoices
+from daq.importers.table import Note, listed
+from daq.recording import FloatArray
+from daq.robot import Robot
+from drivers.errors import ImportFileError
+
+DEGREES = 180 / math.pi
+CORRELATED = 0.9
+"""Below this correlation of ∫velocity dt with the change of position nothing is concluded from their ratio."""
+
+BLOCKS = 100
+"""Displacements are compared over this many stretches of the recording, long enough to drown quantisation."""
+
+_MILLIAMPERE = 500.0
+_TORQUE_EXCESS = 10.0
+
+
+def check_units(samples: Samples, robot: Robot, sliding: frozenset[str], choices: ImportChoices, where: str) -> Samples:
+    """Compare positions with the joint limits and velocities with the change of position.
+
+    Args:
+        samples: in SI as far as the file and the user said so.
+        robot: whose limits are meant.
+        sliding: names of its prismatic joints.
+        choices: whether degrees were converted.
+        where: the file, for messages.
+
+    Returns:
+        The samples with doubts as notes.
+
+    Raises:
+        ImportFileError: positions that can only be degrees; position and velocity in different units.
+    """
+    notes: list[Note] = []
+    position = samples.quantities["position"]
+    notes.extend(_check_positions(samples, position, robot, sliding, choices, where))
+    if "velocity" in samples.quantities:
+        notes.extend(_check_velocity(samples, position, samples.quantities["velocity"], sliding, where))
+    current = samples.quantities.get("current")
+    if current is not None and np.abs(current.values).max() > _MILLIAMPERE:
+        notes.append(Note("warning", f"current reaches {np.abs(current.values).max():.4g} A; is it in mA?"))
+    torque = samples.quantities.get("torque")
+    if torque is not None:
+        for column, limits in enumerate(robot.joints):
+            peak = float(np.abs(torque.values[:, column]).max())
+            if limits.torque is not None and peak > _TORQUE_EXCESS * limits.torque:
+                text = f"torque of {limits.name} reaches {peak:.4g}, its limit is {limits.torque:g} N·m; check its unit"
+                notes.append(Note("warning", text))
+    return replace(samples, notes=(*samples.notes, *notes))
+
+
+def _check_positions(
+    samples: Samples, position: Quantity, robot: Robot, sliding: frozenset[str], choices: ImportChoices, where: str
+) -> list[Note]:
+    notes = []
+    far: list[str] = []
+    fitting: list[str] = []
+    small: list[str] = []
+    for column, limits in enumerate(robot.joints):
+        values = position.values[:, column]
+        low, high = limits.position
+        excess = np.maximum(values - high, low - values)
+        worst = int(excess.argmax())
+        if limits.name not in sliding:
+            reach = max(abs(low), abs(high)) + 2 * math.pi
+            (far if np.abs(values).max() > reach else fitting).append(limits.name)
+            if choices.degrees and np.abs(values).max() * DEGREES <= min(reach, 2 * math.pi) and np.ptp(values) > 0.002:
+                small.append(limits.name)
+        if excess[worst] > 0 and limits.name not in far:
+            text = f"position of {limits.name} is {excess[worst]:.4g} outside its limits {list(limits.position)}"
+            notes.append(Note("warning", text, worst))
+    if far:
+        column = robot.joint_names.index(far[0])
+        peak = int(np.abs(position.values[:, column]).argmax())
+        value = position.values[peak, column]
+        place = f"{sample_place(samples, peak, where)}, joint {far[0]}"
+        if choices.degrees:
+            raise ImportFileError(f"position is {value:.4g} rad after the conversion from degrees", where=place)
+        mixed = f"; {listed(fitting)} would fit as radians, so the file may mix units" if fitting else ""
+        raise ImportFileError(
+            f"position {value:.4g} is far outside the joint's limits; {listed(far)} look like degrees{mixed}",
+            where=place,
+            hint="--degrees if all joints are in degrees; a header such as q1 [deg] states one joint's unit",
+        )
+    if small:
+        text = f"before the conversion from degrees the positions of {listed(small)} stayed below 2π"
+        notes.append(Note("warning", f"{text}; were they in radians already?"))
+    return notes
+
+
+def _check_velocity(
+    samples: Samples, position: Quantity, velocity: Quantity, sliding: frozenset[str], where: str
+) -> list[Note]:
+    ratios = _displacement_ratios(samples.time, position.values, velocity.values)
+    known = {joint: ratio for joint, ratio in zip(position.joints, ratios, strict=True) if ratio is not None}
+    for joint, ratio in known.items():
+        place = f"{where}: joint {joint}"
+        angular = joint not in sliding
+        if angular and _near(ratio, DEGREES):
+            raise ImportFileError(
+                "mixed units: the position looks like degrees, the velocity like radians a second",
+                where=place,
+                hint="state them in the header: q1 [deg], qd1 [rad/s]",
+            )
+        if angular and _near(ratio, 1 / DEGREES):
+            raise ImportFileError(
+                "mixed units: the position looks like radians, the velocity like degrees a second",
+                where=place,
+                hint="state them in the header: q1 [rad], qd1 [deg/s]",
+            )
+        for unit, factor in (("ms", 1e-3), ("us", 1e-6)):
+            if _near(ratio, factor):
+                raise ImportFileError(
+                    f"the velocity is {1 / factor:g} times too large for the positions: the stamps look like {unit}",
+                    where=place,
+                    hint=f"--time-unit {unit}",
+                )
+    doubtful = [f"{joint} ({ratio:.3g})" for joint, ratio in known.items() if not 0.5 < ratio < 2.0]
+    if not doubtful:
+        return []
+    text = f"velocity is not the change of position; ratio of change to ∫velocity dt: {listed(doubtful)}"
+    return [Note("warning", text)]
+
+
+def _near(ratio: float, expected: float) -> bool:
+    return 0.8 < ratio / expected < 1.25
+
+
+def _displacement_ratios(time: FloatArray, position: FloatArray, velocity: FloatArray) -> list[float | None]:
+    """Per joint the slope of Δposition over ∫velocity dt (trapezoids); None where they don't go together."""
+    edges = np.unique(np.linspace(0, len(time) - 1, min(BLOCKS, len(time) - 1) + 1).astype(np.intp))
+    if len(edges) < 5:
+        return [None] * position.shape[1]
+    trapezoids = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)[:, None]
+    integral = np.concatenate([np.zeros((1, velocity.shape[1])), np.cumsum(trapezoids, axis=0)])
+    moved, expected = np.diff(position[edges], axis=0), np.diff(integral[edges], axis=0)
+    ratios: list[float | None] = []
+    for actual, predicted in zip(moved.T, expected.T, strict=True):
+        energy, power = float(predicted @ predicted), float(actual @ actual)
+        cross = float(actual @ predicted)
+        norm = math.sqrt(energy) * math.sqrt(power)
+        usable = 0 < norm < math.inf and math.isfinite(cross) and abs(cross) > CORRELATED * norm
+        ratios.append(cross / energy if usable and energy > 0 else None)
+    return ratios

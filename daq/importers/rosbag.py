@@ -1,0 +1,243 @@
+"""ROS 2 bags (sqlite3 and MCAP storage) through `rosbags`: the JointState messages of one topic."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.closest import did_you_mean
+from daq.importers.choices import ImportChoices
+from daq.importers.matching import JointMatch, match_joints, shares_joints
+from daq.importers.table import Block, Note, Table, listed, parsing, printable
+from daq.recording import FloatArray
+from drivers.errors import ImportFileError, UsageError
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+METADATA = "metadata.yaml"
+STORAGE_SUFFIXES = (".db3", ".mcap")
+SECOND = 1e9
+"""[ns]"""
+_FIELDS = ("position", "velocity", "effort")
+
+
+@dataclass(frozen=True)
+class _Messages:
+    """All JointState messages of a topic: log and header stamps (N,) [ns], joint names and raw fields per message."""
+
+    topic: str
+    logged: npt.NDArray[np.int64]
+    stamped: npt.NDArray[np.int64]
+    names: list[tuple[str, ...]]
+    fields: dict[str, list[FloatArray]]
+
+
+def bag_files(path: Path) -> tuple[Path, ...]:
+    """The storage files of a bag, given as a folder, its metadata.yaml or a single storage file, in their order.
+
+    Raises:
+        ImportFileError: a folder without any.
+    """
+    if path.name == METADATA:
+        path = path.parent
+    if not path.is_dir():
+        return (path,)
+    files = tuple(sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES or file.suffix == ".zstd"))
+    if not files:
+        raise ImportFileError("the folder holds no bag: no .db3 and no .mcap file", where=str(path))
+    return files
+
+
+def read_rosbag(path: Path, joints: Sequence[str], choices: ImportChoices) -> Table:
+    """Read the sensor_msgs/JointState messages of one topic; time is relative to the first one taken.
+
+    Args:
+        path: a bag's folder, its metadata.yaml, or a bare .db3 or .mcap file.
+        joints: the robot's joint names; they are looked up message by message, others are left out.
+        choices: `topic` where several carry JointState; `by_order` where the names differ.
+
+    Raises:
+        UsageError: `columns` are given; a bag has none.
+        ImportFileError: damaged, no such topic, a joint missing, a message whose fields differ in length.
+    """
+    if choices.columns:
+        raise UsageError("a bag has no columns to map", where="--column", hint="choose a topic with --topic")
+    if path.name == METADATA:
+        path = path.parent
+    where = str(path)
+    notes: list[Note] = []
+    parts = _openable(path, notes)
+    read = [_read_messages(part, choices.topic, where) for part in parts]
+    topics = sorted({messages.topic for messages in read})
+    if len(topics) > 1:
+        raise _several(topics, where)
+    messages = read[0] if len(read) == 1 else _joined(read)
+    notes.append(Note("info", f"topic {printable(messages.topic)}, {len(messages.names)} messages"))
+    place = f"{where}: {printable(messages.topic)}"
+    matches = _matches(messages.names, joints, choices.by_order, place, notes)
+    taken = [index for index, names in enumerate(messages.names) if names in matches]
+    if len(taken) < len(messages.names):
+        notes.append(
+            Note("info", f"{len(messages.names) - len(taken)} messages are about other joints and were left out")
+        )
+    for match in matches.values():
+        notes.extend(note for note in match.notes if note not in notes)
+    stamps = _stamps(messages, taken, notes)
+    seconds = (stamps - stamps[0]) / SECOND
+    notes.append(Note("info", f"time is counted from the first message, stamped {stamps[0] / SECOND:.9f} s"))
+    labels = tuple(joints)
+    blocks = {}
+    for field in _FIELDS:
+        values = _gather(messages, field, taken, matches, place)
+        if values is not None:
+            blocks[field] = Block(values, labels, ("",) * len(joints), labels)
+    return Table("ROS 2 bag", seconds, "s", blocks, tuple(notes))
+
+
+def _openable(path: Path, notes: list[Note]) -> tuple[Path, ...]:
+    """What to hand to the reader: the folder where it is complete, else the storage files in it."""
+    if path.is_dir():
+        if (path / METADATA).exists():
+            return (path,)
+        files = tuple(file for file in bag_files(path) if file.suffix in STORAGE_SUFFIXES)
+        if not files:
+            raise ImportFileError(
+                f"the folder has compressed files but no {METADATA}",
+                where=str(path),
+                hint="decompress them with zstd -d",
+            )
+        notes.append(Note("info", f"no {METADATA}; read {listed(file.name for file in files)}"))
+        return files
+    if path.with_name(path.name + "-wal").exists():
+        notes.append(
+            Note("warning", f"{printable(path.name)}-wal beside the file was not read; its messages are missing")
+        )
+    siblings = [file.name for file in path.parent.glob(f"*{path.suffix}") if file != path]
+    if siblings and (path.parent / METADATA).exists():
+        notes.append(Note("warning", f"one file of a split bag was read; beside it: {listed(sorted(siblings))}"))
+    return (path,)
+
+
+def _read_messages(path: Path, topic: str | None, where: str) -> _Messages:
+    from rosbags.rosbag2 import Reader
+    from rosbags.typesys import Stores, get_typestore
+
+    typestore = get_typestore(Stores.ROS2_HUMBLE)
+    logged: list[int] = []
+    stamped: list[int] = []
+    names: list[tuple[str, ...]] = []
+    fields: dict[str, list[FloatArray]] = {field: [] for field in _FIELDS}
+    with parsing(path, "a ROS 2 bag"), Reader(path) as reader:
+        connections = _chosen(reader.connections, topic, where)
+        for _, stamp, raw in reader.messages(connections):
+            message: Any = typestore.deserialize_cdr(raw, JOINT_STATE)
+            logged.append(stamp)
+            stamped.append(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
+            names.append(tuple(message.name))
+            for field, values in fields.items():
+                values.append(getattr(message, field))
+        name = connections[0].topic
+    if not names:
+        raise ImportFileError("holds no message", where=f"{where}: {printable(name)}")
+    with parsing(path, "a ROS 2 bag"):
+        clocks = np.array(logged, dtype=np.int64), np.array(stamped, dtype=np.int64)
+    return _Messages(name, *clocks, names, fields)
+
+
+def _chosen(connections: Sequence[Any], topic: str | None, where: str) -> list[Any]:
+    """The connections of the one JointState topic that is meant."""
+    carrying = [connection for connection in connections if connection.msgtype == JOINT_STATE]
+    topics = sorted({connection.topic for connection in carrying})
+    if topic is not None:
+        if topic not in topics:
+            others = {connection.topic: connection.msgtype for connection in connections}
+            found = f"carries {printable(others[topic])}, not {JOINT_STATE}" if topic in others else "is not in the bag"
+            raise ImportFileError(
+                f"topic {printable(topic)} {found}; with JointState: {listed(topics) or 'none'}",
+                where=where,
+                hint=did_you_mean(topic, topics),
+            )
+        topics = [topic]
+    if not topics:
+        found = listed(sorted({f"{connection.topic} ({connection.msgtype})" for connection in connections}))
+        raise ImportFileError(f"has no topic with {JOINT_STATE}; it has: {found or 'nothing'}", where=where)
+    if len(topics) > 1:
+        raise _several(topics, where)
+    chosen = [connection for connection in carrying if connection.topic == topics[0]]
+    formats = {connection.ext.serialization_format for connection in chosen} - {"cdr"}
+    if formats:
+        raise ImportFileError(f"messages are serialized as {listed(formats)}; only cdr is read", where=where)
+    return chosen
+
+
+def _several(topics: Sequence[str], where: str) -> ImportFileError:
+    message = f"JointState is on several topics: {listed(topics)}"
+    return ImportFileError(message, where=where, hint="choose one with --topic")
+
+
+def _joined(parts: Sequence[_Messages]) -> _Messages:
+    return _Messages(
+        parts[0].topic,
+        np.concatenate([part.logged for part in parts]),
+        np.concatenate([part.stamped for part in parts]),
+        [names for part in parts for names in part.names],
+        {field: [values for part in parts for values in part.fields[field]] for field in _FIELDS},
+    )
+
+
+def _matches(
+    names: Sequence[tuple[str, ...]], joints: Sequence[str], by_order: bool, where: str, notes: list[Note]
+) -> dict[tuple[str, ...], JointMatch]:
+    """Distinct name lists of the messages that hold the robot's joints → where they are in them."""
+    distinct = list(dict.fromkeys(names))
+    related = [given for given in distinct if shares_joints(given, joints)]
+    if not related:
+        # Nothing fits by name; by order only one list of names can be meant.
+        if len(distinct) > 1 and by_order:
+            raise ImportFileError(
+                f"joint names change from message to message: {' | '.join(listed(given) for given in distinct[:4])}",
+                where=where,
+                hint="joints can't be matched by order then; rename the robot file's joints",
+            )
+        related = distinct[:1]
+    matches = {}
+    for given in related:
+        first = names.index(given)
+        matches[given] = match_joints(given, joints, by_order=by_order, where=f"{where}, message {first}")
+    if len({match.columns for match in matches.values()}) > 1:
+        notes.append(Note("info", "the order of the joints changes between messages; each was matched by its names"))
+    return matches
+
+
+def _stamps(messages: _Messages, taken: Sequence[int], notes: list[Note]) -> npt.NDArray[np.int64]:
+    stamps: npt.NDArray[np.int64] = messages.stamped[taken]
+    if stamps.any():
+        return stamps
+    notes.append(Note("warning", "all header stamps are zero; receive times, with their jitter, were taken"))
+    logged: npt.NDArray[np.int64] = messages.logged[taken]
+    return logged
+
+
+def _gather(
+    messages: _Messages, field: str, taken: Sequence[int], matches: dict[tuple[str, ...], JointMatch], where: str
+) -> FloatArray | None:
+    """(N, n) in the robot's order; None where every message leaves the field empty."""
+    raw = messages.fields[field]
+    first_filled = next((index for index in taken if len(raw[index])), None)
+    if first_filled is None:
+        return None
+    rows = []
+    for index in taken:
+        given = messages.names[index]
+        if len(raw[index]) != len(given):
+            raise ImportFileError(
+                f"names {len(given)} joints, but has {len(raw[index])} values of {field}"
+                + (f" (message {first_filled} has them)" if not len(raw[index]) else ""),
+                where=f"{where}, message {index}",
+            )
+        rows.append(raw[index][list(matches[given].columns)])
+    return np.array(rows, dtype=np.float64)

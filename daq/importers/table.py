@@ -1,0 +1,101 @@
+"""What every reader of a foreign file hands on: arrays under their names, before any check or conversion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.recording import FloatArray, Level
+from drivers.errors import DynidError, ImportFileError
+
+
+@dataclass(frozen=True)
+class Note:
+    """Something to record as an event; `sample` is the row that it happened at, None for the whole file."""
+
+    level: Level
+    message: str
+    sample: int | None = None
+
+
+@dataclass(frozen=True)
+class Block:
+    """One quantity as the file has it.
+
+    Attributes:
+        values: (N, n), in the file's units.
+        labels: (n) the file's names of the columns.
+        units: (n) the units that the file states; empty texts where it states none.
+        joints: (n) names of the joints; None where the file has only an order.
+    """
+
+    values: FloatArray
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    joints: tuple[str, ...] | None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A foreign file's content.
+
+    Attributes:
+        source: kind of the file, in words.
+        time: (N,) stamps in `time_unit`; None where the file has none.
+        time_unit: as the file states it; empty where it doesn't.
+        blocks: quantity (`position`, `velocity`, `torque`, `current`, `effort`, `temperature`) → block.
+        notes: what the reader assumed.
+        lines: (N,) line number of each sample in a text file; None otherwise.
+    """
+
+    source: str
+    time: FloatArray | None
+    time_unit: str
+    blocks: Mapping[str, Block]
+    notes: tuple[Note, ...] = ()
+    lines: npt.NDArray[np.int64] | None = None
+
+
+def printable(name: object, limit: int = 80) -> str:
+    """A foreign name, fit for messages and HDF5 texts: control characters, NUL and lone surrogates become �."""
+    text = "".join(character if character.isprintable() else "�" for character in str(name))
+    return text if len(text) <= limit else f"{text[: limit - 3]}..."
+
+
+def listed(names: object, limit: int = 12) -> str:
+    """Names for a message, comma-separated, the tail counted instead of shown."""
+    texts = [printable(name) for name in names]  # type: ignore[attr-defined]
+    shown = ", ".join(texts[:limit])
+    return shown if len(texts) <= limit else f"{shown} and {len(texts) - limit} more"
+
+
+@contextmanager
+def parsing(path: Path, kind: str, hint: str = "") -> Iterator[None]:
+    """Turn whatever a library raises on a damaged file into an ImportFileError.
+
+    The libraries behind the formats raise nearly anything on bytes that they don't expect (struct.error, KeyError,
+    AssertionError, zlib.error, …); so keep to their calls and the least around them in this block.
+
+    Raises:
+        ImportFileError: in place of every exception but our own.
+    """
+    try:
+        yield
+    except DynidError:
+        raise
+    except Exception as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error).strip()
+        # `where` names the file already; without its path the reason fits on a line.
+        for spelled in (repr(str(path)), str(path)):
+            reason = reason.replace(spelled, "the file")
+        first_line = printable(reason.splitlines()[0], limit=200) if reason else type(error).__name__
+        raise ImportFileError(
+            f"cannot be read as {kind}: {first_line}",
+            where=str(path),
+            hint=hint or "the file is damaged, cut off or of another kind; copy it again from its source",
+        ) from error

@@ -1,0 +1,373 @@
+"""The robot file: everything that dynid knows of an arm (YAML; DESIGN.md "The robot file").
+
+Units: m, rad, s, kg, N·m, A, °C. Angles of the geometry may be written as multiples of pi (`-pi/2`).
+"""
+
+from __future__ import annotations
+
+import re
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import yaml
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from daq.closest import did_you_mean
+from daq.yaml_file import UniqueKeyLoader, describe, first_problem
+from drivers.errors import RobotFileError
+
+BASE = "base"
+_PI_MULTIPLE = re.compile(r"^\s*([+-]?)\s*(?:(\d+(?:\.\d*)?)\s*\*\s*)?pi\s*(?:/\s*(\d+(?:\.\d*)?))?\s*$")
+_PI = 3.141592653589793
+
+
+def _parse_angle(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    match = _PI_MULTIPLE.match(value)
+    if match is None:
+        return value
+    sign, factor, divisor = match.groups()
+    angle = _PI * float(factor or 1)
+    if divisor is not None:
+        if float(divisor) == 0:
+            raise ValueError("division by zero")
+        angle /= float(divisor)
+    return -angle if sign == "-" else angle
+
+
+def _refuse_truth_value(value: Any) -> Any:
+    # YAML reads yes, on and true as a truth value, and pydantic would take that for 1.
+    if isinstance(value, bool):
+        raise ValueError(f"found {str(value).lower()}, but it should be a number")
+    return value
+
+
+_NotTruthValue = BeforeValidator(_refuse_truth_value)
+Finite = Annotated[float, Field(allow_inf_nan=False), _NotTruthValue]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), _NotTruthValue]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), _NotTruthValue]
+Angle = Annotated[Finite, BeforeValidator(_parse_angle)]
+Vector3 = tuple[Finite, Finite, Finite]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class MdhRow(_Section):
+    """One frame of the modified Denavit-Hartenberg description of Khalil and Kleinfinger (1986).
+
+    Frame j follows from its antecedent's by Rot(z, gamma) Trans(z, b) Rot(x, alpha) Trans(x, d) Rot(z, theta)
+    Trans(z, r); theta = theta0 + q for a revolute joint, r = r + q for a prismatic one.
+    """
+
+    joint: str
+    antecedent: str = Field(default=BASE, description="name of the antecedent joint, or 'base'")
+    type: Literal["revolute", "prismatic"] = "revolute"
+    gamma: Angle = Field(default=0.0, description="[rad], non-zero only where a tree branches")
+    b: Finite = Field(default=0.0, description="[m], non-zero only where a tree branches")
+    alpha: Angle = Field(description="[rad]")
+    d: Finite = Field(description="[m]")
+    theta0: Angle = Field(default=0.0, description="[rad], added to the joint position")
+    r: Finite = Field(description="[m]")
+
+
+class ModelSection(_Section):
+    """Kinematics: exactly one of `urdf` and `mdh`."""
+
+    urdf: str | None = Field(default=None, description="path of the URDF, relative to the robot file")
+    mdh: tuple[MdhRow, ...] | None = None
+    gravity: Vector3 = Field(default=(0.0, 0.0, -9.81), description="[m/s²] in the base frame")
+    locked: dict[str, Finite] = Field(default_factory=dict, description="joint → fixed position [rad or m]; URDF only")
+    loops: tuple[dict[str, Any], ...] = ()
+    coupling: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.urdf is None) == (self.mdh is None):
+            raise ValueError("give exactly one of 'urdf' and 'mdh'")
+        if self.mdh is not None:
+            _check_mdh(self.mdh)
+            if self.locked:
+                raise ValueError("'locked' works with 'urdf' only; leave the joint out of 'mdh' instead")
+        if self.loops:
+            raise ValueError("closed loops ('loops') are not supported by this version; leave the key out")
+        if self.coupling:
+            raise ValueError("coupled motors ('coupling') are not supported by this version; leave the key out")
+        if max(abs(component) for component in self.gravity) > 30:
+            raise ValueError(f"gravity {list(self.gravity)} m/s² is larger than any planet's surface; check the unit")
+        return self
+
+
+def _check_mdh(rows: tuple[MdhRow, ...]) -> None:
+    if not rows:
+        raise ValueError("'mdh' has no rows")
+    known = {BASE}
+    for row in rows:
+        if row.joint in known:
+            raise ValueError(
+                f"'mdh' names joint '{row.joint}' twice" if row.joint != BASE else "a joint is named 'base'"
+            )
+        if row.antecedent not in known:
+            allowed = ", ".join(sorted(known))
+            raise ValueError(
+                f"joint '{row.joint}' has antecedent '{row.antecedent}', but before it come only: {allowed}"
+            )
+        known.add(row.joint)
+
+
+class JointLimits(_Section):
+    """A joint's limits; the torque and temperature limits may be unknown."""
+
+    name: str
+    position: tuple[Finite, Finite] = Field(description="[rad or m]")
+    velocity: Positive = Field(description="[rad/s or m/s]")
+    acceleration: Positive = Field(default=10.0, description="[rad/s² or m/s²]")
+    torque: Positive | None = Field(default=None, description="[N·m or N]")
+    temperature: Finite | None = Field(default=None, description="[°C]")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.position[0] < self.position[1]:
+            raise ValueError(f"position limits {list(self.position)} are not in rising order")
+        return self
+
+
+class Drive(_Section):
+    """How a motor's signal becomes joint torque: Γ = gain · signal (SR400 §4.3 point 1, AUBO eq. 2)."""
+
+    joint: str
+    gain: Finite | None = Field(
+        default=None, description="[N·m/A] or [N·m/V], joint side, sign included; unknown if absent"
+    )
+    gain_std: NonNegative | None = Field(default=None, description="standard deviation of the gain, in its unit")
+    signal: Literal["current", "voltage", "torque"] = "current"
+    inertia: bool = Field(default=True, description="whether the measured torque carries the motor's inertia")
+
+    @model_validator(mode="after")
+    def _non_zero(self) -> Self:
+        if self.gain == 0:
+            raise ValueError("a gain of 0 would erase the signal")
+        return self
+
+
+class JointFriction(_Section):
+    """Exceptions of one joint from the arm's friction model; what is absent follows the arm's."""
+
+    viscous: bool | None = None
+    coulomb: bool | None = None
+    offset: bool | None = None
+
+
+class Friction(_Section):
+    """The friction columns of every joint (SR400 eq. 7; ROCR6 eq. 3-4; offset as in AUBO eq. 6)."""
+
+    model: Literal["none", "viscous", "coulomb", "coulomb-viscous"] = "coulomb-viscous"
+    offset: bool = Field(default=True, description="a constant torque per joint, Fo")
+    smoothing: NonNegative = Field(default=0.0, description="ε [rad/s] of tanh(q̇/ε) in place of sign(q̇); 0 means sign")
+    joints: dict[str, JointFriction] = Field(default_factory=dict)
+
+
+class TruthLink(_Section):
+    """Inertial parameters of a simulated link, in the frame of its joint."""
+
+    mass: Positive = Field(description="[kg]")
+    com: Vector3 = Field(description="centre of mass [m]")
+    inertia: tuple[Finite, Finite, Finite, Finite, Finite, Finite] = Field(
+        description="xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²]"
+    )
+
+
+class TruthJoint(_Section):
+    """Friction and motor inertia of a simulated joint, joint side."""
+
+    viscous: NonNegative = Field(default=0.0, description="[N·m·s/rad]")
+    coulomb: NonNegative = Field(default=0.0, description="[N·m]")
+    offset: Finite = Field(default=0.0, description="[N·m]")
+    motor_inertia: NonNegative = Field(default=0.0, description="[kg·m²]")
+
+
+class TruthNoise(_Section):
+    """What the simulated sensors add."""
+
+    rate: Positive = Field(default=500.0, description="[Hz]")
+    encoder_resolution: NonNegative = Field(default=0.0, description="[rad] a step, joint side")
+    torque_std: dict[str, NonNegative] = Field(default_factory=dict, description="joint → white noise [N·m]")
+    ripple_amplitude: dict[str, NonNegative] = Field(default_factory=dict, description="joint → torque ripple [N·m]")
+    ripple_per_revolution: Positive = Field(default=100.0, description="ripple periods a joint revolution")
+
+
+class Truth(_Section):
+    """What a simulated arm really is; a real arm's file leaves it out."""
+
+    links: dict[str, TruthLink] = Field(default_factory=dict, description="joint → the link that it moves")
+    joints: dict[str, TruthJoint] = Field(default_factory=dict)
+    noise: TruthNoise = Field(default_factory=TruthNoise)
+
+
+class Connection(BaseModel):
+    """How to reach the arm on one wire; the keys beside `driver` belong to that driver."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    driver: str
+
+
+class Robot(_Section):
+    """A robot file, validated; `origin` says where it was read."""
+
+    name: str = Field(min_length=1)
+    description: str = ""
+    sources: dict[str, str] = Field(default_factory=dict, description="where the numbers come from, by section")
+    model: ModelSection
+    joints: tuple[JointLimits, ...] = Field(min_length=1)
+    drives: tuple[Drive, ...] = ()
+    friction: Friction = Field(default_factory=Friction)
+    truth: Truth = Field(default_factory=Truth)
+    connections: dict[str, Connection] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        names = self.joint_names
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"'joints' names '{name}' twice")
+        if self.model.mdh is not None:
+            rows = tuple(row.joint for row in self.model.mdh)
+            if rows != names:
+                expected, found = ", ".join(rows), ", ".join(names)
+                raise ValueError(
+                    f"'joints' must name the joints of 'model.mdh' in its order: {expected}; found: {found}"
+                )
+        driven = [drive.joint for drive in self.drives]
+        for name in driven:
+            if driven.count(name) > 1:
+                raise ValueError(f"'drives' names '{name}' twice")
+        for section, keys in (
+            ("drives", driven),
+            ("friction.joints", self.friction.joints),
+            ("truth.links", self.truth.links),
+            ("truth.joints", self.truth.joints),
+            ("truth.noise.torque_std", self.truth.noise.torque_std),
+            ("truth.noise.ripple_amplitude", self.truth.noise.ripple_amplitude),
+        ):
+            for key in keys:
+                if key not in names:
+                    raise ValueError(f"'{section}' names joint '{key}', but 'joints' has only: {', '.join(names)}")
+        return self
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints, in the order of every array."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    def drive(self, joint: str) -> Drive:
+        """The drive of a joint; one with unknown gain where the file names none."""
+        return next((drive for drive in self.drives if drive.joint == joint), Drive(joint=joint))
+
+
+class RobotFile(BaseModel):
+    """A robot together with the text and the place that it was read from."""
+
+    model_config = ConfigDict(frozen=True)
+
+    robot: Robot
+    text: str = Field(description="the YAML as it was read")
+    folder: Path | None = Field(description="what relative paths resolve against; None for a text without a place")
+    urdf_text: str | None = Field(default=None, description="the URDF's XML, where the model names one")
+
+
+def builtin_robots() -> tuple[str, ...]:
+    """Names of the built-in robot files, sorted."""
+    return tuple(sorted(path.name[:-5] for path in files("daq.robots").iterdir() if path.name.endswith(".yaml")))
+
+
+def load_robot(name_or_path: str | Path) -> RobotFile:
+    """Read a built-in robot by name, or a robot file by path (a name that exists as a file is a path).
+
+    Raises:
+        RobotFileError: no such robot or file, or its content is not allowed; names file, key and what is allowed.
+    """
+    given = str(name_or_path)
+    path = Path(given)
+    if path.suffix.lower() in {".yaml", ".yml"} or path.is_file():
+        if not path.is_file():
+            raise RobotFileError("no such file", where=given, hint=_known_robots(given))
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise RobotFileError(f"cannot be read: {error}", where=given) from error
+        return parse_robot(text, where=given, folder=path.resolve().parent)
+    if given not in builtin_robots():
+        raise RobotFileError(f"no built-in robot and no file is called '{given}'", hint=_known_robots(given))
+    text = files("daq.robots").joinpath(f"{given}.yaml").read_text(encoding="utf-8")
+    return parse_robot(text, where=f"built-in {given}", folder=None)
+
+
+def _known_robots(given: str) -> str:
+    return did_you_mean(given, builtin_robots()) or f"built-in: {', '.join(builtin_robots())}"
+
+
+def parse_robot(text: str, *, where: str, folder: Path | None, urdf_text: str | None = None) -> RobotFile:
+    """Validate a robot file's text.
+
+    Args:
+        text: the YAML.
+        where: what an error message calls it.
+        folder: what a relative `model.urdf` resolves against.
+        urdf_text: the URDF's XML where it is known already (a recording carries it); read from disk otherwise.
+
+    Raises:
+        RobotFileError: names the key path, what was found and what is allowed.
+    """
+    try:
+        content = yaml.load(text, Loader=UniqueKeyLoader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f"{where}, line {mark.line + 1}, column {mark.column + 1}" if mark is not None else where
+        reason = getattr(error, "problem", None) or str(error)
+        raise RobotFileError(f"not valid YAML: {reason}", where=place) from error
+    except RecursionError as error:
+        raise RobotFileError("nested too deeply to be a robot file", where=where) from error
+    if not isinstance(content, dict):
+        raise RobotFileError(
+            f"a robot file is a mapping of keys, but this is {describe(content)}",
+            where=where,
+            hint="see a built-in one: dynid robot show ur5e --yaml",
+        )
+    try:
+        robot = Robot.model_validate(content)
+    except ValidationError as error:
+        problem = first_problem(error, Robot)
+        place = f"{where}: {problem.key_path}" if problem.key_path else where
+        raise RobotFileError(problem.message, where=place, hint=problem.hint) from error
+    if robot.model.urdf is not None and urdf_text is None:
+        urdf_text = _read_urdf(robot.model.urdf, folder, where)
+    return RobotFile(robot=robot, text=text, folder=folder, urdf_text=urdf_text)
+
+
+def _read_urdf(urdf: str, folder: Path | None, where: str) -> str:
+    path = Path(urdf)
+    if not path.is_absolute() and not urdf.startswith("~"):
+        if folder is None:
+            raise RobotFileError(
+                f"the relative path '{urdf}' has nothing to be relative to", where=f"{where}: model.urdf"
+            )
+        path = folder / path
+    try:
+        path = path.expanduser()
+        return path.read_text(encoding="utf-8")
+    except (OSError, ValueError, RuntimeError) as error:  # also: not UTF-8, a NUL in the path, ~ of nobody
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise RobotFileError(
+            f"cannot read the URDF {path}: {reason}",
+            where=f"{where}: model.urdf",
+            hint="a relative path starts at the robot file's folder",
+        ) from error

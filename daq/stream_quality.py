@@ -1,0 +1,76 @@
+"""How evenly a stream was sampled: rate, jitter, lost samples, duplicates, gaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+LOST_FROM = 1.5
+"""An interval longer than this many periods means that samples are missing."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A stretch without samples.
+
+    Attributes:
+        start: last stamp before it [s].
+        duration: to the next stamp [s].
+        lost: samples that are missing, at the stream's period.
+    """
+
+    start: float
+    duration: float
+    lost: int
+
+
+@dataclass(frozen=True)
+class StreamQuality:
+    """Figures of one stream's own clock.
+
+    Attributes:
+        samples: number of samples.
+        duration: first to last stamp [s].
+        rate_hz: one over the median interval; nan below two samples.
+        jitter_ms: root mean square deviation of the intervals without gaps from the median [ms].
+        longest_ms: longest interval [ms].
+        lost: samples missing in all gaps.
+        duplicates: intervals that are zero or negative.
+        gaps: where samples are missing.
+    """
+
+    samples: int
+    duration: float
+    rate_hz: float
+    jitter_ms: float
+    longest_ms: float
+    lost: int
+    duplicates: int
+    gaps: tuple[Gap, ...]
+
+
+def stream_quality(time: npt.NDArray[np.float64]) -> StreamQuality:
+    """Figures for the stamps (N,) [s] of a stream."""
+    nan = float("nan")
+    if len(time) < 2:
+        return StreamQuality(len(time), 0.0, nan, nan, nan, 0, 0, ())
+    intervals = np.diff(time)
+    forward = intervals[intervals > 0]
+    duplicates = len(intervals) - len(forward)
+    if len(forward) == 0:
+        return StreamQuality(len(time), 0.0, nan, nan, nan, 0, duplicates, ())
+    period = float(np.median(forward))
+    missing = np.maximum(np.round(intervals / period).astype(int) - 1, 0) * (intervals > LOST_FROM * period)
+    regular = forward[forward <= LOST_FROM * period]
+    return StreamQuality(
+        samples=len(time),
+        duration=float(time[-1] - time[0]),
+        rate_hz=1.0 / period,
+        jitter_ms=1e3 * float(np.sqrt(np.mean((regular - period) ** 2))),
+        longest_ms=1e3 * float(np.max(intervals)),
+        lost=int(missing.sum()),
+        duplicates=duplicates,
+        gaps=tuple(Gap(float(time[i]), float(intervals[i]), int(missing[i])) for i in np.flatnonzero(missing)),
+    )

@@ -1,0 +1,79 @@
+"""The errors of all four packages.
+
+    DynidError
+    ├── InputError                 exit status 2: what the user gave is wrong, nothing was done
+    │   ├── UsageError             options that contradict each other or do not exist
+    │   ├── RobotFileError         a robot file or the URDF that it names
+    │   ├── RecordingError         an HDF5 recording: truncated, foreign, newer, half-written
+    │   ├── ImportFileError        a CSV, npz, mat, bag or MCAP file that cannot be taken over as it is
+    │   ├── DataError              a readable recording that does not allow what was asked
+    │   └── ResultFileError        a result.json
+    └── WorkError                  exit status 1: the input was fine, the work failed
+        └── IdentificationError    no solution: rank lost, no convergence
+
+A message names what was wrong; `where` the file, key, joint or sample; `hint` what to do. `ValueError` and `TypeError`
+are raised only for mistakes in calling code (an array of the wrong shape), never for a user's input.
+"""
+
+from __future__ import annotations
+
+
+class DynidError(Exception):
+    """An error meant for people.
+
+    Attributes:
+        message: what was wrong, one line.
+        where: file, key path, joint or sample; empty when the message says it.
+        hint: what to do about it; empty when there is nothing to say.
+        exit_status: of the command `dynid`.
+    """
+
+    exit_status = 1
+
+    def __init__(self, message: str, *, where: str = "", hint: str = "") -> None:
+        super().__init__(message)
+        self.message = " ".join(message.split())
+        self.where = " ".join(where.split())
+        self.hint = " ".join(hint.split())
+
+    def __str__(self) -> str:
+        text = f"{self.where}: {self.message}" if self.where else self.message
+        return f"{text} ({self.hint})" if self.hint else text
+
+
+class InputError(DynidError):
+    """What the user gave is wrong; nothing was done."""
+
+    exit_status = 2
+
+
+class UsageError(InputError):
+    """Options that contradict each other or do not exist."""
+
+
+class RobotFileError(InputError):
+    """A robot file, or the URDF that it names, cannot be used."""
+
+
+class RecordingError(InputError):
+    """An HDF5 recording cannot be read or written."""
+
+
+class ImportFileError(InputError):
+    """A foreign file cannot be taken over as it is."""
+
+
+class DataError(InputError):
+    """A readable recording does not allow what was asked of it."""
+
+
+class ResultFileError(InputError):
+    """A result file cannot be read."""
+
+
+class WorkError(DynidError):
+    """The input was fine, the work failed."""
+
+
+class IdentificationError(WorkError):
+    """No solution was found: rank lost, or no convergence."""

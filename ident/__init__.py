@@ -1,0 +1,1 @@
+"""What happens after a recording: model, preprocessing, regressors, estimators, validation, report."""

@@ -1,0 +1,201 @@
+"""Base parameters: the fewest combinations of standard parameters that fix the torque (SR400 §3.2; Gautier 1991).
+
+They are found numerically from random states inside the joint limits, never from a recording: what an arm can reveal
+does not depend on what somebody happened to record. Columns are kept greedily in a fixed order of preference that
+follows Khalil's regrouping rules (keep XX XY XZ YZ ZZ MX MY, regroup YY MZ M towards the base), so that the choice is
+stable and reads like the papers' tables.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from drivers.errors import IdentificationError
+from ident.kinematics import FloatArray
+from ident.model import DynamicModel, Kind, StandardParameter
+from ident.regressor import RegressorKernel, motion_factor
+
+RANDOM_SEED = 20260101
+STATES_PER_PARAMETER = 6
+RANK_TOLERANCE = 1e-7
+"""Singular values below this part of the largest, columns scaled to unit length, count as zero."""
+
+COEFFICIENT_TOLERANCE = 1e-9
+"""Regrouping coefficients below this are rounding."""
+
+_KEEP_FIRST = ("XX", "XY", "XZ", "YZ", "ZZ", "MX", "MY")
+_KEEP_LAST = ("YY", "MZ", "M")
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """The identifiable combinations of an arm's standard parameters.
+
+    Attributes:
+        names: of the kept standard parameter of each combination, an `R` inserted where others are regrouped on it
+            (`ZZR1`), as SR400 Table 1 writes them.
+        expressions: each combination in full, `ZZ2 + 0.166·M3 + …`.
+        kinds: of the kept parameters.
+        joints: number of the joint of each, from 0.
+        columns: standard columns kept; the base regressor is Y[:, columns].
+        projection: (b, p); base parameters = projection @ standard parameters.
+        no_effect: names of the standard parameters that never act on the torque.
+        margin: smallest singular value that counts divided by the largest that does not (inf where none is left).
+        smallest: smallest singular value that counts, relative to the largest.
+    """
+
+    names: tuple[str, ...]
+    expressions: tuple[str, ...]
+    kinds: tuple[Kind, ...]
+    joints: tuple[int, ...]
+    columns: tuple[int, ...]
+    projection: FloatArray
+    no_effect: tuple[str, ...]
+    margin: float
+    smallest: float
+
+    @property
+    def count(self) -> int:
+        """Number of base parameters."""
+        return len(self.names)
+
+
+def random_states(
+    model: DynamicModel, count: int, seed: int = RANDOM_SEED
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions, velocities and accelerations (n, count) drawn evenly inside the joint limits."""
+    generator = np.random.default_rng(seed)
+    low = np.array([limits.position[0] for limits in model.limits])[:, None]
+    high = np.array([limits.position[1] for limits in model.limits])[:, None]
+    velocity = np.array([limits.velocity for limits in model.limits])[:, None]
+    acceleration = np.array([limits.acceleration for limits in model.limits])[:, None]
+    shape = (model.dof, count)
+    return (
+        generator.uniform(low, high, shape),
+        velocity * generator.uniform(-1, 1, shape),
+        acceleration * generator.uniform(-1, 1, shape),
+    )
+
+
+def base_parameters(model: DynamicModel) -> BaseParameters:
+    """Base parameters of a model, inertial, motor and friction columns together.
+
+    Raises:
+        IdentificationError: the rank cannot be decided (no gap between the singular values).
+    """
+    return _cached(_Key(model))
+
+
+class _Key:
+    """Lets the cache compare models by content: their arrays are not hashable."""
+
+    def __init__(self, model: DynamicModel) -> None:
+        self.model = model
+        self._content = repr((model.joints, model.limits, model.gravity.tolist())) + repr(
+            (model.motor_inertia, model.viscous, model.coulomb, model.offset, model.smoothing)
+        )
+
+    def __hash__(self) -> int:
+        return hash(self._content)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Key) and self._content == other._content
+
+
+@lru_cache(maxsize=32)
+def _cached(key: _Key) -> BaseParameters:
+    model = key.model
+    parameters = model.parameters
+    gram_root = _random_factor(model)
+    scale = np.linalg.norm(gram_root, axis=0)
+    silent = scale <= RANK_TOLERANCE * scale.max()
+    active = np.flatnonzero(~silent)
+    scaled = gram_root[:, active] / scale[active]
+    singular = np.linalg.svd(scaled, compute_uv=False)
+    relative = singular / singular[0]
+    rank = int(np.count_nonzero(relative > RANK_TOLERANCE))
+    rest = float(relative[rank]) if rank < len(relative) else 0.0
+    margin = float(relative[rank - 1]) / rest if rest > 0 else float("inf")
+    if margin < 10:
+        raise IdentificationError(
+            f"the number of base parameters cannot be decided: singular values {relative[rank - 1]:.1e} and {rest:.1e} "
+            "lie on both sides of the threshold",
+            where=model.name,
+            hint="check the geometry for lengths or angles that are nearly, but not quite, zero",
+        )
+    kept = _greedy_columns(scaled, [parameters[i] for i in active], rank, model.name)
+    columns = sorted(int(active[i]) for i in kept)
+    order = [int(np.flatnonzero(active == column)[0]) for column in columns]
+    coefficients, *_ = np.linalg.lstsq(scaled[:, order], scaled, rcond=None)
+    projection = np.zeros((rank, len(parameters)))
+    projection[:, active] = coefficients * scale[active] / scale[columns][:, None]
+    projection[np.abs(projection) < COEFFICIENT_TOLERANCE] = 0.0
+    projection[:, columns] = np.eye(rank)
+    texts = [_expression(row, column, parameters) for row, column in zip(projection, columns, strict=True)]
+    return BaseParameters(
+        names=tuple(name for name, _ in texts),
+        expressions=tuple(expression for _, expression in texts),
+        kinds=tuple(parameters[column].kind for column in columns),
+        joints=tuple(parameters[column].joint for column in columns),
+        columns=tuple(columns),
+        projection=projection,
+        no_effect=tuple(parameters[i].name for i in np.flatnonzero(silent)),
+        margin=margin,
+        smallest=float(relative[rank - 1]),
+    )
+
+
+def _random_factor(model: DynamicModel) -> FloatArray:
+    """Triangular factor (p, p) of the standard regressor at random states."""
+    kernel = RegressorKernel(model)
+    count = max(100, STATES_PER_PARAMETER * len(kernel.columns))
+    return motion_factor(kernel, *random_states(model, count))
+
+
+def _preference(parameter: StandardParameter) -> tuple[int, int, int]:
+    """Sort key: what comes first is kept, what comes last is regrouped."""
+    if parameter.symbol in _KEEP_FIRST:
+        return (0, -parameter.joint, _KEEP_FIRST.index(parameter.symbol))
+    if parameter.kind in ("viscous", "coulomb", "offset"):
+        return (1, parameter.joint, 0)
+    if parameter.kind == "motor_inertia":
+        return (2, -parameter.joint, 0)
+    return (3, -parameter.joint, _KEEP_LAST.index(parameter.symbol))
+
+
+def _greedy_columns(scaled: FloatArray, parameters: list[StandardParameter], rank: int, where: str) -> list[int]:
+    """Indices of `rank` independent columns, the preferred ones first (modified Gram-Schmidt, applied twice)."""
+    order = sorted(range(len(parameters)), key=lambda i: _preference(parameters[i]))
+    basis = np.empty((scaled.shape[0], 0))
+    kept: list[int] = []
+    for i in order:
+        column = scaled[:, i]
+        for _ in range(2):
+            column = column - basis @ (basis.T @ column)
+        length = float(np.linalg.norm(column))
+        if length > RANK_TOLERANCE:
+            basis = np.column_stack([basis, column / length])
+            kept.append(i)
+    if len(kept) != rank:
+        raise IdentificationError(
+            f"{len(kept)} independent columns were found where the singular values show {rank}",
+            where=where,
+            hint="check the geometry for lengths or angles that are nearly, but not quite, zero",
+        )
+    return kept
+
+
+def _expression(row: FloatArray, column: int, parameters: tuple[StandardParameter, ...]) -> tuple[str, str]:
+    """Name and printed combination of one base parameter."""
+    kept = parameters[column]
+    others = [i for i in np.flatnonzero(row) if i != column]
+    terms = [kept.name]
+    for i in others:
+        size = f"{abs(row[i]):.4g}"
+        factor = "" if size == "1" else f"{size}·"
+        terms.append(f"{'-' if row[i] < 0 else '+'} {factor}{parameters[i].name}")
+    name = f"{kept.symbol}R{kept.joint + 1}" if others else kept.name
+    return name, " ".join(terms)

@@ -1,0 +1,434 @@
+"""Commands of the identification side: `robot show`, `check`, `info`, `identify`, `validate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from daq.robot import RobotFile
+    from ident.result import Result
+    from ident.validation import FitFigures
+
+app = typer.Typer()
+robot_app = typer.Typer(no_args_is_help=True, help="What a robot file says and what its arm can reveal.")
+app.add_typer(robot_app, name="robot")
+
+JSON = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there.")
+ROBOT = typer.Argument(help="Built-in robot or robot file.")
+
+
+@robot_app.command("show")
+def show(
+    robot: str = ROBOT, as_yaml: bool = typer.Option(False, "--yaml", help="The file itself."), as_json: bool = JSON
+) -> None:
+    """Show joints, limits and base parameters with their expressions.
+
+    Example: dynid robot show ur5e
+    """
+    from daq.console import print_json, print_table
+    from daq.robot import load_robot
+    from ident.base_parameters import base_parameters
+    from ident.model import build_model
+
+    robot_file = load_robot(robot)
+    if as_yaml:
+        print(robot_file.text, end="")
+        return
+    model = build_model(robot_file)
+    base = base_parameters(model)
+    if as_json:
+        print_json(_description(robot_file))
+        return
+    described = robot_file.robot
+    print(f"{described.name}: {described.description}".rstrip(": "))
+    print_table(
+        "Joints",
+        ("joint", "position", "velocity", "acceleration", "torque", "gain", "signal"),
+        [
+            (
+                joint.name,
+                f"{joint.position[0]:.4g} … {joint.position[1]:.4g}",
+                joint.velocity,
+                joint.acceleration,
+                joint.torque,
+                described.drive(joint.name).gain,
+                described.drive(joint.name).signal,
+            )
+            for joint in described.joints
+        ],
+    )
+    print_table(
+        f"\nBase parameters: {base.count}, {_inertial_count(robot_file)} of them inertial",
+        ("name", "kind", "expression"),
+        zip(base.names, (kind.replace("_", " ") for kind in base.kinds), base.expressions, strict=True),
+    )
+    print(f"\nwithout effect: {', '.join(base.no_effect) or 'none'}")
+    print(f"rank decided with a margin of {base.margin:.1e} between singular values")
+    for section, source in described.sources.items():
+        print(f"source of {section}: {source}")
+
+
+def _description(robot_file: RobotFile) -> dict[str, Any]:
+    from ident.base_parameters import base_parameters
+    from ident.model import build_model
+
+    robot = robot_file.robot
+    base = base_parameters(build_model(robot_file))
+    return {
+        "name": robot.name,
+        "description": robot.description,
+        "dof": robot.dof,
+        "joints": [joint.model_dump(mode="json") for joint in robot.joints],
+        "base_parameters": [
+            {"name": name, "expression": expression, "kind": kind}
+            for name, expression, kind in zip(base.names, base.expressions, base.kinds, strict=True)
+        ],
+        "inertial_base_count": _inertial_count(robot_file),
+        "base_count": base.count,
+        "no_effect": list(base.no_effect),
+        "rank_margin": base.margin,
+        "sources": robot.sources,
+    }
+
+
+def _inertial_count(robot_file: RobotFile) -> int:
+    """Number of inertial base parameters, motor inertia left out of the model."""
+    from dataclasses import replace
+
+    from ident.base_parameters import base_parameters
+    from ident.model import build_model
+
+    model = build_model(robot_file)
+    bare = base_parameters(replace(model, motor_inertia=(False,) * model.dof))
+    return sum(kind == "inertial" for kind in bare.kinds)
+
+
+@app.command("check")
+def check(robot: str = ROBOT, as_json: bool = JSON) -> None:
+    """Validate a robot file: its keys, its kinematics, its base parameters, its connections' drivers.
+
+    Example: dynid check my_arm.yaml
+    """
+    from daq.console import print_json
+    from daq.robot import load_robot
+    from ident.robot_check import check_robot
+
+    robot_file = load_robot(robot)
+    findings = check_robot(robot_file)
+    if as_json:
+        print_json({"robot": robot_file.robot.name, "ok": True, "warnings": findings, **_description(robot_file)})
+        return
+    print(f"{robot_file.robot.name}: the file is valid, {robot_file.robot.dof} joints")
+    for finding in findings:
+        print(f"  warning: {finding}")
+
+
+@app.command("info")
+def info(
+    recording: Path = typer.Argument(help="Recording (.h5)."),
+    robot: str = typer.Option(None, "--robot", help="Robot file in place of the recording's own."),
+    as_json: bool = JSON,
+) -> None:
+    """Show what a recording holds, how evenly it was sampled and how well its motion excites the arm.
+
+    Example: dynid info run.h5
+    """
+    from dataclasses import asdict
+
+    from daq.console import print_json, print_table
+    from daq.recording import read_recording
+    from daq.robot import load_robot
+    from daq.stream_quality import stream_quality
+    from ident.excitation import excitation_reached
+
+    read = read_recording(recording)
+    robot_file = load_robot(robot) if robot else read.robot()
+    qualities = {name: stream_quality(stream.time) for name, stream in read.streams.items()}
+    reached = excitation_reached(read, robot_file)
+    if as_json:
+        print_json(
+            {
+                "file": str(recording),
+                "robot": robot_file.robot.name,
+                "created": read.created,
+                "comment": read.comment,
+                "complete": read.complete,
+                "streams": {
+                    name: {
+                        **asdict(quality),
+                        "quantities": {c.quantity: c.unit for c in read.streams[name].channels.values()},
+                    }
+                    for name, quality in qualities.items()
+                },
+                "excitation": asdict(reached) if reached is not None else None,
+                "events": [asdict(event) for event in read.events],
+            }
+        )
+        return
+    state = "complete" if read.complete else "NOT closed in order"
+    print(f"{recording}: {robot_file.robot.name}, {state}, created {read.created or 'at an unknown time'}")
+    print_table(
+        "Streams",
+        (
+            "stream",
+            "quantities",
+            "samples",
+            "seconds",
+            "rate [Hz]",
+            "jitter [ms]",
+            "longest [ms]",
+            "lost",
+            "duplicates",
+        ),
+        [
+            (
+                name,
+                ", ".join(read.streams[name].channels),
+                quality.samples,
+                quality.duration,
+                quality.rate_hz,
+                quality.jitter_ms,
+                quality.longest_ms,
+                quality.lost,
+                quality.duplicates,
+            )
+            for name, quality in qualities.items()
+        ],
+    )
+    if reached is not None:
+        print_table(
+            f"\nMotion: condition {reached.scaled_condition:.1f} (columns scaled)"
+            + (f", not excited: {', '.join(reached.unexcited)}" if reached.unexcited else ""),
+            ("joint", "range [rad]", "velocity [rad/s]", "of its limit [%]"),
+            zip(
+                robot_file.robot.joint_names,
+                reached.position_range,
+                reached.velocity_reached,
+                reached.velocity_share_percent,
+                strict=True,
+            ),
+        )
+    for event in read.events:
+        print(f"  {event.level} at {event.time:.3f} s, {event.source}: {event.message}")
+
+
+@app.command("identify")
+def identify_recordings(
+    recordings: list[Path] = typer.Argument(help="Recordings (.h5) of one arm; several stack."),
+    out: Path = typer.Option(None, "-o", "--out", help="Folder for result.json and report.html."),
+    method: str = typer.Option("wls", "--method", help="Estimator: ols or wls."),
+    validate_with: list[Path] = typer.Option([], "--validate", help="Held-out recording; the last 30 % without one."),
+    split: float = typer.Option(None, "--split", help="Identify on the first SECONDS, validate on the rest."),
+    robot: str = typer.Option(None, "--robot", help="Robot file in place of the recording's own."),
+    friction: str = typer.Option(None, "--friction", help="none, viscous, coulomb or coulomb-viscous."),
+    offset: bool = typer.Option(None, "--offset/--no-offset", help="A constant torque per joint."),
+    motor_inertia: bool = typer.Option(None, "--motor-inertia/--no-motor-inertia", help="Columns for motor inertia."),
+    smoothing: float = typer.Option(None, "--smoothing", help="ε [rad/s] of tanh(q̇/ε) in place of sign(q̇)."),
+    delay: str = typer.Option("auto", "--delay", help="Torque behind position: auto, or SECONDS."),
+    position_cutoff: float = typer.Option(None, "--position-cutoff", help="Low-pass of the positions [Hz]."),
+    torque_cutoff: float = typer.Option(None, "--torque-cutoff", help="Parallel filter of τ and W [Hz]."),
+    decimate: int = typer.Option(None, "--decimate", help="Keep every N-th filtered sample."),
+    position_decimate: int = typer.Option(1, "--position-decimate", help="Decimate the positions first (Chebyshev)."),
+    filter_kind: str = typer.Option("butterworth", "--filter", help="Parallel filter: butterworth or chebyshev."),
+    measured_velocity: bool = typer.Option(False, "--measured-velocity", help="Use the recorded velocity."),
+    start: float = typer.Option(None, "--start", help="Leave out what lies before [s from the first stamp]."),
+    stop: float = typer.Option(None, "--stop", help="Leave out what lies behind [s from the first stamp]."),
+    keep_rest: bool = typer.Option(False, "--keep-rest", help="Keep stretches in which no joint moves."),
+    significance: float = typer.Option(
+        15.0, "--significance", help="Threshold of the relative standard deviation [%]."
+    ),
+    as_json: bool = JSON,
+) -> None:
+    """Identify the dynamic model, validate it on held-out data, write result.json and report.html.
+
+    Example: dynid identify run.h5 --validate val.h5 -o model
+    """
+    from daq.recording import read_recording
+    from daq.robot import load_robot
+    from drivers.errors import UsageError
+    from ident.identify import IdentifyChoices, ModelChoices, identify
+    from ident.preprocess import PreprocessChoices
+    from ident.report import write_report
+    from ident.result import result_json, write_result
+    from ident.summary import summarise
+
+    if method not in ("ols", "wls"):
+        raise UsageError(f"no method is called '{method}'", hint="ols or wls")
+    if friction not in (None, "none", "viscous", "coulomb", "coulomb-viscous"):
+        raise UsageError(f"no friction model is called '{friction}'", hint="none, viscous, coulomb or coulomb-viscous")
+    if not 0 < significance <= 100:
+        raise UsageError(f"--significance {significance:g} is not a percentage", hint="the papers use 15")
+    folder = out if out is not None else Path(f"{recordings[0].stem}-model")
+    _check_folder(folder)
+    choices = IdentifyChoices(
+        method=method,  # type: ignore[arg-type]  # checked above
+        model=ModelChoices(friction, offset, motor_inertia, smoothing),  # type: ignore[arg-type]
+        preprocess=PreprocessChoices(
+            position_cutoff=position_cutoff,
+            torque_cutoff=torque_cutoff,
+            decimate=decimate,
+            position_decimate=position_decimate,
+            filter_kind=filter_kind,  # type: ignore[arg-type]  # PreprocessChoices checks it
+            delay=0.0 if delay == "auto" else _seconds(delay, "--delay"),
+            measured_velocity=measured_velocity,
+            start=start,
+            stop=stop,
+            keep_rest=keep_rest,
+        ),
+        search_delay=delay == "auto",
+        split=split,
+        significant_rsd=significance,
+    )
+    read = [read_recording(path) for path in recordings]
+    held_out = [read_recording(path) for path in validate_with]
+    with _progress(as_json) as progress:
+        found = identify(read, held_out, choices, load_robot(robot) if robot else None, progress)
+        progress("report")
+        result = summarise(found, read, held_out)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_result(folder / "result.json", result)
+        write_report(folder / "report.html", result, found.fit_series, found.validation_series)
+    if as_json:
+        print(result_json(result))
+        return
+    print_result(result)
+    print(f"\n{folder / 'result.json'}\n{folder / 'report.html'}")
+
+
+@app.command("validate")
+def validate(
+    result: Path = typer.Argument(help="result.json of an identification."),
+    recording: Path = typer.Argument(help="Recording (.h5) that it has not seen."),
+    as_json: bool = JSON,
+) -> None:
+    """Predict another recording's torques with a stored model.
+
+    Example: dynid validate model/result.json val.h5
+    """
+    from dataclasses import asdict
+
+    from daq.console import print_json
+    from daq.recording import read_recording
+    from ident.result import read_result
+    from ident.revalidate import revalidate
+
+    stored = read_result(result)
+    figures = revalidate(stored, read_recording(recording))
+    if as_json:
+        lists = {
+            name: {key: getattr(value, "tolist", lambda value=value: value)() for key, value in asdict(part).items()}
+            for name, part in (("full", figures.full), ("essential", figures.essential))
+        }
+        print_json({"result": str(result), "recording": str(recording), "joints": stored.joints, **lists})
+        return
+    for name, part in (("full", figures.full), ("essential", figures.essential)):
+        print(f"{name} model: relative error {part.relative_error * 100:.2f} % over {part.samples} filtered samples")
+        _print_fit(stored.joints, part)
+
+
+def print_result(result: Result) -> None:
+    """The result as a person reads it at the terminal."""
+    from daq.console import print_table
+
+    for step in result.preprocessing:
+        print(f"{step.name}: {step.text}")
+    print(f"delay: {result.delay.note}")
+    print_table(
+        f"\nBase parameters ({result.method}); σ corrected for residuals that are not white",
+        ("name", "value", "σ", "RSD [%]", "significant", "unit"),
+        [
+            (p.name, p.value, p.std, p.rsd_percent, "yes" if p.significant else "no", p.unit)
+            for p in result.base_parameters
+        ],
+    )
+    validation = result.validation
+    print_table(
+        "\nErrors",
+        ("joint", "RMSE fit", "RMSE validation", "at low speed", "at high speed", "relative [%]"),
+        [
+            (
+                joint,
+                result.fit.rmse[i],
+                validation.rmse[i] if validation else None,
+                validation.low_speed_rmse[i] if validation else None,
+                validation.high_speed_rmse[i] if validation else None,
+                _percent(validation.joint_relative_error[i]) if validation else None,
+            )
+            for i, joint in enumerate(result.joints)
+        ],
+    )
+    print(
+        f"\ncondition {result.excitation.condition:.4g}, with scaled columns {result.excitation.scaled_condition:.4g}"
+    )
+    print(result.verdict)
+    for warning in result.warnings:
+        print(f"warning: {warning}")
+
+
+def _print_fit(joints: list[str], figures: FitFigures) -> None:
+    from daq.console import print_table
+
+    print_table(
+        "",
+        ("joint", "RMSE", "at low speed", "at high speed", "largest", "relative [%]"),
+        [
+            (
+                joint,
+                float(figures.rmse[i]),
+                float(figures.low_speed_rmse[i]),
+                float(figures.high_speed_rmse[i]),
+                float(figures.max_error[i]),
+                _percent(float(figures.joint_relative_error[i])),
+            )
+            for i, joint in enumerate(joints)
+        ],
+    )
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100.0 * share
+
+
+def _seconds(text: str, option: str) -> float:
+    from math import isfinite
+
+    from drivers.errors import UsageError
+
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not isfinite(value):
+        raise UsageError(f"{option} {text} is neither 'auto' nor a number of seconds")
+    return value
+
+
+def _check_folder(folder: Path) -> None:
+    from drivers.errors import UsageError
+
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--out {folder} is a file; a folder is needed")
+
+
+class _progress:  # noqa: N801 — a context manager used like a function
+    """Shows what is being done, on standard error and only where that is a terminal."""
+
+    def __init__(self, quiet: bool) -> None:
+        from rich.console import Console
+
+        self._console = Console(stderr=True, quiet=quiet)
+        self._status = self._console.status("…")
+
+    def __enter__(self) -> Any:
+        if self._console.is_terminal:
+            self._status.start()
+        return self._tell
+
+    def _tell(self, step: str) -> None:
+        self._status.update(step)
+
+    def __exit__(self, *_: object) -> None:
+        self._status.stop()

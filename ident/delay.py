@@ -1,0 +1,80 @@
+"""Delay of the recorded torque against the recorded position.
+
+To first order τ(t + δ) = τ + δ·τ̇, so with both τ and τ̇ reduced beside W the delay with the smallest residual follows
+in closed form; a few such steps (Gauss-Newton) find it whatever its size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ident.filters import ZeroPhaseFilter
+from ident.least_squares import excited_columns
+from ident.observation import reduce_segments
+from ident.preprocess import Segment, shift_torque
+from ident.regressor import RegressorKernel
+from ident.triangular import triangular
+
+WORTHWHILE_GAIN = 0.01
+"""A delay is used only if it lowers the residual's norm by at least this share."""
+
+LONGEST = 0.1
+"""Delays beyond this [s] are not a drive's: something else is wrong with the stamps."""
+
+_STEPS = 6
+_SETTLED = 1e-5
+
+
+@dataclass(frozen=True)
+class DelaySearch:
+    """What the search found.
+
+    Attributes:
+        best: delay [s] with the smallest residual, positive where the torque lags; nan where none was found.
+        gain: share by which it lowers the residual's norm.
+        used: the delay to use [s]: `best` where it is worthwhile, else 0.
+        note: the finding in words.
+    """
+
+    best: float
+    gain: float
+    used: float
+    note: str
+
+
+def search_delay(kernel: RegressorKernel, segments: Sequence[Segment], parallel_filter: ZeroPhaseFilter) -> DelaySearch:
+    """Find the delay by which the torque of all segments lags their motion (prepared with delay 0)."""
+    delay = 0.0
+    at_zero = float("nan")
+    for _ in range(_STEPS):
+        torques = []
+        for segment in segments:
+            shifted = shift_torque(segment.torque, segment.rate, delay)
+            torques.append(np.vstack([shifted, np.gradient(shifted, 1.0 / segment.rate, axis=1)]))
+        reduction = reduce_segments(kernel, segments, parallel_filter, torques)
+        active = excited_columns(reduction)
+        stacked = reduction.stacked()
+        rest = triangular(stacked[:, [*active, -2, -1]])[len(active) :, -2:]
+        residual, slope = rest[:, 0], rest[:, 1]
+        norm = float(np.linalg.norm(residual))
+        if np.isnan(at_zero):
+            at_zero = norm
+        steepness = float(slope @ slope)
+        if steepness == 0.0 or at_zero == 0.0:
+            return DelaySearch(float("nan"), 0.0, 0.0, "the torque does not change: no delay can be seen")
+        step = -float(slope @ residual) / steepness
+        if abs(step) < _SETTLED:
+            break
+        delay += step
+        if abs(delay) > LONGEST:
+            note = f"no delay within ±{LONGEST * 1e3:g} ms fits; none used"
+            return DelaySearch(float("nan"), 0.0, 0.0, note)
+    gain = 1.0 - norm / at_zero
+    side = "behind" if delay > 0 else "ahead of"
+    found = f"torque lies {abs(delay) * 1e3:.2f} ms {side} the motion (residual {gain * 100:.1f} % smaller)"
+    if gain < WORTHWHILE_GAIN:
+        return DelaySearch(delay, gain, 0.0, f"{found}: too little to matter, none used")
+    return DelaySearch(delay, gain, delay, found)

@@ -1,0 +1,377 @@
+"""The main job: recordings in, validated model out. Each step is a function of its own module; this is their order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from daq.recording import Recording
+from daq.robot import RobotFile
+from drivers.errors import DataError, UsageError
+from ident.base_parameters import BaseParameters, base_parameters
+from ident.comparison import TorqueSeries, compare_torques
+from ident.covariance import CorrectedCovariance, FilteredRun, block_jackknife
+from ident.delay import DelaySearch, search_delay
+from ident.kinematics import FloatArray
+from ident.least_squares import (
+    LeastSquares,
+    LinearMethod,
+    excited_columns,
+    ordinary_least_squares,
+    weighted_least_squares,
+)
+from ident.measured import MeasuredMotion, measured_motion
+from ident.model import DynamicModel, build_model
+from ident.observation import Reduction, reduce_segments, stack_reductions
+from ident.plausibility import fits_opposite_gravity, indefinite_share, sign_warnings
+from ident.preprocess import Prepared, PreprocessChoices, prepare
+from ident.pruning import SIGNIFICANT_RSD, Pruned, prune, relative_std
+from ident.regressor import RegressorKernel
+from ident.validation import HELD_OUT_SHARE, FitFigures, fit_figures
+
+FrictionModel = Literal["none", "viscous", "coulomb", "coulomb-viscous"]
+
+ROWS_PER_PARAMETER = 50
+"""Fewer equations a parameter than this are warned of (SR400 §4.3 point 6)."""
+
+Progress = Callable[[str], None]
+"""Told what is done next, in words."""
+
+
+@dataclass(frozen=True)
+class ModelChoices:
+    """Departures from the robot file's columns; None follows the file.
+
+    Attributes:
+        friction: which friction columns every joint has.
+        offset: whether every joint has an offset torque.
+        motor_inertia: whether every joint has a motor inertia.
+        smoothing: ε [rad/s] of tanh(q̇/ε); 0 for sign(q̇).
+    """
+
+    friction: FrictionModel | None = None
+    offset: bool | None = None
+    motor_inertia: bool | None = None
+    smoothing: float | None = None
+
+
+@dataclass(frozen=True)
+class IdentifyChoices:
+    """What a user may choose.
+
+    Attributes:
+        method: estimator.
+        model: departures from the robot file's columns.
+        preprocess: filters, window, delay; `preprocess.delay` is not used where `search_delay` is set.
+        search_delay: find the torque's delay from the data.
+        split: end of the identification part of a single recording [s from its first stamp]; None takes the first 70 %.
+        significant_rsd: threshold of significance [%].
+    """
+
+    method: LinearMethod = "wls"
+    model: ModelChoices = field(default_factory=ModelChoices)
+    preprocess: PreprocessChoices = field(default_factory=PreprocessChoices)
+    search_delay: bool = True
+    split: float | None = None
+    significant_rsd: float = SIGNIFICANT_RSD
+
+
+@dataclass(frozen=True)
+class PreparedRun:
+    """A recording, or a part of one, ready for the estimator."""
+
+    motion: MeasuredMotion
+    choices: PreprocessChoices
+    prepared: Prepared
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Everything that the run found; `ident.summary` turns it into a Result.
+
+    Attributes:
+        robot_file: the robot it was done for.
+        model, base: the model and its base parameters.
+        choices: as given, with the cut-offs and the delay that were used.
+        runs, validation_runs: prepared data.
+        delay: the search, where one was made.
+        reduction: the reduced system.
+        solution: full model.
+        corrected: its covariance for residuals that are not white.
+        pruned: the essential model.
+        fit_series, validation_series: torques of the full model.
+        fit, validation, essential_fit, essential_validation: errors; validation is None where nothing was held out.
+        validation_source: what was held out, in words.
+        warnings: for the user.
+    """
+
+    robot_file: RobotFile
+    model: DynamicModel
+    base: BaseParameters
+    choices: IdentifyChoices
+    runs: tuple[PreparedRun, ...]
+    validation_runs: tuple[PreparedRun, ...]
+    delay: DelaySearch | None
+    reduction: Reduction
+    solution: LeastSquares
+    corrected: CorrectedCovariance
+    pruned: Pruned
+    fit_series: tuple[TorqueSeries, ...]
+    validation_series: tuple[TorqueSeries, ...]
+    fit: FitFigures
+    validation: FitFigures
+    essential_fit: FitFigures
+    essential_validation: FitFigures
+    validation_source: str
+    warnings: tuple[str, ...]
+
+    @property
+    def std(self) -> FloatArray:
+        """Corrected standard deviations (b,) of the full model; inf where a parameter was not estimated."""
+        deviations = np.full(self.base.count, np.inf)
+        deviations[list(self.solution.active)] = np.sqrt(np.diag(self.corrected.covariance))
+        return deviations
+
+
+def identify(
+    recordings: Sequence[Recording],
+    validation: Sequence[Recording],
+    choices: IdentifyChoices,
+    robot_file: RobotFile | None = None,
+    progress: Progress = lambda step: None,
+) -> Identification:
+    """Identify an arm from its recordings and validate the model on held-out data.
+
+    Args:
+        recordings: of one arm; they stack.
+        validation: held-out recordings; without any, the last part of a single recording is held out.
+        choices: the user's.
+        robot_file: in place of the one that the first recording carries.
+        progress: called before each step.
+
+    Raises:
+        DynidError: whatever is wrong with the data or the choices, and where.
+    """
+    if not recordings:
+        raise UsageError("no recording to identify from")
+    robot_file = recordings[0].robot() if robot_file is None else robot_file
+    model = apply_model_choices(build_model(robot_file), choices.model)
+    progress("base parameters")
+    base = base_parameters(model)
+    kernel = RegressorKernel(model, base.columns)
+
+    progress("preprocessing")
+    parts, held_out, validation_source = _split(recordings, validation, robot_file, choices)
+    # Cut-offs and delay come from the first part, all data are then treated alike.
+    first = _prepare_window(parts[0], choices.preprocess)
+    resolved = first.prepared.choices
+    delay = None
+    if choices.search_delay:
+        progress("delay")
+        delay = search_delay(kernel, first.prepared.segments, first.prepared.parallel_filter)
+        resolved = replace(resolved, delay=delay.used)
+    runs = tuple(_prepare_window(part, resolved) for part in parts)
+    validation_runs = tuple(_prepare_window(part, resolved) for part in held_out)
+
+    progress("regression")
+    reduction = stack_reductions(
+        [reduce_segments(kernel, run.prepared.segments, run.prepared.parallel_filter) for run in runs]
+    )
+    active = excited_columns(reduction)
+    solution = _solve(reduction, active, choices.method)
+    fit_series = tuple(_compare(model, base, solution.parameters, runs))
+    filtered = _filtered_runs(runs, fit_series)
+
+    progress("error bars")
+    corrected = block_jackknife(kernel, filtered, solution)
+    inflation = np.ones(base.count)
+    inflation[list(active)] = np.sqrt(np.diag(corrected.covariance) / np.diag(solution.covariance))
+    pruned = prune(
+        solution,
+        inflation,
+        corrected.effective_rows,
+        lambda columns: _solve(reduction, columns, choices.method),
+        choices.significant_rsd,
+    )
+
+    progress("validation")
+    validation_series = tuple(_compare(model, base, solution.parameters, validation_runs))
+    essential = pruned.solution.parameters
+    identification = Identification(
+        robot_file=robot_file,
+        model=model,
+        base=base,
+        choices=replace(
+            choices,
+            preprocess=replace(resolved, start=choices.preprocess.start, stop=choices.preprocess.stop),
+        ),
+        runs=runs,
+        validation_runs=validation_runs,
+        delay=delay,
+        reduction=reduction,
+        solution=solution,
+        corrected=corrected,
+        pruned=pruned,
+        fit_series=fit_series,
+        validation_series=validation_series,
+        fit=fit_figures(fit_series),
+        validation=fit_figures(validation_series),
+        essential_fit=fit_figures(tuple(_compare(model, base, essential, runs))),
+        essential_validation=fit_figures(tuple(_compare(model, base, essential, validation_runs))),
+        validation_source=validation_source,
+        warnings=(),
+    )
+    progress("plausibility")
+    return replace(identification, warnings=tuple(_warnings(identification, recordings)))
+
+
+def apply_model_choices(model: DynamicModel, choices: ModelChoices) -> DynamicModel:
+    """The model with the user's columns."""
+    everywhere, nowhere = (True,) * model.dof, (False,) * model.dof
+    changes: dict[str, tuple[bool, ...]] = {}
+    if choices.friction is not None:
+        for column in ("viscous", "coulomb"):
+            changes[column] = everywhere if column in choices.friction.split("-") else nowhere
+    if choices.offset is not None:
+        changes["offset"] = everywhere if choices.offset else nowhere
+    if choices.motor_inertia is not None:
+        changes["motor_inertia"] = everywhere if choices.motor_inertia else nowhere
+    model = replace(model, **changes)  # type: ignore[arg-type]
+    if choices.smoothing is not None:
+        if not (np.isfinite(choices.smoothing) and choices.smoothing >= 0):
+            raise UsageError(f"--smoothing {choices.smoothing} is not a speed", hint="give ε ≥ 0 in rad/s")
+        model = replace(model, smoothing=choices.smoothing)
+    return model
+
+
+Window = dict[str, float | None]
+"""`start` and `stop` of a part, from its recording's first stamp [s]."""
+
+
+def _split(
+    recordings: Sequence[Recording],
+    validation: Sequence[Recording],
+    robot_file: RobotFile,
+    choices: IdentifyChoices,
+) -> tuple[list[tuple[MeasuredMotion, Window]], list[tuple[MeasuredMotion, Window]], str]:
+    """What to identify from and what to hold out: other recordings, or the last part of each."""
+    robot = robot_file.robot
+    motions = [measured_motion(recording, robot) for recording in recordings]
+    whole: Window = {"start": choices.preprocess.start, "stop": choices.preprocess.stop}
+    if validation:
+        if choices.split is not None:
+            raise UsageError(
+                "--split and --validate exclude each other", hint="name the held-out recording, or split one"
+            )
+        held = [measured_motion(recording, robot) for recording in validation]
+        names = ", ".join(motion.label for motion in held)
+        return [(motion, whole) for motion in motions], [(motion, {}) for motion in held], names
+    parts: list[tuple[MeasuredMotion, Window]] = []
+    held_out: list[tuple[MeasuredMotion, Window]] = []
+    for motion in motions:
+        start = choices.preprocess.start or 0.0
+        length = float(motion.time[-1] - motion.time[0]) if len(motion.time) else 0.0
+        stop = length if choices.preprocess.stop is None else min(choices.preprocess.stop, length)
+        border = start + (1.0 - HELD_OUT_SHARE) * (stop - start) if choices.split is None else choices.split
+        if not start < border < stop:
+            raise UsageError(
+                f"--split {border:g} s is outside the data, which last from {start:g} to {stop:g} s",
+                hint="leave it out to hold out the last 30 %",
+            )
+        parts.append((motion, {"start": start, "stop": border}))
+        held_out.append((motion, {"start": border, "stop": choices.preprocess.stop}))
+    share = "last 30 %" if choices.split is None else f"part after {choices.split:g} s"
+    source = f"the {share} of the recording{'s' if len(motions) > 1 else ''}, held out of the identification"
+    return parts, held_out, source
+
+
+def _prepare(motion: MeasuredMotion, choices: PreprocessChoices) -> PreparedRun:
+    try:
+        prepared = prepare(motion.time, motion.position, motion.torque, choices, velocity=motion.velocity)
+    except DataError as error:
+        where = f"{motion.label}: {error.where}" if error.where else motion.label
+        raise DataError(error.message, where=where, hint=error.hint) from error
+    return PreparedRun(motion, choices, prepared)
+
+
+def _prepare_window(part: tuple[MeasuredMotion, Window], resolved: PreprocessChoices) -> PreparedRun:
+    motion, window = part
+    return _prepare(motion, replace(resolved, start=window.get("start"), stop=window.get("stop")))
+
+
+def _solve(reduction: Reduction, active: Sequence[int], method: LinearMethod) -> LeastSquares:
+    return ordinary_least_squares(reduction, active) if method == "ols" else weighted_least_squares(reduction, active)
+
+
+def _compare(
+    model: DynamicModel, base: BaseParameters, parameters: FloatArray, runs: Sequence[PreparedRun]
+) -> list[TorqueSeries]:
+    return [
+        series
+        for run in runs
+        for series in compare_torques(
+            model, base.columns, parameters, run.prepared.segments, run.prepared.parallel_filter
+        )
+    ]
+
+
+def _filtered_runs(runs: Sequence[PreparedRun], series: Sequence[TorqueSeries]) -> list[FilteredRun]:
+    filtered, position = [], 0
+    for run in runs:
+        count = len(run.prepared.segments)
+        filtered.append(
+            FilteredRun(run.prepared.segments, run.prepared.parallel_filter, tuple(series[position : position + count]))
+        )
+        position += count
+    return filtered
+
+
+def _warnings(found: Identification, recordings: Sequence[Recording]) -> list[str]:
+    """What a user should know before trusting the numbers."""
+    warnings = []
+    base, solution = found.base, found.solution
+    for recording in recordings:
+        if not recording.complete:
+            warnings.append(f"{recording.label} was not closed in order: its end may be missing")
+    count = len(solution.active)
+    if solution.rows < ROWS_PER_PARAMETER * count:
+        warnings.append(
+            f"only {solution.rows} equations for {count} parameters; {ROWS_PER_PARAMETER} a parameter are advised: "
+            "record longer or decimate less"
+        )
+    silent = [base.names[i] for i in range(base.count) if i not in solution.active]
+    if silent:
+        warnings.append(f"the motion does not excite {', '.join(silent)}: no values for them")
+    vague = [
+        base.names[i]
+        for i in solution.active
+        if relative_std(solution.parameters, found.std)[i] >= 100.0 and i in found.pruned.dropped
+    ]
+    if len(vague) > base.count / 3:
+        warnings.append(
+            f"{len(vague)} of {base.count} base parameters are smaller than their standard deviation: "
+            "a more exciting motion would tell more"
+        )
+    warnings += sign_warnings(base, solution.parameters, found.std)
+    prepared = [(run.prepared.segments, run.prepared.parallel_filter) for run in found.runs]
+    residual_sum = ordinary_least_squares(found.reduction, solution.active).residual_sum
+    if np.any(found.model.gravity) and fits_opposite_gravity(found.model, base, prepared, residual_sum):
+        warnings.append(
+            "gravity of the opposite sign fits the data better: check `model.gravity`, how the arm is mounted, and the "
+            "signs of the drive gains"
+        )
+    share = indefinite_share(found.model, base, solution.parameters)
+    if share > 0:
+        warnings.append(
+            f"the identified inertia matrix is not positive definite at {share * 100:.0f} % of random poses: good for "
+            "predicting torque, not for forward simulation"
+        )
+    if found.validation.relative_error > 2.0 * found.fit.relative_error:
+        warnings.append(
+            f"the validation error is {found.validation.relative_error / found.fit.relative_error:.1f} times the "
+            "identification's: the model has learnt its data by heart"
+        )
+    return warnings

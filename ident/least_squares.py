@@ -1,0 +1,149 @@
+"""Ordinary and weighted least squares on a reduced system (SR400 §4.3; ROCR6 eq. 10-12, misprints corrected)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from drivers.errors import IdentificationError
+from ident.kinematics import FloatArray
+from ident.observation import Reduction
+from ident.triangular import scaled_condition, triangular
+
+LinearMethod = Literal["ols", "wls"]
+
+EXCITATION_TOLERANCE = 1e-9
+"""A base column whose part independent of the preceding ones is below this share of its length is not excited."""
+
+WLS_TOLERANCE = 1e-8
+WLS_ITERATIONS = 100
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """A least-squares solution.
+
+    Attributes:
+        method: "ols" or "wls".
+        active: numbers of the base columns that were estimated.
+        parameters: (b,) base parameters; 0 for those that were not estimated.
+        covariance: (a, a) of the active ones, residuals taken as white (SR400 eq. 14).
+        inverse: (a, a) inverse of the (weighted) normal matrix.
+        weights: (n,) what each joint's rows were multiplied with.
+        joint_std: (n,) standard deviation of each joint's residual [N·m].
+        rows: r, the number of equations.
+        condition: of the active columns as they are (weighted), SR400's criterion.
+        scaled_condition: the same with columns of unit length.
+        residual_sum: Σ ρ² of the weighted system.
+        iterations: of the weights; 1 for OLS.
+    """
+
+    method: LinearMethod
+    active: tuple[int, ...]
+    parameters: FloatArray
+    covariance: FloatArray
+    inverse: FloatArray
+    weights: FloatArray
+    joint_std: FloatArray
+    rows: int
+    condition: float
+    scaled_condition: float
+    residual_sum: float
+    iterations: int
+
+    @property
+    def std(self) -> FloatArray:
+        """Classical standard deviations (b,); inf where a parameter was not estimated."""
+        deviations = np.full(len(self.parameters), np.inf)
+        deviations[list(self.active)] = np.sqrt(np.diag(self.covariance))
+        return deviations
+
+
+def excited_columns(reduction: Reduction) -> tuple[int, ...]:
+    """Base columns that the data can tell apart: each has a part that is independent of those before it."""
+    factor = reduction.stacked()[:, : reduction.column_count]
+    lengths = np.linalg.norm(factor, axis=0)
+    return tuple(
+        column
+        for column in range(reduction.column_count)
+        if lengths[column] > 0 and abs(factor[column, column]) > EXCITATION_TOLERANCE * lengths[column]
+    )
+
+
+def ordinary_least_squares(reduction: Reduction, active: Sequence[int]) -> LeastSquares:
+    """OLS over all joints' rows with equal weight.
+
+    Raises:
+        IdentificationError: fewer equations than parameters, or columns that depend on each other.
+    """
+    return _solve(reduction, tuple(active), np.ones(len(reduction.joints)), "ols", 1)
+
+
+def weighted_least_squares(reduction: Reduction, active: Sequence[int]) -> LeastSquares:
+    """WLS: each joint's rows divided by its residual's standard deviation, iterated until the weights stand.
+
+    σ_j² = ‖Γ_j − W_j θ‖² / (N_j − b·N_j/r) (ROCR6 eq. 11 with the joint's share of the parameters as r_j).
+
+    Raises:
+        IdentificationError: as for OLS, or the weights do not converge.
+    """
+    solution = ordinary_least_squares(reduction, active)
+    for iteration in range(2, WLS_ITERATIONS + 2):
+        # A joint without any residual (noise-free data) must not get infinite weight.
+        floor = 1e-9 * max(float(np.max(solution.joint_std)), np.finfo(float).tiny)
+        weights = 1.0 / np.maximum(solution.joint_std, floor)
+        refined = _solve(reduction, tuple(active), weights, "wls", iteration)
+        change = np.max(np.abs(refined.joint_std - solution.joint_std) / np.maximum(solution.joint_std, floor))
+        solution = refined
+        if change < WLS_TOLERANCE:
+            return solution
+    raise IdentificationError(
+        f"the joint weights did not settle in {WLS_ITERATIONS} iterations", hint="use --method ols, or record longer"
+    )
+
+
+def _solve(
+    reduction: Reduction,
+    active: tuple[int, ...],
+    weights: FloatArray,
+    method: LinearMethod,
+    iterations: int,
+) -> LeastSquares:
+    count = len(active)
+    if reduction.rows <= count:
+        raise IdentificationError(
+            f"{reduction.rows} equations cannot determine {count} parameters", hint="record longer or decimate less"
+        )
+    stacked = reduction.stacked(weights)
+    factor = triangular(stacked[:, [*active, reduction.column_count]])
+    square, right = factor[:count, :count], factor[:count, count]
+    lengths = np.linalg.norm(square, axis=0)
+    if count and not np.all(np.abs(np.diag(square)) > EXCITATION_TOLERANCE * lengths):
+        raise IdentificationError("the columns of the system depend on each other", hint="record a richer motion")
+    inverse_factor = np.linalg.solve(square / lengths, np.eye(count)) / lengths[:, None]
+    inverse = inverse_factor @ inverse_factor.T
+    values = np.linalg.solve(square / lengths, right) / lengths
+    parameters = np.zeros(reduction.column_count)
+    parameters[list(active)] = values
+    residual_sum = float(factor[count, count] ** 2) if factor.shape[0] > count else 0.0
+    freedom = reduction.rows - count
+    joint_rows = np.array([joint.rows for joint in reduction.joints])
+    joint_freedom = joint_rows * freedom / reduction.rows
+    singular = np.linalg.svd(square, compute_uv=False) if count else np.ones(1)
+    return LeastSquares(
+        method=method,
+        active=active,
+        parameters=parameters,
+        covariance=residual_sum / freedom * inverse,
+        inverse=inverse,
+        weights=weights,
+        joint_std=np.sqrt(reduction.residual_sums(parameters) / np.maximum(joint_freedom, 1.0)),
+        rows=reduction.rows,
+        condition=float(singular[0] / singular[-1]),
+        scaled_condition=scaled_condition(square) if count else 1.0,
+        residual_sum=residual_sum,
+        iterations=iterations,
+    )

@@ -1,0 +1,212 @@
+"""The overdetermined system Y = W·X + ρ (SR400 eq. 12), reduced while it streams by.
+
+Chunks of samples flow through the regressor kernel, then the parallel filter, then into one triangular factor a joint.
+W is never stored: what is kept of a recording is, for each joint, R with RᵀR = [W τ]ᵀ[W τ], which is all that least
+squares with per-joint weights, subset selection and residual norms need. Factors of several recordings just stack.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ident.filters import StreamedFilter, ZeroPhaseFilter
+from ident.kinematics import FloatArray
+from ident.preprocess import Segment
+from ident.regressor import RegressorKernel, evaluate_in_chunks, motion_factor
+from ident.triangular import (
+    GRAM_CONDITION_LIMIT,
+    Accumulator,
+    GramAccumulator,
+    QrAccumulator,
+    scaled_condition,
+    triangular,
+)
+
+CONDITION_SAMPLES = 1000
+"""Samples, spread over the data, from which the condition is estimated before the first pass."""
+
+
+@dataclass(frozen=True)
+class JointFactor:
+    """One joint's rows of the system.
+
+    Attributes:
+        columns: numbers of the base columns that are not structurally zero in them.
+        factor: (k, len(columns) + m); the last m columns belong to the m torques.
+        rows: how many rows it stands for.
+    """
+
+    columns: tuple[int, ...]
+    factor: FloatArray
+    rows: int
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """The whole system, joint by joint.
+
+    Attributes:
+        joints: one factor a joint.
+        column_count: number of base columns b.
+        torque_count: number of torques m, each reduced alike (1, but for a search of the delay: τ and its derivative).
+        samples: number of filtered samples that went in.
+        method: how the factors were built, in words.
+    """
+
+    joints: tuple[JointFactor, ...]
+    column_count: int
+    torque_count: int
+    samples: int
+    method: str
+
+    @property
+    def rows(self) -> int:
+        """Number of rows r of the system."""
+        return sum(joint.rows for joint in self.joints)
+
+    def stacked(self, weights: FloatArray | None = None) -> FloatArray:
+        """R (b + m, b + m) of [W τ…] over all joints, each joint's rows times its weight (n,) (ones where None)."""
+        blocks = []
+        for number, joint in enumerate(self.joints):
+            block = np.zeros((joint.factor.shape[0], self.column_count + self.torque_count))
+            width = len(joint.columns)
+            block[:, list(joint.columns)] = joint.factor[:, :width]
+            block[:, self.column_count :] = joint.factor[:, width:]
+            blocks.append(block if weights is None else weights[number] * block)
+        return triangular(np.vstack(blocks))
+
+    def residual_sums(self, parameters: FloatArray) -> FloatArray:
+        """Sum of squared residuals (n,) of the first torque, joint by joint, for base parameters (b,)."""
+        sums = []
+        for joint in self.joints:
+            width = len(joint.columns)
+            rest = joint.factor[:, :width] @ parameters[list(joint.columns)] - joint.factor[:, width]
+            sums.append(float(rest @ rest))
+        return np.array(sums)
+
+
+def stack_reductions(reductions: Sequence[Reduction]) -> Reduction:
+    """One system from several recordings of the same arm with the same columns."""
+    first = reductions[0]
+    joints = []
+    for number, joint in enumerate(first.joints):
+        parts = [reduction.joints[number] for reduction in reductions]
+        joints.append(
+            JointFactor(
+                joint.columns, triangular(np.vstack([part.factor for part in parts])), sum(part.rows for part in parts)
+            )
+        )
+    return Reduction(
+        joints=tuple(joints),
+        column_count=first.column_count,
+        torque_count=first.torque_count,
+        samples=sum(reduction.samples for reduction in reductions),
+        method=", ".join(dict.fromkeys(reduction.method for reduction in reductions)),
+    )
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive filtered samples.
+
+    Attributes:
+        regressor: (kernel.row_count, m) packed rows; samples at rest are there, see `used`.
+        torque: as `torques`, filtered.
+        used: (m,) whether the sample takes part.
+    """
+
+    regressor: FloatArray
+    torque: FloatArray
+    used: npt.NDArray[np.bool_]
+
+
+def filtered_blocks(
+    kernel: RegressorKernel, segment: Segment, parallel_filter: ZeroPhaseFilter, torques: FloatArray
+) -> Iterator[Block]:
+    """Stream one segment through kernel and parallel filter (SR400 §4.3 point 4).
+
+    Args:
+        kernel: gives the regressor's packed rows.
+        segment: motion on a uniform grid.
+        parallel_filter: applied to τ and to every column of W alike.
+        torques: (m·n, N).
+
+    Yields:
+        Blocks whose arrays are valid until the next one is asked for.
+    """
+    rows = kernel.row_count
+    used = segment.used[:: parallel_filter.factor]
+    chunks = evaluate_in_chunks(kernel, segment.position, segment.velocity, segment.acceleration)
+    if parallel_filter.factor == 1 and len(parallel_filter.sos) == 0:
+        for part, packed in chunks:
+            yield Block(packed, torques[:, part], used[part])
+        return
+    streamed = StreamedFilter(parallel_filter, rows + torques.shape[0])
+    position = 0
+    ready = (streamed.push(np.concatenate([packed, torques[:, part]])) for part, packed in chunks)
+    for filtered in itertools.chain(ready, _finished(streamed)):
+        if width := filtered.shape[1]:
+            yield Block(filtered[:rows], filtered[rows:], used[position : position + width])
+            position += width
+
+
+def _finished(streamed: StreamedFilter) -> Iterator[FloatArray]:
+    yield streamed.finish()
+
+
+def reduce_segments(
+    kernel: RegressorKernel,
+    segments: Sequence[Segment],
+    parallel_filter: ZeroPhaseFilter,
+    torques: Sequence[FloatArray] | None = None,
+) -> Reduction:
+    """Reduce a recording to one triangular factor a joint.
+
+    Args:
+        kernel: for the base columns.
+        segments: motion and torque on uniform grids.
+        parallel_filter: for τ and W.
+        torques: for each segment, torques (m·n, N), all joints of the first one first; the segment's own where None.
+    """
+    torques = [segment.torque for segment in segments] if torques is None else torques
+    dof = kernel.model.dof
+    variants = torques[0].shape[0] // dof if torques else 1
+    condition = estimate_condition(kernel, segments)
+    use_gram = condition <= GRAM_CONDITION_LIMIT
+    kind: type[GramAccumulator | QrAccumulator] = GramAccumulator if use_gram else QrAccumulator
+    accumulators: list[Accumulator] = [kind(len(joint.columns) + variants) for joint in kernel.joint_rows]
+    samples = 0
+    for segment, torque in zip(segments, torques, strict=True):
+        for block in filtered_blocks(kernel, segment, parallel_filter, torque):
+            everything = bool(block.used.all())
+            samples += int(block.used.sum())
+            for joint, accumulator in enumerate(accumulators):
+                rows = np.concatenate([block.regressor[kernel.joint_rows[joint].rows], block.torque[joint::dof]])
+                accumulator.add(rows if everything else rows[:, block.used])
+    name = "Gram matrix" if use_gram else "QR of stacked blocks"
+    return Reduction(
+        joints=tuple(
+            JointFactor(rows.columns, accumulator.factor(), accumulator.rows)
+            for rows, accumulator in zip(kernel.joint_rows, accumulators, strict=True)
+        ),
+        column_count=len(kernel.columns),
+        torque_count=variants,
+        samples=samples,
+        method=f"{name} (estimated condition {condition:.2g})",
+    )
+
+
+def estimate_condition(kernel: RegressorKernel, segments: Sequence[Segment]) -> float:
+    """Condition number of the scaled columns at samples spread over the segments, before any filtering."""
+    total = sum(segment.position.shape[1] for segment in segments)
+    step = max(1, total // CONDITION_SAMPLES)
+    motion = [
+        np.concatenate([getattr(segment, name)[:, ::step] for segment in segments], axis=1)
+        for name in ("position", "velocity", "acceleration")
+    ]
+    return scaled_condition(motion_factor(kernel, *motion))

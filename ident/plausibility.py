@@ -1,0 +1,82 @@
+"""Checks that a small residual does not replace: gravity's sign, a positive inertia matrix, friction that brakes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ident.base_parameters import BaseParameters, random_states
+from ident.filters import ZeroPhaseFilter
+from ident.kinematics import FloatArray
+from ident.least_squares import excited_columns, ordinary_least_squares
+from ident.model import DynamicModel
+from ident.observation import reduce_segments, stack_reductions
+from ident.preprocess import Segment
+from ident.regressor import RegressorKernel, regressor
+
+POSES = 200
+SURE_DEVIATIONS = 3.0
+"""A wrong sign counts once it is this many standard deviations away from 0."""
+
+
+def inertia_matrices(
+    model: DynamicModel, base: BaseParameters, parameters: FloatArray, position: FloatArray
+) -> FloatArray:
+    """Joint-space inertia matrices (N, n, n), motor inertias included, at positions (n, N)."""
+    count = position.shape[1]
+    weightless = replace(model, gravity=np.zeros(3))
+    still = np.zeros_like(position)
+    matrices = np.empty((count, model.dof, model.dof))
+    for joint in range(model.dof):
+        acceleration = np.zeros_like(position)
+        acceleration[joint] = 1.0
+        rows = regressor(weightless, position, still, acceleration, base.columns)
+        # The offset column is 1 whatever moves, and no torque of inertia.
+        inertial = np.array([kind in ("inertial", "motor_inertia") for kind in base.kinds])
+        matrices[:, :, joint] = np.einsum("nbN,b->Nn", rows, np.where(inertial, parameters, 0.0))
+    return matrices
+
+
+def indefinite_share(model: DynamicModel, base: BaseParameters, parameters: FloatArray) -> float:
+    """Share of random poses at which the inertia matrix is not positive definite; 0 for every arm that exists."""
+    position, _, _ = random_states(model, POSES)
+    matrices = inertia_matrices(model, base, parameters, position)
+    smallest = np.linalg.eigvalsh(0.5 * (matrices + matrices.transpose(0, 2, 1)))[:, 0]
+    return float(np.mean(smallest <= 0.0))
+
+
+def fits_opposite_gravity(
+    model: DynamicModel,
+    base: BaseParameters,
+    runs: Sequence[tuple[Sequence[Segment], ZeroPhaseFilter]],
+    residual_sum: float,
+) -> bool:
+    """Whether gravity of the opposite sign leaves a smaller sum of squared residuals than `residual_sum`."""
+    kernel = RegressorKernel(replace(model, gravity=-model.gravity), base.columns)
+    reduction = stack_reductions([reduce_segments(kernel, segments, parallel) for segments, parallel in runs])
+    return ordinary_least_squares(reduction, excited_columns(reduction)).residual_sum < residual_sum
+
+
+def sign_warnings(base: BaseParameters, parameters: FloatArray, std: FloatArray) -> list[str]:
+    """Warnings for friction and motor inertia that are clearly negative."""
+    wrong = [
+        number
+        for number, kind in enumerate(base.kinds)
+        if kind in ("viscous", "coulomb", "motor_inertia") and parameters[number] < -SURE_DEVIATIONS * std[number]
+    ]
+    warnings = []
+    friction = [base.names[i] for i in wrong if base.kinds[i] != "motor_inertia"]
+    if friction:
+        warnings.append(
+            f"{', '.join(friction)} came out negative: friction that drives. The sign of a drive gain, or a model that "
+            "lacks a friction term, is the usual reason"
+        )
+    motors = [base.names[i] for i in wrong if base.kinds[i] == "motor_inertia"]
+    if motors:
+        warnings.append(
+            f"{', '.join(motors)} came out negative: where torque sensors sit behind the gearbox they do not see the "
+            "motor; set `inertia: false` for these drives or use --no-motor-inertia"
+        )
+    return warnings

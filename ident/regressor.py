@@ -1,0 +1,288 @@
+"""The regressor Y(q, q̇, q̈) of the inverse dynamic model τ = Y·π (SR400 eq. 13; AUBO eq. 8).
+
+`RegressorKernel` evaluates it for many samples at once: a Newton-Euler recursion in which every operation runs over
+all samples of a chunk. Its output is packed: only the structurally non-zero entries are computed and stored, one row a
+(joint, column) pair, time-contiguous, ready to be filtered row by row and reduced joint by joint.
+
+For a link with ten parameters, force and moment at its frame's origin are linear in them: with ω, α the angular
+velocity and acceleration and a the origin's acceleration minus gravity,
+
+    f = a·M + ([α]× + [ω]×²)·h        n = I·α + ω × I·ω + h × a        h = (MX, MY, MZ)
+
+and the torque that joint k needs for it is v_k·f + w_k·n, where (v_k, w_k) is the motion of the link's frame that a
+unit velocity of joint k causes. So a row is built from the axes of the joints below the link, expressed in its frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ident.kinematics import FloatArray, ancestors
+from ident.model import DynamicModel
+from ident.recursion import Direction, FrameMotion, Recursion, combine, scaled
+from ident.triangular import QrAccumulator
+
+CHUNK = 4096
+"""Samples evaluated at once: enough to hide the interpreter, few enough for the cache ."""
+
+PINOCCHIO_BELOW = 500
+"""Fewer samples than this are evaluated one by one by Pinocchio."""
+
+_INERTIA_COUNT = 6  # XX XY XZ YY YZ ZZ
+_MASS_INDEX = 9
+
+
+_PRODUCTS = (("xx", 0, 0), ("yy", 1, 1), ("zz", 2, 2), ("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
+"""Products of the angular velocity's components, by name."""
+
+# Columns of the matrix that takes XX XY XZ YY YZ ZZ to I·α + ω × I·ω; ax ay az are α's components.
+_INERTIA_TERMS: tuple[tuple[tuple[Any, ...], ...], ...] = (
+    ((np.positive, "ax"), (np.positive, "xz"), (np.negative, "xy")),
+    ((np.subtract, "ay", "xz"), (np.add, "ax", "yz"), (np.subtract, "xx", "yy")),
+    ((np.add, "az", "xy"), (np.subtract, "zz", "xx"), (np.subtract, "ax", "yz")),
+    ((np.negative, "yz"), (np.positive, "ay"), (np.positive, "xy")),
+    ((np.subtract, "yy", "zz"), (np.subtract, "az", "xy"), (np.add, "ay", "xz")),
+    ((np.positive, "yz"), (np.negative, "xz"), (np.positive, "az")),
+)
+
+# Columns of [α]× + [ω]×², which takes MX MY MZ to the force.
+_MOMENT_TERMS: tuple[tuple[tuple[Any, ...], ...], ...] = (
+    ((np.subtract, "-yy", "zz"), (np.add, "az", "xy"), (np.subtract, "xz", "ay")),
+    ((np.subtract, "xy", "az"), (np.subtract, "-xx", "zz"), (np.add, "ax", "yz")),
+    ((np.add, "ay", "xz"), (np.subtract, "yz", "ax"), (np.subtract, "-xx", "yy")),
+)
+
+
+@dataclass(frozen=True)
+class JointRows:
+    """Where one joint's packed rows are.
+
+    Attributes:
+        rows: slice of the packed array's first axis.
+        columns: for each of these rows, the column of the kernel's selection that it belongs to.
+    """
+
+    rows: slice
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class _LinkBlock:
+    """Packed rows that one link fills: for each joint below it, where its inertia, first-moment and mass rows start."""
+
+    link: int
+    inertia: tuple[int, ...]  # which of XX..ZZ
+    moments: tuple[int, ...]  # which of MX MY MZ
+    mass: bool
+    targets: tuple[tuple[int, int], ...]  # (joint, first packed row), ancestors first, the link's own joint last
+
+
+class RegressorKernel:
+    """Evaluates chosen columns of the standard regressor, packed.
+
+    Attributes:
+        model: whose regressor this is.
+        columns: standard columns in the order of the caller's choice.
+        joint_rows: one entry a joint; together they cover the packed rows.
+        row_count: number of packed rows.
+    """
+
+    def __init__(self, model: DynamicModel, columns: Sequence[int] | None = None, chunk: int = CHUNK) -> None:
+        """Prepare the scratch arrays.
+
+        Args:
+            model: the arm.
+            columns: standard columns wanted; all of them where None.
+            chunk: most samples that one call of `evaluate` may bring.
+        """
+        self.model = model
+        parameters = model.parameters
+        self.columns = tuple(range(len(parameters))) if columns is None else tuple(columns)
+        self.chunk = chunk
+        position_of = {column: position for position, column in enumerate(self.columns)}
+        self._chains = tuple(ancestors(model.joints, number) for number in range(model.dof))
+        selected = [[c for c in range(10 * link, 10 * link + 10) if c in position_of] for link in range(model.dof)]
+
+        starts: dict[tuple[int, int], int] = {}
+        joint_rows = []
+        self._joint_parameters: list[tuple[int, str, int]] = []
+        row = 0
+        for joint in range(model.dof):
+            first = row
+            row_columns: list[int] = []
+            for link in range(model.dof):
+                if selected[link] and (joint == link or joint in self._chains[link]):
+                    starts[joint, link] = row
+                    row_columns += [position_of[c] for c in selected[link]]
+                    row += len(selected[link])
+            for column in self.columns:
+                parameter = parameters[column]
+                if parameter.kind != "inertial" and parameter.joint == joint:
+                    self._joint_parameters.append((row, parameter.kind, joint))
+                    row_columns.append(position_of[column])
+                    row += 1
+            joint_rows.append(JointRows(slice(first, row), tuple(row_columns)))
+        self.joint_rows = tuple(joint_rows)
+        self.row_count = row
+        self._blocks = tuple(self._block(link, selected[link], starts) for link in range(model.dof))
+        self._recursion = Recursion(model.joints, self._chains, model.gravity, chunk)
+        self._rotating = np.empty((3, _INERTIA_COUNT, chunk))
+        self._pushing = np.empty((3, 4, chunk))
+        self._products = np.empty((len(_PRODUCTS) + 2, chunk))
+        self._term = np.empty((_INERTIA_COUNT, chunk))
+
+    def _block(self, link: int, selected: Sequence[int], starts: dict[tuple[int, int], int]) -> _LinkBlock:
+        kinds = [column - 10 * link for column in selected]
+        targets = tuple((joint, starts[joint, link]) for joint in (*self._chains[link], link)) if selected else ()
+        return _LinkBlock(
+            link=link,
+            inertia=tuple(kind for kind in kinds if kind < _INERTIA_COUNT),
+            moments=tuple(kind - _INERTIA_COUNT for kind in kinds if _INERTIA_COUNT <= kind < _MASS_INDEX),
+            mass=_MASS_INDEX in kinds,
+            targets=targets,
+        )
+
+    def evaluate(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray, out: FloatArray) -> None:
+        """Write the packed regressor of m ≤ `chunk` samples into `out` (row_count, m).
+
+        Args:
+            position: (n, m) [rad or m].
+            velocity: (n, m) [rad/s or m/s].
+            acceleration: (n, m) [rad/s² or m/s²].
+            out: (row_count, m), written in full.
+        """
+        count = position.shape[1]
+        self._recursion.run(position, velocity, acceleration)
+        for block in self._blocks:
+            if block.targets:
+                self._fill_link(block, count, out)
+        for row, kind, joint in self._joint_parameters:
+            if kind == "motor_inertia":
+                out[row] = acceleration[joint]
+            elif kind == "viscous":
+                out[row] = velocity[joint]
+            elif kind == "coulomb":
+                out[row] = self.model.coulomb_direction(velocity[joint])
+            else:
+                out[row] = 1.0
+
+    def _fill_link(self, block: _LinkBlock, count: int, out: FloatArray) -> None:
+        motion = self._recursion.frames[block.link]
+        rotating, pushing = self._rotating[..., :count], self._pushing[..., :count]
+        self._body_rows(motion, block, count)
+        inertias, moments = len(block.inertia), len(block.moments)
+        pushes = moments + block.mass
+        acceleration = motion.linear[:, :count]
+        for index, (_, start) in enumerate(block.targets):
+            direction = motion.axes[index]
+            for_inertia = out[start : start + inertias, :count]
+            for_push = out[start + inertias : start + inertias + pushes, :count]
+            if inertias:
+                combine(direction.angular, rotating[:, :inertias], count, for_inertia, self._term)
+            if pushes:
+                combine(direction.linear, pushing[:, :pushes], count, for_push, self._term)
+            if moments:
+                self._add_moment_of_first_moments(direction.angular, acceleration, block.moments, count, for_push)
+
+    def _body_rows(self, motion: FrameMotion, block: _LinkBlock, count: int) -> None:
+        """Moment (3, inertias) and force (3, moments + mass) that unit parameters of this link cause in its frame."""
+        w, a = motion.angular_velocity[:, :count], motion.angular_acceleration[:, :count]
+        operands = {"ax": a[0], "ay": a[1], "az": a[2]}
+        for row, (name, left, right) in enumerate(_PRODUCTS):
+            operands[name] = np.multiply(w[left], w[right], out=self._products[row, :count])
+        operands["-xx"] = np.negative(operands["xx"], out=self._products[-2, :count])
+        operands["-yy"] = np.negative(operands["yy"], out=self._products[-1, :count])
+        n, f = self._rotating[..., :count], self._pushing[..., :count]
+        for slot, kind in enumerate(block.inertia):
+            for component, (operation, *names) in enumerate(_INERTIA_TERMS[kind]):
+                operation(*(operands[name] for name in names), out=n[component, slot])
+        for slot, kind in enumerate(block.moments):
+            for component, (operation, *names) in enumerate(_MOMENT_TERMS[kind]):
+                operation(*(operands[name] for name in names), out=f[component, slot])
+        if block.mass:
+            f[:, len(block.moments)] = motion.linear[:, :count]
+
+    def _add_moment_of_first_moments(
+        self, angular: Direction, acceleration: FloatArray, moments: Sequence[int], count: int, out: FloatArray
+    ) -> None:
+        """Add (a × w)·h for the selected first moments."""
+        term = self._term[0, :count]
+        for slot, kind in enumerate(moments):
+            first, second = (kind + 1) % 3, (kind + 2) % 3
+            if scaled(angular[second], acceleration[first], count, term):
+                out[slot] += term
+            if scaled(angular[first], acceleration[second], count, term):
+                out[slot] -= term
+
+
+def regressor(
+    model: DynamicModel,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    columns: Sequence[int] | None = None,
+) -> FloatArray:
+    """Regressor (n, p, N) for (n, N) joint motions, p the chosen standard columns (all where None).
+
+    Fewer than `PINOCCHIO_BELOW` samples go through Pinocchio one by one, more through the kernel; the two agree to
+    1e-10 of the regressor's scale.
+    """
+    count = position.shape[1]
+    if count < PINOCCHIO_BELOW:
+        from ident.pinocchio_model import pinocchio_regressor
+
+        full = pinocchio_regressor(model, position, velocity, acceleration)
+        return full if columns is None else full[:, list(columns)]
+    kernel = RegressorKernel(model, columns)
+    dense = np.zeros((model.dof, len(kernel.columns), count))
+    for part, packed in evaluate_in_chunks(kernel, position, velocity, acceleration):
+        for joint, rows in enumerate(kernel.joint_rows):
+            dense[joint, list(rows.columns), part] = packed[rows.rows]
+    return dense
+
+
+def model_torque(
+    model: DynamicModel,
+    columns: Sequence[int] | None,
+    parameters: FloatArray,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+) -> FloatArray:
+    """Torque (n, N) [N·m] of parameters (p,) on the standard `columns` (all where None) along a motion (n, N)."""
+    kernel = RegressorKernel(model, columns)
+    torque = np.empty_like(position)
+    for part, packed in evaluate_in_chunks(kernel, position, velocity, acceleration):
+        for joint, rows in enumerate(kernel.joint_rows):
+            torque[joint, part] = parameters[list(rows.columns)] @ packed[rows.rows]
+    return torque
+
+
+def motion_factor(
+    kernel: RegressorKernel, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+) -> FloatArray:
+    """Triangular factor (b, b) of the kernel's columns, all joints' rows stacked, along a motion (n, N)."""
+    accumulator = QrAccumulator(len(kernel.columns))
+    for _, packed in evaluate_in_chunks(kernel, position, velocity, acceleration):
+        for rows in kernel.joint_rows:
+            wide = np.zeros((len(kernel.columns), packed.shape[1]))
+            wide[list(rows.columns)] = packed[rows.rows]
+            accumulator.add(wide)
+    return accumulator.factor()
+
+
+def evaluate_in_chunks(
+    kernel: RegressorKernel, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+) -> Iterator[tuple[slice, FloatArray]]:
+    """Slices of the samples with their packed regressor (row_count, m), valid until the next one is asked for."""
+    count = position.shape[1]
+    buffer = np.empty((kernel.row_count, min(count, kernel.chunk)))
+    for start in range(0, count, kernel.chunk):
+        part = slice(start, min(start + kernel.chunk, count))
+        packed = buffer[:, : part.stop - part.start]
+        kernel.evaluate(position[:, part], velocity[:, part], acceleration[:, part], packed)
+        yield part, packed

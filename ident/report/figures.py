@@ -1,0 +1,142 @@
+"""Figures as plotly.js reads them: plain data and a layout; colours of text and grid come from the page's style."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from markupsafe import Markup
+
+from ident.result import BaseParameterResult
+
+MEASURED = "#0072B2"
+PREDICTED = "#D55E00"
+RESIDUAL = "#7C828A"
+ACCENT = "#0072B2"
+REFERENCE = "#D55E00"
+KIND_STYLES: dict[str, tuple[str, str, str]] = {
+    "inertial": ("inertial", "#0072B2", "circle"),
+    "motor_inertia": ("motor inertia", "#CC79A7", "square"),
+    "viscous": ("viscous friction", "#009E73", "triangle-up"),
+    "coulomb": ("Coulomb friction", "#D55E00", "diamond"),
+    "offset": ("offset", "#7C828A", "cross"),
+}
+"""Words, colour and marker of each kind: after Okabe and Ito, told apart by colour-blind readers too."""
+
+LEFT, RIGHT, TOP, BOTTOM = 64, 16, 54, 48
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure of the page.
+
+    Attributes:
+        anchor: its id within the page.
+        height: [px].
+        data, layout: what Plotly.newPlot takes.
+        caption: what is shown, and what was left out.
+    """
+
+    anchor: str
+    height: int
+    data: Sequence[Mapping[str, Any]]
+    layout: Mapping[str, Any]
+    caption: str
+
+    @property
+    def json(self) -> Markup:
+        """The figure as strict JSON that may stand within a script element."""
+        text = json.dumps({"data": list(self.data), "layout": self.layout}, allow_nan=False, separators=(",", ":"))
+        for character in "<>&":
+            text = text.replace(character, f"\\u{ord(character):04x}")
+        return Markup(text)
+
+
+def shortened(text: str, length: int) -> str:
+    """At most `length` characters of a name."""
+    return text if len(text) <= length else f"{text[: length - 1]}…"
+
+
+def plain(text: str) -> str:
+    """A name as plotly.js shall show it: its own small markup language does not apply."""
+    return html.escape(text, quote=False)
+
+
+def base_layout(height: int, **more: Any) -> dict[str, Any]:
+    """Layout that all figures share."""
+    return {
+        "height": height,
+        "margin": {"l": LEFT, "r": RIGHT, "t": TOP, "b": BOTTOM},
+        "legend": {"orientation": "h", "x": 0, "xanchor": "left", "y": 1, "yanchor": "top", "yref": "container"},
+        "hovermode": "closest",
+        **more,
+    }
+
+
+def row_domains(rows: int, height: int, gap: int) -> list[tuple[float, float]]:
+    """Lower and upper end, as parts of the plot's height, of `rows` panels from top to bottom with `gap` px between."""
+    inner = height - TOP - BOTTOM
+    panel = (inner - gap * (rows - 1)) / rows
+    tops = [inner - row * (panel + gap) for row in range(rows)]
+    return [(max(0.0, (top - panel) / inner), min(1.0, top / inner)) for top in tops]
+
+
+def axis_name(letter: str, number: int) -> str:
+    """Key of an axis in the layout, numbered from 1: `xaxis`, `xaxis2` and so on."""
+    return f"{letter}axis{number if number > 1 else ''}"
+
+
+def axis_ref(letter: str, number: int) -> str:
+    """How a trace names an axis, numbered from 1: `x`, `x2` and so on."""
+    return f"{letter}{number if number > 1 else ''}"
+
+
+def note(text: str, x: float, y: float, **more: Any) -> dict[str, Any]:
+    """A line of text in parts of the plot's width and height; `text` may hold plotly's markup."""
+    return {
+        "text": text, "x": x, "y": y, "xref": "paper", "yref": "paper", "xanchor": "left", "yanchor": "bottom",
+        "showarrow": False, "align": "left", **more,
+    }  # fmt: skip
+
+
+def vertical_line(x: float, **line: Any) -> dict[str, Any]:
+    """A line over the whole height at `x` of the first axis."""
+    return {"type": "line", "x0": x, "x1": x, "y0": 0, "y1": 1, "xref": "x", "yref": "paper", "line": line}
+
+
+def kind_markers(
+    entries: Sequence[tuple[BaseParameterResult, float]], hover: str, error: Mapping[str, Any] | None = None
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """One row a base parameter, its number as a marker in the style of its kind: traces, and the axis of the names."""
+    data: list[dict[str, Any]] = []
+    names: list[str] = []
+    for kind, (words, colour, symbol) in KIND_STYLES.items():
+        part = [(plain(parameter.name), value) for parameter, value in entries if parameter.kind == kind]
+        if part:
+            names += [name for name, _ in part]
+            data.append(
+                {
+                    "type": "scatter",
+                    "mode": "markers",
+                    "name": words,
+                    "x": [value for _, value in part],
+                    "y": [name for name, _ in part],
+                    "marker": {"color": colour, "symbol": symbol, "size": 8},
+                    "hovertemplate": hover,
+                }
+            )
+            if error is not None:
+                data[-1]["error_x"] = {**error, "color": colour}
+    axis = {
+        "type": "category",
+        "categoryorder": "array",
+        "categoryarray": names,
+        "range": [len(names) - 0.4, -0.6],
+        "dtick": 1,
+        "tickfont": {"size": 10},
+        "automargin": True,
+    }
+    return data, axis

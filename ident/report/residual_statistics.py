@@ -1,0 +1,92 @@
+"""What residuals look like, joint by joint: the numbers behind the plots (AUBO §3.2, figures 5, 7 and 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ident.comparison import TorqueSeries
+from ident.kinematics import FloatArray
+
+BAND = 1.96
+"""Half width of the band that 95 % of a white sequence's autocorrelations lie in, times √N."""
+
+HISTOGRAM_EDGES = np.linspace(-5.0, 5.0, 51)
+"""In standard deviations; what lies beyond counts for the first and the last bin."""
+
+ROUNDING = 1e-9
+"""A mean of fewer standard deviations is what rounding left of 0: an offset column takes it out exactly."""
+
+
+@dataclass(frozen=True)
+class JointResidual:
+    """Residuals of one joint, over the samples that count.
+
+    Attributes:
+        velocity, residual: (N,) [rad/s or m/s], [N·m], stretches one after the other.
+        mean, std: [N·m]; nan without samples.
+        autocorrelation: (L,) at lags 0 … L − 1.
+        band: half width of the 95 % band of white residuals.
+        outside: part of the autocorrelations from lag 1 on that lie outside of the band.
+        density: (50,) histogram of residual / std, as a density.
+        beyond_three: part of the samples further than 3 std from the mean (0.27 % of a normal distribution).
+        excess_kurtosis: 0 for a normal distribution.
+    """
+
+    velocity: FloatArray
+    residual: FloatArray
+    mean: float
+    std: float
+    autocorrelation: FloatArray
+    band: float
+    outside: float
+    density: FloatArray
+    beyond_three: float
+    excess_kurtosis: float
+
+
+def joint_residual(series: Sequence[TorqueSeries], joint: int, lags: int) -> JointResidual:
+    """Describe the residual of joint number `joint`; `lags` autocorrelations, never across a gap."""
+    used = [part.used for part in series]
+    velocity = _joined([part.velocity[joint, mask] for part, mask in zip(series, used, strict=True)])
+    parts = [part.measured[joint] - part.predicted[joint] for part in series]
+    residual = _joined([part[mask] for part, mask in zip(parts, used, strict=True)])
+    samples = len(residual)
+    mean = float(residual.mean()) if samples else float("nan")
+    std = float(residual.std()) if samples else float("nan")
+    if abs(mean) < ROUNDING * std:
+        mean = 0.0
+    centred = [np.where(mask, part - mean, 0.0) for part, mask in zip(parts, used, strict=True)]
+    correlation = _autocorrelation(centred, min(lags, max(1, samples - 1))) if samples and std > 0 else np.empty(0)
+    band = BAND / np.sqrt(samples) if samples else float("nan")
+    scaled = (residual - mean) / std if samples and std > 0 else np.empty(0)
+    counts, _ = np.histogram(np.clip(scaled, -4.999, 4.999), HISTOGRAM_EDGES)
+    nothing = float("nan")
+    return JointResidual(
+        velocity=velocity,
+        residual=residual,
+        mean=mean,
+        std=std,
+        autocorrelation=correlation,
+        band=band,
+        outside=float(np.mean(np.abs(correlation[1:]) > band)) if len(correlation) > 1 else nothing,
+        density=counts / (max(1, len(scaled)) * np.diff(HISTOGRAM_EDGES)),
+        beyond_three=float(np.mean(np.abs(scaled) > 3.0)) if len(scaled) else nothing,
+        excess_kurtosis=float(np.mean(scaled**4)) - 3.0 if len(scaled) else nothing,
+    )
+
+
+def _joined(parts: Sequence[FloatArray]) -> FloatArray:
+    return np.concatenate(parts) if parts else np.empty(0)
+
+
+def _autocorrelation(centred: Sequence[FloatArray], lags: int) -> FloatArray:
+    """Sums of products at lags 0 … lags − 1 within each stretch, added up, relative to lag 0."""
+    total = np.zeros(lags)
+    for part in centred:
+        size = 1 << (2 * max(len(part), lags) - 1).bit_length()
+        spectrum = np.fft.rfft(part, size)
+        total += np.fft.irfft(np.abs(spectrum) ** 2, size)[:lags]
+    return np.asarray(total / total[0])

@@ -1,0 +1,80 @@
+"""What a section of the report is: a template, and the context that it is rendered with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ident.comparison import TorqueSeries
+from ident.kinematics import FloatArray
+from ident.result import Result
+
+
+@dataclass(frozen=True)
+class TruthTable:
+    """True base parameters, where the arm is a simulated one.
+
+    Attributes:
+        names: of base parameters, as in the Result.
+        values: (len(names),) in the units of the Result.
+    """
+
+    names: tuple[str, ...]
+    values: FloatArray
+
+    def __post_init__(self) -> None:
+        if len(self.names) != len(self.values) or len(set(self.names)) != len(self.names):
+            raise ValueError(f"{len(self.names)} names, {len(self.values)} values: one value a name, each name once")
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """All that the sections may show.
+
+    Attributes:
+        result: what was identified.
+        fit: torques of the identification data, one series a contiguous stretch.
+        validation: torques of the held-out data; empty where nothing was held out.
+        truth: true parameters, for simulated arms only.
+    """
+
+    result: Result
+    fit: tuple[TorqueSeries, ...]
+    validation: tuple[TorqueSeries, ...]
+    truth: TruthTable | None = None
+
+    def __post_init__(self) -> None:
+        dof = len(self.result.joints)
+        for series in (*self.fit, *self.validation):
+            shape = (dof, len(series.time))
+            if not series.measured.shape == series.predicted.shape == series.velocity.shape == shape:
+                raise ValueError(f"torques and velocities of a series must have the shape {shape}")
+            if series.used.shape != series.time.shape:
+                raise ValueError("`used` needs one entry a sample")
+
+
+@dataclass(frozen=True)
+class Section:
+    """One section of the page.
+
+    Attributes:
+        title: its heading and its entry in the table of contents.
+        anchor: its id within the page.
+        template: name of its template.
+        context: what the template is rendered with.
+    """
+
+    title: str
+    anchor: str
+    template: str
+    context: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A key figure: a number in large type with two lines about it."""
+
+    label: str
+    value: str
+    note: str = ""

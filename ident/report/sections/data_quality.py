@@ -1,0 +1,18 @@
+"""What the data were, and what was done to them."""
+
+from __future__ import annotations
+
+from ident.report.section import ReportData, Section
+
+
+def section(data: ReportData) -> Section:
+    """Recordings, their events, preprocessing, delay, drive gains."""
+    result = data.result
+    context = {
+        "recordings": result.recordings,
+        "stretches": {"identification": len(data.fit), "validation": len(data.validation)},
+        "steps": result.preprocessing,
+        "delay": result.delay,
+        "gains": result.drive_gains,
+    }
+    return Section("Data quality", "data-quality", "data_quality.html.j2", context)

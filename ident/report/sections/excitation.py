@@ -1,0 +1,63 @@
+"""What the motion could reveal of the parameters."""
+
+from __future__ import annotations
+
+import math
+
+from ident.report.figures import ACCENT, BOTTOM, TOP, Figure, base_layout
+from ident.report.number_text import number
+from ident.report.section import ReportData, Section, Tile
+from ident.result import Result
+
+PANEL = 260
+
+
+def section(data: ReportData) -> Section:
+    """Condition numbers, singular values, parameters that the motion left out."""
+    result = data.result
+    excitation = result.excitation
+    context = {
+        "tiles": [
+            Tile("Condition of W", number(excitation.condition, 3), "columns as they are, so it depends on units"),
+            Tile("Scaled condition", number(excitation.scaled_condition, 3), "columns of unit length"),
+            Tile("Not excited", str(len(excitation.unexcited)), f"of {len(result.base_parameters)} base parameters"),
+            Tile("Rank margin", number(result.rank_margin, 3), "last singular value that counts / first that does not"),
+        ],
+        "unexcited": excitation.unexcited,
+        "figure": _figure(result),
+    }
+    return Section("Excitation", "excitation", "excitation.html.j2", context)
+
+
+def _figure(result: Result) -> Figure | None:
+    values = [value for value in result.excitation.singular_values if 0 < value < math.inf]
+    if not values:
+        return None
+    height = TOP + BOTTOM + PANEL
+    data = [
+        {
+            "type": "scatter",
+            "mode": "lines+markers",
+            "x": list(range(1, len(values) + 1)),
+            "y": values,
+            "line": {"color": ACCENT, "width": 1},
+            "marker": {"size": 6, "color": ACCENT},
+            "hovertemplate": "no. %{x}: %{y:.3g}<extra></extra>",
+        }
+    ]
+    layout = base_layout(
+        height,
+        showlegend=False,
+        xaxis={"title": {"text": "number"}, "zeroline": False},
+        yaxis={
+            "title": {"text": "singular value"},
+            "type": "log",
+            "exponentformat": "power",
+            "dtick": 1 if max(values) > 1e3 * min(values) else "D2",
+        },
+    )
+    caption = (
+        "Singular values of W with columns of unit length: the largest over the smallest is the scaled condition. A "
+        "sharp fall at the end belongs to combinations of parameters that this motion hardly tells apart."
+    )
+    return Figure("singular-values-plot", height, data, layout, caption)

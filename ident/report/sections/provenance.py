@@ -1,0 +1,45 @@
+"""From what, by what and with which options the result was made."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ident.report.section import ReportData, Section
+from ident.result import Result
+
+
+def section(data: ReportData) -> Section:
+    """Files with their hashes, software versions, options, the robot file."""
+    result = data.result
+    context = {
+        "created": result.created,
+        "robot": result.robot,
+        "method": result.method,
+        "recordings": result.recordings,
+        "versions": result.versions,
+        "options": result.options,
+        "columns": _columns(result),
+        "smoothing": result.model_options.smoothing,
+        "robot_file": result.robot_file,
+        "urdf": result.urdf,
+    }
+    return Section("Provenance", "provenance", "provenance.html.j2", context)
+
+
+def _columns(result: Result) -> list[dict[str, Any]]:
+    """Which joint has which of the model's optional columns, in words."""
+    options = result.model_options
+    named = (
+        ("motor inertia", options.motor_inertia),
+        ("viscous friction", options.viscous),
+        ("Coulomb friction", options.coulomb),
+        ("offset", options.offset),
+    )
+    return [{"name": name, "joints": _which(result.joints, chosen)} for name, chosen in named]
+
+
+def _which(joints: list[str], chosen: list[bool]) -> str:
+    having = [name for name, has in zip(joints, chosen, strict=False) if has]
+    if not having:
+        return "no joint"
+    return "every joint" if len(having) == len(joints) else ", ".join(having)

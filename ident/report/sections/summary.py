@@ -1,0 +1,68 @@
+"""How good the model is, in words and in a few numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ident.report.number_text import DASH, number, percent, whole
+from ident.report.section import ReportData, Section, Tile
+from ident.result import Fit, Result
+from ident.validation import LOW_SPEED
+
+
+def section(data: ReportData) -> Section:
+    """Verdict, warnings, key figures, errors of each joint."""
+    result = data.result
+    context = {
+        "verdict": result.verdict,
+        "warnings": result.warnings,
+        "tiles": _tiles(result),
+        "rows": [_row(result, joint) for joint in range(len(result.joints))],
+        "low_speed": LOW_SPEED,
+        "validated": result.validation is not None,
+        "validation_source": result.validation_source,
+        "essential": result.essential,
+        "method": result.method,
+    }
+    return Section("Summary", "summary", "summary.html.j2", context)
+
+
+def _tiles(result: Result) -> list[Tile]:
+    validation = result.validation
+    significant = sum(parameter.significant for parameter in result.base_parameters)
+    return [
+        Tile(
+            "Validation error",
+            percent(validation.relative_error) if validation else DASH,
+            f"{whole(validation.samples)} samples, held out" if validation else "nothing was held out",
+        ),
+        Tile("Fit error", percent(result.fit.relative_error), f"{whole(result.fit.samples)} samples"),
+        Tile("Base parameters", str(len(result.base_parameters)), f"{significant} significant"),
+        Tile("Condition of W", number(result.condition, 3), "columns as they are"),
+        Tile(
+            "Equations",
+            whole(result.residuals.rows),
+            f"worth {whole(result.residuals.effective_rows)} independent ones",
+        ),
+    ]
+
+
+def _row(result: Result, joint: int) -> dict[str, Any]:
+    return {
+        "joint": result.joints[joint],
+        "sets": [_errors(fit, joint) for fit in (result.validation, result.fit)],
+    }
+
+
+def _errors(fit: Fit | None, joint: int) -> list[float | None]:
+    """Relative error [%], RMSE, at low speed, at high speed, largest error [N·m]."""
+    if fit is None:
+        return [None] * 5
+    relative = _entry(fit.joint_relative_error, joint)
+    columns = (fit.rmse, fit.low_speed_rmse, fit.high_speed_rmse, fit.max_error)
+    return [None if relative is None else 100 * relative, *(_entry(column, joint) for column in columns)]
+
+
+def _entry(values: Sequence[float | None], joint: int) -> float | None:
+    return values[joint] if joint < len(values) else None

@@ -1,0 +1,19 @@
+"""Torques of data that the estimator never saw."""
+
+from __future__ import annotations
+
+from ident.report.section import ReportData, Section
+from ident.report.torque_figure import torque_figure
+
+
+def section(data: ReportData) -> Section:
+    """Measured against predicted torque of the held-out data."""
+    result = data.result
+    source = result.validation_source or "data that took no part in the identification"
+    context = {
+        "intro": f"Held out: {source}. These are the errors to believe." if data.validation else "",
+        "figure": torque_figure("torques-validation-plot", result.joints, data.validation, result.validation),
+        "empty": "Nothing was held out of the identification, so nothing here can say how far to trust the model. "
+        "Record a second motion and name it with --validate.",
+    }
+    return Section("Torques: validation", "torques-validation", "torques.html.j2", context)

@@ -1,0 +1,113 @@
+"""Long series on a page: decimated to their envelope, laid out in time, packed as base64.
+
+Plotly.js reads {dtype, bdata} as a typed array; float32 takes a third of the same numbers in decimal digits.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ident.comparison import TorqueSeries
+from ident.kinematics import FloatArray
+
+POINTS_PER_TRACE = 4000
+"""A trace holds about this many points at most."""
+
+PAGE_POINTS = 200_000
+"""All torque traces of a page together, which keeps the file of an arm with many joints small."""
+
+LONGEST_PAUSE = 60.0
+"""Stretches further apart than this [s] are set side by side."""
+
+SIDE_BY_SIDE = 0.02
+"""Room between stretches that are set side by side, as a part of all their length."""
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Where each series is shown.
+
+    Attributes:
+        offsets: (S,) to be added to the series' own time [s]; the first sample is shown at 0.
+        borders: shown times [s] at which a stretch begins that does not follow the one before.
+    """
+
+    offsets: tuple[float, ...]
+    borders: tuple[float, ...]
+
+
+def lay_out(series: Sequence[TorqueSeries]) -> Timeline:
+    """Keep short gaps as they are; set side by side what another recording or a long pause has torn apart."""
+    length = sum(float(part.time[-1] - part.time[0]) for part in series if len(part.time))
+    offsets, borders = [], []
+    offset, end = 0.0, None
+    for part in series:
+        if len(part.time):
+            start = float(part.time[0])
+            if end is None:
+                offset = -start
+            elif not 0.0 <= start + offset - end <= LONGEST_PAUSE:
+                border = end + SIDE_BY_SIDE * length
+                offset = border - start
+                borders.append(border)
+            end = float(part.time[-1]) + offset
+        offsets.append(offset)
+    return Timeline(tuple(offsets), tuple(borders))
+
+
+def envelope_indices(values: FloatArray, points: int) -> npt.NDArray[np.int64]:
+    """Samples to keep of a series (M,) so that at most about `points` are left and no extreme value is lost.
+
+    Of each bin of equal length the smallest and the largest value stay, in the order of time, and both ends. A bin's
+    last sample that is nan stays too: it is a gap in the line.
+    """
+    length = len(values)
+    if length <= max(points, 4):
+        return np.arange(length)
+    bins = max(1, (points - 2) // 2)
+    width = -(-length // bins)
+    bins = -(-length // width)
+    padded = np.full(bins * width, np.nan)
+    padded[:length] = values
+    table = padded.reshape(bins, width)
+    first = np.arange(bins) * width
+    smallest = first + np.argmin(np.where(np.isnan(table), np.inf, table), axis=1)
+    largest = first + np.argmax(np.where(np.isnan(table), -np.inf, table), axis=1)
+    last = np.minimum(first + width, length) - 1
+    gaps = last[np.isnan(values[last])]
+    return np.unique(np.concatenate([[0, length - 1], smallest, largest, gaps]))
+
+
+def broken_line(
+    times: Sequence[FloatArray], values: Sequence[FloatArray], points: int
+) -> tuple[FloatArray, FloatArray]:
+    """One trace (x, y) of several stretches, each cut down to its share of `points`, with nan between them."""
+    total = sum(len(part) for part in values)
+    x: list[FloatArray] = []
+    y: list[FloatArray] = []
+    for time, part in zip(times, values, strict=True):
+        if not len(part):
+            continue
+        if x:
+            x.append(time[:1])
+            y.append(np.array([np.nan]))
+        kept = envelope_indices(part, points if total <= points else points * len(part) // total)
+        x.append(time[kept])
+        y.append(part[kept])
+    return (np.concatenate(x), np.concatenate(y)) if x else (np.empty(0), np.empty(0))
+
+
+def points_per_trace(dof: int) -> int:
+    """Points that each of the three traces a joint, of fit and of validation, may have."""
+    return min(POINTS_PER_TRACE, max(200, PAGE_POINTS // (6 * max(1, dof))))
+
+
+def packed(values: npt.ArrayLike) -> dict[str, str]:
+    """Values (M,) as plotly.js' typed array; nan stays nan, a gap in a line."""
+    raw = np.asarray(values, dtype="<f4").tobytes()
+    return {"dtype": "f4", "bdata": base64.b64encode(raw).decode("ascii")}

@@ -1,0 +1,161 @@
+"""From recorded stamps to a uniform grid: how irregular they are, gaps, interpolation, a delay between two signals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.errors import DataError
+
+FloatArray = npt.NDArray[np.float64]
+
+GAP_PERIODS = 10.0
+GAP_SECONDS = 0.05
+"""A hole longer than both, `GAP_PERIODS` periods and `GAP_SECONDS`, is a gap: nothing is interpolated across it."""
+
+REGULAR_WITHIN = 0.01
+"""Stamps count as regular when none is further than this part of a period from a uniform grid."""
+
+
+@dataclass(frozen=True)
+class Irregularity:
+    """How far recorded stamps are from a uniform grid.
+
+    Attributes:
+        median_period: between two stamps [s].
+        shortest: period [s].
+        longest: period [s], gaps included.
+        rms_deviation: of the periods from the median, gaps left out [s].
+        gaps: number of holes that were not interpolated.
+        duplicates: samples left out because they repeat their predecessor's stamp.
+        regular: whether the samples were taken as they are, without interpolation.
+    """
+
+    median_period: float
+    shortest: float
+    longest: float
+    rms_deviation: float
+    gaps: int
+    duplicates: int
+    regular: bool
+
+    @property
+    def rate(self) -> float:
+        """Rate of the uniform grid [Hz], from the median period."""
+        return float(f"{1 / self.median_period:.6g}")
+
+
+def check_stamps(time: FloatArray) -> None:
+    """Refuse stamps that go backwards or are not numbers; equal neighbours are let through.
+
+    Raises:
+        DataError: naming the first bad sample.
+    """
+    bad = np.flatnonzero(~np.isfinite(time))
+    if len(bad):
+        raise DataError("the time stamp is not a number", where=f"sample {bad[0]}", hint="leave the sample out")
+    backwards = np.flatnonzero(np.diff(time) < 0)
+    if len(backwards):
+        first = int(backwards[0])
+        raise DataError(
+            f"time goes backwards, from {time[first]:.6f} s to {time[first + 1]:.6f} s",
+            where=f"sample {first + 1}",
+            hint="sort the samples by their stamps, or cut the recording there",
+        )
+
+
+def measure_irregularity(time: FloatArray) -> Irregularity:
+    """How irregular the stamps `time` (N,) [s] are; N ≥ 2, checked by `check_stamps`.
+
+    Raises:
+        DataError: fewer than two different stamps.
+    """
+    periods = np.diff(time)
+    duplicates = int((periods == 0).sum())
+    periods = periods[periods > 0]
+    if len(periods) == 0:
+        raise DataError("fewer than two samples with different time stamps")
+    median = float(np.median(periods))
+    gap = periods > max(GAP_PERIODS * median, GAP_SECONDS)
+    # Against the mean period of the whole: a clock that runs a little fast or slow is no irregularity.
+    distinct = np.concatenate([[0.0], np.cumsum(periods)])
+    ideal = np.linspace(0.0, distinct[-1], len(distinct))
+    off_grid = float(np.abs(distinct - ideal).max())
+    return Irregularity(
+        median_period=median,
+        shortest=float(periods.min()),
+        longest=float(periods.max()),
+        rms_deviation=float(np.sqrt(np.mean((periods[~gap] - median) ** 2))),
+        gaps=int(gap.sum()),
+        duplicates=duplicates,
+        regular=off_grid <= REGULAR_WITHIN * median,
+    )
+
+
+def stretches_between_gaps(time: FloatArray, median_period: float) -> tuple[slice, ...]:
+    """The stretches of `time` (N,) without a gap, as slices."""
+    gaps = np.flatnonzero(np.diff(time) > max(GAP_PERIODS * median_period, GAP_SECONDS)) + 1
+    edges = [0, *gaps.tolist(), len(time)]
+    return tuple(slice(start, stop) for start, stop in pairwise(edges))
+
+
+def uniform_grid(start: float, stop: float, rate: float) -> FloatArray:
+    """Instants (K,) [s] from `start` at `rate` [Hz], none behind `stop` (but for rounding)."""
+    count = int(np.floor((stop - start) * rate + 1e-6)) + 1
+    return np.asarray(start + np.arange(count) / rate)
+
+
+def resample(time: FloatArray, rows: FloatArray, grid: FloatArray) -> FloatArray:
+    """Cubic spline (not-a-knot) through `rows` (n, N) at the stamps `time` (N,), evaluated at `grid` (K,) → (n, K).
+
+    All signals take the same spline: its gain differs from 1 by less than (f/f_s)⁴·10 and is the same for τ and q,
+    where a straight line between samples would lower τ by up to (πf/f_s)²/2 and leave q alone. Fewer than four samples
+    are joined by straight lines.
+    """
+    if len(time) < 4:
+        return np.stack([np.interp(grid, time, row) for row in rows])
+    from scipy.interpolate import CubicSpline
+
+    spline = CubicSpline(time, rows, axis=1)
+    return np.ascontiguousarray(spline(np.minimum(grid, time[-1])))
+
+
+def shift_torque(torque: FloatArray, rate: float, delay: float) -> FloatArray:
+    """The torque `delay` [s] later: `torque` (n, N) at `rate` [Hz] → (n, N), column k at time t_k + delay.
+
+    Cubic through the four neighbours (Lagrange). Positive where the torque lags behind the position. Before the first
+    and after the last sample the end's value is held: those columns are no measurements, see `shiftable`.
+    """
+    whole, part = _whole_and_part(delay * rate)
+    last = torque.shape[1] - 1
+    columns = np.arange(last + 1) + whole
+    if part == 0:
+        return np.ascontiguousarray(torque[:, np.clip(columns, 0, last)])
+    weights = (
+        -part * (part - 1) * (part - 2) / 6,
+        (part + 1) * (part - 1) * (part - 2) / 2,
+        -(part + 1) * part * (part - 2) / 2,
+        (part + 1) * part * (part - 1) / 6,
+    )
+    shifted = np.zeros_like(torque)
+    for offset, weight in zip((-1, 0, 1, 2), weights, strict=True):
+        shifted += weight * torque[:, np.clip(columns + offset, 0, last)]
+    return shifted
+
+
+def shiftable(samples: int, rate: float, delay: float) -> slice:
+    """The columns of `shift_torque` of N = `samples` that come from measured samples only; may be empty."""
+    whole, part = _whole_and_part(delay * rate)
+    before, behind = (1, 2) if part else (0, 0)
+    start = min(max(0, before - whole), samples)
+    return slice(start, max(start, min(samples, samples - behind - whole)))
+
+
+def _whole_and_part(periods: float) -> tuple[int, float]:
+    """Whole periods and the remainder in [0, 1); a remainder within rounding is none."""
+    whole = int(np.floor(periods + 1e-9))
+    part = periods - whole
+    return whole, part if part > 1e-9 else 0.0

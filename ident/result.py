@@ -1,0 +1,236 @@
+"""The result of an identification: result.json, schema version 1 (DESIGN.md "The result")."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from drivers.errors import ResultFileError
+from ident.model import Kind
+
+RESULT_SCHEMA = 1
+UNITS: dict[str, str] = {
+    **dict.fromkeys(("XX", "XY", "XZ", "YY", "YZ", "ZZ", "Ia"), "kg·m²"),
+    **dict.fromkeys(("MX", "MY", "MZ"), "kg·m"),
+    "M": "kg",
+    "Fv": "N·m·s/rad",
+    "Fs": "N·m",
+    "Fo": "N·m",
+}
+"""Units by symbol, for revolute joints."""
+
+
+def _finite_or_none(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+Number = Annotated[float | None, BeforeValidator(_finite_or_none)]
+"""A number; null where there is none (JSON knows no infinity and no NaN)."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class BaseParameterResult(_Part):
+    """One base parameter; the standard deviations are corrected for residuals that are not white."""
+
+    name: str
+    expression: str
+    kind: Kind
+    joint: str
+    unit: str
+    value: Number = Field(description="of the full model; null where the recording does not excite it")
+    std: Number
+    rsd_percent: Number
+    classical_std: Number = Field(description="residuals taken as white, SR400 eq. 14")
+    significant: bool = Field(description="relative standard deviation below the threshold")
+    essential_value: Number = Field(description="of the essential model; null where the parameter was left out")
+    essential_std: Number
+
+
+class JointFriction(_Part):
+    """Friction of one joint; null where the model has no such column."""
+
+    joint: str
+    viscous: Number
+    viscous_std: Number
+    coulomb: Number
+    coulomb_std: Number
+    offset: Number
+    offset_std: Number
+
+
+class DriveGain(_Part):
+    """The gain that turned the recorded signal into torque."""
+
+    joint: str
+    signal: str
+    gain: Number
+    std: Number
+
+
+class Fit(_Part):
+    """Errors of the filtered torques; lists have one entry a joint [N·m]."""
+
+    relative_error: Number
+    joint_relative_error: list[Number]
+    rmse: list[Number]
+    low_speed_rmse: list[Number]
+    high_speed_rmse: list[Number]
+    max_error: list[Number]
+    samples: int
+
+
+class Essential(_Part):
+    """The model with significant parameters only."""
+
+    count: int
+    dropped: list[str]
+    stopped_by: str
+    fit: Fit
+    validation: Fit | None
+
+
+class Residuals(_Part):
+    """What the residuals look like."""
+
+    rows: int
+    effective_rows: Number
+    joint_std: list[Number] = Field(description="standard deviation a joint [N·m]")
+    autocorrelation: list[Number] = Field(description="at lag one, a joint")
+    block_length: int = Field(description="samples a block of the jackknife, after filtering")
+    blocks: int = Field(description="number of its blocks")
+    correction: str = Field(description="how the standard deviations were corrected")
+
+
+class Excitation(_Part):
+    """What the recording could reveal."""
+
+    condition: Number = Field(description="of W, columns as they are")
+    scaled_condition: Number = Field(description="of W, columns of unit length")
+    singular_values: list[float] = Field(description="of W with columns of unit length, falling")
+    unexcited: list[str] = Field(description="base parameters that the recording does not excite")
+
+
+class ProcessingStep(_Part):
+    """One step of the preprocessing."""
+
+    name: str
+    settings: dict[str, float | int | str | bool | None]
+    text: str
+
+
+class RecordingUse(_Part):
+    """A recording that took part."""
+
+    file: str
+    sha256: str
+    role: Literal["identification", "validation"]
+    window: tuple[float, float] = Field(description="[s], from the recording's first stamp")
+    samples: int
+    rate_hz: float
+    events: list[str] = Field(description="what the recording says of itself: repairs, gaps, assumptions")
+
+
+class DelayFigures(_Part):
+    """Torque against position [s]; positive where the torque lags."""
+
+    used: float
+    best: Number = Field(description="the delay with the smallest residual; null where it was not searched")
+    note: str
+
+
+class ModelOptions(_Part):
+    """What the model's columns were."""
+
+    motor_inertia: list[bool]
+    viscous: list[bool]
+    coulomb: list[bool]
+    offset: list[bool]
+    smoothing: float
+
+
+class Result(_Part):
+    """All that an identification found out."""
+
+    dynid_schema: Literal[1] = 1
+    kind: Literal["result"] = "result"
+    created: str
+    robot: str
+    robot_file: str
+    urdf: str
+    joints: list[str]
+    method: str
+    options: dict[str, float | int | str | bool | None]
+    model_options: ModelOptions
+    preprocessing: list[ProcessingStep]
+    delay: DelayFigures
+    base_parameters: list[BaseParameterResult]
+    friction: list[JointFriction]
+    standard_parameters: list[dict[str, Any]] | None = Field(default=None, description="when physically consistent")
+    drive_gains: list[DriveGain]
+    fit: Fit
+    validation: Fit | None
+    validation_source: str
+    essential: Essential
+    excitation: Excitation
+    condition: Number
+    residuals: Residuals
+    rank_margin: Number
+    recordings: list[RecordingUse]
+    versions: dict[str, str]
+    verdict: str
+    warnings: list[str]
+
+
+def write_result(path: Path, result: Result) -> None:
+    """Write result.json."""
+    path.write_text(result_json(result) + "\n", encoding="utf-8")
+
+
+def result_json(result: Result) -> str:
+    """The JSON text, strict: null stands for what is not a number."""
+    return json.dumps(result.model_dump(mode="json"), ensure_ascii=False, indent=1, allow_nan=False)
+
+
+def read_result(path: Path) -> Result:
+    """Read a result.json.
+
+    Raises:
+        ResultFileError: no such file, no JSON, another kind of file, a newer schema, a missing key.
+    """
+    where = str(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ResultFileError(f"cannot be read: {error.strerror}", where=where) from error
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise ResultFileError(f"is not JSON: {error}", where=where) from error
+    if not isinstance(content, dict) or content.get("kind") != "result":
+        raise ResultFileError("is not a result of dynid identify (no key 'kind': 'result')", where=where)
+    schema = content.get("dynid_schema")
+    if not isinstance(schema, int) or schema > RESULT_SCHEMA:
+        raise ResultFileError(
+            f"has schema version {schema}, this dynid reads up to {RESULT_SCHEMA}", where=where, hint="update dynid"
+        )
+    try:
+        return Result.model_validate(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise ResultFileError(f"{first['msg']}", where=f"{where}: {key}", hint="identify again") from error
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file, as hexadecimal digits."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()

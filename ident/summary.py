@@ -1,0 +1,245 @@
+"""From what an identification found to the Result that is written to disk."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from daq.recording import Recording, software_versions
+from ident.identify import Identification, PreparedRun
+from ident.kinematics import FloatArray
+from ident.pruning import relative_std
+from ident.result import (
+    UNITS,
+    BaseParameterResult,
+    DelayFigures,
+    DriveGain,
+    Essential,
+    Excitation,
+    Fit,
+    JointFriction,
+    ModelOptions,
+    ProcessingStep,
+    RecordingUse,
+    Residuals,
+    Result,
+    file_sha256,
+)
+from ident.validation import FitFigures
+
+GOOD_ERROR = 0.05
+USABLE_ERROR = 0.10
+POOR_ERROR = 0.20
+"""Relative validation errors that the verdict's words stand for; published arms lie between 1.4 and 8.5 %."""
+
+
+def summarise(found: Identification, recordings: Sequence[Recording], validation: Sequence[Recording]) -> Result:
+    """The Result of an identification."""
+    robot = found.robot_file.robot
+    solution = found.solution
+    factor = found.reduction.stacked()[:, list(solution.active)]
+    lengths = np.linalg.norm(factor, axis=0)
+    files = {recording.label: recording for recording in (*recordings, *validation)}
+    return Result(
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        robot=robot.name,
+        robot_file=found.robot_file.text,
+        urdf=found.robot_file.urdf_text or "",
+        joints=list(robot.joint_names),
+        method=solution.method,
+        options=_options(found),
+        model_options=ModelOptions(
+            motor_inertia=list(found.model.motor_inertia),
+            viscous=list(found.model.viscous),
+            coulomb=list(found.model.coulomb),
+            offset=list(found.model.offset),
+            smoothing=found.model.smoothing,
+        ),
+        preprocessing=[
+            ProcessingStep(name=step.name, settings=dict(step.settings), text=step.text)
+            for step in found.runs[0].prepared.steps
+        ],
+        delay=DelayFigures(
+            used=found.choices.preprocess.delay,
+            best=found.delay.best if found.delay is not None else None,
+            note=found.delay.note if found.delay is not None else "as given, not searched",
+        ),
+        base_parameters=_base_parameters(found),
+        friction=_friction(found),
+        drive_gains=[
+            DriveGain(
+                joint=name, signal=robot.drive(name).signal, gain=robot.drive(name).gain, std=robot.drive(name).gain_std
+            )
+            for name in robot.joint_names
+        ],
+        fit=_fit(found.fit),
+        validation=_fit(found.validation),
+        validation_source=found.validation_source,
+        essential=Essential(
+            count=len(found.pruned.solution.active),
+            dropped=[found.base.names[i] for i in found.pruned.dropped],
+            stopped_by=found.pruned.stopped_by,
+            fit=_fit(found.essential_fit),
+            validation=_fit(found.essential_validation),
+        ),
+        excitation=Excitation(
+            condition=solution.condition,
+            scaled_condition=solution.scaled_condition,
+            singular_values=np.linalg.svd(factor / lengths, compute_uv=False).tolist(),
+            unexcited=[found.base.names[i] for i in range(found.base.count) if i not in solution.active],
+        ),
+        condition=solution.condition,
+        residuals=Residuals(
+            rows=solution.rows,
+            effective_rows=found.corrected.effective_rows,
+            joint_std=solution.joint_std.tolist(),
+            autocorrelation=found.corrected.autocorrelation.tolist(),
+            block_length=found.corrected.block_length,
+            blocks=found.corrected.blocks,
+            correction=f"delete-block jackknife, {found.corrected.blocks} blocks of "
+            f"{found.corrected.block_length} samples",
+        ),
+        rank_margin=found.base.margin,
+        recordings=[
+            *(_use(run, files, "identification") for run in found.runs),
+            *(_use(run, files, "validation") for run in found.validation_runs),
+        ],
+        versions=software_versions(),
+        verdict=verdict(found),
+        warnings=list(found.warnings),
+    )
+
+
+def verdict(found: Identification) -> str:
+    """How far to trust the model, in a few sentences."""
+    error = found.validation.relative_error
+    if error < GOOD_ERROR:
+        judgement = "good: fit for simulation, feed-forward and collision detection within the motions validated"
+    elif error < USABLE_ERROR:
+        judgement = "usable: fit for feed-forward; watch the joints with the largest errors"
+    elif error < POOR_ERROR:
+        judgement = "poor: look at the residuals for a missing term before using it"
+    else:
+        judgement = "not to be trusted: the model misses much of what moves this arm"
+    significant = int(np.sum(_significant(found)))
+    text = (
+        f"On {found.validation_source}, predicted torque differs from measured torque by {error * 100:.1f} % "
+        f"(identification: {found.fit.relative_error * 100:.1f} %). That is {judgement}. "
+        f"{significant} of {found.base.count} base parameters are significant; "
+        f"the essential model keeps {len(found.pruned.solution.active)} of them and is off by "
+        f"{found.essential_validation.relative_error * 100:.1f} %."
+    )
+    if found.warnings:
+        count = len(found.warnings)
+        text += f" {count} warning{'s' if count > 1 else ''} to read first."
+    return text
+
+
+def _significant(found: Identification) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    return np.asarray(relative_std(found.solution.parameters, found.std) < found.choices.significant_rsd)
+
+
+def _options(found: Identification) -> dict[str, float | int | str | bool | None]:
+    """What the run was asked for, cut-offs resolved, so that it can be repeated and a new recording treated alike."""
+    chosen = found.choices
+    preprocess = chosen.preprocess
+    return {
+        "position_cutoff": preprocess.position_cutoff,
+        "torque_cutoff": preprocess.torque_cutoff,
+        "decimate": preprocess.decimate,
+        "position_decimate": preprocess.position_decimate,
+        "filter_kind": preprocess.filter_kind,
+        "delay": preprocess.delay,
+        "measured_velocity": preprocess.measured_velocity,
+        "start": preprocess.start,
+        "stop": preprocess.stop,
+        "rest_velocity": preprocess.rest_velocity,
+        "keep_rest": preprocess.keep_rest,
+        "split": chosen.split,
+        "significant_rsd": chosen.significant_rsd,
+    }
+
+
+def _base_parameters(found: Identification) -> list[BaseParameterResult]:
+    base, solution, pruned = found.base, found.solution, found.pruned.solution
+    std, significant = found.std, _significant(found)
+    rsd = relative_std(solution.parameters, std)
+    inflation = np.divide(std, solution.std, out=np.ones(base.count), where=np.isfinite(solution.std))
+    essential_std = pruned.std * inflation
+    symbols = [found.model.parameters[column].symbol for column in base.columns]
+
+    def entry(i: int) -> BaseParameterResult:
+        estimated, essential = i in solution.active, i in pruned.active
+        return BaseParameterResult(
+            name=base.names[i],
+            expression=base.expressions[i],
+            kind=base.kinds[i],
+            joint=found.model.joint_names[base.joints[i]],
+            unit=UNITS[symbols[i]],
+            value=float(solution.parameters[i]) if estimated else None,
+            std=float(std[i]),
+            rsd_percent=float(rsd[i]),
+            classical_std=float(solution.std[i]),
+            significant=bool(significant[i]),
+            essential_value=float(pruned.parameters[i]) if essential else None,
+            essential_std=float(essential_std[i]) if essential else None,
+        )
+
+    return [entry(i) for i in range(base.count)]
+
+
+def _friction(found: Identification) -> list[JointFriction]:
+    std = found.std
+    position = {
+        (kind, joint): i for i, (kind, joint) in enumerate(zip(found.base.kinds, found.base.joints, strict=True))
+    }
+
+    def value(kind: str, joint: int, values: FloatArray) -> float | None:
+        i = next((i for (k, j), i in position.items() if k == kind and j == joint), None)
+        return float(values[i]) if i is not None and i in found.solution.active else None
+
+    return [
+        JointFriction(
+            joint=name,
+            viscous=value("viscous", joint, found.solution.parameters),
+            viscous_std=value("viscous", joint, std),
+            coulomb=value("coulomb", joint, found.solution.parameters),
+            coulomb_std=value("coulomb", joint, std),
+            offset=value("offset", joint, found.solution.parameters),
+            offset_std=value("offset", joint, std),
+        )
+        for joint, name in enumerate(found.model.joint_names)
+    ]
+
+
+def _fit(figures: FitFigures) -> Fit:
+    return Fit(
+        relative_error=figures.relative_error,
+        joint_relative_error=figures.joint_relative_error.tolist(),
+        rmse=figures.rmse.tolist(),
+        low_speed_rmse=figures.low_speed_rmse.tolist(),
+        high_speed_rmse=figures.high_speed_rmse.tolist(),
+        max_error=figures.max_error.tolist(),
+        samples=figures.samples,
+    )
+
+
+def _use(run: PreparedRun, files: Mapping[str, Recording], role: str) -> RecordingUse:
+    time = run.motion.time
+    recording = files[run.motion.label]
+    path = recording.path
+    return RecordingUse(
+        file=str(Path(run.motion.label).name) if path is not None else run.motion.label,
+        sha256=file_sha256(path) if path is not None else "",
+        role="identification" if role == "identification" else "validation",
+        window=(
+            run.choices.start or 0.0,
+            float(time[-1] - time[0]) if run.choices.stop is None else run.choices.stop,
+        ),
+        samples=sum(segment.position.shape[1] for segment in run.prepared.segments),
+        rate_hz=run.prepared.segments[0].rate,
+        events=[f"{event.level}: {event.message}" for event in recording.events],
+    )

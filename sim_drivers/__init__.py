@@ -1,0 +1,1 @@
+"""Robots that do not exist: simulated measurements with a known truth."""
