@@ -7,6 +7,8 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+WIDTH_WITHOUT_TERMINAL = 160
+
 
 def print_json(content: Any) -> None:
     """One JSON object on standard output; what is not a finite number becomes null."""
@@ -34,7 +36,9 @@ def print_table(title: str, headers: Sequence[str], rows: Iterable[Sequence[obje
         table.add_column(header, justify="left" if number == 0 else "right", overflow="fold")
     for row in rows:
         table.add_row(*(Text(cell(value)) for value in row))
-    Console(highlight=False).print(table)
+    console = Console(highlight=False)
+    # Into a file or a pipe tables keep their full width.
+    Console(highlight=False, width=console.width if console.is_terminal else WIDTH_WITHOUT_TERMINAL).print(table)
 
 
 def cell(value: object) -> str:

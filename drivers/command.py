@@ -7,6 +7,7 @@ same rule and import what they need inside the command.
 from __future__ import annotations
 
 import json
+import os
 import sys
 from importlib.metadata import entry_points
 
@@ -16,6 +17,10 @@ from drivers.errors import DynidError
 
 COMMANDS_GROUP = "dynid.commands"
 USAGE_STATUS = 2
+
+BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Set to 1 unless the user has set them, before NumPy is imported: dynid multiplies many small matrices, for which a
+second BLAS thread costs more than it brings, and on a busy machine a hundred times more."""
 
 
 def build_app() -> typer.Typer:
@@ -63,6 +68,8 @@ def report_error(error: DynidError, as_json: bool) -> None:
 def main() -> None:
     """Run the command line: exit status 0 done, 1 the work failed, 2 bad usage or input, 130 interrupted."""
     as_json = "--json" in sys.argv[1:]
+    for variable in BLAS_THREADS:
+        os.environ.setdefault(variable, "1")
     try:
         status = build_app()(standalone_mode=False)
     except DynidError as error:

@@ -9,15 +9,18 @@ far the parameters move,
     C = (B − 1)/B · Σ_b δ_b δ_bᵀ,   δ_b = (WᵀW − W_bᵀW_b)⁻¹ W_bᵀ ρ_b
 
 Blocks longer than the residuals' memory make it insensitive to correlation, also between joints; leaving the block out
-of the normal matrix accounts for its leverage. It costs one more pass over the data.
+of the normal matrix accounts for its leverage. Samples of the same phase of a repeated motion belong to the same block
+(`ident.repetition`). It costs one more pass over the data.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
 from ident.comparison import TorqueSeries
 from ident.filters import ZeroPhaseFilter
@@ -26,6 +29,7 @@ from ident.least_squares import LeastSquares
 from ident.observation import filtered_blocks
 from ident.preprocess import Segment
 from ident.regressor import RegressorKernel
+from ident.repetition import motion_phases
 
 FEWEST_BLOCKS = 30
 MOST_BLOCKS = 300
@@ -42,6 +46,7 @@ class CorrectedCovariance:
         blocks: number of blocks B.
         autocorrelation: (n,) lag-one autocorrelation of each joint's residual.
         effective_rows: number of independent rows that the residuals are worth.
+        repetitions: how often the motion was repeated, on average; 1 where it was not.
     """
 
     covariance: FloatArray
@@ -49,6 +54,7 @@ class CorrectedCovariance:
     blocks: int
     autocorrelation: FloatArray
     effective_rows: float
+    repetitions: float
 
 
 @dataclass(frozen=True)
@@ -64,24 +70,40 @@ def block_jackknife(
     kernel: RegressorKernel, runs: Sequence[FilteredRun], solution: LeastSquares
 ) -> CorrectedCovariance:
     """Corrected covariance of a solution's active parameters."""
-    autocorrelation = residual_autocorrelation([series for run in runs for series in run.series])
-    samples = sum(int(series.used.sum()) for run in runs for series in run.series)
-    length = block_length(autocorrelation, samples)
+    series = [part for run in runs for part in run.series]
+    autocorrelation = residual_autocorrelation(series)
+    phases = motion_phases([part.velocity for part in series])
+    counted = np.concatenate([phase[part.used] for phase, part in zip(phases, series, strict=True)])
+    different = np.unique(counted)
+    length = block_length(autocorrelation, len(different))
     normal = np.linalg.inv(solution.inverse)
     scale = np.sqrt(np.diag(normal))
     scaled_normal = normal / np.outer(scale, scale)
-    total = np.zeros_like(normal)
-    blocks = 0
+    sums: dict[int, _BlockSum] = {}
+    remaining = iter(phases)
     for run in runs:
-        for segment, series in zip(run.segments, run.series, strict=True):
-            for gram, score in _block_sums(kernel, segment, run.parallel_filter, series, solution, length):
-                moved = _move(scaled_normal - gram / np.outer(scale, scale), score / scale)
-                total += np.outer(moved, moved)
-                blocks += 1
+        for segment, part in zip(run.segments, run.series, strict=True):
+            # Blocks of different motions never share a number: their phases are disjoint.
+            numbers = np.searchsorted(different, next(remaining)) // length
+            _add_block_sums(sums, kernel, segment, run.parallel_filter, part, solution, numbers)
+    blocks = len(sums)
+    total = np.zeros_like(normal)
+    for block in sums.values():
+        moved = _move(scaled_normal - block.gram / np.outer(scale, scale), block.score / scale)
+        total += np.outer(moved, moved)
     covariance = (blocks - 1) / blocks * total / np.outer(scale, scale)
     # AR(1): a sum of N correlated values has the variance of N (1 − ρ)/(1 + ρ) independent ones.
-    share = float(np.mean((1.0 - autocorrelation) / (1.0 + autocorrelation)))
-    return CorrectedCovariance(covariance, length, blocks, autocorrelation, solution.rows * min(1.0, share))
+    share = min(1.0, float(np.mean((1.0 - autocorrelation) / (1.0 + autocorrelation))))
+    new = len(different) / len(counted)
+    return CorrectedCovariance(covariance, length, blocks, autocorrelation, solution.rows * share * new, 1.0 / new)
+
+
+@dataclass
+class _BlockSum:
+    """W_bᵀW_b (a, a) and W_bᵀρ_b (a,) of one block, weighted."""
+
+    gram: FloatArray
+    score: FloatArray
 
 
 def _move(rest: FloatArray, score: FloatArray) -> FloatArray:
@@ -111,41 +133,37 @@ def block_length(autocorrelation: FloatArray, samples: int) -> int:
     return max(1, int(np.clip(width, np.ceil(samples / MOST_BLOCKS), max(1, samples // FEWEST_BLOCKS))))
 
 
-def _block_sums(
+def _add_block_sums(
+    sums: dict[int, _BlockSum],
     kernel: RegressorKernel,
     segment: Segment,
     parallel_filter: ZeroPhaseFilter,
     series: TorqueSeries,
     solution: LeastSquares,
-    length: int,
-) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """For each block of a segment W_bᵀW_b (a, a) and W_bᵀρ_b (a,), weighted."""
+    numbers: npt.NDArray[np.int64],
+) -> None:
+    """Add one segment's samples to the blocks that `numbers` (M,) says they belong to."""
     size = len(solution.active)
     place = {column: position for position, column in enumerate(solution.active)}
     # Which packed rows belong to active columns, and to which of them.
     chosen = []
     for rows in kernel.joint_rows:
         pairs = [(rows.rows.start + i, place[column]) for i, column in enumerate(rows.columns) if column in place]
-        chosen.append(([row for row, _ in pairs], [column for _, column in pairs]))
-    gram, score, filled = np.zeros((size, size)), np.zeros(size), 0
+        chosen.append(([row for row, _ in pairs], np.array([column for _, column in pairs], dtype=int)))
     position = 0
     nothing = np.empty((0, segment.torque.shape[1]))
-    for block in filtered_blocks(kernel, segment, parallel_filter, nothing):
-        residual = series.residual[:, position : position + len(block.used)][:, block.used]
-        position += len(block.used)
-        regressor = block.regressor[:, block.used]
-        start = 0
-        while start < regressor.shape[1]:
-            part = slice(start, start + length - filled)
-            taken = regressor[:, part]
+    for filtered in filtered_blocks(kernel, segment, parallel_filter, nothing):
+        whole = slice(position, position + len(filtered.used))
+        position = whole.stop
+        residual = series.residual[:, whole][:, filtered.used]
+        regressor = filtered.regressor[:, filtered.used]
+        number = numbers[whole][filtered.used]
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1, [len(number)]])
+        for start, stop in pairwise(edges.tolist()):
+            if start == stop:
+                continue
+            block = sums.setdefault(int(number[start]), _BlockSum(np.zeros((size, size)), np.zeros(size)))
             for joint, (packed_rows, columns) in enumerate(chosen):
-                rows = solution.weights[joint] * taken[packed_rows]
-                gram[np.ix_(columns, columns)] += rows @ rows.T
-                score[columns] += rows @ (solution.weights[joint] * residual[joint, part])
-            filled += taken.shape[1]
-            start += taken.shape[1]
-            if filled == length:
-                yield gram, score
-                gram, score, filled = np.zeros((size, size)), np.zeros(size), 0
-    if filled:
-        yield gram, score
+                rows = solution.weights[joint] * regressor[packed_rows, start:stop]
+                block.gram[columns[:, None], columns] += rows @ rows.T
+                block.score[columns] += rows @ (solution.weights[joint] * residual[joint, start:stop])

@@ -106,6 +106,7 @@ class Residuals(_Part):
     autocorrelation: list[Number] = Field(description="at lag one, a joint")
     block_length: int = Field(description="samples a block of the jackknife, after filtering")
     blocks: int = Field(description="number of its blocks")
+    repetitions: float = Field(description="how often the motion was repeated, on average")
     correction: str = Field(description="how the standard deviations were corrected")
 
 

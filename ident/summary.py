@@ -99,8 +99,9 @@ def summarise(found: Identification, recordings: Sequence[Recording], validation
             autocorrelation=found.corrected.autocorrelation.tolist(),
             block_length=found.corrected.block_length,
             blocks=found.corrected.blocks,
+            repetitions=found.corrected.repetitions,
             correction=f"delete-block jackknife, {found.corrected.blocks} blocks of "
-            f"{found.corrected.block_length} samples",
+            f"{found.corrected.block_length} samples, repetitions of a motion in the same block",
         ),
         rank_margin=found.base.margin,
         recordings=[

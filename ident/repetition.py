@@ -1,0 +1,133 @@
+"""Where a motion repeats itself, within a recording or from one to the next.
+
+Excitation trajectories are periodic and are recorded for several periods. Noise averages out over them, but an error
+that depends on the motion (ripple, a missing friction term) comes back the same: repetitions are no new evidence
+against it. Error bars must therefore treat samples of the same phase as one, which needs to be found in the data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ident.kinematics import FloatArray
+
+SAME_MOTION = 0.01
+"""Mean square difference of two velocities, relative to the sum of their mean squares, below which they are the same
+motion: 10 % in amplitude. Independent motions give 1."""
+
+DIFFERENT_MOTION = 0.5
+"""The search for a period starts where the velocity has first become this different from itself."""
+
+LEAST_OVERLAP = 0.1
+"""Part of the shorter stretch that must be there twice."""
+
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class _Known:
+    """A stretch whose samples have their numbers: velocity (n, M), numbers (M,), its period in samples or None."""
+
+    velocity: FloatArray
+    numbers: IntArray
+    period: int | None
+
+
+def motion_phases(velocities: Sequence[FloatArray]) -> tuple[IntArray, ...]:
+    """Number every sample so that samples at the same place of the same motion share a number.
+
+    Args:
+        velocities: of each stretch (n, M), all at one rate.
+
+    Returns:
+        Numbers (M,) for each stretch; consecutive along a motion, disjoint for different motions.
+    """
+    known: list[_Known] = []
+    following = 0
+    for velocity in velocities:
+        count = velocity.shape[1]
+        period = own_period(velocity)
+        numbers = np.arange(count) if period is None else np.arange(count) % period
+        numbers = following + numbers
+        for earlier in known:
+            lag = _best_lag(earlier.velocity, velocity)
+            if lag is not None:
+                numbers = _numbers_like(earlier, lag, numbers)
+                break
+        following = max(following, int(numbers.max(initial=-1)) + 1)
+        known.append(_Known(velocity, numbers, period))
+    return tuple(entry.numbers for entry in known)
+
+
+def own_period(velocity: FloatArray) -> int | None:
+    """Samples after which a motion (n, M) repeats itself; None where it does not."""
+    count = velocity.shape[1]
+    longest = int(count * (1.0 - LEAST_OVERLAP))
+    if longest < 2:
+        return None
+    difference = _differences(velocity, velocity)[count - 1 : count - 1 + longest]
+    apart = np.flatnonzero(difference > DIFFERENT_MOTION)
+    if len(apart) == 0:
+        return None
+    return _first_minimum(difference, int(apart[0]))
+
+
+def _first_minimum(difference: FloatArray, start: int) -> int | None:
+    """Index of the smallest value of the first stretch behind `start` that counts as the same motion."""
+    same = np.flatnonzero(difference[start:] < SAME_MOTION)
+    if len(same) == 0:
+        return None
+    first = start + int(same[0])
+    beyond = np.flatnonzero(difference[first:] >= SAME_MOTION)
+    last = first + int(beyond[0]) if len(beyond) else len(difference)
+    return first + int(np.argmin(difference[first:last]))
+
+
+def _best_lag(earlier: FloatArray, later: FloatArray) -> int | None:
+    """Lag at which sample t of `later` repeats sample t + lag of `earlier`; None where there is none."""
+    difference = _differences(later, earlier)
+    least = int(np.ceil(LEAST_OVERLAP * min(earlier.shape[1], later.shape[1])))
+    difference = difference[least:-least] if least else difference
+    if len(difference) == 0 or difference.min() >= SAME_MOTION:
+        return None
+    return int(np.argmin(difference)) + least - (later.shape[1] - 1)
+
+
+def _numbers_like(earlier: _Known, lag: int, own: IntArray) -> IntArray:
+    """Numbers of a stretch that repeats `earlier`, which lies `lag` samples further on; its own ones elsewhere."""
+    place = np.arange(len(own)) + lag
+    count = len(earlier.numbers)
+    if earlier.period is not None:
+        return np.asarray(earlier.numbers[place % earlier.period])
+    inside = (place >= 0) & (place < count)
+    return np.where(inside, earlier.numbers[np.clip(place, 0, count - 1)], own)
+
+
+def _differences(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Relative mean square difference of `second` (n, K) moved against `first` (n, M); entry i is lag i − (M − 1)."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = first.shape[1] + second.shape[1] - 1
+    length = next_fast_len(size)
+    scale = np.sqrt(np.mean(np.concatenate([first, second], axis=1) ** 2, axis=1, keepdims=True))
+    scale = np.where(scale > 0, scale, 1.0)  # every joint counts alike
+    first, second = first / scale, second / scale
+    backwards = np.ascontiguousarray(first[:, ::-1])
+    product = irfft(rfft(second, length, axis=1) * rfft(backwards, length, axis=1), length, axis=1)[:, :size].sum(
+        axis=0
+    )
+    ones_first, ones_second = np.ones(first.shape[1]), np.ones(second.shape[1])
+    energy = _overlap(np.sum(first**2, axis=0), ones_second) + _overlap(ones_first, np.sum(second**2, axis=0))
+    tiny = 1e-9 * float(energy.max(initial=0.0)) + np.finfo(float).tiny
+    return np.asarray(np.where(energy > tiny, 1.0 - 2.0 * product / np.maximum(energy, tiny), 1.0))
+
+
+def _overlap(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Correlation of two non-negative series at every lag, as in `_differences`."""
+    from scipy.signal import fftconvolve
+
+    return np.asarray(np.maximum(fftconvolve(second, first[::-1]), 0.0))
