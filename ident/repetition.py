@@ -71,9 +71,7 @@ def own_period(velocity: FloatArray) -> int | None:
         return None
     difference = _differences(velocity, velocity)[count - 1 : count - 1 + longest]
     apart = np.flatnonzero(difference > DIFFERENT_MOTION)
-    if len(apart) == 0:
-        return None
-    return _first_minimum(difference, int(apart[0]))
+    return _first_minimum(difference, int(apart[0])) if len(apart) else None
 
 
 def _first_minimum(difference: FloatArray, start: int) -> int | None:
@@ -84,7 +82,7 @@ def _first_minimum(difference: FloatArray, start: int) -> int | None:
     first = start + int(same[0])
     beyond = np.flatnonzero(difference[first:] >= SAME_MOTION)
     last = first + int(beyond[0]) if len(beyond) else len(difference)
-    return first + int(np.argmin(difference[first:last]))
+    return int(np.argmin(difference[first:last])) + first
 
 
 def _best_lag(earlier: FloatArray, later: FloatArray) -> int | None:
@@ -94,7 +92,8 @@ def _best_lag(earlier: FloatArray, later: FloatArray) -> int | None:
     difference = difference[least:-least] if least else difference
     if len(difference) == 0 or difference.min() >= SAME_MOTION:
         return None
-    return int(np.argmin(difference)) + least - (later.shape[1] - 1)
+    lag: int = int(np.argmin(difference)) + least - later.shape[1] + 1
+    return lag
 
 
 def _numbers_like(earlier: _Known, lag: int, own: IntArray) -> IntArray:

@@ -169,6 +169,7 @@ def result(**changes: Any) -> Result:
             autocorrelation=[0.1, 0.1],
             block_length=5,
             blocks=60,
+            repetitions=1.0,
             correction="HAC",
         ),
         rank_margin=None,

@@ -1,0 +1,211 @@
+"""Writing a recording: everything is created first, then only appended to."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import h5py
+import numpy as np
+
+from daq.hdf5_reason import hdf5_reason
+from daq.robot import RobotFile
+from daq.streams import (
+    SCHEMA_VERSION,
+    ChannelLayout,
+    FloatArray,
+    Level,
+    Recording,
+    StreamLayout,
+    software_versions,
+)
+from drivers.errors import RecordingError
+
+CHUNK_SECONDS = 1.0
+MAX_CHUNK_ROWS = 20_000  # a nominal rate that came out of nearly equal stamps must not size a chunk
+EVENT_CHUNK_ROWS = 64
+
+_EVENT_TYPE = np.dtype(
+    [
+        ("time", np.float64),
+        ("level", h5py.string_dtype("utf-8")),
+        ("source", h5py.string_dtype("utf-8")),
+        ("message", h5py.string_dtype("utf-8")),
+    ]
+)
+
+
+class RecordingWriter:
+    """Appends blocks of samples and events to a new recording; a context manager.
+
+    Leaving the `with` block in order marks the recording complete; leaving it by an exception closes the file with
+    `complete` false and the exception as an event.
+
+    Raises:
+        RecordingError: the file exists already, or its folder cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        robot: RobotFile,
+        streams: Sequence[StreamLayout],
+        *,
+        trajectory: str = "",
+        comment: str = "",
+        overwrite: bool = False,
+    ) -> None:
+        if path.exists() and not overwrite:
+            raise RecordingError("the file exists already", where=str(path), hint="choose another name or --force")
+        try:
+            self._file = h5py.File(path, "w", libver="latest")
+        except OSError as error:
+            raise RecordingError(f"cannot be created: {hdf5_reason(error)}", where=str(path)) from error
+        self.path = path
+        self._layouts = {layout.name: layout for layout in streams}
+        self._write_attributes(robot, trajectory, comment)
+        group = self._file.create_group("streams")
+        for layout in streams:
+            self._create_stream(group, layout)
+        self._file.create_dataset("events", (0,), maxshape=(None,), dtype=_EVENT_TYPE, chunks=(EVENT_CHUNK_ROWS,))
+
+    def _write_attributes(self, robot: RobotFile, trajectory: str, comment: str) -> None:
+        attributes = self._file.attrs
+        attributes["dynid_schema"] = SCHEMA_VERSION
+        attributes["robot"] = robot.text
+        attributes["urdf"] = robot.urdf_text or ""
+        attributes["created"] = datetime.now(UTC).isoformat(timespec="seconds")
+        attributes["versions"] = json.dumps(software_versions())
+        attributes["trajectory"] = trajectory
+        attributes["host"] = platform.node()
+        attributes["comment"] = comment
+        attributes["complete"] = False
+
+    def _create_stream(self, parent: Any, layout: StreamLayout) -> None:
+        group = parent.create_group(layout.name)
+        rows = round(min(max(layout.rate * CHUNK_SECONDS, 1.0), MAX_CHUNK_ROWS)) if layout.rate > 0 else 1000
+        clocks = (("time", "the source's own clock"), ("host_time", "the host's monotonic clock"))
+        for name, description in clocks:
+            dataset = group.create_dataset(name, (0,), maxshape=(None,), dtype=np.float64, chunks=(rows,))
+            dataset.attrs["unit"] = "s"
+            dataset.attrs["description"] = description
+        group["time"].make_scale("time")
+        for channel in layout.channels:
+            width = len(channel.columns)
+            dataset = group.create_dataset(
+                channel.quantity, (0, width), maxshape=(None, width), dtype=np.float64, chunks=(rows, width)
+            )
+            dataset.attrs["unit"] = channel.unit
+            dataset.attrs["description"] = channel.description
+            dataset.attrs["joints"] = list(channel.columns)
+            dataset.dims[0].attach_scale(group["time"])
+            dataset.dims[0].label = "time"
+            dataset.dims[1].label = "joint"
+
+    def append(self, stream: str, time: FloatArray, host_time: FloatArray, blocks: Mapping[str, FloatArray]) -> None:
+        """Append N samples of one stream: `time` and `host_time` (N,) [s], `blocks` quantity → (N, n).
+
+        Raises:
+            ValueError: a quantity is missing or has another shape than the stream's layout says.
+            RecordingError: the file cannot be written any more (full disk).
+        """
+        layout = self._layouts[stream]
+        if set(blocks) != {channel.quantity for channel in layout.channels}:
+            raise ValueError(f"stream '{stream}' takes {[c.quantity for c in layout.channels]}, not {sorted(blocks)}")
+        count = len(time)
+        for channel in layout.channels:
+            if np.shape(blocks[channel.quantity]) != (count, len(channel.columns)):
+                raise ValueError(f"{stream}/{channel.quantity}: shape {np.shape(blocks[channel.quantity])}")
+        group = self._file["streams"][stream]
+        try:
+            for name, values in (("time", time), ("host_time", host_time), *blocks.items()):
+                dataset = group[name]
+                start = dataset.shape[0]
+                dataset.resize(start + count, axis=0)
+                dataset[start:] = values
+        except OSError as error:
+            raise RecordingError(f"cannot be written: {hdf5_reason(error)}", where=str(self.path)) from error
+
+    def event(self, time: float, level: Level, source: str, message: str) -> None:
+        """Append an event; `time` [s] in the clock of the stream that it concerns."""
+        events = self._file["events"]
+        events.resize(events.shape[0] + 1, axis=0)
+        # HDF5 texts end at the first NUL, and h5py refuses them.
+        row = (time, level, source.replace("\0", " "), message.replace("\0", " "))
+        events[-1:] = np.array([row], dtype=_EVENT_TYPE)
+
+    def keep_origin(self, recording: Recording) -> None:
+        """State where and when the samples were taken, in place of here and now; empty entries change nothing."""
+        origin = {
+            "created": recording.created,
+            "host": recording.host,
+            "versions": json.dumps(dict(recording.versions)) if recording.versions else "",
+        }
+        self._file.attrs.update({name: text for name, text in origin.items() if text})
+
+    def flush(self) -> None:
+        """Hand everything written so far to the operating system."""
+        self._file.flush()
+
+    def close(self, *, complete: bool) -> None:
+        """Close the file and say whether the recording ended in order."""
+        if not self._file.id.valid:
+            return
+        self._file.attrs["complete"] = complete
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if error is not None and self._file.id.valid:
+            self.event(float("nan"), "error", "recorder", str(error) or type(error).__name__)
+        self.close(complete=error is None)
+
+
+def write_recording(path: Path, recording: Recording, *, overwrite: bool = False) -> None:
+    """Write a recording from memory, with its own `created`, `host`, `versions` and `complete`.
+
+    Raises:
+        RecordingError: as `RecordingWriter` does, or the recording carries no robot file.
+    """
+    layouts = [
+        StreamLayout(
+            name=stream.name,
+            channels=tuple(
+                ChannelLayout(channel.quantity, channel.columns, channel.unit, channel.description)
+                for channel in stream.channels.values()
+            ),
+            rate=_nominal_rate(stream.time),
+        )
+        for stream in recording.streams.values()
+    ]
+    with RecordingWriter(
+        path,
+        recording.robot(),
+        layouts,
+        trajectory=recording.trajectory,
+        comment=recording.comment,
+        overwrite=overwrite,
+    ) as writer:
+        for stream in recording.streams.values():
+            blocks = {quantity: channel.values for quantity, channel in stream.channels.items()}
+            writer.append(stream.name, stream.time, stream.host_time, blocks)
+        for event in recording.events:
+            writer.event(event.time, event.level, event.source, event.message)
+        writer.keep_origin(recording)
+        writer.close(complete=recording.complete)
+
+
+def _nominal_rate(time: FloatArray) -> float:
+    with np.errstate(over="ignore", invalid="ignore"):
+        steps = np.diff(time[np.isfinite(time)])
+        period = float(np.median(steps)) if len(steps) else 0.0
+    return 1.0 / period if 0 < period < np.inf else 0.0
