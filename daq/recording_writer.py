@@ -187,21 +187,28 @@ def write_recording(path: Path, recording: Recording, *, overwrite: bool = False
         )
         for stream in recording.streams.values()
     ]
-    with RecordingWriter(
-        path,
-        recording.robot(),
-        layouts,
-        trajectory=recording.trajectory,
-        comment=recording.comment,
-        overwrite=overwrite,
-    ) as writer:
-        for stream in recording.streams.values():
-            blocks = {quantity: channel.values for quantity, channel in stream.channels.items()}
-            writer.append(stream.name, stream.time, stream.host_time, blocks)
-        for event in recording.events:
-            writer.event(event.time, event.level, event.source, event.message)
-        writer.keep_origin(recording)
-        writer.close(complete=recording.complete)
+    existed = path.exists()
+    try:
+        with RecordingWriter(
+            path,
+            recording.robot(),
+            layouts,
+            trajectory=recording.trajectory,
+            comment=recording.comment,
+            overwrite=overwrite,
+        ) as writer:
+            for stream in recording.streams.values():
+                blocks = {quantity: channel.values for quantity, channel in stream.channels.items()}
+                writer.append(stream.name, stream.time, stream.host_time, blocks)
+            for event in recording.events:
+                writer.event(event.time, event.level, event.source, event.message)
+            writer.keep_origin(recording)
+            writer.close(complete=recording.complete)
+    except BaseException:
+        # The source is still there: half of its copy would only be mistaken for it.
+        if not existed:
+            path.unlink(missing_ok=True)
+        raise
 
 
 def _nominal_rate(time: FloatArray) -> float:

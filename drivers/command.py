@@ -13,7 +13,7 @@ from importlib.metadata import entry_points
 
 import typer
 
-from drivers.errors import DynidError
+from drivers.errors import DynidError, InputError
 
 COMMANDS_GROUP = "dynid.commands"
 USAGE_STATUS = 2
@@ -81,6 +81,9 @@ def main() -> None:
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(1)
+    except OSError as error:  # a folder that cannot be written, a full disk
+        report_error(InputError(error.strerror or str(error), where=str(error.filename or "")), as_json)
+        sys.exit(USAGE_STATUS)
     except Exception as error:
         # Click's usage errors carry their own wording; everything else is a bug and keeps its traceback.
         if not hasattr(error, "format_message"):

@@ -275,6 +275,11 @@ def _split(
         start = choices.preprocess.start or 0.0
         length = float(motion.time[-1] - motion.time[0]) if len(motion.time) else 0.0
         stop = length if choices.preprocess.stop is None else min(choices.preprocess.stop, length)
+        if not start < stop:
+            raise UsageError(
+                f"the window from {start:g} to {stop:g} s holds no samples; the recording lasts {length:g} s",
+                where=motion.label,
+            )
         border = start + (1.0 - HELD_OUT_SHARE) * (stop - start) if choices.split is None else choices.split
         if not start < border < stop:
             raise UsageError(
@@ -291,9 +296,9 @@ def _split(
 def _prepare(motion: MeasuredMotion, choices: PreprocessChoices) -> PreparedRun:
     try:
         prepared = prepare(motion.time, motion.position, motion.torque, choices, velocity=motion.velocity)
-    except DataError as error:
+    except (DataError, UsageError) as error:
         where = f"{motion.label}: {error.where}" if error.where else motion.label
-        raise DataError(error.message, where=where, hint=error.hint) from error
+        raise type(error)(error.message, where=where, hint=error.hint) from error
     return PreparedRun(motion, choices, prepared)
 
 

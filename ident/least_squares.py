@@ -18,6 +18,9 @@ LinearMethod = Literal["ols", "wls"]
 EXCITATION_TOLERANCE = 1e-9
 """A base column whose part independent of the preceding ones is below this share of its length is not excited."""
 
+ROUNDING = 1e-7
+"""A residual below this share of the joint's torque is rounding, and no measure of its noise."""
+
 WLS_TOLERANCE = 1e-8
 WLS_ITERATIONS = 100
 
@@ -91,18 +94,25 @@ def weighted_least_squares(reduction: Reduction, active: Sequence[int]) -> Least
         IdentificationError: as for OLS, or the weights do not converge.
     """
     solution = ordinary_least_squares(reduction, active)
+    floor = _rounding_floor(reduction)
     for iteration in range(2, WLS_ITERATIONS + 2):
-        # A joint without any residual (noise-free data) must not get infinite weight.
-        floor = 1e-9 * max(float(np.max(solution.joint_std)), np.finfo(float).tiny)
         weights = 1.0 / np.maximum(solution.joint_std, floor)
         refined = _solve(reduction, tuple(active), weights, "wls", iteration)
-        change = np.max(np.abs(refined.joint_std - solution.joint_std) / np.maximum(solution.joint_std, floor))
+        change = np.max(np.abs(np.maximum(refined.joint_std, floor) * weights - 1.0))
         solution = refined
         if change < WLS_TOLERANCE:
             return solution
     raise IdentificationError(
         f"the joint weights did not settle in {WLS_ITERATIONS} iterations", hint="use --method ols, or record longer"
     )
+
+
+def _rounding_floor(reduction: Reduction) -> FloatArray:
+    """Standard deviations (n,) below which a joint's weight must not follow its residual: noise-free data."""
+    torque = np.array(
+        [np.linalg.norm(joint.factor[:, len(joint.columns)]) / max(joint.rows, 1) ** 0.5 for joint in reduction.joints]
+    )
+    return np.asarray(ROUNDING * np.maximum(torque, max(1e-9 * float(np.max(torque)), np.finfo(float).tiny)))
 
 
 def _solve(

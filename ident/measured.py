@@ -136,5 +136,5 @@ def _check_finite(label: str, quantities: Mapping[str, FloatArray | None], robot
             raise DataError(
                 f"{len(bad)} value(s) are not numbers, the first at sample {sample}",
                 where=f"{label}: {quantity} of {robot.joint_names[joint]}",
-                hint="import again with a repair that drops them, or leave that part out with --start and --stop",
+                hint="import the source again with --repair drop-nan",
             )

@@ -192,7 +192,17 @@ class Result(_Part):
 
 def write_result(path: Path, result: Result) -> None:
     """Write result.json."""
-    path.write_text(result_json(result) + "\n", encoding="utf-8")
+    replace_file(path, result_json(result) + "\n")
+
+
+def replace_file(path: Path, text: str) -> None:
+    """Write a text file as UTF-8 in one step: an interruption leaves the old file or none, never half of a new one."""
+    unfinished = path.with_name(f".{path.name}.unfinished")
+    try:
+        unfinished.write_text(text, encoding="utf-8")
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
 def result_json(result: Result) -> str:

@@ -21,7 +21,7 @@ from ident.report.sections import (
     torques_validation,
     truth,
 )
-from ident.result import Result
+from ident.result import Result, replace_file
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -61,7 +61,7 @@ def write_report(
     """
     text = render_report(ReportData(result, fit, validation, truth))
     try:
-        path.write_text(text, encoding="utf-8")
+        replace_file(path, text)
     except OSError as error:
         raise UsageError(
             f"cannot be written: {error.strerror}", where=str(path), hint="name a folder that exists and is yours"

@@ -1,0 +1,70 @@
+"""The examples run as they stand, and the documents do not drift from the code."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+def example(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, REPOSITORY / "examples" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_identify_from_arrays(capsys):
+    found = example("identify_from_arrays").main(duration=12.0)
+    assert found.validation.relative_error < 0.1
+    assert "held-out relative error" in capsys.readouterr().out
+
+
+def test_coverage_runs(capsys):
+    example("coverage").main(robots=("ur5e",), seeds=1)
+    assert "ur5e" in capsys.readouterr().out
+
+
+PAGES = sorted([*REPOSITORY.glob("*.md"), *REPOSITORY.glob("docs/*.md")])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
+        assert target.startswith("http") or (page.parent / target).exists(), target
+
+
+def test_the_robot_file_of_the_docs_is_valid():
+    from daq.robot import parse_robot
+    from ident.base_parameters import base_parameters
+    from ident.model import build_model
+
+    text = (REPOSITORY / "docs" / "robot-file.md").read_text(encoding="utf-8")
+    block = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
+    assert block is not None
+    robot = parse_robot(block[1], where="docs", folder=None)
+    assert base_parameters(build_model(robot)).count > 0
+
+
+def test_options_named_in_the_docs_exist():
+    from typer.main import get_command
+
+    from drivers.command import build_app
+
+    known: set[str] = {"--help", "--json", "--version"}
+    stack = [get_command(build_app())]
+    while stack:
+        command = stack.pop()
+        stack.extend(getattr(command, "commands", {}).values())
+        for parameter in command.params:
+            known.update([*parameter.opts, *parameter.secondary_opts])
+    for page in PAGES:
+        for option in re.findall(r"--[a-z][a-z-]+", page.read_text(encoding="utf-8")):
+            assert option in known | {"--strict"}, f"{page.name}: {option}"
