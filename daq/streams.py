@@ -9,70 +9,29 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-import numpy.typing as npt
-
 from daq.robot import RobotFile, parse_robot
 from drivers.errors import RecordingError, RobotFileError
+from drivers.streams import UNITS, ChannelLayout, FloatArray, StreamLayout
+
+__all__ = [
+    "JOINTS_STREAM",
+    "SCHEMA_VERSION",
+    "UNITS",
+    "Channel",
+    "ChannelLayout",
+    "Event",
+    "FloatArray",
+    "Level",
+    "Recording",
+    "Stream",
+    "StreamLayout",
+    "software_versions",
+]
 
 SCHEMA_VERSION = 1
 JOINTS_STREAM = "joints"
 
 Level = Literal["info", "warning", "error"]
-FloatArray = npt.NDArray[np.float64]
-
-UNITS: Mapping[str, str] = {
-    "position": "rad",
-    "velocity": "rad/s",
-    "acceleration": "rad/s^2",
-    "current": "A",
-    "voltage": "V",
-    "torque": "N*m",
-    "temperature": "degC",
-    "target_position": "rad",
-    "target_velocity": "rad/s",
-    "target_current": "A",
-    "target_torque": "N*m",
-}
-"""Unit of each quantity that dynid knows; another quantity brings its own."""
-
-
-@dataclass(frozen=True)
-class ChannelLayout:
-    """What one dataset of a stream holds.
-
-    Attributes:
-        quantity: name of the dataset (`position`, `current`, …).
-        columns: names of its n columns; joint names wherever it has one a joint.
-        unit: unit of every value; taken from `UNITS` where empty.
-        description: where the values come from, in words.
-    """
-
-    quantity: str
-    columns: tuple[str, ...]
-    unit: str = ""
-    description: str = ""
-
-    def __post_init__(self) -> None:
-        if not self.unit:
-            if self.quantity not in UNITS:
-                raise ValueError(f"quantity '{self.quantity}' needs a unit")
-            object.__setattr__(self, "unit", UNITS[self.quantity])
-
-
-@dataclass(frozen=True)
-class StreamLayout:
-    """A stream before its first sample.
-
-    Attributes:
-        name: of the group under /streams.
-        channels: its datasets.
-        rate: nominal rate [Hz], sets the chunk length; 0 where unknown.
-    """
-
-    name: str
-    channels: tuple[ChannelLayout, ...]
-    rate: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import json
 import os
 import sys
 from importlib.metadata import entry_points
+from typing import NoReturn
 
 import typer
 
@@ -17,6 +18,7 @@ from drivers.errors import DynidError, InputError
 
 COMMANDS_GROUP = "dynid.commands"
 USAGE_STATUS = 2
+INTERRUPTED_STATUS = 130
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Set to 1 unless the user has set them, before NumPy is imported: dynid multiplies many small matrices, for which a
@@ -76,8 +78,7 @@ def main() -> None:
         report_error(error, as_json)
         sys.exit(error.exit_status)
     except (KeyboardInterrupt, typer.Abort):
-        print("dynid: interrupted", file=sys.stderr)
-        sys.exit(130)
+        _exit_interrupted()
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(1)
@@ -90,7 +91,14 @@ def main() -> None:
             raise
         _report_usage(error, as_json)
         sys.exit(USAGE_STATUS)
+    if status == INTERRUPTED_STATUS:  # what Typer makes of Ctrl-C within a command
+        _exit_interrupted()
     sys.exit(status if isinstance(status, int) else 0)
+
+
+def _exit_interrupted() -> NoReturn:
+    print("dynid: interrupted", file=sys.stderr)
+    sys.exit(INTERRUPTED_STATUS)
 
 
 def _report_usage(error: Exception, as_json: bool) -> None:

@@ -9,7 +9,11 @@
     │   ├── DataError              a readable recording that does not allow what was asked
     │   └── ResultFileError        a result.json
     └── WorkError                  exit status 1: the input was fine, the work failed
-        └── IdentificationError    no solution: rank lost, no convergence
+        ├── IdentificationError    no solution: rank lost, no convergence
+        ├── ConnectionFailedError  nobody answers at the other end, or somebody else does
+        ├── ConnectionLostError    the connection broke or went silent while recording
+        ├── DriverStateError       a driver was asked for something that its state does not allow
+        └── SafetyStopError        a limit was passed and the arm was stopped
 
 A message names what was wrong; `where` the file, key, joint or sample; `hint` what to do. `ValueError` and `TypeError`
 are raised only for mistakes in calling code (an array of the wrong shape), never for a user's input.
@@ -77,3 +81,19 @@ class WorkError(DynidError):
 
 class IdentificationError(WorkError):
     """No solution was found: rank lost, or no convergence."""
+
+
+class ConnectionFailedError(WorkError):
+    """Nobody answers at the other end of a connection, or somebody else does."""
+
+
+class ConnectionLostError(WorkError):
+    """A connection broke, or went silent, while it was in use."""
+
+
+class DriverStateError(WorkError):
+    """A driver was asked for something that its state does not allow."""
+
+
+class SafetyStopError(WorkError):
+    """A limit was passed and the arm was stopped."""

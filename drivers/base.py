@@ -1,0 +1,104 @@
+"""The contract between a driver and what uses it.
+
+    closed ──open()──▶ open ──start()──▶ running ──stop()──▶ open ──close()──▶ closed
+
+`open` connects and checks the other side; `start` makes samples flow; `read` hands out what has arrived; `command`
+sends a joint position (only drivers that can move the arm); `stop` halts the arm, whatever the state, and is safe to
+call twice; `close` lets go of the connection. A method called in a state that does not allow it raises
+DriverStateError. A connection that breaks raises ConnectionLostError from `read` or `command`; after that only `stop`
+and `close` make sense. A driver never hands out a value twice or one that it has not just received.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from drivers.errors import DriverStateError
+from drivers.gains import DriveGain
+from drivers.streams import Block, FloatArray, StreamLayout
+
+DRIVERS_GROUP = "dynid.drivers"
+"""Entry-point group: driver name → callable(settings: DriverSettings) -> Driver."""
+
+State = Literal["closed", "open", "running"]
+Level = Literal["info", "warning", "error"]
+
+
+@dataclass(frozen=True)
+class DriverSettings:
+    """What a driver is told about its arm.
+
+    Attributes:
+        joints: joint names in the order of every array.
+        connection: the robot file's keys for this connection, without `driver`.
+        gains: one a joint.
+    """
+
+    joints: tuple[str, ...]
+    connection: Mapping[str, object]
+    gains: tuple[DriveGain, ...]
+
+
+@dataclass(frozen=True)
+class Notice:
+    """Something that the source reported: a protective stop, a mode change, a reconnection.
+
+    Attributes:
+        time: of the source's clock [s]; nan where it has none.
+        level: an `error` makes the session stop the arm.
+        message: in words.
+    """
+
+    time: float
+    level: Level
+    message: str
+
+
+class Driver(Protocol):
+    """One arm on one wire."""
+
+    def open(self) -> None:
+        """Connect, within a time limit.
+
+        Raises:
+            ConnectionFailedError: nobody answers, or somebody else does.
+            UsageError: the connection's keys are wrong.
+        """
+
+    def streams(self) -> tuple[StreamLayout, ...]:
+        """What will be delivered; known once open."""
+
+    def start(self) -> None:
+        """Make samples flow."""
+
+    def read(self, timeout: float) -> Sequence[Block]:
+        """Blocks that have arrived, waiting at most `timeout` [s] for the first; empty where none came.
+
+        Raises:
+            ConnectionLostError: the connection broke, or went silent for longer than the driver allows.
+        """
+
+    def notices(self) -> Sequence[Notice]:
+        """What the source reported since the last call."""
+
+    def command(self, position: FloatArray) -> None:
+        """Send a joint position (n,) [rad or m] to be reached within one period.
+
+        Raises:
+            DriverStateError: this driver or this connection cannot move the arm.
+            ConnectionLostError: the connection broke.
+        """
+
+    def stop(self) -> None:
+        """Halt the arm; never raises for an arm that cannot be reached."""
+
+    def close(self) -> None:
+        """Let go of the connection; safe in every state."""
+
+
+def require_state(actual: State, allowed: State, action: str) -> None:
+    """Raise DriverStateError unless the driver is in the state that an action needs."""
+    if actual != allowed:
+        raise DriverStateError(f"cannot {action} while {actual}", hint=f"the driver must be {allowed}")

@@ -1,0 +1,84 @@
+"""What a source of samples delivers: streams of channels, described before the first sample, handed out in blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+UNITS: Mapping[str, str] = {
+    "position": "rad",
+    "velocity": "rad/s",
+    "acceleration": "rad/s^2",
+    "current": "A",
+    "voltage": "V",
+    "torque": "N*m",
+    "temperature": "degC",
+    "target_position": "rad",
+    "target_velocity": "rad/s",
+    "target_acceleration": "rad/s^2",
+    "target_current": "A",
+    "target_torque": "N*m",
+}
+"""Unit of each quantity that dynid knows; another quantity brings its own."""
+
+
+@dataclass(frozen=True)
+class ChannelLayout:
+    """What one dataset of a stream holds.
+
+    Attributes:
+        quantity: name of the dataset (`position`, `current`, …).
+        columns: names of its n columns; joint names wherever it has one a joint.
+        unit: unit of every value; taken from `UNITS` where empty.
+        description: where the values come from, in words.
+    """
+
+    quantity: str
+    columns: tuple[str, ...]
+    unit: str = ""
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.unit:
+            if self.quantity not in UNITS:
+                raise ValueError(f"quantity '{self.quantity}' needs a unit")
+            object.__setattr__(self, "unit", UNITS[self.quantity])
+
+
+@dataclass(frozen=True)
+class StreamLayout:
+    """A stream before its first sample.
+
+    Attributes:
+        name: of the group under /streams.
+        channels: its datasets.
+        rate: nominal rate [Hz], sets the chunk length; 0 where unknown.
+    """
+
+    name: str
+    channels: tuple[ChannelLayout, ...]
+    rate: float = 0.0
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive samples of one stream.
+
+    Attributes:
+        stream: name of the stream.
+        time: (N,) the source's own clock [s].
+        host_time: (N,) the host's monotonic clock at reception [s].
+        values: quantity → (N, n).
+        lost: samples that the source's clock or counter says are missing before or within this block.
+    """
+
+    stream: str
+    time: FloatArray
+    host_time: FloatArray
+    values: Mapping[str, FloatArray] = field(default_factory=dict)
+    lost: int = 0
