@@ -13,28 +13,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from three_links import make_robot
 
 from daq.importers import SUPPORTED, ImportChoices, import_file
-from daq.robot import RobotFile, parse_robot
+from daq.robot import RobotFile
 from drivers.errors import ImportFileError, InputError, UsageError
 
-NAMES = ("shoulder", "elbow", "wrist")
-ROBOT = parse_robot(
-    """
-name: three-links
-model:
-  mdh:
-    - {joint: shoulder, antecedent: base, alpha: 0, d: 0, r: 0.3}
-    - {joint: elbow, antecedent: shoulder, alpha: pi/2, d: 0.4, r: 0}
-    - {joint: wrist, antecedent: elbow, alpha: 0, d: 0.3, r: 0}
-joints:
-  - {name: shoulder, position: [-3, 3], velocity: 2}
-  - {name: elbow, position: [-2, 2], velocity: 2}
-  - {name: wrist, position: [-3, 3], velocity: 2}
-""",
-    where="test",
-    folder=None,
-)
+ROBOT = make_robot()
 JOINT_STATE = "sensor_msgs/msg/JointState"
 TIME = np.arange(200) / 125.0
 Q = np.sin(2.0 * TIME[:, None] + np.arange(3.0))
