@@ -132,87 +132,21 @@ def info(
     robot: str = typer.Option(None, "--robot", help="Robot file in place of the recording's own."),
     as_json: bool = JSON,
 ) -> None:
-    """Show what a recording holds, how evenly it was sampled and how well its motion excites the arm.
+    """Show what a recording holds, how good its clocks and signals are, and how well its motion excites the arm.
 
     Example: dynid info run.h5
     """
-    from dataclasses import asdict
-
-    from daq.console import print_json, print_table
+    from daq.console import print_json
     from daq.recording import read_recording
     from daq.robot import load_robot
-    from daq.stream_quality import stream_quality
-    from ident.excitation import excitation_reached
+    from ident.info import info_object, print_info, recording_info
 
     read = read_recording(recording)
-    robot_file = load_robot(robot) if robot else read.robot()
-    qualities = {name: stream_quality(stream.time) for name, stream in read.streams.items()}
-    reached = excitation_reached(read, robot_file)
+    found = recording_info(read, load_robot(robot) if robot else read.robot())
     if as_json:
-        print_json(
-            {
-                "file": str(recording),
-                "robot": robot_file.robot.name,
-                "created": read.created,
-                "comment": read.comment,
-                "complete": read.complete,
-                "streams": {
-                    name: {
-                        **asdict(quality),
-                        "quantities": {c.quantity: c.unit for c in read.streams[name].channels.values()},
-                    }
-                    for name, quality in qualities.items()
-                },
-                "excitation": asdict(reached) if reached is not None else None,
-                "events": [asdict(event) for event in read.events],
-            }
-        )
-        return
-    state = "complete" if read.complete else "NOT closed in order"
-    print(f"{recording}: {robot_file.robot.name}, {state}, created {read.created or 'at an unknown time'}")
-    print_table(
-        "Streams",
-        (
-            "stream",
-            "quantities",
-            "samples",
-            "seconds",
-            "rate [Hz]",
-            "jitter [ms]",
-            "longest [ms]",
-            "lost",
-            "duplicates",
-        ),
-        [
-            (
-                name,
-                ", ".join(read.streams[name].channels),
-                quality.samples,
-                quality.duration,
-                quality.rate_hz,
-                quality.jitter_ms,
-                quality.longest_ms,
-                quality.lost,
-                quality.duplicates,
-            )
-            for name, quality in qualities.items()
-        ],
-    )
-    if reached is not None:
-        print_table(
-            f"\nMotion: condition {reached.scaled_condition:.1f} (columns scaled)"
-            + (f", not excited: {', '.join(reached.unexcited)}" if reached.unexcited else ""),
-            ("joint", "range [rad]", "velocity [rad/s]", "of its limit [%]"),
-            zip(
-                robot_file.robot.joint_names,
-                reached.position_range,
-                reached.velocity_reached,
-                reached.velocity_share_percent,
-                strict=True,
-            ),
-        )
-    for event in read.events:
-        print(f"  {event.level} at {event.time:.3f} s, {event.source}: {event.message}")
+        print_json(info_object(found, str(recording)))
+    else:
+        print_info(found, str(recording))
 
 
 @app.command("identify")
