@@ -25,7 +25,7 @@ format: $(INSTALLED)
 
 # figaroh is a peer to measure against, never a dependency of dynid.
 bench: $(INSTALLED)
-	$(BIN)/python -m pip install -q -c constraints.txt '.[bench]'
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[bench]'
 	$(BIN)/python -m benchmarks
 
 clean:

@@ -20,15 +20,17 @@ from ident.preprocess import Segment
 from ident.regressor import RegressorKernel, evaluate_in_chunks, motion_factor
 from ident.triangular import (
     GRAM_CONDITION_LIMIT,
+    PRECONDITIONED_CONDITION_LIMIT,
     Accumulator,
     GramAccumulator,
+    PreconditionedGram,
     QrAccumulator,
     scaled_condition,
     triangular,
 )
 
 CONDITION_SAMPLES = 1000
-"""Samples, spread over the data, from which the condition is estimated before the first pass."""
+"""Samples, spread over the data, from which condition and preconditioner come before the first pass."""
 
 
 @dataclass(frozen=True)
@@ -174,21 +176,13 @@ def reduce_segments(
         torques: for each segment, torques (m·n, N), all joints of the first one first; the segment's own where None.
     """
     torques = [segment.torque for segment in segments] if torques is None else torques
-    dof = kernel.model.dof
-    variants = torques[0].shape[0] // dof if torques else 1
+    variants = torques[0].shape[0] // kernel.model.dof if torques else 1
     condition = estimate_condition(kernel, segments)
-    use_gram = condition <= GRAM_CONDITION_LIMIT
-    kind: type[GramAccumulator | QrAccumulator] = GramAccumulator if use_gram else QrAccumulator
-    accumulators: list[Accumulator] = [kind(len(joint.columns) + variants) for joint in kernel.joint_rows]
-    samples = 0
-    for segment, torque in zip(segments, torques, strict=True):
-        for block in filtered_blocks(kernel, segment, parallel_filter, torque):
-            everything = bool(block.used.all())
-            samples += int(block.used.sum())
-            for joint, accumulator in enumerate(accumulators):
-                rows = np.concatenate([block.regressor[kernel.joint_rows[joint].rows], block.torque[joint::dof]])
-                accumulator.add(rows if everything else rows[:, block.used])
-    name = "Gram matrix" if use_gram else "QR of stacked blocks"
+    name, accumulators = _accumulators(kernel, segments, torques, condition)
+    samples = _accumulate(kernel, segments, parallel_filter, torques, accumulators)
+    if any(isinstance(joint, PreconditionedGram) and not joint.sound for joint in accumulators):
+        name, accumulators = _accumulators(kernel, segments, torques, float("inf"))
+        samples = _accumulate(kernel, segments, parallel_filter, torques, accumulators)
     return Reduction(
         joints=tuple(
             JointFactor(rows.columns, accumulator.factor(), accumulator.rows)
@@ -201,12 +195,64 @@ def reduce_segments(
     )
 
 
+def _accumulate(
+    kernel: RegressorKernel,
+    segments: Sequence[Segment],
+    parallel_filter: ZeroPhaseFilter,
+    torques: Sequence[FloatArray],
+    accumulators: Sequence[Accumulator],
+) -> int:
+    """Hand each joint's rows of [W τ…] to its accumulator; the number of samples that took part."""
+    samples = 0
+    for segment, torque in zip(segments, torques, strict=True):
+        for block in filtered_blocks(kernel, segment, parallel_filter, torque):
+            everything = bool(block.used.all())
+            samples += int(block.used.sum())
+            for joint, accumulator in enumerate(accumulators):
+                rows = _joint_rows(kernel, joint, block.regressor, block.torque)
+                accumulator.add(rows if everything else rows[:, block.used])
+    return samples
+
+
+def _joint_rows(kernel: RegressorKernel, joint: int, packed: FloatArray, torque: FloatArray) -> FloatArray:
+    """(k + m, samples) one joint's non-zero columns of W, then its torques."""
+    return np.concatenate([packed[kernel.joint_rows[joint].rows], torque[joint :: kernel.model.dof]])
+
+
+def _accumulators(
+    kernel: RegressorKernel, segments: Sequence[Segment], torques: Sequence[FloatArray], condition: float
+) -> tuple[str, list[Accumulator]]:
+    """The fastest way that keeps the digits at this condition, in words, and one accumulator a joint."""
+    variants = torques[0].shape[0] // kernel.model.dof if torques else 1
+    widths = [len(joint.columns) + variants for joint in kernel.joint_rows]
+    if condition <= GRAM_CONDITION_LIMIT:
+        return "Gram matrix", [GramAccumulator(width) for width in widths]
+    sampled = [QrAccumulator(width) for width in widths]
+    if condition > PRECONDITIONED_CONDITION_LIMIT or _sample_count(segments) < CONDITION_SAMPLES:
+        return "QR of stacked blocks", [*sampled]
+    torque = np.concatenate([torque[:, :: _stride(segments)] for torque in torques], axis=1)
+    for part, packed in evaluate_in_chunks(kernel, *_spread_motion(segments)):
+        for joint, accumulator in enumerate(sampled):
+            accumulator.add(_joint_rows(kernel, joint, packed, torque[:, part]))
+    return "preconditioned Gram matrix", [PreconditionedGram(part.factor(), part.rows) for part in sampled]
+
+
 def estimate_condition(kernel: RegressorKernel, segments: Sequence[Segment]) -> float:
     """Condition number of the scaled columns at samples spread over the segments, before any filtering."""
-    total = sum(segment.position.shape[1] for segment in segments)
-    step = max(1, total // CONDITION_SAMPLES)
-    motion = [
-        np.concatenate([getattr(segment, name)[:, ::step] for segment in segments], axis=1)
+    return scaled_condition(motion_factor(kernel, *_spread_motion(segments)))
+
+
+def _sample_count(segments: Sequence[Segment]) -> int:
+    return sum(segment.position.shape[1] for segment in segments)
+
+
+def _stride(segments: Sequence[Segment]) -> int:
+    return max(1, _sample_count(segments) // CONDITION_SAMPLES)
+
+
+def _spread_motion(segments: Sequence[Segment]) -> list[FloatArray]:
+    """Position, velocity, acceleration (n, about CONDITION_SAMPLES)."""
+    return [
+        np.concatenate([getattr(segment, name)[:, :: _stride(segments)] for segment in segments], axis=1)
         for name in ("position", "velocity", "acceleration")
     ]
-    return scaled_condition(motion_factor(kernel, *motion))
