@@ -54,6 +54,7 @@ class StreamQuality:
 def stream_quality(time: npt.NDArray[np.float64]) -> StreamQuality:
     """Figures for the stamps (N,) [s] of a stream."""
     nan = float("nan")
+    time = time[np.isfinite(time)]
     if len(time) < 2:
         return StreamQuality(len(time), 0.0, nan, nan, nan, 0, 0, ())
     intervals = np.diff(time)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,12 +10,12 @@ import numpy as np
 from daq.recording import Recording
 from daq.robot import RobotFile
 from drivers.errors import DataError, RobotFileError, UsageError
-from ident.base_parameters import base_parameters
+from ident.base_parameters import BaseParameters, base_parameters
 from ident.least_squares import excited_columns
 from ident.measured import joint_positions
 from ident.model import build_model
-from ident.observation import reduce_segments
-from ident.preprocess import PreprocessChoices, prepare
+from ident.observation import Reduction, reduce_segments
+from ident.preprocess import Prepared, PreprocessChoices, prepare
 from ident.regressor import RegressorKernel
 from ident.triangular import scaled_condition
 
@@ -51,7 +52,7 @@ def excitation_reached(recording: Recording, robot_file: RobotFile) -> Excitatio
     base = base_parameters(model)
     kernel = RegressorKernel(model, base.columns)
     reduction = reduce_segments(kernel, prepared.segments, prepared.parallel_filter)
-    active = list(excited_columns(reduction))
+    active = list(excited_base_columns(reduction, base, [prepared]))
     factor = reduction.stacked()[:, active]
     singular = np.linalg.svd(factor, compute_uv=False)
     speed = np.max([np.max(np.abs(segment.velocity), axis=1) for segment in prepared.segments], axis=0)
@@ -63,4 +64,24 @@ def excitation_reached(recording: Recording, robot_file: RobotFile) -> Excitatio
         position_range=np.ptp(motion.position, axis=0).tolist(),
         velocity_reached=speed.tolist(),
         velocity_share_percent=(100.0 * speed / limits).tolist(),
+    )
+
+
+def excited_base_columns(reduction: Reduction, base: BaseParameters, parts: Sequence[Prepared]) -> tuple[int, ...]:
+    """Base columns that the data can tell apart, without the friction of joints that stay at rest throughout.
+
+    There sign(q̇) is the noise of the encoder: independent of everything, and no sign of friction.
+    """
+    moving = np.any(
+        [
+            np.any(np.abs(segment.velocity) >= (part.choices.rest_velocity or 0.0), axis=1)
+            for part in parts
+            for segment in part.segments
+        ],
+        axis=0,
+    )
+    return tuple(
+        column
+        for column in excited_columns(reduction)
+        if base.kinds[column] not in ("viscous", "coulomb") or moving[base.joints[column]]
     )

@@ -15,11 +15,11 @@ from ident.base_parameters import BaseParameters, base_parameters
 from ident.comparison import TorqueSeries, compare_torques
 from ident.covariance import CorrectedCovariance, FilteredRun, block_jackknife
 from ident.delay import DelaySearch, search_delay
+from ident.excitation import excited_base_columns
 from ident.kinematics import FloatArray
 from ident.least_squares import (
     LeastSquares,
     LinearMethod,
-    excited_columns,
     ordinary_least_squares,
     weighted_least_squares,
 )
@@ -180,7 +180,7 @@ def identify(
     reduction = stack_reductions(
         [reduce_segments(kernel, run.prepared.segments, run.prepared.parallel_filter) for run in runs]
     )
-    active = excited_columns(reduction)
+    active = excited_base_columns(reduction, base, [run.prepared for run in runs])
     solution = _solve(reduction, active, choices.method)
     fit_series = tuple(_compare(model, base, solution.parameters, runs))
     filtered = _filtered_runs(runs, fit_series)
@@ -349,7 +349,10 @@ def _warnings(found: Identification, recordings: Sequence[Recording]) -> list[st
         )
     silent = [base.names[i] for i in range(base.count) if i not in solution.active]
     if silent:
-        warnings.append(f"the motion does not excite {', '.join(silent)}: no values for them")
+        warnings.append(
+            f"the motion does not excite {', '.join(silent)}: no values for them, and other parameters may have taken "
+            "theirs up"
+        )
     vague = [
         base.names[i]
         for i in solution.active
@@ -363,7 +366,9 @@ def _warnings(found: Identification, recordings: Sequence[Recording]) -> list[st
     warnings += sign_warnings(base, solution.parameters, found.std)
     prepared = [(run.prepared.segments, run.prepared.parallel_filter) for run in found.runs]
     residual_sum = ordinary_least_squares(found.reduction, solution.active).residual_sum
-    if np.any(found.model.gravity) and fits_opposite_gravity(found.model, base, prepared, residual_sum):
+    if np.any(found.model.gravity) and fits_opposite_gravity(
+        found.model, base, prepared, solution.active, residual_sum
+    ):
         warnings.append(
             "gravity of the opposite sign fits the data better: check `model.gravity`, how the arm is mounted, and the "
             "signs of the drive gains"

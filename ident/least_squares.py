@@ -16,7 +16,8 @@ from ident.triangular import scaled_condition, triangular
 LinearMethod = Literal["ols", "wls"]
 
 EXCITATION_TOLERANCE = 1e-9
-"""A base column whose part independent of the preceding ones is below this share of its length is not excited."""
+"""A base column whose part independent of the preceding ones is below this share of its length is not excited, nor one
+that is shorter than this share of the longest: the derivative of a position that never changes is rounding."""
 
 ROUNDING = 1e-7
 """A residual below this share of the joint's torque is rounding, and no measure of its noise."""
@@ -72,7 +73,8 @@ def excited_columns(reduction: Reduction) -> tuple[int, ...]:
     return tuple(
         column
         for column in range(reduction.column_count)
-        if lengths[column] > 0 and abs(factor[column, column]) > EXCITATION_TOLERANCE * lengths[column]
+        if lengths[column] > EXCITATION_TOLERANCE * lengths.max()
+        and abs(factor[column, column]) > EXCITATION_TOLERANCE * lengths[column]
     )
 
 

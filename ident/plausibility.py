@@ -17,6 +17,9 @@ from ident.preprocess import Segment
 from ident.regressor import RegressorKernel, regressor
 
 POSES = 200
+CLEARLY_SMALLER = 0.99
+"""What the opposite gravity's sum of squared residuals must fall below, relative to the file's: not by rounding."""
+
 SURE_DEVIATIONS = 3.0
 """A wrong sign counts once it is this many standard deviations away from 0."""
 
@@ -51,12 +54,17 @@ def fits_opposite_gravity(
     model: DynamicModel,
     base: BaseParameters,
     runs: Sequence[tuple[Sequence[Segment], ZeroPhaseFilter]],
+    active: Sequence[int],
     residual_sum: float,
 ) -> bool:
-    """Whether gravity of the opposite sign leaves a smaller sum of squared residuals than `residual_sum`."""
+    """Whether gravity of the opposite sign leaves a clearly smaller sum of squared residuals than `residual_sum`.
+
+    Both are least squares over the `active` base columns; an arm that does not feel gravity fits either sign alike.
+    """
     kernel = RegressorKernel(replace(model, gravity=-model.gravity), base.columns)
     reduction = stack_reductions([reduce_segments(kernel, segments, parallel) for segments, parallel in runs])
-    return ordinary_least_squares(reduction, excited_columns(reduction)).residual_sum < residual_sum
+    excited = [column for column in excited_columns(reduction) if column in active]
+    return ordinary_least_squares(reduction, excited).residual_sum < CLEARLY_SMALLER * residual_sum
 
 
 def sign_warnings(base: BaseParameters, parameters: FloatArray, std: FloatArray) -> list[str]:

@@ -87,6 +87,8 @@ def _first_minimum(difference: FloatArray, start: int) -> int | None:
 
 def _best_lag(earlier: FloatArray, later: FloatArray) -> int | None:
     """Lag at which sample t of `later` repeats sample t + lag of `earlier`; None where there is none."""
+    if earlier.shape[1] == 0 or later.shape[1] == 0:
+        return None
     difference = _differences(later, earlier)
     least = int(np.ceil(LEAST_OVERLAP * min(earlier.shape[1], later.shape[1])))
     difference = difference[least:-least] if least else difference

@@ -30,7 +30,7 @@ SERIES = st.builds(
 def test_derivatives_are_derivatives(motion):
     time = np.linspace(0.0, motion.period, 50)
     step = 1e-5 * motion.period
-    position, velocity, acceleration = motion.evaluate(time)
+    _, velocity, acceleration = motion.evaluate(time)
     before, after = motion.evaluate(time - step), motion.evaluate(time + step)
     assert np.allclose((after[0] - before[0]) / (2 * step), velocity, rtol=0, atol=1e-5 * np.max(np.abs(velocity)))
     scale = np.max(np.abs(acceleration))

@@ -1,0 +1,84 @@
+"""The demonstration leaves what it promises, and its truth lies where its error bars say."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from daq.recording import read_recording
+from drivers.errors import RobotFileError, UsageError
+from ident.model import build_model, truth_vector
+from ident.result import read_result
+from sim_drivers.demo import INTERVAL, print_demo, run_demo
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    return run_demo(tmp_path_factory.mktemp("demo") / "new" / "folder", "ur5e", 16.0, seed=1)
+
+
+def test_files_are_there_and_can_be_read(demo):
+    assert {path.name for path in demo.folder.iterdir()} == {
+        "identification.h5", "validation.h5", "result.json", "report.html",
+    }  # fmt: skip
+    result = read_result(demo.folder / "result.json")
+    assert result == demo.result
+    assert [use.file for use in result.recordings] == ["identification.h5", "validation.h5"]
+    recording = read_recording(demo.folder / "identification.h5")
+    assert recording.robot().robot.name == "ur5e"
+    assert "Fs1" in (demo.folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_truth_is_projected_and_mostly_inside(demo):
+    robot_file = demo.found.robot_file
+    assert np.allclose(demo.truth, demo.found.base.projection @ truth_vector(robot_file))
+    assert build_model(robot_file).dof == 6
+    error = np.abs(demo.found.solution.parameters - demo.truth)
+    assert demo.inside == np.sum(error <= INTERVAL * demo.found.std)
+    assert demo.inside > 0.8 * len(demo.truth)
+    assert demo.found.validation.relative_error < 0.05
+
+
+def test_json_is_one_strict_object(demo, capsys):
+    print_demo(demo, as_json=True)
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["robot"] == "ur5e"
+    assert shown["inside_95_percent"] == demo.inside
+    assert [p["truth"] for p in shown["base_parameters"]] == pytest.approx(list(demo.truth))
+    assert shown["validation_relative_error"] == demo.found.validation.relative_error
+
+
+def test_table_shows_truth_beside_estimate(demo, capsys):
+    print_demo(demo, as_json=False)
+    text = capsys.readouterr().out
+    for name in demo.found.base.names:
+        assert name in text
+    assert f"{demo.inside} of {len(demo.truth)} true values" in text
+    assert "report.html" in text
+
+
+@pytest.mark.parametrize("duration", [0.0, -5.0, 1.9, 1e9, float("nan")])
+def test_a_duration_that_makes_no_sense_is_refused(tmp_path, duration):
+    with pytest.raises(UsageError, match="--duration"):
+        run_demo(tmp_path / "out", "ur5e", duration, seed=1)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_is_no_folder(tmp_path):
+    (tmp_path / "out").write_text("mine")
+    with pytest.raises(UsageError, match="is a file"):
+        run_demo(tmp_path / "out", "ur5e", 10.0, seed=1)
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_a_robot_without_a_truth_leaves_no_folder(tmp_path):
+    robot = tmp_path / "real.yaml"
+    robot.write_text(
+        "name: real\nmodel: {mdh: [{joint: a, alpha: 0, d: 0, r: 0}]}\n"
+        "joints: [{name: a, position: [-1, 1], velocity: 1}]\n"
+    )
+    with pytest.raises(RobotFileError, match="no true link"):
+        run_demo(tmp_path / "out", str(robot), 10.0, seed=1)
+    assert not (tmp_path / "out").exists()
