@@ -10,6 +10,9 @@ import numpy.typing as npt
 LOST_FROM = 1.5
 """An interval longer than this many periods means that samples are missing."""
 
+LONGEST_INTERVAL = 1e9
+"""Intervals [s] are cut to this: a stamp 30 years on is nonsense, whatever its value."""
+
 
 @dataclass(frozen=True)
 class Gap:
@@ -54,19 +57,21 @@ class StreamQuality:
 def stream_quality(time: npt.NDArray[np.float64]) -> StreamQuality:
     """Figures for the stamps (N,) [s] of a stream."""
     nan = float("nan")
-    time = time[np.isfinite(time)]
+    samples, time = len(time), time[np.isfinite(time)]
     if len(time) < 2:
-        return StreamQuality(len(time), 0.0, nan, nan, nan, 0, 0, ())
-    intervals = np.diff(time)
+        return StreamQuality(samples, 0.0, nan, nan, nan, 0, 0, ())
+    with np.errstate(over="ignore"):  # stamps that are nonsense must not end in a warning
+        intervals = np.clip(np.diff(time), -LONGEST_INTERVAL, LONGEST_INTERVAL)
     forward = intervals[intervals > 0]
     duplicates = len(intervals) - len(forward)
     if len(forward) == 0:
-        return StreamQuality(len(time), 0.0, nan, nan, nan, 0, duplicates, ())
+        return StreamQuality(samples, 0.0, nan, nan, nan, 0, duplicates, ())
     period = float(np.median(forward))
-    missing = np.maximum(np.round(intervals / period).astype(int) - 1, 0) * (intervals > LOST_FROM * period)
+    periods = np.minimum(np.round(intervals / max(period, 1.0 / LONGEST_INTERVAL)), LONGEST_INTERVAL)
+    missing = np.maximum(periods.astype(int) - 1, 0) * (intervals > LOST_FROM * period)
     regular = forward[forward <= LOST_FROM * period]
     return StreamQuality(
-        samples=len(time),
+        samples=samples,
         duration=float(time[-1] - time[0]),
         rate_hz=1.0 / period,
         jitter_ms=1e3 * float(np.sqrt(np.mean((regular - period) ** 2))),

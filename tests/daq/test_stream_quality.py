@@ -78,7 +78,6 @@ def test_any_stamps_give_figures(stamps):
     assert all(gap.duration > 0 for gap in quality.gaps)
 
 
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=20))
 def test_stamps_that_are_no_numbers_do_not_crash_it(stamps):
     assert stream_quality(np.array(stamps)).samples == len(stamps)
