@@ -1,0 +1,309 @@
+"""The driver of Universal Robots arms: three streams from one RTDE connection, motion through ur_rtde.
+
+`joints` comes at the controller's rate; `thermal` and `status` are every n-th of the same packages.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.base import DriverSettings, Notice, State, require_state
+from drivers.errors import DriverStateError, UsageError
+from drivers.gains import joint_torque
+from drivers.rtde import wire
+from drivers.rtde.modes import describe_mode
+from drivers.rtde.motion import JOINTS, MotionProcess
+from drivers.rtde.receiver import TIMESTAMP, RtdeReceiver, Samples
+from drivers.rtde.settings import parse_settings
+from drivers.streams import Block, ChannelLayout, FloatArray, StreamLayout
+
+THERMAL_RATE = 20.0
+STATUS_RATE = 10.0
+FIRST_STEP_LIMIT = 0.1
+"""How far [rad] a first command may be from where the arm stands; it would be reached within one period."""
+
+
+@dataclass(frozen=True)
+class _Source:
+    """Where a quantity comes from: the variable, its RTDE type and what it is."""
+
+    quantity: str
+    variable: str
+    kind: str
+    description: str
+    unit: str = ""
+
+
+_REQUIRED = (
+    _Source("position", "actual_q", "VECTOR6D", "measured joint position"),
+    _Source("velocity", "actual_qd", "VECTOR6D", "measured joint velocity, as the controller derives it"),
+    _Source("current", "actual_current", "VECTOR6D", "measured motor current, raw"),
+)
+_TARGETS = (
+    _Source("target_position", "target_q", "VECTOR6D", "joint position that the controller aims at"),
+    _Source("target_velocity", "target_qd", "VECTOR6D", "joint velocity that the controller aims at"),
+    _Source("target_acceleration", "target_qdd", "VECTOR6D", "joint acceleration that the controller aims at"),
+    _Source("target_current", "target_current", "VECTOR6D", "motor current that the controller's model expects"),
+    _Source("target_torque", "target_moment", "VECTOR6D", "joint torque that the controller's model expects"),
+)
+_THERMAL = (_Source("temperature", "joint_temperatures", "VECTOR6D", "motor temperature"),)
+_MODES = (
+    _Source("robot_mode", "robot_mode", "INT32", "-1 no controller … 7 running", "1"),
+    _Source("safety_mode", "safety_mode", "INT32", "1 normal, 2 reduced, 3 protective stop …", "1"),
+    _Source("runtime_state", "runtime_state", "UINT32", "of the program: 1 stopped, 2 playing, 4 paused …", "1"),
+)
+_JOINT_MODE = (_Source("joint_mode", "joint_mode", "VECTOR6INT32", "253 running, 255 idle, 252 fault …", "1"),)
+_STATUS = _MODES + _JOINT_MODE
+_STREAMS: Mapping[str, tuple[_Source, ...]] = {"joints": _REQUIRED + _TARGETS, "thermal": _THERMAL, "status": _STATUS}
+
+
+class RtdeDriver:
+    """A Universal Robots arm on RTDE; implements `drivers.base.Driver`.
+
+    Args:
+        settings: joints (six), the connection's keys (see `drivers.rtde.settings.RtdeSettings`) and the gains.
+
+    Raises:
+        UsageError: the connection's keys are wrong, or the arm does not have six joints.
+    """
+
+    def __init__(self, settings: DriverSettings) -> None:
+        if len(settings.joints) != JOINTS:
+            raise UsageError(
+                f"an RTDE controller moves {JOINTS} joints, but the robot file names {len(settings.joints)}: "
+                f"{', '.join(settings.joints)}",
+                hint="choose a Universal Robots arm, or another connection",
+            )
+        self._joints = settings.joints
+        self._gains = settings.gains
+        self._settings = parse_settings(settings.connection)
+        self._receiver = RtdeReceiver(
+            self._settings.host,
+            self._settings.port,
+            {source.variable: source.kind for source in _REQUIRED},
+            {source.variable: source.kind for source in _TARGETS + _THERMAL + _STATUS},
+            self._settings.rate,
+            self._settings.timeout,
+        )
+        self._state: State = "closed"
+        self._motion: MotionProcess | None = None
+        self._motion_lock = threading.Lock()
+        self._halted = False
+        self._notices: deque[Notice] = deque()
+        self._last_group: dict[str, int] = {}
+        self._last_mode: dict[str, int] = {}
+        self._latest_position: FloatArray | None = None
+
+    def open(self) -> None:
+        """Connect and agree on what will be delivered, within the connection's `timeout`.
+
+        Raises:
+            ConnectionFailedError: nobody answers, or somebody else does.
+            UsageError: the controller does not reach the connection's `rate`.
+            DriverStateError: it is open already.
+        """
+        require_state(self._state, "closed", "open")
+        self._receiver.connect()
+        self._state = "open"
+
+    def streams(self) -> tuple[StreamLayout, ...]:
+        """`joints` at the full rate, `thermal` at about 20 Hz and `status` at about 10 Hz, as far as delivered.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+        if self._state == "closed":
+            require_state(self._state, "open", "list its streams")
+        layouts = []
+        for name in _STREAMS:
+            channels = [
+                ChannelLayout(
+                    source.quantity,
+                    self._joints if source.kind.startswith("VECTOR6") else (source.quantity,),
+                    source.unit,
+                    f"{source.description} (RTDE {source.variable})",
+                )
+                for source in self._delivered(name)
+            ]
+            if name == "joints" and self._knows_torque:
+                channels.append(ChannelLayout("torque", self._joints, "", "current times the robot file's drive gains"))
+            if channels:
+                layouts.append(StreamLayout(name, tuple(channels), self._receiver.rate / self._every(name)))
+        return tuple(layouts)
+
+    def start(self) -> None:
+        """Make samples flow.
+
+        Raises:
+            DriverStateError: it is not open.
+            ConnectionFailedError: the connection was lost while open, and cannot be had again.
+            ConnectionLostError: the controller does not start.
+        """
+        require_state(self._state, "open", "start")
+        self._last_group, self._last_mode, self._latest_position = {}, {}, None
+        if self._receiver.connected:
+            self._receiver.start()
+        else:
+            self._receiver.reconnect()
+        self._halted = False
+        self._state = "running"
+
+    def read(self, timeout: float) -> Sequence[Block]:
+        """Blocks that have arrived, waiting at most `timeout` [s] for the first; empty where none came.
+
+        Raises:
+            DriverStateError: it is not running.
+            ConnectionLostError: the connection broke, or nothing new came for half a second.
+        """
+        require_state(self._state, "running", "read")
+        samples = self._receiver.take(timeout)
+        if samples is None:
+            return ()
+        self._latest_position = samples.rows["actual_q"][-1].astype(np.float64)
+        self._watch_modes(samples.rows)
+        blocks = [self._joints_block(samples)]
+        for name in ("thermal", "status"):
+            if sources := self._delivered(name):
+                block = self._thinned_block(name, sources, samples)
+                if len(block.time):
+                    blocks.append(block)
+        return blocks
+
+    def notices(self) -> Sequence[Notice]:
+        """What the controller reported since the last call: modes, messages, refused variables, reconnections."""
+        found = self._receiver.notices()
+        while self._notices:
+            found.append(self._notices.popleft())
+        return found
+
+    def command(self, position: FloatArray) -> None:
+        """Send a joint position (6,) [rad] to be reached within one period.
+
+        The first one takes control of the arm, which lasts seconds and ends whatever program runs on the controller.
+
+        Raises:
+            DriverStateError: it is not running, the port is not the one that ur_rtde insists on, or a first position
+                is too far from where the arm stands.
+            ConnectionFailedError: no control of the arm within the connection's `timeout`.
+            ConnectionLostError: the connection broke, or the controller refused a position.
+            ValueError: not six finite numbers.
+        """
+        with self._motion_lock:
+            require_state(self._state, "running", "move")
+            if self._halted:
+                raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
+            if self._motion is None:
+                self._check_first(position)
+                self._motion = MotionProcess(self._settings.host, self._receiver.rate, self._settings.timeout)
+            self._motion.command(position)
+
+    def stop(self) -> None:
+        """Halt the arm where this driver moves it, then the samples; safe in every state, never raises.
+
+        Another thread may go on reading until the arm has come to rest, but no longer command it.
+        """
+        self._halted = True
+        with self._motion_lock:
+            motion, self._motion = self._motion, None
+        if motion is not None and not motion.stop():
+            self._notices.append(Notice(float("nan"), "error", "the arm did not confirm that it stopped"))
+        if self._state == "running":
+            self._receiver.pause()
+            self._state = "open"
+
+    def reconnect(self) -> None:
+        """Connect anew after a ConnectionLostError while recording; nothing from before is handed out any more.
+
+        Raises:
+            ConnectionFailedError: nobody answers, or a controller with other variables does.
+            DriverStateError: it is not running, or moves the arm: then the motion is over and must be stopped.
+        """
+        require_state(self._state, "running", "reconnect")
+        if self._motion is not None:
+            raise DriverStateError("a motion does not survive a lost connection", hint="stop first")
+        self._last_mode, self._latest_position = {}, None  # but the clock's grid goes on: the gap must show
+        self._receiver.reconnect()
+
+    def close(self) -> None:
+        """Let go of the connection; safe in every state."""
+        self.stop()
+        self._receiver.close()
+        self._state = "closed"
+
+    @property
+    def _knows_torque(self) -> bool:
+        return len(self._gains) == JOINTS and all(
+            gain.gain is not None and gain.signal == "current" for gain in self._gains
+        )
+
+    def _delivered(self, stream: str) -> tuple[_Source, ...]:
+        variables = self._receiver.recipe.variables
+        return tuple(source for source in _STREAMS[stream] if source.variable in variables)
+
+    def _every(self, stream: str) -> int:
+        wanted = {"thermal": THERMAL_RATE, "status": STATUS_RATE}.get(stream, self._receiver.rate)
+        return max(1, round(self._receiver.rate / wanted))
+
+    def _joints_block(self, samples: Samples) -> Block:
+        values = {source.quantity: _values(samples.rows, source) for source in self._delivered("joints")}
+        if self._knows_torque:
+            values["torque"] = joint_torque(values["current"], self._gains)
+        return Block("joints", _clock(samples.rows), samples.host_time, values, samples.lost)
+
+    def _thinned_block(self, stream: str, sources: Sequence[_Source], samples: Samples) -> Block:
+        # The first package of every so many ticks of the controller's clock, so that a gap shifts nothing.
+        clock = _clock(samples.rows)
+        group = np.floor(np.rint(clock * self._receiver.rate) / self._every(stream)).astype(np.int64)
+        before = self._last_group.get(stream, int(group[0]) - 1)
+        steps = np.diff(group, prepend=before)
+        first = steps != 0
+        self._last_group[stream] = int(group[-1])
+        values = {source.quantity: _values(samples.rows[first], source) for source in sources}
+        lost = int(np.maximum(steps - 1, 0).sum())
+        return Block(stream, clock[first], samples.host_time[first], values, lost)
+
+    def _watch_modes(self, rows: npt.NDArray[np.void]) -> None:
+        clock = _clock(rows)
+        for source in _MODES:
+            if source.variable not in self._receiver.recipe.variables:
+                continue
+            column = rows[source.variable].astype(np.int64)
+            before = self._last_mode.get(source.variable)
+            changed = np.flatnonzero(np.diff(column, prepend=column[0] - 1 if before is None else before))
+            for index in changed:
+                level, text = describe_mode(source.variable, int(column[index]))
+                self._notices.append(Notice(float(clock[index]), level, text))
+            self._last_mode[source.variable] = int(column[-1])
+
+    def _check_first(self, position: FloatArray) -> None:
+        if self._settings.port != wire.PORT:
+            raise DriverStateError(
+                f"motion needs RTDE on port {wire.PORT}, but the connection's is {self._settings.port}",
+                where=self._settings.host,
+                hint="ur_rtde knows no other port; recording alone works on any",
+            )
+        if self._latest_position is None:
+            raise DriverStateError("nobody knows where the arm stands", hint="read samples before the first command")
+        away = np.abs(np.asarray(position) - self._latest_position)
+        if np.max(away) > FIRST_STEP_LIMIT:
+            worst = int(np.argmax(away))
+            raise DriverStateError(
+                f"the first position is {away[worst]:.3f} rad away from where the joint stands",
+                where=f"joint {self._joints[worst]}",
+                hint=f"begin within {FIRST_STEP_LIMIT:g} rad of the present position",
+            )
+
+
+def _clock(rows: npt.NDArray[np.void]) -> FloatArray:
+    return np.asarray(rows[TIMESTAMP], dtype=np.float64)
+
+
+def _values(rows: npt.NDArray[np.void], source: _Source) -> FloatArray:
+    values = np.asarray(rows[source.variable], dtype=np.float64)
+    return values if values.ndim == 2 else values[:, np.newaxis]

@@ -1,0 +1,58 @@
+"""What the controller's mode numbers mean (Universal Robots, "RTDE Guide"), and how much each matters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from drivers.base import Level
+
+ROBOT_MODES: Mapping[int, str] = {
+    -1: "no controller",
+    0: "disconnected",
+    1: "confirm safety",
+    2: "booting",
+    3: "power off",
+    4: "power on",
+    5: "idle",
+    6: "backdrive",
+    7: "running",
+    8: "updating firmware",
+}
+SAFETY_MODES: Mapping[int, str] = {
+    1: "normal",
+    2: "reduced",
+    3: "protective stop",
+    4: "recovery",
+    5: "safeguard stop",
+    6: "system emergency stop",
+    7: "robot emergency stop",
+    8: "violation",
+    9: "fault",
+    10: "validate joint id",
+    11: "undefined safety mode",
+}
+RUNTIME_STATES: Mapping[int, str] = {
+    0: "stopping",
+    1: "stopped",
+    2: "playing",
+    3: "pausing",
+    4: "paused",
+    5: "resuming",
+}
+
+NAMES: Mapping[str, Mapping[int, str]] = {
+    "robot_mode": ROBOT_MODES,
+    "safety_mode": SAFETY_MODES,
+    "runtime_state": RUNTIME_STATES,
+}
+"""Variable → number → meaning."""
+
+# Where the arm can move; every other robot or safety mode must stop a session.
+_SOUND: Mapping[str, frozenset[int]] = {"robot_mode": frozenset({7}), "safety_mode": frozenset({1, 2})}
+
+
+def describe_mode(variable: str, value: int) -> tuple[Level, str]:
+    """How much a mode matters, and in words."""
+    text = f"{variable.replace('_', ' ')}: {NAMES[variable].get(value, f'unknown ({value})')}"
+    sound = _SOUND.get(variable)
+    return ("info" if sound is None or value in sound else "error"), text

@@ -1,0 +1,232 @@
+"""Moves a Universal Robots arm through ur_rtde, in a process of its own.
+
+ur_rtde's constructors hold the interpreter's lock, and against a silent controller they hang for ever; in the process
+that records, either would cost samples. A position crosses a pipe, the newest one wins. The process stops the arm when
+it is told to, when its parent dies or falls silent, and when the controller refuses a command.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import signal
+import struct
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import Connection
+from typing import Protocol
+
+import numpy as np
+
+from drivers.errors import ConnectionFailedError, ConnectionLostError
+from drivers.streams import FloatArray
+
+JOINTS = 6
+LOOKAHEAD = 0.1
+"""Smoothing of the commanded path [s], 0.03 to 0.2."""
+SERVO_GAIN = 300.0
+"""Stiffness of the path following, 100 to 2000; UR's own default."""
+SERVO_DECELERATION = 10.0
+"""When leaving servo mode [m/s² of the tool]; UR's default for servoStop."""
+JOINT_DECELERATION = 2.0
+"""Of every joint after that [rad/s²]; UR's default for stopJ."""
+SILENCE_LIMIT = 0.5
+"""Without a command for this long [s] the process stops the arm and gives up control."""
+STOP_LIMIT = 4.0
+"""How long [s] the process may take to stop the arm before it is killed."""
+BACKLOG_LIMIT = 100
+"""Commands that the process may leave unanswered before it counts as hung."""
+
+_POSITION = struct.Struct(f"{JOINTS}d")
+_STOP, _READY, _TAKEN, _FAILED = b"stop", b"ready", b"taken", b"failed "
+
+
+class Control(Protocol):
+    """What is used of ur_rtde's RTDEControlInterface, under its names."""
+
+    def servoJ(  # noqa: D102
+        self, q: Sequence[float], speed: float, acceleration: float, time: float, lookahead: float, gain: float
+    ) -> bool: ...
+
+    def servoStop(self, a: float) -> bool: ...  # noqa: D102
+
+    def stopJ(self, a: float) -> None: ...  # noqa: D102
+
+    def stopScript(self) -> None: ...  # noqa: D102
+
+    def disconnect(self) -> None: ...  # noqa: D102
+
+
+def take_control(host: str, rate: float) -> Control:
+    """ur_rtde's control interface; hangs where the controller is silent."""
+    from rtde_control import RTDEControlInterface
+
+    control: Control = RTDEControlInterface(host, rate)
+    return control
+
+
+class MotionProcess:
+    """Control of one arm, taken by the constructor and given back by `stop`.
+
+    Args:
+        host: name or address of the controller; ur_rtde chooses the ports.
+        rate: of the commands [Hz].
+        timeout: for taking control [s].
+        factory: makes the control interface within the process; must be importable there.
+
+    Raises:
+        ConnectionFailedError: no control of the arm within the time limit.
+    """
+
+    def __init__(
+        self, host: str, rate: float, timeout: float, factory: Callable[[str, float], Control] = take_control
+    ) -> None:
+        self._host = host
+        # spawn: a forked child would inherit the recorder's sockets, files and locks.
+        context = multiprocessing.get_context("spawn")
+        self._pipe, far_end = context.Pipe()
+        self._process = context.Process(
+            target=_serve, args=(far_end, factory, host, rate, timeout), name=f"motion {host}"
+        )
+        self._unanswered = 0
+        self._process.start()
+        far_end.close()
+        try:
+            self._wait_for_control(timeout)
+        except BaseException:
+            self._end(0.0)
+            raise
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process."""
+        return self._process.pid
+
+    def command(self, position: FloatArray) -> None:
+        """Send a joint position (6,) [rad].
+
+        Raises:
+            ConnectionLostError: the process ended, hangs, or the controller refused a command.
+            ValueError: not six finite numbers.
+        """
+        if np.shape(position) != (JOINTS,) or not np.all(np.isfinite(position)):
+            raise ValueError(f"a position has {JOINTS} finite numbers, not {position}")
+        try:
+            while self._pipe.poll():
+                self._check_answer(self._pipe.recv_bytes())
+            if self._unanswered >= BACKLOG_LIMIT:
+                self._end(0.0)
+                raise ConnectionLostError(
+                    f"the motion process left {BACKLOG_LIMIT} commands unanswered", where=self._host
+                )
+            self._pipe.send_bytes(_POSITION.pack(*position))
+        except (EOFError, OSError) as error:
+            raise ConnectionLostError(
+                f"the motion process ended with exit status {self._process.exitcode}", where=self._host
+            ) from error
+        self._unanswered += 1
+
+    def stop(self) -> bool:
+        """Halt the arm and end the process; never raises. Whether the process ended in order, the arm halted."""
+        with contextlib.suppress(OSError):  # it is stopping the arm already, or gone
+            self._pipe.send_bytes(_STOP)
+        return self._end(STOP_LIMIT)
+
+    def _wait_for_control(self, timeout: float) -> None:
+        try:
+            answer = self._pipe.recv_bytes() if self._pipe.poll(timeout) else None
+        except (EOFError, OSError):
+            answer = _FAILED + b"ur_rtde gave up"
+        if answer is None:
+            raise ConnectionFailedError(
+                f"no control of the arm within {timeout:g} s", where=self._host, hint="is it in remote control?"
+            )
+        if answer != _READY:
+            reason = answer.removeprefix(_FAILED).decode(errors="replace")
+            raise ConnectionFailedError(
+                f"no control of the arm: {reason}", where=self._host, hint="is it on, and in remote control?"
+            )
+
+    def _check_answer(self, answer: bytes) -> None:
+        if answer.startswith(_FAILED):
+            reason = answer.removeprefix(_FAILED).decode(errors="replace")
+            raise ConnectionLostError(f"the arm was stopped: {reason}", where=self._host)
+        self._unanswered -= 1
+
+    def _end(self, patience: float) -> bool:
+        self._process.join(patience)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._pipe.close()
+        return self._process.exitcode == 0
+
+
+def _serve(pipe: Connection, factory: Callable[[str, float], Control], host: str, rate: float, timeout: float) -> None:
+    # Ctrl-C reaches the whole process group; the parent must decide, or nobody would stop the arm in order.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _die_after(timeout)
+    try:
+        control = factory(host, rate)
+    except Exception as error:
+        _say(pipe, _FAILED + str(error).encode())
+        return
+    _die_after(0.0)
+    reason: bytes | None = b"the motion process broke"
+    try:
+        _say(pipe, _READY)
+        reason = _follow(pipe, control, 1.0 / rate)
+    except Exception as error:
+        reason = str(error).encode()
+    finally:
+        if reason is not None:
+            _say(pipe, _FAILED + reason)
+        _halt(control)
+
+
+def _follow(pipe: Connection, control: Control, period: float) -> bytes | None:
+    """Pass commands on until told to stop (None) or something is wrong (what)."""
+    while True:
+        if not pipe.poll(SILENCE_LIMIT):
+            return f"no command for {SILENCE_LIMIT:g} s".encode()
+        try:
+            message = pipe.recv_bytes()
+            taken = 1
+            while message != _STOP and pipe.poll():
+                message = pipe.recv_bytes()
+                taken += 1
+        except (EOFError, OSError):
+            return b"the recording process is gone"
+        if message == _STOP:
+            return None
+        for _ in range(taken):
+            _say(pipe, _TAKEN)
+        if not control.servoJ(list(_POSITION.unpack(message)), 0.0, 0.0, period, LOOKAHEAD, SERVO_GAIN):
+            return b"the controller refused a position; its program no longer runs"
+
+
+def _halt(control: Control) -> None:
+    # Each on its own: an arm that has left servo mode already must still be stopped, and the script ended.
+    for step in (
+        lambda: control.servoStop(SERVO_DECELERATION),
+        lambda: control.stopJ(JOINT_DECELERATION),
+        lambda: control.stopScript(),
+        lambda: control.disconnect(),
+    ):
+        try:
+            step()
+        except Exception:
+            continue
+
+
+def _die_after(seconds: float) -> None:
+    # The kernel ends the process even while ur_rtde holds the interpreter's lock and the parent is gone.
+    if hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+def _say(pipe: Connection, message: bytes) -> None:
+    try:
+        pipe.send_bytes(message)
+    except OSError:
+        return

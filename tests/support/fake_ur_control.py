@@ -1,0 +1,99 @@
+"""Stand-ins for ur_rtde's control interface that write down what they are asked; `host` is the file they write to."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+
+class FakeControl:
+    def __init__(self, host: str, rate: float) -> None:
+        self._log = Path(host)
+        self.write(f"control {os.getpid()} {rate:g}")
+
+    def write(self, line: str) -> None:
+        with self._log.open("a") as log:
+            log.write(line + "\n")
+
+    def servoJ(
+        self, q: Sequence[float], speed: float, acceleration: float, time: float, lookahead: float, gain: float
+    ) -> bool:
+        self.write(f"servoJ {q[0]:g} {time:g}")
+        return True
+
+    def servoStop(self, a: float) -> bool:
+        self.write("servoStop")
+        return True
+
+    def stopJ(self, a: float) -> None:
+        self.write("stopJ")
+
+    def stopScript(self) -> None:
+        self.write("stopScript")
+
+    def disconnect(self) -> None:
+        self.write("disconnect")
+
+
+class RefusingControl(FakeControl):
+    """Refuses positions from 1 rad on, as after a protective stop; cannot leave servo mode either."""
+
+    def servoJ(
+        self, q: Sequence[float], speed: float, acceleration: float, time: float, lookahead: float, gain: float
+    ) -> bool:
+        return q[0] < 1.0
+
+    def servoStop(self, a: float) -> bool:
+        raise RuntimeError("not in servo mode")
+
+
+class HangingControl(FakeControl):
+    """Never comes back from a position."""
+
+    def servoJ(
+        self, q: Sequence[float], speed: float, acceleration: float, time: float, lookahead: float, gain: float
+    ) -> bool:
+        _sleep_for_ever()
+        return True
+
+
+class DyingControl(FakeControl):
+    """Takes the whole process along, as a crash in ur_rtde would."""
+
+    def servoJ(
+        self, q: Sequence[float], speed: float, acceleration: float, time: float, lookahead: float, gain: float
+    ) -> bool:
+        os._exit(3)
+
+
+def hang(host: str, rate: float) -> FakeControl:
+    Path(host).write_text(f"hang {os.getpid()}\n")
+    _sleep_for_ever()
+    raise AssertionError
+
+
+def refuse(host: str, rate: float) -> FakeControl:
+    raise RuntimeError("robot is not in remote control")
+
+
+def _sleep_for_ever() -> None:
+    while True:
+        time.sleep(1.0)
+
+
+def move_for_ever(log: str, commands: int) -> None:
+    """Take control and move; say so, and wait for whatever comes (for a process that a test kills)."""
+    import numpy as np
+
+    from drivers.rtde.motion import MotionProcess
+
+    motion = MotionProcess(log, 500.0, 10.0, FakeControl)
+    for index in range(commands):
+        motion.command(np.full(6, index / 1000))
+        time.sleep(0.002)
+    print("moving", flush=True)
+    while True:
+        motion.command(np.full(6, 0.5))
+        time.sleep(0.002)
