@@ -187,6 +187,25 @@ class TruthJoint(_Section):
     coulomb: NonNegative = Field(default=0.0, description="[N·m]")
     offset: Finite = Field(default=0.0, description="[N·m]")
     motor_inertia: NonNegative = Field(default=0.0, description="[kg·m²]")
+    alpha: Positive = Field(default=1.0, description="exponent of |q̇| in the viscous term (AUBO eq. 4)")
+    temperature: Vector3 = Field(default=(0.0, 0.0, 0.0), description="β1, β2, β3 of AUBO eq. 5, T in kelvin")
+    load: NonNegative = Field(default=0.0, description="f_L of AUBO eq. 6 [1/(N·m)]")
+    stribeck: NonNegative = Field(default=0.0, description="static friction above Coulomb's [N·m]")
+    stribeck_velocity: Positive = Field(default=0.05, description="[rad/s] where the Stribeck term is down to 1/e")
+    pre_sliding: Positive = Field(default=5e-5, description="travel [rad] until a joint at rest breaks away")
+
+
+class TruthThermal(_Section):
+    """Heat of every simulated joint: winding, then housing, then the air around it."""
+
+    ambient: Finite = Field(default=23.0, ge=-100.0, description="[°C]")
+    copper_loss: dict[str, NonNegative] = Field(
+        default_factory=dict, description="joint → copper loss over drive torque squared [W/(N·m)²]"
+    )
+    winding_capacity: Positive = Field(default=150.0, description="[J/K]")
+    housing_capacity: Positive = Field(default=1500.0, description="[J/K]")
+    winding_to_housing: Positive = Field(default=2.5, description="[W/K]")
+    housing_to_ambient: Positive = Field(default=1.5, description="[W/K]")
 
 
 class TruthNoise(_Section):
@@ -197,6 +216,10 @@ class TruthNoise(_Section):
     torque_std: dict[str, NonNegative] = Field(default_factory=dict, description="joint → white noise [N·m]")
     ripple_amplitude: dict[str, NonNegative] = Field(default_factory=dict, description="joint → torque ripple [N·m]")
     ripple_per_revolution: Positive = Field(default=100.0, description="ripple periods a joint revolution")
+    torque_delay: Annotated[float, Field(ge=0, le=0.1), _NotTruthValue] = Field(
+        default=0.0, description="how much later than the encoder the current and the torque are read [s]"
+    )
+    temperature_resolution: NonNegative = Field(default=0.0, description="step of the temperature sensors [K]")
 
 
 class Truth(_Section):
@@ -204,6 +227,7 @@ class Truth(_Section):
 
     links: dict[str, TruthLink] = Field(default_factory=dict, description="joint → the link that it moves")
     joints: dict[str, TruthJoint] = Field(default_factory=dict)
+    thermal: TruthThermal = Field(default_factory=TruthThermal)
     noise: TruthNoise = Field(default_factory=TruthNoise)
 
 
@@ -250,6 +274,7 @@ class Robot(_Section):
             ("friction.joints", self.friction.joints),
             ("truth.links", self.truth.links),
             ("truth.joints", self.truth.joints),
+            ("truth.thermal.copper_loss", self.truth.thermal.copper_loss),
             ("truth.noise.torque_std", self.truth.noise.torque_std),
             ("truth.noise.ripple_amplitude", self.truth.noise.ripple_amplitude),
         ):
