@@ -1,4 +1,4 @@
-"""Commands of the simulation side: `demo`."""
+"""Commands of the simulation side: `demo`, `sim`."""
 
 from __future__ import annotations
 
@@ -25,3 +25,21 @@ def demo(
 
     shown = run_demo(out, robot, duration, seed)
     print_demo(shown, as_json)
+
+
+@app.command("sim")
+def sim(
+    robot: str = typer.Argument(help="Built-in robot or robot file with a truth section."),
+    wire: str = typer.Option("rtde", "--wire", help="What to simulate: rtde."),
+    host: str = typer.Option("127.0.0.1", "--host", help="Address to listen on; several arms: 127.0.0.2, 127.0.0.3."),
+    version: str = typer.Option("5.22", "--version", help="Of the controller: 3.15 (125 Hz), 5.22, 5.23, 10.10."),
+    seed: int = typer.Option(1, "--seed", help="Of the noise."),
+    no_ui: bool = typer.Option(False, "--no-ui", help="No live line on standard error."),
+) -> None:
+    """Serve a simulated arm until Ctrl-C; type faults: drop N, freeze S, cut, protective-stop, heat JOINT CELSIUS.
+
+    Example: dynid sim ur5e
+    """
+    from sim_drivers.serve import simulate
+
+    simulate(robot, wire, host, version, seed, live=not no_ui)

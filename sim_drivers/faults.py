@@ -1,0 +1,119 @@
+"""Faults on request: what a simulated controller and its network can be asked to do wrong."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from queue import Empty, SimpleQueue
+
+from drivers.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Drop:
+    """Lose the next `packages` data packages of every client that is connected; the controller's time goes on."""
+
+    packages: int
+
+
+@dataclass(frozen=True)
+class Freeze:
+    """Say nothing for `duration` [s] and keep the connections; what would have been said is lost."""
+
+    duration: float
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Close every RTDE connection."""
+
+
+@dataclass(frozen=True)
+class ProtectiveStop:
+    """Stop protectively, as after a collision."""
+
+
+@dataclass(frozen=True)
+class Heat:
+    """Warm joint number `joint` (from 0) up by `celsius`."""
+
+    joint: int
+    celsius: float
+
+
+Fault = Drop | Freeze | Cut | ProtectiveStop | Heat
+
+USAGE = "drop N | freeze SECONDS | cut | protective-stop | heat JOINT CELSIUS"
+
+
+class Faults:
+    """Faults waiting for the server's next period; may be called from any thread."""
+
+    def __init__(self) -> None:
+        self._waiting: SimpleQueue[Fault] = SimpleQueue()
+
+    def request(self, fault: Fault) -> None:
+        """Make it happen."""
+        self._waiting.put(fault)
+
+    def drop(self, packages: int) -> None:
+        """Lose the next data packages."""
+        self.request(Drop(packages))
+
+    def freeze(self, duration: float) -> None:
+        """Say nothing for a while [s]."""
+        self.request(Freeze(duration))
+
+    def cut(self) -> None:
+        """Close every RTDE connection."""
+        self.request(Cut())
+
+    def protective_stop(self) -> None:
+        """Stop protectively."""
+        self.request(ProtectiveStop())
+
+    def heat(self, joint: int, celsius: float) -> None:
+        """Warm a joint up."""
+        self.request(Heat(joint, celsius))
+
+    def take(self) -> list[Fault]:
+        """What was requested since the last call."""
+        taken: list[Fault] = []
+        while True:
+            try:
+                taken.append(self._waiting.get_nowait())
+            except Empty:
+                return taken
+
+
+def parse_fault(line: str, joints: Sequence[str]) -> Fault:
+    """Read a fault as a person types it; a joint goes by its name, or its number from 1.
+
+    Raises:
+        UsageError: not a fault, or a number that makes none.
+    """
+    match line.split():
+        case ["drop", count] if count.isdecimal() and int(count) > 0:
+            return Drop(int(count))
+        case ["freeze", seconds] if (duration := _positive(seconds)) is not None:
+            return Freeze(duration)
+        case ["cut"]:
+            return Cut()
+        case ["protective-stop"]:
+            return ProtectiveStop()
+        case ["heat", joint, celsius] if (rise := _positive(celsius)) is not None:
+            if joint in joints:
+                return Heat(joints.index(joint), rise)
+            if joint.isdecimal() and 1 <= int(joint) <= len(joints):
+                return Heat(int(joint) - 1, rise)
+            raise UsageError(f"no joint is called '{joint}'", hint=f"1 to {len(joints)}, or {', '.join(joints)}")
+    raise UsageError(f"'{line.strip()}' is not a fault", hint=USAGE)
+
+
+def _positive(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) and value > 0 else None

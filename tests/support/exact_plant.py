@@ -1,0 +1,90 @@
+"""A plant that follows its target exactly, for tests of what stands in front of it; run as a program, it is served."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.streams import FloatArray
+
+JOINT_NAMES = tuple(f"j{number}" for number in range(1, 7))
+
+
+@dataclass(frozen=True)
+class Measurement:
+    time: float
+    position: FloatArray
+    velocity: FloatArray
+    current: FloatArray
+    torque: FloatArray
+    temperature: FloatArray
+    target_position: FloatArray
+    target_velocity: FloatArray
+    target_acceleration: FloatArray
+    target_current: FloatArray
+    target_torque: FloatArray
+
+
+class ExactPlant:
+    """Current is 0.5 A plus the position, torque ten times that, so that a test can tell them apart."""
+
+    def __init__(self, joints: int = 6) -> None:
+        self.time = 0.0
+        self.position = np.linspace(-0.5, 0.5, joints)
+        self.velocity = np.zeros(joints)
+        self.acceleration = np.zeros(joints)
+        self.temperature = np.linspace(25.0, 30.0, joints)
+        self.halted = False
+
+    def set_target(
+        self, position: FloatArray, velocity: FloatArray | None = None, acceleration: FloatArray | None = None
+    ) -> None:
+        self.position = position.copy()
+        self.velocity = np.zeros_like(position) if velocity is None else velocity.copy()
+        self.acceleration = np.zeros_like(position) if acceleration is None else acceleration.copy()
+        self.halted = False
+
+    def halt(self, deceleration: float) -> None:
+        self.velocity = np.zeros_like(self.position)
+        self.acceleration = np.zeros_like(self.position)
+        self.halted = True
+
+    def advance(self, duration: float) -> None:
+        self.time += duration
+
+    def heat(self, joint: int, celsius: float) -> None:
+        self.temperature[joint] += celsius
+
+    def measure(self) -> Measurement:
+        current = 0.5 + self.position
+        return Measurement(
+            self.time,
+            self.position,
+            self.velocity,
+            current,
+            10.0 * current,
+            self.temperature,
+            self.position,
+            self.velocity,
+            self.acceleration,
+            current,
+            10.0 * current,
+        )
+
+
+def main() -> None:
+    from sim_drivers.rtde_server import RtdeServer
+    from sim_drivers.serve import serve
+
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--host", default="127.0.0.1")
+    parser.add_argument("--version", default="5.22")
+    arguments = parser.parse_args()
+    server = RtdeServer(ExactPlant(), host=arguments.host, version=arguments.version)
+    serve(server, "exact", JOINT_NAMES, live=False)
+
+
+if __name__ == "__main__":
+    main()
