@@ -22,6 +22,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from ident.autocorrelation import independent_share, residual_autocorrelation
 from ident.comparison import TorqueSeries
 from ident.filters import ZeroPhaseFilter
 from ident.kinematics import FloatArray
@@ -92,8 +93,7 @@ def block_jackknife(
         moved = _move(scaled_normal - block.gram / np.outer(scale, scale), block.score / scale)
         total += np.outer(moved, moved)
     covariance = (blocks - 1) / blocks * total / np.outer(scale, scale)
-    # AR(1): a sum of N correlated values has the variance of N (1 − ρ)/(1 + ρ) independent ones.
-    share = min(1.0, float(np.mean((1.0 - autocorrelation) / (1.0 + autocorrelation))))
+    share = independent_share(autocorrelation)
     new = len(different) / len(counted)
     return CorrectedCovariance(covariance, length, blocks, autocorrelation, solution.rows * share * new, 1.0 / new)
 
@@ -112,14 +112,6 @@ def _move(rest: FloatArray, score: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.solve(rest, score))
     except np.linalg.LinAlgError:
         return np.asarray(np.linalg.pinv(rest, rcond=1e-14, hermitian=True) @ score)
-
-
-def residual_autocorrelation(series: Sequence[TorqueSeries]) -> FloatArray:
-    """Lag-one autocorrelation (n,) of the residuals, within ±0.99."""
-    products = sum(np.sum(part.residual[:, 1:] * part.residual[:, :-1], axis=1) for part in series)
-    squares = sum(np.sum(part.residual**2, axis=1) for part in series)
-    ratio = np.divide(products, squares, out=np.zeros_like(squares), where=np.asarray(squares) > 0)
-    return np.asarray(np.clip(ratio, -0.99, 0.99))
 
 
 def block_length(autocorrelation: FloatArray, samples: int) -> int:

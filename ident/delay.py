@@ -11,15 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ident.autocorrelation import independent_share, residual_autocorrelation
+from ident.comparison import compare_torques
 from ident.filters import ZeroPhaseFilter
-from ident.least_squares import excited_columns
-from ident.observation import reduce_segments
+from ident.least_squares import excited_columns, ordinary_least_squares
+from ident.observation import Reduction, reduce_segments
 from ident.preprocess import Segment, shift_torque
 from ident.regressor import RegressorKernel
 from ident.triangular import triangular
 
 WORTHWHILE_GAIN = 0.01
 """A delay is used only if it lowers the residual's norm by at least this share."""
+
+SURE_DEVIATIONS = 4.0
+"""… and if it is this many standard deviations away from 0."""
 
 LONGEST = 0.1
 """Delays beyond this [s] are not a drive's: something else is wrong with the stamps."""
@@ -34,12 +39,14 @@ class DelaySearch:
 
     Attributes:
         best: delay [s] with the smallest residual, positive where the torque lags; nan where none was found.
+        std: its standard deviation [s], corrected for the residuals' autocorrelation; nan where none was found.
         gain: share by which it lowers the residual's norm.
         used: the delay to use [s]: `best` where it is worthwhile, else 0.
         note: the finding in words.
     """
 
     best: float
+    std: float
     gain: float
     used: float
     note: str
@@ -64,17 +71,36 @@ def search_delay(kernel: RegressorKernel, segments: Sequence[Segment], parallel_
             at_zero = norm
         steepness = float(slope @ slope)
         if steepness == 0.0 or at_zero == 0.0:
-            return DelaySearch(float("nan"), 0.0, 0.0, "the torque does not change: no delay can be seen")
+            return DelaySearch(float("nan"), float("nan"), 0.0, 0.0, "the torque does not change: no delay can be seen")
         step = -float(slope @ residual) / steepness
         if abs(step) < _SETTLED:
             break
         delay += step
         if abs(delay) > LONGEST:
             note = f"no delay within ±{LONGEST * 1e3:g} ms fits; none used"
-            return DelaySearch(float("nan"), 0.0, 0.0, note)
+            return DelaySearch(float("nan"), float("nan"), 0.0, 0.0, note)
     gain = 1.0 - norm / at_zero
+    std = _standard_deviation(kernel, segments, parallel_filter, reduction, steepness)
     side = "behind" if delay > 0 else "ahead of"
-    found = f"torque lies {abs(delay) * 1e3:.2f} ms {side} the motion (residual {gain * 100:.1f} % smaller)"
+    found = f"torque lies {abs(delay) * 1e3:.2f} ± {std * 1e3:.2f} ms {side} the motion"
+    if abs(delay) < SURE_DEVIATIONS * std:
+        return DelaySearch(delay, std, gain, 0.0, f"{found}: not sure to be one, none used")
+    found += f" (residual {gain * 100:.1f} % smaller)"
     if gain < WORTHWHILE_GAIN:
-        return DelaySearch(delay, gain, 0.0, f"{found}: too little to matter, none used")
-    return DelaySearch(delay, gain, delay, found)
+        return DelaySearch(delay, std, gain, 0.0, f"{found}: too little to matter, none used")
+    return DelaySearch(delay, std, gain, delay, found)
+
+
+def _standard_deviation(
+    kernel: RegressorKernel,
+    segments: Sequence[Segment],
+    parallel_filter: ZeroPhaseFilter,
+    reduction: Reduction,
+    steepness: float,
+) -> float:
+    """Of the delay [s]: the classical one over the square root of the share of independent rows (AR(1) residuals)."""
+    solution = ordinary_least_squares(reduction, excited_columns(reduction))
+    series = compare_torques(kernel.model, kernel.columns, solution.parameters, segments, parallel_filter)
+    share = independent_share(residual_autocorrelation(series))
+    freedom = reduction.rows - len(solution.active)
+    return float(np.sqrt(solution.residual_sum / freedom / steepness / share))
