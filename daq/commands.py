@@ -1,10 +1,14 @@
-"""Commands of the acquisition side: `robots`, `import`."""
+"""Commands of the acquisition side: `robots`, `import`, `record`, `recover`."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
+
+if TYPE_CHECKING:
+    from daq.session import SessionReport
 
 app = typer.Typer()
 
@@ -86,6 +90,126 @@ def import_recording(
         print(f"{out}: {quality.samples} samples of {', '.join(stream.channels)} at {quality.rate_hz:.4g} Hz")
     for event in recording.events:
         print(f"  {event.level}: {event.message}")
+
+
+@app.command("record")
+def record_command(
+    robot: str = typer.Argument(help="Built-in robot or robot file."),
+    wire: str = typer.Option(None, "--wire", help="Connection of the robot file; its first one if absent."),
+    host: str = typer.Option(None, "--host", help="Address in place of the connection's own."),
+    trajectory: Path = typer.Option(None, "--trajectory", help="Trajectory file to play; the arm will move."),
+    duration: float = typer.Option(None, "--duration", help="Record for so many seconds without moving the arm."),
+    out: Path = typer.Option(..., "-o", "--out", help="Recording to write (.h5)."),
+    comment: str = typer.Option("", "--comment", help="Your words, kept in the recording."),
+    force: bool = typer.Option(False, "--force", help="Overwrite the output file."),
+    no_ui: bool = typer.Option(False, "--no-ui", help="No live status on stderr."),
+    as_json: bool = JSON,
+) -> None:
+    """Play a trajectory and record it, or record whatever moves the arm.
+
+    Example: dynid record ur5e --trajectory traj.yaml -o run.h5
+    """
+    import sys
+
+    from daq.live_status import live_status
+    from daq.recorder import Recorder
+    from daq.robot import load_robot
+    from daq.safety import Limits, Supervisor
+    from daq.session import INTERRUPTED, Play, load_driver, record
+    from daq.trajectory_file import load_trajectory
+    from drivers.errors import UsageError
+
+    if (trajectory is None) == (duration is None):
+        raise UsageError("give either --trajectory or --duration")
+    if duration is not None and not 0 < duration < float("inf"):
+        raise UsageError(f"--duration {duration:g} is not a positive number of seconds")
+    robot_file = load_robot(robot)
+    played = load_trajectory(trajectory, robot_file.robot) if trajectory is not None else None
+    driver, rate = load_driver(robot_file.robot, wire, host)
+    try:
+        driver.open()
+        layouts = driver.streams()
+        rate = next((layout.rate for layout in layouts if layout.name == "joints" and layout.rate > 0), rate)
+        if played is not None and rate <= 0:
+            raise UsageError("the connection has no 'rate', so no motion can be played", where=robot)
+        recorder = Recorder(
+            out,
+            robot_file,
+            layouts,
+            trajectory=played.text if played is not None else "",
+            comment=comment,
+            overwrite=force,
+        )
+        supervisor = Supervisor(Limits.of_robot(robot_file.robot), layouts)
+        play = Play(played.motion, robot_file.robot, rate) if played is not None else None
+        with live_status(shown=not (no_ui or as_json)) as status:
+            report = record(driver, recorder, supervisor, play, duration, status)
+    finally:
+        driver.close()
+    _report_session(out, report, as_json)
+    if report.stopped_by == INTERRUPTED:
+        raise typer.Exit(130)
+    if report.error is not None:
+        print(f"dynid: {report.error}", file=sys.stderr)
+        raise typer.Exit(report.error.exit_status)
+
+
+def _report_session(out: Path, report: SessionReport, as_json: bool) -> None:
+    from dataclasses import asdict
+
+    from daq.console import print_json
+    from daq.recording import read_recording
+    from daq.stream_quality import StreamQuality, stream_quality
+    from drivers.errors import RecordingError
+
+    qualities: dict[str, StreamQuality] = {}
+    try:
+        recording = read_recording(out)
+        qualities = {name: stream_quality(stream.time) for name, stream in recording.streams.items()}
+    except RecordingError:
+        if report.error is None:  # otherwise that error is what to tell
+            raise
+    punctuality = asdict(report.punctuality) if report.punctuality is not None else None
+    if as_json:
+        streams = {name: asdict(quality) for name, quality in qualities.items()}
+        stopped = {"file": str(out), "streams": streams, "stopped_by": report.stopped_by}
+        print_json({**stopped, "overflow": report.overflow, "punctuality": punctuality})
+        return
+    for name, quality in qualities.items():
+        print(f"{out}: {name}: {quality.samples} samples at {quality.rate_hz:.4g} Hz, {quality.lost} lost")
+    if report.punctuality is not None:
+        late = report.punctuality
+        print(
+            f"positions sent late by {late.p50_ms:.2f} ms (median), {late.p99_ms:.2f} (99 %), {late.max_ms:.2f} (most)"
+        )
+
+
+@app.command("recover")
+def recover_command(
+    file: Path = typer.Argument(help="Recording whose writer died."),
+    out: Path = typer.Option(None, "-o", "--out", help="Recording to write; FILE-recovered.h5 if absent."),
+    force: bool = typer.Option(False, "--force", help="Overwrite the output file."),
+    as_json: bool = JSON,
+) -> None:
+    """Rescue what was flushed of a recording that was never closed.
+
+    Example: dynid recover run.h5
+    """
+    from dataclasses import asdict
+
+    from daq.console import print_json
+    from daq.recover import recover
+    from daq.stream_quality import stream_quality
+
+    target = out if out is not None else file.with_name(f"{file.stem}-recovered.h5")
+    found = recover(file, target, overwrite=force)
+    qualities = {name: stream_quality(stream.time) for name, stream in found.recording.streams.items()}
+    if as_json:
+        streams = {name: asdict(quality) for name, quality in qualities.items()}
+        print_json({"file": str(target), "streams": streams, "cut": dict(found.cut)})
+        return
+    for name, quality in qualities.items():
+        print(f"{target}: {name}: {quality.samples} samples rescued, {found.cut[name]} announced but not written")
 
 
 def _column_mapping(pairs: list[str]) -> dict[str, str]:

@@ -33,19 +33,34 @@ def read_recording(path: str | Path) -> Recording:
     try:
         file = h5py.File(path, "r")
     except OSError as error:
+        if "consistency flags" in str(error):
+            raise RecordingError(
+                "is half-written: its writer is still at work, or died",
+                where=where,
+                hint=f"when no recording is running: dynid recover {path}",
+            ) from error
         raise RecordingError(
             f"is truncated or still open in a writer: {hdf5_reason(error)}",
             where=where,
             hint="copy it again from its source",
         ) from error
     with file:
-        try:
-            return _read(file, path)
-        except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError, MemoryError) as error:
-            # h5py raises any of these on objects of another kind or on broken structures.
-            raise RecordingError(
-                f"is damaged: {hdf5_reason(error)}", where=where, hint="copy it again from its source"
-            ) from error
+        return read_open_recording(file, path)
+
+
+def read_open_recording(file: Any, path: Path) -> Recording:
+    """Read a whole recording from an open HDF5 file.
+
+    Raises:
+        RecordingError: as `read_recording`, once the file is open.
+    """
+    try:
+        return _read(file, path)
+    except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError, MemoryError) as error:
+        # h5py raises any of these on objects of another kind or on broken structures.
+        raise RecordingError(
+            f"is damaged: {hdf5_reason(error)}", where=str(path), hint="copy it again from its source"
+        ) from error
 
 
 def _has_hdf5_signature(path: Path) -> bool:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -26,7 +28,8 @@ from daq.streams import (
 )
 from drivers.errors import RecordingError
 
-CHUNK_SECONDS = 1.0
+CHUNK_SECONDS = 0.5
+"""What one chunk holds, and so the longest stretch that a crash can cost a recorder that flushes whole chunks."""
 MAX_CHUNK_ROWS = 20_000  # a nominal rate that came out of nearly equal stamps must not size a chunk
 EVENT_CHUNK_ROWS = 64
 
@@ -38,6 +41,11 @@ _EVENT_TYPE = np.dtype(
         ("message", h5py.string_dtype("utf-8")),
     ]
 )
+
+
+def chunk_rows(rate: float) -> int:
+    """Rows of a chunk of a stream with this nominal rate [Hz]; 1000 where it is unknown (0)."""
+    return round(min(max(rate * CHUNK_SECONDS, 1.0), MAX_CHUNK_ROWS)) if rate > 0 else 1000
 
 
 class RecordingWriter:
@@ -68,11 +76,15 @@ class RecordingWriter:
             raise RecordingError(f"cannot be created: {hdf5_reason(error)}", where=str(path)) from error
         self.path = path
         self._layouts = {layout.name: layout for layout in streams}
+        # Kept open: closing a dataset that a full disk refuses leaves HDF5 in a state in which it crashes at exit.
+        self._datasets: dict[str, dict[str, Any]] = {layout.name: {} for layout in streams}
         self._write_attributes(robot, trajectory, comment)
         group = self._file.create_group("streams")
         for layout in streams:
             self._create_stream(group, layout)
-        self._file.create_dataset("events", (0,), maxshape=(None,), dtype=_EVENT_TYPE, chunks=(EVENT_CHUNK_ROWS,))
+        self._events = self._file.create_dataset(
+            "events", (0,), maxshape=(None,), dtype=_EVENT_TYPE, chunks=(EVENT_CHUNK_ROWS,)
+        )
 
     def _write_attributes(self, robot: RobotFile, trajectory: str, comment: str) -> None:
         attributes = self._file.attrs
@@ -88,18 +100,27 @@ class RecordingWriter:
 
     def _create_stream(self, parent: Any, layout: StreamLayout) -> None:
         group = parent.create_group(layout.name)
-        rows = round(min(max(layout.rate * CHUNK_SECONDS, 1.0), MAX_CHUNK_ROWS)) if layout.rate > 0 else 1000
+        rows = chunk_rows(layout.rate)
         clocks = (("time", "the source's own clock"), ("host_time", "the host's monotonic clock"))
         for name, description in clocks:
-            dataset = group.create_dataset(name, (0,), maxshape=(None,), dtype=np.float64, chunks=(rows,))
+            dataset = group.create_dataset(
+                name, (0,), maxshape=(None,), dtype=np.float64, chunks=(rows,), fillvalue=np.nan
+            )
+            self._datasets[layout.name][name] = dataset
             dataset.attrs["unit"] = "s"
             dataset.attrs["description"] = description
         group["time"].make_scale("time")
         for channel in layout.channels:
             width = len(channel.columns)
             dataset = group.create_dataset(
-                channel.quantity, (0, width), maxshape=(None, width), dtype=np.float64, chunks=(rows, width)
+                channel.quantity,
+                (0, width),
+                maxshape=(None, width),
+                dtype=np.float64,
+                chunks=(rows, width),
+                fillvalue=np.nan,  # rows of a crash that were announced but not written must not look like samples
             )
+            self._datasets[layout.name][channel.quantity] = dataset
             dataset.attrs["unit"] = channel.unit
             dataset.attrs["description"] = channel.description
             dataset.attrs["joints"] = list(channel.columns)
@@ -121,23 +142,33 @@ class RecordingWriter:
         for channel in layout.channels:
             if np.shape(blocks[channel.quantity]) != (count, len(channel.columns)):
                 raise ValueError(f"{stream}/{channel.quantity}: shape {np.shape(blocks[channel.quantity])}")
-        group = self._file["streams"][stream]
+        datasets = self._datasets[stream]
         try:
             for name, values in (("time", time), ("host_time", host_time), *blocks.items()):
-                dataset = group[name]
+                dataset = datasets[name]
                 start = dataset.shape[0]
                 dataset.resize(start + count, axis=0)
                 dataset[start:] = values
-        except OSError as error:
-            raise RecordingError(f"cannot be written: {hdf5_reason(error)}", where=str(self.path)) from error
+        except (OSError, RuntimeError) as error:
+            raise self._write_error(error) from error
+
+    def allow_readers(self) -> None:
+        """Let others read the file while it grows (HDF5's single-writer multiple-reader mode); only once."""
+        self._file.swmr_mode = True
+
+    def _write_error(self, error: BaseException) -> RecordingError:
+        return RecordingError(f"cannot be written: {hdf5_reason(error)}", where=str(self.path))
 
     def event(self, time: float, level: Level, source: str, message: str) -> None:
         """Append an event; `time` [s] in the clock of the stream that it concerns."""
-        events = self._file["events"]
-        events.resize(events.shape[0] + 1, axis=0)
+        events = self._events
         # HDF5 texts end at the first NUL, and h5py refuses them.
         row = (time, level, source.replace("\0", " "), message.replace("\0", " "))
-        events[-1:] = np.array([row], dtype=_EVENT_TYPE)
+        try:
+            events.resize(events.shape[0] + 1, axis=0)
+            events[-1:] = np.array([row], dtype=_EVENT_TYPE)
+        except (OSError, RuntimeError) as error:
+            raise self._write_error(error) from error
 
     def keep_origin(self, recording: Recording) -> None:
         """State where and when the samples were taken, in place of here and now; empty entries change nothing."""
@@ -150,14 +181,42 @@ class RecordingWriter:
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system."""
-        self._file.flush()
+        try:
+            self._file.flush()
+        except (OSError, RuntimeError) as error:
+            raise self._write_error(error) from error
 
     def close(self, *, complete: bool) -> None:
-        """Close the file and say whether the recording ended in order."""
+        """Close the file and say whether the recording ended in order.
+
+        Raises:
+            RecordingError: the file cannot be written any more (full disk); what was flushed can be recovered.
+        """
         if not self._file.id.valid:
             return
-        self._file.attrs["complete"] = complete
-        self._file.close()
+        try:
+            self._file.attrs["complete"] = complete
+            self._file.close()
+        except (OSError, RuntimeError) as error:
+            self.abandon()
+            raise self._write_error(error) from error
+
+    def abandon(self) -> None:
+        """Let go of a file that cannot be written any more; what was flushed stays as it is.
+
+        HDF5 keeps a file open whose close failed, tries again at the interpreter's exit and crashes there (seen with
+        HDF5 2.0 and a full disk). So what it still wants to write goes nowhere.
+        """
+        if not self._file.id.valid:
+            return
+        # In memory, since a file's length is set at its close, which the null device refuses.
+        nowhere = os.memfd_create("abandoned") if hasattr(os, "memfd_create") else os.open(os.devnull, os.O_RDWR)
+        try:
+            os.dup2(nowhere, self._file.id.get_vfd_handle())
+        finally:
+            os.close(nowhere)
+        with suppress(OSError, RuntimeError):
+            self._file.close()
 
     def __enter__(self) -> Self:
         return self
@@ -166,7 +225,12 @@ class RecordingWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         if error is not None and self._file.id.valid:
-            self.event(float("nan"), "error", "recorder", str(error) or type(error).__name__)
+            try:
+                self.event(float("nan"), "error", "recorder", str(error) or type(error).__name__)
+                self.close(complete=False)
+            except RecordingError:  # the error on its way is the one to tell
+                self.abandon()
+            return
         self.close(complete=error is None)
 
 

@@ -1,0 +1,177 @@
+"""The player: sends a motion to a driver, a position a period, by absolute times, in a thread of its own."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.trajectories import FloatArray, Motion
+from drivers.errors import DynidError, WorkError
+
+_PR_SET_TIMERSLACK = 29
+DRY_RUN = 0.3
+"""Length of the dry run [s]."""
+DRY_RUN_PERIODS = 5
+"""Median lateness in the dry run, in periods, from which this computer is too slow for the rate."""
+
+
+@dataclass(frozen=True)
+class Punctuality:
+    """How late positions were sent.
+
+    Attributes:
+        sent: number of positions.
+        skipped: positions that were not sent since a later one was already due.
+        p50_ms, p99_ms, max_ms: lateness [ms].
+    """
+
+    sent: int
+    skipped: int
+    p50_ms: float
+    p99_ms: float
+    max_ms: float
+
+
+def ticks(motion: Motion, rate: float) -> FloatArray:
+    """Positions (N, n) of a motion at every period, both ends included."""
+    count = int(np.ceil(motion.duration * rate - 1e-9)) + 1
+    position, _, _ = motion.evaluate(np.minimum(np.arange(count) / rate, motion.duration))
+    return np.ascontiguousarray(position.T)
+
+
+class Player:
+    """Sends positions until it is told to stop; holds the last one when the motion is over.
+
+    Args:
+        send: takes a position (n,); a driver's `command`.
+        noted: is told of every position, with the host's monotonic time [s], before it is sent.
+        positions: (N, n), the first one where the arm stands.
+        rate: [Hz].
+        motion_index: of the position at which the approach ends and the motion itself begins.
+    """
+
+    def __init__(
+        self,
+        send: Callable[[FloatArray], None],
+        noted: Callable[[float, FloatArray], None],
+        positions: FloatArray,
+        rate: float,
+        motion_index: int = 0,
+    ) -> None:
+        self.motion_index = motion_index
+        self._send = send
+        self._noted = noted
+        self._positions = positions
+        self._period = 1.0 / rate
+        self._halt = threading.Event()
+        self._done = threading.Event()
+        self._failure: DynidError | None = None
+        self._late: list[float] = []
+        self._skipped = 0
+        self._index = 0
+        self._thread = threading.Thread(target=self._run, name="player", daemon=True)
+
+    @property
+    def done(self) -> bool:
+        """Whether the last position was sent."""
+        return self._done.is_set()
+
+    @property
+    def index(self) -> int:
+        """Of the position sent last."""
+        return self._index
+
+    @property
+    def failure(self) -> DynidError | None:
+        """Why it ended before its end; None while all is well."""
+        return self._failure
+
+    def start(self) -> None:
+        """Begin to send."""
+        self._thread.start()
+
+    def stop(self, timeout: float) -> bool:
+        """Send no further position; whether the thread has ended within `timeout` [s]."""
+        self._halt.set()
+        if self._thread.ident is not None:
+            self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    def punctuality(self) -> Punctuality:
+        """The figures so far."""
+        return _punctuality(self._late, self._skipped)
+
+    def _run(self) -> None:
+        _set_timer_slack()
+        try:
+            # Taking control of an arm may last seconds: the clock starts when it is had.
+            self._noted(time.monotonic(), self._positions[0])
+            self._send(self._positions[0])
+            start, tick, last = time.monotonic(), 0, len(self._positions) - 1
+            while not self._halt.is_set():
+                due = max(tick + 1, int((time.monotonic() - start) / self._period))
+                if tick < last:
+                    self._skipped += min(due, last) - tick - 1
+                tick = due
+                late = _sleep_until(start + tick * self._period)
+                if self._halt.is_set():
+                    return
+                index = min(tick, last)
+                self._noted(time.monotonic(), self._positions[index])
+                self._send(self._positions[index])
+                self._index = index
+                if tick <= last:
+                    self._late.append(late)
+                if index == last:
+                    self._done.set()
+        except DynidError as error:
+            self._failure = error
+        except Exception as error:  # whatever it was, the session must hear of it and stop the arm
+            self._failure = WorkError(f"the player broke: {type(error).__name__}: {error}")
+
+
+def dry_run(rate: float) -> Punctuality:
+    """How punctual this computer is at a rate [Hz], without sending anything.
+
+    Raises:
+        WorkError: the median lateness is above five periods: it cannot play a motion at this rate.
+    """
+    _set_timer_slack()
+    period, late = 1.0 / rate, []
+    start = time.monotonic()
+    for tick in range(1, max(2, int(DRY_RUN * rate))):
+        late.append(_sleep_until(start + tick * period))
+    figures = _punctuality(late, 0)
+    if figures.p50_ms > 1e3 * DRY_RUN_PERIODS * period:
+        raise WorkError(
+            f"this computer is {figures.p50_ms:.1f} ms late at {rate:g} Hz (median of a dry run)",
+            hint="end other programs, or lower the connection's rate",
+        )
+    return figures
+
+
+def _sleep_until(moment: float) -> float:
+    """Sleep until a monotonic time [s]; how late it became [s]."""
+    left = moment - time.monotonic()
+    if left > 0:
+        time.sleep(left)
+    return max(0.0, time.monotonic() - moment)
+
+
+def _set_timer_slack() -> None:
+    """Let this thread's sleeps end within a nanosecond instead of 50 µs (Linux only)."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+
+
+def _punctuality(late: list[float], skipped: int) -> Punctuality:
+    if not late:
+        return Punctuality(0, skipped, float("nan"), float("nan"), float("nan"))
+    p50, p99 = np.percentile(late, [50.0, 99.0])
+    return Punctuality(len(late), skipped, 1e3 * float(p50), 1e3 * float(p99), 1e3 * max(late))

@@ -1,0 +1,76 @@
+"""Rescue of a recording whose writer died: everything that was flushed, in a new file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from daq.hdf5_reason import hdf5_reason
+from daq.recording_reader import read_open_recording
+from daq.recording_writer import write_recording
+from daq.streams import Channel, Event, Recording, Stream
+from drivers.errors import RecordingError
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What was rescued.
+
+    Attributes:
+        recording: as written to the new file.
+        cut: stream → rows that the file announced but that were not written.
+    """
+
+    recording: Recording
+    cut: dict[str, int]
+
+
+def follow_recording(path: Path) -> Recording:
+    """What has been flushed of a recording that is still being written, or whose writer died.
+
+    Raises:
+        RecordingError: not a recording, or nothing of it can be read.
+    """
+    try:
+        with h5py.File(path, "r", libver="latest", swmr=True) as file:
+            return read_open_recording(file, path)
+    except (OSError, RuntimeError) as error:
+        raise RecordingError(f"nothing can be rescued: {hdf5_reason(error)}", where=str(path)) from error
+
+
+def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:
+    """Copy what can be read of a half-written recording into a new file, which says so in an event.
+
+    The recording stays incomplete (`complete` false): whoever reads it should know that it ended by accident.
+
+    Raises:
+        RecordingError: nothing can be read, or the new file exists already.
+    """
+    if not path.is_file():
+        raise RecordingError("no such file" if not path.exists() else "is not a file", where=str(path))
+    if path.resolve() == out.resolve():
+        raise RecordingError("would overwrite its own source", where=str(out), hint="choose another name with -o")
+    found = follow_recording(path)
+    streams, cut = {}, {}
+    for name, stream in found.streams.items():
+        streams[name], cut[name] = _without_unwritten_rows(stream)
+    lost = ", ".join(f"{count} rows of {name}" for name, count in cut.items() if count)
+    message = f"recovered from {path.name}, whose writer did not close it" + (f"; unwritten: {lost}" if lost else "")
+    events = (*found.events, Event(float("nan"), "warning", "recover", message))
+    recording = replace(found, streams=streams, events=events, complete=False)
+    write_recording(out, recording, overwrite=overwrite)
+    return Recovered(replace(recording, path=out), cut)
+
+
+def _without_unwritten_rows(stream: Stream) -> tuple[Stream, int]:
+    """A stream up to its first row without a time stamp: HDF5 may lengthen a dataset before its rows are on disk."""
+    unwritten = np.flatnonzero(np.isnan(stream.time) | np.isnan(stream.host_time))
+    count = int(unwritten[0]) if len(unwritten) else len(stream.time)
+    channels = {
+        name: Channel(name, channel.values[:count], channel.unit, channel.columns, channel.description)
+        for name, channel in stream.channels.items()
+    }
+    return Stream(stream.name, stream.time[:count], stream.host_time[:count], channels), len(stream.time) - count

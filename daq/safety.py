@@ -1,0 +1,204 @@
+"""The safety supervisor: looks at every block before it is forgotten, and names the first limit that was passed."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from daq.robot import Robot
+from drivers.streams import Block, FloatArray, StreamLayout
+
+TRACKING_ERROR = 0.2
+"""Default limit of the tracking error [rad or m]."""
+TRACKING_WINDOW = 0.25
+"""How far back [s] a command may lie that a measured position is still allowed to follow."""
+VELOCITY_MARGIN = 1.1
+"""A motion may use the whole velocity limit; this leaves room for its noise and overshoot."""
+STALE_PERIODS = 5
+STALE_FLOOR = 0.05
+"""An ordinary PC stalls for tens of milliseconds itself: below this [s] nobody can tell that from a silent source."""
+
+
+@dataclass(frozen=True)
+class Breach:
+    """A limit that was passed.
+
+    Attributes:
+        what: position, velocity, torque, temperature, tracking error, stale data.
+        joint: name of the joint, or of the stream for stale data.
+        value, limit: in `unit`.
+        time: of the source's clock [s]; nan where there is none.
+        unit: of both.
+    """
+
+    what: str
+    joint: str
+    value: float
+    limit: float
+    time: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.what} of {self.joint}: {self.value:.4g} {self.unit} passes {self.limit:.4g} {self.unit}"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What an arm may do while it moves; arrays (n,), infinite where a limit is unknown.
+
+    Attributes:
+        joints: names.
+        lowest, highest: position [rad or m].
+        velocity: [rad/s or m/s], with its margin.
+        torque: [N·m or N].
+        temperature: [°C].
+        tracking_error: [rad or m].
+        torque_per_current: [N·m/A], nan where unknown; used where a source has no torque.
+    """
+
+    joints: tuple[str, ...]
+    lowest: FloatArray
+    highest: FloatArray
+    velocity: FloatArray
+    torque: FloatArray
+    temperature: FloatArray
+    tracking_error: FloatArray
+    torque_per_current: FloatArray
+
+    @classmethod
+    def of_robot(cls, robot: Robot, tracking_error: float = TRACKING_ERROR) -> Self:
+        """The limits of a robot file."""
+        drives = [robot.drive(name) for name in robot.joint_names]
+        return cls(
+            robot.joint_names,
+            np.array([joint.position[0] for joint in robot.joints]),
+            np.array([joint.position[1] for joint in robot.joints]),
+            VELOCITY_MARGIN * np.array([joint.velocity for joint in robot.joints]),
+            np.array([np.inf if joint.torque is None else joint.torque for joint in robot.joints]),
+            np.array([np.inf if joint.temperature is None else joint.temperature for joint in robot.joints]),
+            np.full(robot.dof, tracking_error),
+            np.array([d.gain if d.gain is not None and d.signal == "current" else np.nan for d in drives]),
+        )
+
+
+def stale_after(rate: float) -> float:
+    """Age [s] from which a stream of this rate [Hz] is stale: five periods, at least 50 ms; never where it is 0."""
+    return max(STALE_PERIODS / rate, STALE_FLOOR) if rate > 0 else np.inf
+
+
+class Supervisor:
+    """Checks blocks, commands and ages against limits.
+
+    Args:
+        limits: of the arm.
+        layouts: of the streams that will come.
+    """
+
+    def __init__(self, limits: Limits, layouts: Sequence[StreamLayout]) -> None:
+        self._limits = limits
+        self._stale_after = {layout.name: stale_after(layout.rate) for layout in layouts}
+        self._last_arrival: dict[str, float] = {}
+        self._commands: deque[tuple[float, FloatArray]] = deque()
+
+    def commanded(self, host_time: float, position: FloatArray) -> None:
+        """Note a commanded position (n,) and when it was sent [s, host clock]."""
+        self._commands.append((host_time, position))
+
+    def check(self, block: Block, now: float) -> Breach | None:
+        """The first limit that a block passes, in time; None where it passes none. `now` [s] is the host's clock."""
+        self._last_arrival[block.stream] = now
+        # A temperature that is not a number is a sensor without a reading; elsewhere it is a breach.
+        found: list[tuple[int, Breach]] = []
+        limits, values = self._limits, block.values
+        if self._fits(values.get("position")):
+            position = values["position"]
+            self._add(found, block, "position", "rad", position, position >= limits.lowest, limits.lowest)
+            self._add(found, block, "position", "rad", position, position <= limits.highest, limits.highest)
+            if self._fits(values.get("target_position")):
+                error = np.abs(values["target_position"] - position)
+                self._add(
+                    found, block, "tracking error", "rad", error, error <= limits.tracking_error, limits.tracking_error
+                )
+            error = self._distance_to_commands(block.host_time, position)
+            self._add(
+                found, block, "tracking error", "rad", error, error <= limits.tracking_error, limits.tracking_error
+            )
+        if self._fits(values.get("velocity")):
+            speed = np.abs(values["velocity"])
+            self._add(found, block, "velocity", "rad/s", speed, speed <= limits.velocity, limits.velocity)
+        torque = self._torque(values)
+        if torque is not None:
+            self._add(found, block, "torque", "N·m", torque, torque <= limits.torque, limits.torque)
+        if self._fits(values.get("temperature")):
+            heat = values["temperature"]
+            within = (heat <= limits.temperature) | np.isnan(heat)
+            self._add(found, block, "temperature", "°C", heat, within, limits.temperature)
+        return min(found, key=lambda entry: entry[0])[1] if found else None
+
+    def check_ages(self, now: float) -> Breach | None:
+        """The stream that has been silent for too long at `now` [s, host clock], once it has begun."""
+        for stream, arrival in self._last_arrival.items():
+            allowed = self._stale_after.get(stream, np.inf)
+            if now - arrival > allowed:
+                return Breach("stale data", f"stream {stream}", now - arrival, allowed, float("nan"), "s")
+        return None
+
+    def restart_ages(self, now: float) -> None:
+        """Forgive the time until `now` [s, host clock], in which this process could not look."""
+        self._last_arrival = dict.fromkeys(self._last_arrival, now)
+
+    def _fits(self, values: FloatArray | None) -> bool:
+        return values is not None and values.ndim == 2 and values.shape[1] == len(self._limits.joints)
+
+    def _torque(self, values: Mapping[str, FloatArray]) -> FloatArray | None:
+        if self._fits(values.get("torque")):
+            return np.abs(values["torque"])
+        if not self._fits(values.get("current")):
+            return None
+        gain = self._limits.torque_per_current
+        return np.abs(np.where(np.isnan(gain), 0.0, values["current"] * gain))
+
+    def _distance_to_commands(self, host_time: FloatArray, position: FloatArray) -> FloatArray:
+        """How far (N, n) positions lie from everything commanded shortly before; 0 without a command."""
+        while len(self._commands) > 1 and self._commands[1][0] < host_time[0] - TRACKING_WINDOW:
+            self._commands.popleft()
+        commands = list(self._commands)
+        if not commands:
+            return np.zeros_like(position)
+        times = np.array([time for time, _ in commands])
+        targets = np.array([target for _, target in commands])
+        distance = np.zeros_like(position)
+        for row, now in enumerate(host_time):
+            first = max(int(np.searchsorted(times, now - TRACKING_WINDOW)) - 1, 0)
+            last = int(np.searchsorted(times, now, side="right"))
+            if last > first:
+                window = targets[first:last]
+                distance[row] = np.maximum(window.min(0) - position[row], position[row] - window.max(0))
+        return np.maximum(distance, 0.0) + np.where(np.isnan(position), np.nan, 0.0)
+
+    def _add(
+        self,
+        found: list[tuple[int, Breach]],
+        block: Block,
+        what: str,
+        unit: str,
+        values: FloatArray,
+        within: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
+        limit: FloatArray,
+    ) -> None:
+        if within.all():
+            return
+        row, joint = (int(index) for index in np.argwhere(~within)[0])
+        breach = Breach(
+            what,
+            self._limits.joints[joint],
+            float(values[row, joint]),
+            float(limit[joint]),
+            float(block.time[row]),
+            unit,
+        )
+        found.append((row, breach))

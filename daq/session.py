@@ -1,0 +1,322 @@
+"""The session: reads a driver, feeds recorder and supervisor, plays a motion, and stops the arm on every way out."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from importlib.metadata import entry_points
+
+import numpy as np
+
+from daq.player import Player, Punctuality, dry_run, ticks
+from daq.recorder import Recorder
+from daq.robot import Robot
+from daq.safety import Supervisor
+from daq.streams import JOINTS_STREAM
+from daq.trajectories import FloatArray, Motion, check_limits, slow_move
+from drivers.base import DRIVERS_GROUP, Driver, DriverSettings, Notice
+from drivers.errors import ConnectionLostError, DynidError, SafetyStopError, UsageError, WorkError
+from drivers.gains import DriveGain
+from drivers.streams import Block
+
+READ_TIMEOUT = 0.01
+FIRST_SAMPLE_LIMIT = 5.0
+"""How long [s] the first samples may take."""
+INTERRUPTED = "interrupted"
+_PLAYER_PATIENCE = 0.1
+_PLAYER_LIMIT = 10.0
+
+
+@dataclass(frozen=True)
+class SessionReport:
+    """How a session went.
+
+    Attributes:
+        samples: stream → samples handed to the recorder.
+        lost: stream → samples that the source says are missing.
+        overflow: samples that were dropped because the disk did not keep up.
+        stopped_by: why it ended before its end, in words; None where it ran to its end.
+        punctuality: of the motion; None without one.
+        error: what ended it, for the exit status; None where it ran to its end or was interrupted.
+    """
+
+    samples: Mapping[str, int]
+    lost: Mapping[str, int]
+    overflow: int
+    stopped_by: str | None
+    punctuality: Punctuality | None
+    error: DynidError | None = None
+
+
+@dataclass(frozen=True)
+class Play:
+    """A motion that a session is to play.
+
+    Attributes:
+        motion: from rest to rest.
+        robot: whose limits hold on the way to its start.
+        rate: of the commands [Hz].
+    """
+
+    motion: Motion
+    robot: Robot
+    rate: float
+
+
+@dataclass
+class _Course:
+    """What a running session knows."""
+
+    samples: dict[str, int] = field(default_factory=dict)
+    lost: dict[str, int] = field(default_factory=dict)
+    position: FloatArray | None = None
+    source_minus_host: float = float("nan")
+
+    def take(self, block: Block) -> None:
+        self.samples[block.stream] = self.samples.get(block.stream, 0) + len(block.time)
+        self.lost[block.stream] = self.lost.get(block.stream, 0) + block.lost
+        if block.stream == JOINTS_STREAM and len(block.time):
+            self.position = block.values["position"][-1].copy()
+            self.source_minus_host = float(block.time[-1] - block.host_time[-1])
+
+    def source_time(self) -> float:
+        """Now, in the clock of the joints' stream [s]."""
+        return time.monotonic() + self.source_minus_host
+
+
+def load_driver(robot: Robot, wire: str | None = None, host: str | None = None) -> tuple[Driver, float]:
+    """The driver of a robot's connection and the connection's rate [Hz], not yet open.
+
+    Args:
+        robot: names the connections.
+        wire: which of them; the first where None.
+        host: in place of the connection's own.
+
+    Raises:
+        UsageError: no such connection, or no such driver is installed.
+    """
+    known = ", ".join(robot.connections) or "none"
+    if not robot.connections:
+        raise UsageError("the robot file has no connection", where=f"{robot.name}: connections")
+    name = wire if wire is not None else next(iter(robot.connections))
+    if name not in robot.connections:
+        raise UsageError(f"no connection is called '{name}'", where=robot.name, hint=f"there are: {known}")
+    connection = robot.connections[name]
+    keys = dict(connection.model_extra or {})
+    if host is not None:
+        keys["host"] = host
+    found = {entry.name: entry for entry in entry_points(group=DRIVERS_GROUP)}
+    if connection.driver not in found:
+        raise UsageError(
+            f"no driver is called '{connection.driver}'",
+            where=f"{robot.name}: connections.{name}.driver",
+            hint=f"installed: {', '.join(sorted(found)) or 'none'}",
+        )
+    drives = [robot.drive(joint) for joint in robot.joint_names]
+    gains = tuple(DriveGain(drive.gain, drive.gain_std, drive.signal) for drive in drives)
+    make: Callable[[DriverSettings], Driver] = found[connection.driver].load()
+    return make(DriverSettings(robot.joint_names, keys, gains)), _rate_of(keys)
+
+
+def _rate_of(keys: Mapping[str, object]) -> float:
+    rate = keys.get("rate", 0.0)
+    return float(rate) if isinstance(rate, (int, float)) and not isinstance(rate, bool) else 0.0
+
+
+def record(
+    driver: Driver,
+    recorder: Recorder,
+    supervisor: Supervisor,
+    play: Play | None = None,
+    duration: float | None = None,
+    status: Callable[[Mapping[str, int], Mapping[str, int]], None] | None = None,
+) -> SessionReport:
+    """Record until the motion is over, `duration` [s] has passed, or something stops it.
+
+    The driver must be open; it is stopped on every way out, then the recording is closed with the reason as an event.
+    Ctrl-C and SIGTERM end the session in the same way, and are ignored while the arm is being stopped.
+
+    Args:
+        driver: open.
+        recorder: of the driver's streams.
+        supervisor: of the arm's limits.
+        play: the motion; None where something else moves the arm.
+        duration: [s]; None for as long as the motion lasts.
+        status: is told the samples and losses by stream about twice a second.
+    """
+    course = _Course()
+    player: Player | None = None
+    error: DynidError | None = None
+    interrupted = threading.Event()
+    stopped_by: str | None = None
+    with _signals_set(interrupted), _no_collections():
+        try:
+            driver.start()
+            begun = time.monotonic()
+            if play is not None:
+                dry_run(play.rate)
+                _wait_for_position(driver, recorder, supervisor, course, interrupted)
+                if course.position is not None and not interrupted.is_set():
+                    player = _prepare(driver, supervisor, recorder, play, course, course.position)
+                    supervisor.restart_ages(time.monotonic())
+                    player.start()
+            _follow(driver, recorder, supervisor, course, player, begun, duration, interrupted, status)
+        except KeyboardInterrupt:
+            interrupted.set()
+        except DynidError as caught:
+            error = caught
+        except Exception as caught:  # a bug of a driver must not leave the arm moving or the file open
+            error = WorkError(f"the session broke: {type(caught).__name__}: {caught}")
+        finally:
+            _stop(driver, player)
+        if error is not None:
+            stopped_by = str(error)
+        elif interrupted.is_set():
+            stopped_by = INTERRUPTED
+        if stopped_by is not None:
+            recorder.event(course.source_time(), "error" if error else "warning", "session", f"stopped: {stopped_by}")
+        with suppress(DynidError):  # after the stop there is nothing left that could stop anything
+            _take_notices(driver.notices(), recorder)
+        try:
+            recorder.close(complete=stopped_by is None)
+        except DynidError as caught:
+            error, stopped_by = error or caught, stopped_by or str(caught)
+    return SessionReport(
+        course.samples, course.lost, recorder.overflow, stopped_by, player.punctuality() if player else None, error
+    )
+
+
+def _wait_for_position(
+    driver: Driver, recorder: Recorder, supervisor: Supervisor, course: _Course, interrupted: threading.Event
+) -> None:
+    limit = time.monotonic() + FIRST_SAMPLE_LIMIT
+    while course.position is None and not interrupted.is_set():
+        _cycle(driver, recorder, supervisor, course)
+        if time.monotonic() > limit:
+            raise ConnectionLostError(f"no joint position within {FIRST_SAMPLE_LIMIT:g} s")
+
+
+def _prepare(
+    driver: Driver, supervisor: Supervisor, recorder: Recorder, play: Play, course: _Course, position: FloatArray
+) -> Player:
+    start, _, _ = play.motion.evaluate(np.zeros(1))
+    approach = slow_move(position, start[:, 0], play.robot.joints)
+    check_limits(approach, play.robot.joints, "the way to the start pose")
+    check_limits(play.motion, play.robot.joints, "the trajectory")
+    way = ticks(approach, play.rate)
+    begin = course.source_time()
+    recorder.event(begin, "info", "player", f"approach to the start pose, {approach.duration:.2f} s")
+    positions = np.concatenate([way, ticks(play.motion, play.rate)[1:]])
+    return Player(driver.command, supervisor.commanded, positions, play.rate, motion_index=len(way))
+
+
+def _follow(
+    driver: Driver,
+    recorder: Recorder,
+    supervisor: Supervisor,
+    course: _Course,
+    player: Player | None,
+    begun: float,
+    duration: float | None,
+    interrupted: threading.Event,
+    status: Callable[[Mapping[str, int], Mapping[str, int]], None] | None,
+) -> None:
+    shown = begun
+    moving = False
+    while not interrupted.is_set():
+        _cycle(driver, recorder, supervisor, course)
+        now = time.monotonic()
+        if player is not None:
+            if player.failure is not None:
+                raise player.failure
+            if not moving and player.index >= player.motion_index:
+                moving = True
+                recorder.event(course.source_time(), "info", "player", "motion begins")
+            if player.done:
+                recorder.event(course.source_time(), "info", "player", "motion ends")
+                return
+        if duration is not None and now - begun >= duration:
+            return
+        if status is not None and now - shown > 0.5:
+            shown = now
+            status(course.samples, course.lost)
+
+
+def _cycle(
+    driver: Driver, recorder: Recorder, supervisor: Supervisor, course: _Course, looked_twice: bool = False
+) -> None:
+    """One look at everything: samples, notices, limits, ages, the disk."""
+    before = time.monotonic()
+    blocks = driver.read(READ_TIMEOUT)
+    for block in blocks:
+        recorder.put(block)  # first of all, so that the recording shows what stopped it
+        course.take(block)
+        if block.lost:
+            when = float(block.time[0]) if len(block.time) else float("nan")
+            recorder.event(when, "warning", block.stream, f"{block.lost} samples lost")
+    now = time.monotonic()
+    for block in blocks:
+        if len(block.time) and (breach := supervisor.check(block, now)) is not None:
+            raise SafetyStopError(str(breach))
+    _take_notices(driver.notices(), recorder)
+    if recorder.failure is not None:
+        raise recorder.failure
+    if (breach := supervisor.check_ages(now)) is not None:
+        if now - before > 2.0 * READ_TIMEOUT and not looked_twice:
+            # This process may have been stalled itself: what came meanwhile is in the next read, if anything came.
+            _cycle(driver, recorder, supervisor, course, looked_twice=True)
+            return
+        raise SafetyStopError(str(breach))
+
+
+def _take_notices(notices: Sequence[Notice], recorder: Recorder) -> None:
+    worst: Notice | None = None
+    for notice in notices:
+        recorder.event(notice.time, notice.level, "driver", notice.message)
+        if notice.level == "error":
+            worst = worst or notice
+    if worst is not None:
+        raise SafetyStopError(worst.message)
+
+
+def _stop(driver: Driver, player: Player | None) -> None:
+    """Halt the arm: no command after the stop, and the stop even where a command hangs."""
+    ended = player is None or player.stop(_PLAYER_PATIENCE)
+    with suppress(Exception):  # the contract says that it never raises; the file must be closed all the same
+        driver.stop()
+    if not ended and player is not None:
+        player.stop(_PLAYER_LIMIT)
+        with suppress(Exception):
+            driver.stop()
+
+
+@contextmanager
+def _signals_set(interrupted: threading.Event) -> Iterator[None]:
+    """Ctrl-C and SIGTERM set a flag; as exceptions they could cut the stop itself short."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        signal.signal(number, lambda *_: interrupted.set())
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _no_collections() -> Iterator[None]:
+    """Keep the garbage collector off what exists already: a full collection stops every thread for up to 0.1 s."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()

@@ -1,0 +1,147 @@
+"""The session: every way out stops the arm and closes the recording with the reason."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from kinematic_arm import RATE, ROBOT_FILE, KinematicArm
+
+from daq import recorder as recorder_module
+from daq.recorder import Recorder
+from daq.recording import read_recording
+from daq.safety import Limits, Supervisor
+from daq.session import INTERRUPTED, Play, load_driver, record
+from daq.stream_quality import stream_quality
+from daq.trajectories import FourierSeries, PointToPoint, RestToRest
+from drivers.errors import ConnectionLostError, SafetyStopError, UsageError, WorkError
+
+MOTION = PointToPoint(np.array([[0.1, -0.1], [0.5, 0.3], [0.0, 0.0]]), np.array([1.2, 1.2]))
+
+
+def run(path, arm, play=None, duration=None):
+    arm.open()
+    layouts = arm.streams()
+    supervisor = Supervisor(Limits.of_robot(ROBOT_FILE.robot, tracking_error=0.05), layouts)
+    return record(arm, Recorder(path, ROBOT_FILE, layouts), supervisor, play, duration)
+
+
+def assert_closed(path, arm, reason):
+    assert arm.stopped_at is not None
+    assert arm.commands_after_stop == 0
+    recording = read_recording(path)
+    assert not recording.complete
+    assert reason in recording.events[-1].message or any(reason in event.message for event in recording.events)
+    assert len(recording.streams["joints"].time) > 0
+
+
+def test_a_recording_without_motion_runs_to_its_end(tmp_path):
+    path, arm = tmp_path / "run.h5", KinematicArm()
+    report = run(path, arm, duration=0.7)
+    assert report.stopped_by is None
+    assert report.error is None
+    recording = read_recording(path)
+    assert recording.complete
+    assert len(recording.streams["joints"].time) == report.samples["joints"] > 0.5 * RATE
+    assert stream_quality(recording.streams["joints"].time).lost == 0
+    assert arm.stopped_at is not None
+    assert arm.commands == []
+
+
+def test_a_motion_is_approached_played_and_recorded(tmp_path):
+    path, arm = tmp_path / "run.h5", KinematicArm()
+    motion = RestToRest(
+        FourierSeries(1.0, np.array([0.1, -0.1]), np.array([[0.1], [0.05]]), np.array([[0.0], [0.1]])), 1, 0.5
+    )
+    report = run(path, arm, Play(motion, ROBOT_FILE.robot, RATE))
+    assert report.stopped_by is None, report.stopped_by
+    assert report.punctuality is not None
+    assert report.punctuality.sent > RATE
+    assert np.allclose(arm.commands[0], [0.1, -0.1])  # begins where the arm stands
+    assert np.allclose(arm.commands[-1], motion.evaluate(np.array([motion.duration]))[0][:, 0])
+    messages = [event.message for event in read_recording(path).events]
+    assert "motion begins" in messages
+    assert "motion ends" in messages
+    assert arm.commands_after_stop == 0
+
+
+@pytest.mark.parametrize(
+    "fault",
+    ["position", "velocity", "torque", "temperature", "tracking error", "stale data", "protective stop"],
+)
+def test_a_breach_stops_the_arm(tmp_path, fault):
+    path, arm = tmp_path / "run.h5", KinematicArm(fault, after=0.8)
+    report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, RATE), duration=5.0)
+    assert isinstance(report.error, SafetyStopError)
+    assert report.error.exit_status == 1
+    assert fault in (report.stopped_by or "")
+    assert_closed(path, arm, fault)
+
+
+def test_a_driver_that_waits_too_long_cannot_hide_its_silence(tmp_path):
+    class Slow(KinematicArm):
+        def read(self, timeout):
+            return super().read(timeout + 0.1 * self.faulty)
+
+    path, arm = tmp_path / "run.h5", Slow("stale data")
+    report = run(path, arm, duration=5.0)
+    assert "stale data" in (report.stopped_by or "")
+    assert_closed(path, arm, "stale data")
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "reason"),
+    [("lost connection", ConnectionLostError, "the connection broke"), ("bug", WorkError, "KeyError")],
+)
+def test_a_broken_driver_ends_in_order(tmp_path, fault, kind, reason):
+    path, arm = tmp_path / "run.h5", KinematicArm(fault)
+    report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, RATE))
+    assert isinstance(report.error, kind)
+    assert_closed(path, arm, reason)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_stops_the_arm_first(tmp_path, number):
+    path, arm = tmp_path / "run.h5", KinematicArm()
+    before = signal.getsignal(number)
+    timer = threading.Timer(0.8, os.kill, (os.getpid(), number))
+    timer.start()
+    report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, RATE))
+    timer.join()
+    assert report.stopped_by == INTERRUPTED
+    assert report.error is None
+    assert_closed(path, arm, INTERRUPTED)
+    assert signal.getsignal(number) is before
+
+
+def test_a_full_disk_stops_the_arm(tmp_path, monkeypatch):
+    path, arm = tmp_path / "run.h5", KinematicArm()
+    usage = iter([SimpleNamespace(free=10**12)])
+    full = SimpleNamespace(free=1000)
+    disk = SimpleNamespace(disk_usage=lambda folder: next(usage, full))
+    monkeypatch.setattr(recorder_module, "shutil", disk)
+    report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, RATE))
+    assert "disk is full" in (report.stopped_by or "")
+    assert_closed(path, arm, "disk is full")
+    assert shutil.disk_usage(tmp_path).free > 1000
+
+
+def test_a_motion_beyond_the_limits_never_starts(tmp_path):
+    path, arm = tmp_path / "run.h5", KinematicArm()
+    far = PointToPoint(np.array([[0.0, 0.0], [0.0, 2.5]]), np.array([5.0]))
+    report = run(path, arm, Play(far, ROBOT_FILE.robot, RATE))
+    assert isinstance(report.error, UsageError)
+    assert arm.commands == []
+    assert_closed(path, arm, "position")
+
+
+def test_a_driver_is_found_by_name_or_refused():
+    with pytest.raises(UsageError, match="no driver is called 'kinematic'"):
+        load_driver(ROBOT_FILE.robot)
+    with pytest.raises(UsageError, match="no connection is called 'can'"):
+        load_driver(ROBOT_FILE.robot, "can")
