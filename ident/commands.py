@@ -180,6 +180,7 @@ def identify_recordings(
 
     Example: dynid identify run.h5 --validate val.h5 -o model
     """
+    from daq.console import progress_line
     from daq.recording import read_recording
     from daq.robot import load_robot
     from drivers.errors import UsageError
@@ -218,7 +219,7 @@ def identify_recordings(
     )
     read = [read_recording(path) for path in recordings]
     held_out = [read_recording(path) for path in validate_with]
-    with _progress(as_json) as progress:
+    with progress_line(quiet=as_json) as progress:
         found = identify(read, held_out, choices, load_robot(robot) if robot else None, progress)
         progress("report")
         result = summarise(found, read, held_out)
@@ -345,24 +346,3 @@ def _check_folder(folder: Path) -> None:
 
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"--out {folder} is a file; a folder is needed")
-
-
-class _progress:  # noqa: N801 — a context manager used like a function
-    """Shows what is being done, on standard error and only where that is a terminal."""
-
-    def __init__(self, quiet: bool) -> None:
-        from rich.console import Console
-
-        self._console = Console(stderr=True, quiet=quiet)
-        self._status = self._console.status("…")
-
-    def __enter__(self) -> Any:
-        if self._console.is_terminal:
-            self._status.start()
-        return self._tell
-
-    def _tell(self, step: str) -> None:
-        self._status.update(step)
-
-    def __exit__(self, *_: object) -> None:
-        self._status.stop()

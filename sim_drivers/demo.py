@@ -1,15 +1,18 @@
-"""The demonstration: a simulated arm through the whole pipeline, truth beside estimate."""
+"""The demonstration: a simulated UR arm is excited and recorded over real RTDE, identified, validated, reported."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 from daq.console import print_json, print_table
-from daq.recording import read_recording, write_recording
+from daq.recording import JOINTS_STREAM, read_recording
 from daq.robot import load_robot
+from daq.trajectories import FourierSeries
 from drivers.errors import UsageError
 from ident.base_parameters import base_parameters
 from ident.identify import Identification, IdentifyChoices, identify
@@ -18,11 +21,14 @@ from ident.model import build_model, truth_vector
 from ident.report import TruthTable, write_report
 from ident.result import Result, write_result
 from ident.summary import summarise
-from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion
+from sim_drivers.simulated_arm import record_over_wire, simulated_arm
 
-PERIOD = 15.0
+PERIOD = 12.0
 """Period of the demonstration's motions [s]."""
+
+RAMP = 2.0
+"""From rest into the periodic motion and back [s]."""
 
 INTERVAL = 1.96
 """Half width of a 95 % interval in standard deviations."""
@@ -30,12 +36,23 @@ INTERVAL = 1.96
 
 @dataclass(frozen=True)
 class Demo:
-    """What the demonstration found: the identification, its result, the true base parameters (b,), its folder."""
+    """What the demonstration found.
+
+    Attributes:
+        found: the identification.
+        result: as written.
+        truth: (b,) true base parameters.
+        folder: where everything was written.
+        lost: samples that the two recordings lost.
+        samples: that they hold.
+    """
 
     found: Identification
     result: Result
     truth: FloatArray
     folder: Path
+    lost: int
+    samples: int
 
     @property
     def inside(self) -> int:
@@ -44,36 +61,70 @@ class Demo:
         return int(np.count_nonzero(error <= INTERVAL * self.found.std))
 
 
-def run_demo(folder: Path, robot: str, duration: float, seed: int) -> Demo:
-    """Record, identify, validate and report a simulated arm.
+def run_demo(
+    folder: Path, robot: str, duration: float, seed: int, progress: Callable[[str], None] = lambda step: None
+) -> Demo:
+    """Serve a simulated arm, move and record it over RTDE, identify, validate and report it.
+
+    Args:
+        folder: for trajectories, recordings, result.json and report.html.
+        robot: built-in robot or robot file with a truth section and an RTDE connection.
+        duration: of the identification motion [s], rounded to whole periods.
+        seed: of the motions and of the noise.
+        progress: called before each step.
 
     Raises:
         RobotFileError: the robot file has no truth.
-        UsageError: a duration that is too short, or a folder that is a file.
+        UsageError: no RTDE connection, a duration that is too short, or a folder that is a file.
+        WorkError: a recording stopped before its end.
     """
     if not 2.0 <= duration <= 3600.0:
         raise UsageError(f"--duration {duration:g} s is not between 2 s and an hour")
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"--out {folder} is a file; a folder is needed")
     robot_file = load_robot(robot)
+    if not any(connection.driver == "rtde" for connection in robot_file.robot.connections.values()):
+        raise UsageError(f"{robot} has no RTDE connection", hint="the demonstration works with ur5e, ur10 and ur10e")
     model = build_model(robot_file)
     base = base_parameters(model)
     truth = base.projection @ truth_vector(robot_file)
     folder.mkdir(parents=True, exist_ok=True)
+    periods = max(1, round(duration / PERIOD))
+    period = duration / periods
     paths = []
-    for number, name in enumerate(("identification", "validation")):
-        motion = random_fourier_motion(model, PERIOD, seed=seed + number)
-        recording = simulate_recording(robot_file, motion, duration / (1 + number), seed=seed + number)
-        paths.append(folder / f"{name}.h5")
-        write_recording(paths[-1], recording, overwrite=True)
+    lost = samples = 0
+    with simulated_arm(robot, seed) as host:
+        for number, (name, count) in enumerate((("identification", periods), ("validation", 1))):
+            trajectory = folder / f"{name}.yaml"
+            motion = random_fourier_motion(model, period, seed=seed + number)
+            trajectory.write_text(_trajectory_text(robot_file.robot.name, motion, count), encoding="utf-8")
+            paths.append(folder / f"{name}.h5")
+            progress(f"recording {count * period + 2 * RAMP:.0f} s for {name} over RTDE from {host}")
+            told = record_over_wire(robot, host, trajectory, paths[-1])
+            lost += told["streams"][JOINTS_STREAM]["lost"]
+            samples += told["streams"][JOINTS_STREAM]["samples"]
     # From here on it is what a user does: two recordings on disk, nothing known but their content.
     recordings = [[read_recording(path)] for path in paths]
-    found = identify(recordings[0], recordings[1], IdentifyChoices())
+    found = identify(recordings[0], recordings[1], IdentifyChoices(), progress=progress)
     result = summarise(found, recordings[0], recordings[1])
     write_result(folder / "result.json", result)
     table = TruthTable(names=base.names, values=truth)
     write_report(folder / "report.html", result, found.fit_series, found.validation_series, table)
-    return Demo(found, result, truth, folder)
+    return Demo(found, result, truth, folder, lost, samples)
+
+
+def _trajectory_text(robot: str, motion: FourierSeries, periods: int) -> str:
+    content = {
+        "robot": robot,
+        "kind": "fourier",
+        "period": motion.period,
+        "offset": motion.offset.tolist(),
+        "sine": motion.sine.tolist(),
+        "cosine": motion.cosine.tolist(),
+        "periods": periods,
+        "ramp": RAMP,
+    }
+    return yaml.safe_dump(content, sort_keys=False)
 
 
 def print_demo(demo: Demo, as_json: bool) -> None:
@@ -88,6 +139,8 @@ def print_demo(demo: Demo, as_json: bool) -> None:
                 "result": str(demo.folder / "result.json"),
                 "validation_relative_error": demo.result.validation.relative_error if demo.result.validation else None,
                 "inside_95_percent": demo.inside,
+                "samples": demo.samples,
+                "lost": demo.lost,
                 "base_parameters": [
                     {"name": name, "truth": float(true), "value": float(value), "std": float(std)}
                     for name, true, value, std in zip(names, demo.truth, estimates, deviations, strict=True)
@@ -96,7 +149,7 @@ def print_demo(demo: Demo, as_json: bool) -> None:
         )
         return
     print_table(
-        f"{demo.result.robot}, simulated: truth and estimate",
+        f"{demo.result.robot}, simulated and recorded over RTDE: truth and estimate",
         ("base parameter", "truth", "estimate", "error", "σ", "error/σ", "unit"),
         [
             (name, float(true), float(value), float(value - true), float(std), float((value - true) / std), stored.unit)
@@ -105,7 +158,8 @@ def print_demo(demo: Demo, as_json: bool) -> None:
             )
         ],
     )
-    print(f"\n{demo.inside} of {len(names)} true values lie within their 95 % interval.")
+    print(f"\n{demo.samples} samples over RTDE, {demo.lost} lost.")
+    print(f"{demo.inside} of {len(names)} true values lie within their 95 % interval.")
     print(demo.result.verdict)
     for warning in demo.result.warnings:
         print(f"warning: {warning}")

@@ -8,29 +8,35 @@ import numpy as np
 import pytest
 
 from daq.recording import read_recording
-from drivers.errors import RobotFileError, UsageError
+from drivers.errors import ConnectionFailedError, RobotFileError, UsageError
 from ident.model import build_model, truth_vector
 from ident.result import read_result
 from sim_drivers.demo import INTERVAL, print_demo, run_demo
+from sim_drivers.simulated_arm import simulated_arm
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
-    return run_demo(tmp_path_factory.mktemp("demo") / "new" / "folder", "ur5e", 16.0, seed=1)
+    return run_demo(tmp_path_factory.mktemp("demo") / "new" / "folder", "ur5e", 8.0, seed=1)
 
 
+@pytest.mark.slow
 def test_files_are_there_and_can_be_read(demo):
     assert {path.name for path in demo.folder.iterdir()} == {
-        "identification.h5", "validation.h5", "result.json", "report.html",
+        "identification.yaml", "identification.h5", "validation.yaml", "validation.h5", "result.json", "report.html",
     }  # fmt: skip
     result = read_result(demo.folder / "result.json")
     assert result == demo.result
     assert [use.file for use in result.recordings] == ["identification.h5", "validation.h5"]
     recording = read_recording(demo.folder / "identification.h5")
     assert recording.robot().robot.name == "ur5e"
+    assert recording.complete
+    assert "kind: fourier" in recording.trajectory
+    assert (demo.lost, demo.samples > 5000) == (0, True)
     assert "Fs1" in (demo.folder / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_truth_is_projected_and_mostly_inside(demo):
     robot_file = demo.found.robot_file
     assert np.allclose(demo.truth, demo.found.base.projection @ truth_vector(robot_file))
@@ -41,6 +47,7 @@ def test_truth_is_projected_and_mostly_inside(demo):
     assert demo.found.validation.relative_error < 0.05
 
 
+@pytest.mark.slow
 def test_json_is_one_strict_object(demo, capsys):
     print_demo(demo, as_json=True)
     shown = json.loads(capsys.readouterr().out)
@@ -50,6 +57,7 @@ def test_json_is_one_strict_object(demo, capsys):
     assert shown["validation_relative_error"] == demo.found.validation.relative_error
 
 
+@pytest.mark.slow
 def test_table_shows_truth_beside_estimate(demo, capsys):
     print_demo(demo, as_json=False)
     text = capsys.readouterr().out
@@ -78,7 +86,18 @@ def test_a_robot_without_a_truth_leaves_no_folder(tmp_path):
     robot.write_text(
         "name: real\nmodel: {mdh: [{joint: a, alpha: 0, d: 0, r: 0}]}\n"
         "joints: [{name: a, position: [-1, 1], velocity: 1}]\n"
+        "connections: {rtde: {driver: rtde, host: 127.0.0.1}}\n"
     )
     with pytest.raises(RobotFileError, match="no true link"):
         run_demo(tmp_path / "out", str(robot), 10.0, seed=1)
     assert not (tmp_path / "out").exists()
+
+
+def test_an_arm_on_another_wire_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="no RTDE connection"):
+        run_demo(tmp_path / "out", "panda", 10.0, seed=1)
+
+
+def test_a_simulator_that_cannot_start_is_told():
+    with pytest.raises(ConnectionFailedError, match="did not start"), simulated_arm("no_such_robot", 1, ("127.0.0.9",)):
+        pytest.fail("it must not get here")

@@ -1,0 +1,91 @@
+"""A simulated arm as a process of its own, and recordings of it with the command that a user has."""
+
+from __future__ import annotations
+
+import json
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import ConnectionFailedError, WorkError
+
+HOSTS = tuple(f"127.0.0.{number}" for number in (1, 2, 3, 4, 5))
+"""Loopback addresses that are tried in turn: the ports are fixed, another simulated arm may have them."""
+
+START_LIMIT = 30.0
+"""How long [s] the simulator may take until it listens."""
+
+STOP_LIMIT = 10.0
+
+
+@contextmanager
+def simulated_arm(robot: str, seed: int, hosts: Sequence[str] = HOSTS) -> Iterator[str]:
+    """Serve a simulated arm over RTDE while the block runs; gives the address that it listens on.
+
+    Raises:
+        ConnectionFailedError: it could not be started on any of the addresses.
+    """
+    process, host = _start(robot, seed, hosts)
+    try:
+        yield host
+    finally:
+        process.terminate()
+        try:
+            process.wait(STOP_LIMIT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _start(robot: str, seed: int, hosts: Sequence[str]) -> tuple[subprocess.Popen[str], str]:
+    reason = "no address was tried"
+    for host in hosts:
+        arguments = _dynid("sim", robot, "--host", host, "--seed", str(seed), "--no-ui")
+        process = subprocess.Popen(
+            arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        if _ready(process):
+            return process, host
+        process.kill()
+        _, errors = process.communicate()
+        reason = errors.strip().splitlines()[-1] if errors.strip() else "it did not become ready"
+    raise ConnectionFailedError(f"the simulated {robot} did not start: {reason}", where=", ".join(hosts))
+
+
+def _ready(process: subprocess.Popen[str]) -> bool:
+    lines: queue.Queue[str] = queue.Queue()
+    out = process.stdout
+    if out is None:
+        raise ValueError("the process has no pipe")
+    threading.Thread(target=lambda: lines.put(out.readline()), daemon=True).start()
+    try:
+        return bool(lines.get(timeout=START_LIMIT))
+    except queue.Empty:
+        return False
+
+
+def record_over_wire(robot: str, host: str, trajectory: Path, out: Path) -> dict[str, Any]:
+    """`dynid record ROBOT --host HOST --trajectory FILE -o OUT`, in a process of its own; gives its JSON object.
+
+    Raises:
+        WorkError: the recording did not run to its end.
+    """
+    arguments = _dynid("record", robot, "--host", host, "--trajectory", str(trajectory), "-o", str(out))
+    done = subprocess.run([*arguments, "--force", "--no-ui", "--json"], capture_output=True, text=True, check=False)
+    try:
+        told = json.loads(done.stdout)
+    except json.JSONDecodeError:
+        told = {}
+    if done.returncode != 0:
+        reason = told.get("error") or told.get("stopped_by") or done.stderr.strip() or "it ended without a word"
+        raise WorkError(f"the recording stopped: {reason}", where=str(out))
+    return dict(told)
+
+
+def _dynid(*arguments: str) -> list[str]:
+    return [sys.executable, "-c", "from drivers.command import main; main()", *arguments]
