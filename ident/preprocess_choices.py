@@ -152,14 +152,17 @@ def choose_cutoffs(band: float, rate: float, choices: PreprocessChoices) -> Cuto
 
 
 def resolve(choices: PreprocessChoices, cutoffs: Cutoffs, rest_velocity: float) -> PreprocessChoices:
-    """The choices with every number filled in that was taken from the data, so that other data get the same filters."""
+    """The choices with every cut-off filled in that was taken from the data, so that other data get the same filters.
+
+    The factor of a Butterworth's decimation stays open: it follows from the cut-off and the rate of the other data.
+    """
     chebyshev = choices.filter_kind == "chebyshev"
     unfiltered = choices.position_decimate > 1 and choices.position_cutoff is None
     return replace(
         choices,
         position_cutoff=None if unfiltered else cutoffs.position,
         torque_cutoff=None if chebyshev else cutoffs.torque,
-        decimate=cutoffs.decimate,
+        decimate=cutoffs.decimate if chebyshev else choices.decimate,
         rest_velocity=rest_velocity,
     )
 

@@ -378,3 +378,17 @@ def test_error_bars_cover_the_truth_of_simulated_arms():
     share, naive = np.mean(np.concatenate(corrected)), np.mean(np.concatenate(classical))
     assert 0.90 <= share <= 0.99
     assert naive < share - 0.05
+
+
+def test_recordings_of_different_rates_get_the_same_cut_offs(three_joint):
+    model = build_model(three_joint)
+    fast, slow = (
+        simulate_recording(three_joint, random_fourier_motion(model, 12.0, seed, 3), 12.0, seed, rate=rate)
+        for seed, rate in ((1, 500.0), (2, 125.0))
+    )
+    found = identify([fast], [slow], IdentifyChoices(search_delay=False))
+    filters = [run.prepared.parallel_filter for run in (*found.runs, *found.validation_runs)]
+    cutoffs = {run.prepared.choices.torque_cutoff for run in (*found.runs, *found.validation_runs)}
+    assert len(cutoffs) == 1
+    assert filters[0].factor > 3 * filters[1].factor
+    assert found.validation.relative_error < 0.1
