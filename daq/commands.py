@@ -111,7 +111,7 @@ def record_command(
     """
     import sys
 
-    from daq.live_status import live_status
+    from daq.live_view import live_view
     from daq.recorder import Recorder
     from daq.robot import load_robot
     from daq.safety import Limits, Supervisor
@@ -140,10 +140,12 @@ def record_command(
             comment=comment,
             overwrite=force,
         )
-        supervisor = Supervisor(Limits.of_robot(robot_file.robot), layouts)
+        limits = Limits.of_robot(robot_file.robot)
+        supervisor = Supervisor(limits, layouts)
         play = Play(played.motion, robot_file.robot, rate) if played is not None else None
-        with live_status(shown=not (no_ui or as_json)) as status:
-            report = record(driver, recorder, supervisor, play, duration, status)
+        shown = sys.stderr.isatty() and not (no_ui or as_json)
+        with live_view(shown=shown, limits=limits, recorder=recorder) as view:
+            report = record(driver, recorder, supervisor, play, duration, view)
     finally:
         driver.close()
     _report_session(out, report, as_json)

@@ -88,6 +88,16 @@ class Player:
         return self._index
 
     @property
+    def elapsed(self) -> float:
+        """How far it is in its positions [s]."""
+        return self._index * self._period
+
+    @property
+    def duration(self) -> float:
+        """Of all positions [s]."""
+        return (len(self._positions) - 1) * self._period
+
+    @property
     def failure(self) -> DynidError | None:
         """Why it ended before its end; None while all is well."""
         return self._failure

@@ -79,6 +79,11 @@ class Recorder:
         self._thread.start()
 
     @property
+    def backlog(self) -> int:
+        """Bytes of samples that wait for the disk, up to half a second of them for a whole chunk."""
+        return self._waiting
+
+    @property
     def failure(self) -> DiskError | None:
         """Why nothing can be written any more; None while all is well."""
         return self._failure

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
+from typing import Protocol
 
 import numpy as np
 
@@ -68,6 +69,16 @@ class Play:
     rate: float
 
 
+class View(Protocol):
+    """What is shown of a running session; it must neither wait nor raise."""
+
+    def take(self, block: Block) -> None:
+        """Note a block."""
+
+    def show(self, state: str, elapsed: float, total: float) -> None:
+        """Show how it goes; `elapsed` of `total` [s]."""
+
+
 @dataclass
 class _Course:
     """What a running session knows."""
@@ -76,6 +87,7 @@ class _Course:
     lost: dict[str, int] = field(default_factory=dict)
     position: FloatArray | None = None
     source_minus_host: float = float("nan")
+    view: View | None = None
 
     def take(self, block: Block) -> None:
         self.samples[block.stream] = self.samples.get(block.stream, 0) + len(block.time)
@@ -83,6 +95,8 @@ class _Course:
         if block.stream == JOINTS_STREAM and len(block.time):
             self.position = block.values["position"][-1].copy()
             self.source_minus_host = float(block.time[-1] - block.host_time[-1])
+        if self.view is not None:
+            self.view.take(block)
 
     def source_time(self) -> float:
         """Now, in the clock of the joints' stream [s]."""
@@ -134,7 +148,7 @@ def record(
     supervisor: Supervisor,
     play: Play | None = None,
     duration: float | None = None,
-    status: Callable[[Mapping[str, int], Mapping[str, int]], None] | None = None,
+    view: View | None = None,
 ) -> SessionReport:
     """Record until the motion is over, `duration` [s] has passed, or something stops it.
 
@@ -147,9 +161,9 @@ def record(
         supervisor: of the arm's limits.
         play: the motion; None where something else moves the arm.
         duration: [s]; None for as long as the motion lasts.
-        status: is told the samples and losses by stream about twice a second.
+        view: is told every block, and how far the session is.
     """
-    course = _Course()
+    course = _Course(view=view)
     player: Player | None = None
     error: DynidError | None = None
     interrupted = threading.Event()
@@ -165,7 +179,7 @@ def record(
                     player = _prepare(driver, supervisor, recorder, play, course, course.position)
                     supervisor.restart_ages(time.monotonic())
                     player.start()
-            _follow(driver, recorder, supervisor, course, player, begun, duration, interrupted, status)
+            _follow(driver, recorder, supervisor, course, player, begun, duration, interrupted)
         except KeyboardInterrupt:
             interrupted.set()
         except DynidError as caught:
@@ -224,9 +238,7 @@ def _follow(
     begun: float,
     duration: float | None,
     interrupted: threading.Event,
-    status: Callable[[Mapping[str, int], Mapping[str, int]], None] | None,
 ) -> None:
-    shown = begun
     moving = False
     while not interrupted.is_set():
         _cycle(driver, recorder, supervisor, course)
@@ -242,9 +254,12 @@ def _follow(
                 return
         if duration is not None and now - begun >= duration:
             return
-        if status is not None and now - shown > 0.5:
-            shown = now
-            status(course.samples, course.lost)
+        if course.view is not None:
+            if player is not None:
+                state = "motion" if moving else "approach to the start pose"
+                course.view.show(state, player.elapsed, player.duration)
+            else:
+                course.view.show("recording", now - begun, duration or 0.0)
 
 
 def _cycle(

@@ -68,3 +68,15 @@ def test_options_named_in_the_docs_exist():
     for page in PAGES:
         for option in re.findall(r"--[a-z][a-z-]+", page.read_text(encoding="utf-8")):
             assert option in known | {"--strict"}, f"{page.name}: {option}"
+
+
+def test_the_trajectory_of_the_docs_is_valid():
+    from daq.robot import load_robot
+    from daq.trajectory_file import parse_trajectory
+
+    text = (REPOSITORY / "docs" / "recording-ur.md").read_text(encoding="utf-8")
+    block = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
+    assert block is not None
+    robot = load_robot("ur5e").robot
+    played = parse_trajectory(block[1].replace("my_ur5e", "ur5e"), robot, where="docs", folder=None)
+    assert played.motion.duration == pytest.approx(28.0)
