@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 import threading
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -109,10 +110,17 @@ def test_a_broken_driver_ends_in_order(tmp_path, fault, kind, reason):
 def test_an_interrupt_stops_the_arm_first(tmp_path, number):
     path, arm = tmp_path / "run.h5", KinematicArm()
     before = signal.getsignal(number)
-    timer = threading.Timer(0.8, os.kill, (os.getpid(), number))
-    timer.start()
+
+    def interrupt_in_motion() -> None:
+        patience = time.monotonic() + 20.0
+        while len(arm.commands) < 50 and time.monotonic() < patience:
+            time.sleep(0.01)
+        os.kill(os.getpid(), number)
+
+    interrupter = threading.Thread(target=interrupt_in_motion)
+    interrupter.start()
     report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, RATE))
-    timer.join()
+    interrupter.join()
     assert report.stopped_by == INTERRUPTED
     assert report.error is None
     assert_closed(path, arm, INTERRUPTED)
