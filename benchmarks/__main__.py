@@ -14,7 +14,7 @@ import time
 from importlib.metadata import version
 from pathlib import Path
 
-from benchmarks import accuracy, decimation, memory, parameters, pipeline, regressor, startup
+from benchmarks import accuracy, decimation, memory, parameters, pipeline, plant, recorder, regressor, startup
 
 RESULTS = Path(__file__).with_name("results.json")
 
@@ -27,6 +27,7 @@ GOALS = {
     "error_vs_lstsq_cond_1e6": ("≤", 10.0),
     "decimation_vs_column_loop": ("≥", 5.0),
     "help_vs_import_numpy": ("≤", 3.0),
+    "plant_vs_real_time": ("≥", 30.0),
 }
 """What each figure should reach; the others are there for orientation."""
 
@@ -42,9 +43,11 @@ RUNS = (
     accuracy.run,
     decimation.run,
     pipeline.run,
+    plant.run,
+    recorder.run,
 )
 
-MODULES = (regressor, parameters, memory, accuracy, decimation, startup, pipeline)
+MODULES = (regressor, parameters, memory, accuracy, decimation, startup, pipeline, plant, recorder)
 
 
 def main() -> None:
@@ -63,7 +66,7 @@ def main() -> None:
 
 def environment() -> str:
     """The machine and the versions, in one line."""
-    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "pin", "figaroh"))
+    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "pin", "figaroh", "h5py", "mcap"))
     machine = f"{os.cpu_count()} cores ({platform.machine()}), Python {platform.python_version()}"
     return f"{machine}, {packages}, 1 BLAS thread"
 
