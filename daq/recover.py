@@ -67,7 +67,14 @@ def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:
 
 def _without_unwritten_rows(stream: Stream) -> tuple[Stream, int]:
     """A stream up to its first row without a time stamp: HDF5 may lengthen a dataset before its rows are on disk."""
-    unwritten = np.flatnonzero(np.isnan(stream.time) | np.isnan(stream.host_time))
+    missing = np.isnan(stream.time) | np.isnan(stream.host_time)
+    for channel in stream.channels.values():
+        # Datasets are written one after the other: a refused write leaves the later ones at the fill value. A channel
+        # that is all NaN from its first sample on is one that the source never filled.
+        empty = np.all(np.isnan(channel.values), axis=1)
+        if not np.all(empty):
+            missing |= empty & (np.arange(len(empty)) > np.flatnonzero(~empty)[-1])
+    unwritten = np.flatnonzero(missing)
     count = int(unwritten[0]) if len(unwritten) else len(stream.time)
     channels = {
         name: Channel(name, channel.values[:count], channel.unit, channel.columns, channel.description)

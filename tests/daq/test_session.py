@@ -90,9 +90,19 @@ def test_a_driver_that_waits_too_long_cannot_hide_its_silence(tmp_path):
             return super().read(timeout + 0.1 * self.faulty)
 
     path, arm = tmp_path / "run.h5", Slow("stale data")
-    report = run(path, arm, duration=5.0)
+    report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, RATE), duration=5.0)
     assert "stale data" in (report.stopped_by or "")
     assert_closed(path, arm, "stale data")
+
+
+def test_silence_without_a_motion_is_an_event_and_no_end(tmp_path):
+    """Nobody is in danger while the arm is only watched; the driver itself gives up a connection that stays silent."""
+    path, arm = tmp_path / "run.h5", KinematicArm("stale data")
+    report = run(path, arm, duration=1.5)
+    assert report.stopped_by is None
+    recording = read_recording(path)
+    assert recording.complete
+    assert any(event.level == "warning" and "stale data" in event.message for event in recording.events)
 
 
 @pytest.mark.parametrize(
