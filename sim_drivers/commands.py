@@ -13,7 +13,7 @@ app = typer.Typer()
 def demo(
     out: Path = typer.Option(Path("demo"), "-o", "--out", help="Folder for the recordings, result.json, report.html."),
     robot: str = typer.Option("ur5e", "--robot", help="UR arm: built-in, or a robot file with a truth section."),
-    duration: float = typer.Option(24.0, "--duration", help="Length of the identification motion [s]."),
+    duration: float = typer.Option(30.0, "--duration", help="Length of the identification motion [s]."),
     seed: int = typer.Option(1, "--seed", help="Of the motion and of the noise."),
     as_json: bool = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there."),
 ) -> None:

@@ -24,7 +24,7 @@ from ident.summary import summarise
 from sim_drivers.motion import random_fourier_motion
 from sim_drivers.simulated_arm import record_over_wire, simulated_arm
 
-PERIOD = 12.0
+PERIOD = 15.0
 """Period of the demonstration's motions [s]."""
 
 RAMP = 2.0
