@@ -7,10 +7,9 @@ from importlib.metadata import entry_points
 import numpy as np
 
 from daq.robot import RobotFile
+from drivers.base import DRIVERS_GROUP
 from ident.base_parameters import base_parameters
 from ident.model import build_model
-
-DRIVERS_GROUP = "dynid.drivers"
 
 
 def check_robot(robot_file: RobotFile) -> list[str]:
