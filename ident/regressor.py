@@ -71,6 +71,21 @@ class JointRows:
 
 
 @dataclass(frozen=True)
+class LinkRows:
+    """Where the packed rows of one link's inertial parameters are.
+
+    Attributes:
+        kinds: which of the ten parameters are selected, in the rows' order.
+        joints: those that the link hangs on, the base's first, the link's own last; empty where nothing is selected.
+        starts: for each of these joints, the first of its `len(kinds)` packed rows.
+    """
+
+    kinds: tuple[int, ...]
+    joints: tuple[int, ...]
+    starts: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class _LinkBlock:
     """Packed rows that one link fills: for each joint below it, where its inertia, first-moment and mass rows start."""
 
@@ -89,6 +104,8 @@ class RegressorKernel:
         columns: standard columns in the order of the caller's choice.
         joint_rows: one entry a joint; together they cover the packed rows.
         row_count: number of packed rows.
+        joint_parameter_rows: packed row, kind and joint of every column that is no link's.
+        link_rows: where each link's rows are.
     """
 
     def __init__(self, model: DynamicModel, columns: Sequence[int] | None = None, chunk: int = CHUNK) -> None:
@@ -109,7 +126,7 @@ class RegressorKernel:
 
         starts: dict[tuple[int, int], int] = {}
         joint_rows = []
-        self._joint_parameters: list[tuple[int, str, int]] = []
+        self.joint_parameter_rows: list[tuple[int, str, int]] = []
         row = 0
         for joint in range(model.dof):
             first = row
@@ -122,13 +139,21 @@ class RegressorKernel:
             for column in self.columns:
                 parameter = parameters[column]
                 if parameter.kind != "inertial" and parameter.joint == joint:
-                    self._joint_parameters.append((row, parameter.kind, joint))
+                    self.joint_parameter_rows.append((row, parameter.kind, joint))
                     row_columns.append(position_of[column])
                     row += 1
             joint_rows.append(JointRows(slice(first, row), tuple(row_columns)))
         self.joint_rows = tuple(joint_rows)
         self.row_count = row
         self._blocks = tuple(self._block(link, selected[link], starts) for link in range(model.dof))
+        self.link_rows = tuple(
+            LinkRows(
+                kinds=tuple(column - 10 * link for column in selected[link]),
+                joints=tuple(joint for joint, _ in block.targets),
+                starts=tuple(start for _, start in block.targets),
+            )
+            for link, block in enumerate(self._blocks)
+        )
         self._recursion = Recursion(model.joints, self._chains, model.gravity, chunk)
         self._rotating = np.empty((3, _INERTIA_COUNT, chunk))
         self._pushing = np.empty((3, 4, chunk))
@@ -146,6 +171,11 @@ class RegressorKernel:
             targets=targets,
         )
 
+    @property
+    def frames(self) -> list[FrameMotion]:
+        """Every link's motion as of the last `evaluate`; arrays (3, chunk), the first m samples of which are filled."""
+        return self._recursion.frames
+
     def evaluate(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray, out: FloatArray) -> None:
         """Write the packed regressor of m ≤ `chunk` samples into `out` (row_count, m).
 
@@ -160,7 +190,7 @@ class RegressorKernel:
         for block in self._blocks:
             if block.targets:
                 self._fill_link(block, count, out)
-        for row, kind, joint in self._joint_parameters:
+        for row, kind, joint in self.joint_parameter_rows:
             if kind == "motor_inertia":
                 out[row] = acceleration[joint]
             elif kind == "viscous":

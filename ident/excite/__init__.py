@@ -1,0 +1,1 @@
+"""Design of excitation trajectories: motions that tell an arm's parameters apart within its limits."""

@@ -1,0 +1,132 @@
+"""What an information matrix says of an excitation, as costs to be made small, with their derivatives.
+
+A measure takes A = ΦᵀΦ (b, b), Φ the base regressor along the motion, and gives a logarithm, so that all are of one
+size. λ are A's eigenvalues. Largest and smallest eigenvalue are smoothed by power means of order `sharpness`,
+Σλ^p ^ (1/p) and (Σλ^-p) ^ (-1/p), which tend to them from outside as p grows: the largest is over-, the smallest
+underestimated, so a condition number is never taken for better than it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ident.kinematics import FloatArray
+
+Measure = Callable[[FloatArray, float], tuple[float, FloatArray]]
+"""(A (b, b), sharpness) → cost and its symmetric derivative (b, b)."""
+
+_FLOOR = 1e-14
+"""Eigenvalues below this share of the largest count as this much: a cost must stay finite where nothing is excited."""
+
+
+def plain_condition(gram: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
+    """Log cond(Φ), columns as they are."""
+    values, vectors = _eigen(gram)
+    largest, of_largest = _log_largest(values, sharpness)
+    smallest, of_smallest = _log_smallest(values, sharpness)
+    return 0.5 * (largest - smallest), _rotated(vectors, 0.5 * (of_largest - of_smallest))
+
+
+def condition(gram: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
+    """Log cond(Φ), columns scaled to unit length: what the units of the parameters are does not matter."""
+    scaled, lengths = _unit_columns(gram)
+    cost, gradient = plain_condition(scaled, sharpness)
+    return cost, _through_scaling(gradient, scaled, lengths)
+
+
+def d_optimal(gram: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
+    """−log det A / b: the volume of the parameters' confidence ellipsoid."""
+    values, vectors = _eigen(gram)
+    return float(-np.mean(np.log(values))), _rotated(vectors, -1.0 / (len(values) * values))
+
+
+def e_optimal(gram: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
+    """−log λ_min: the longest axis of that ellipsoid."""
+    values, vectors = _eigen(gram)
+    smallest, gradient = _log_smallest(values, sharpness)
+    return -smallest, _rotated(vectors, -gradient)
+
+
+def hadamard(gram: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
+    """−log of the Hadamard ratio det(A)/ΠA_ii, by b: how far the columns are from orthogonal; 0 where they are."""
+    scaled, lengths = _unit_columns(gram)
+    cost, gradient = d_optimal(scaled, sharpness)
+    return cost, _through_scaling(gradient, scaled, lengths)
+
+
+def deviations(scale: FloatArray) -> Measure:
+    """½ log of the mean of (σ_i/scale_i)², σ the standard deviations that least squares will have.
+
+    A must hold the weights of the joints' noise. With the parameters' sizes (b,) as `scale` it is the mean square of
+    the relative standard deviations.
+    """
+
+    def measure(gram: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
+        values, vectors = _eigen(gram)
+        inverse = _rotated(vectors, 1.0 / values)
+        share = np.diag(inverse) / scale**2
+        weighted = inverse @ (inverse / scale[:, None] ** 2)
+        return 0.5 * float(np.log(np.mean(share))), -0.5 * (weighted + weighted.T) / (2.0 * np.sum(share))
+
+    return measure
+
+
+def moments_apart(
+    first: tuple[int, ...], second: tuple[int, ...], weights: tuple[float, float] = (1.0, 1.0)
+) -> Measure:
+    """log(W1·cond(Φ1) + W2·cond(Φ2)) of the columns of first and of second moments (AUBO eq. 21), columns scaled.
+
+    Masses belong to the first moments, in whose base parameters they end.
+    """
+
+    def measure(gram: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
+        total, gradient = 0.0, np.zeros_like(gram)
+        for columns, weight in ((first, weights[0]), (second, weights[1])):
+            if columns:
+                part = np.ix_(columns, columns)
+                cost, derivative = condition(gram[part], sharpness)
+                total += weight * np.exp(cost)
+                gradient[part] += weight * np.exp(cost) * derivative
+        return float(np.log(total)), gradient / total
+
+    return measure
+
+
+def _eigen(gram: FloatArray) -> tuple[FloatArray, FloatArray]:
+    values, vectors = np.linalg.eigh(gram)
+    return np.maximum(values, max(_FLOOR * float(values[-1]), np.finfo(float).tiny)), vectors
+
+
+def _log_largest(values: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
+    """Log of the power mean of order p, and its derivatives by the eigenvalues."""
+    if np.isinf(sharpness):
+        shares = np.zeros_like(values)
+        shares[-1] = 1.0
+        return float(np.log(values[-1])), shares / values
+    powers = (values / values[-1]) ** sharpness
+    total = powers.sum()
+    return float(np.log(values[-1]) + np.log(total) / sharpness), powers / total / values
+
+
+def _log_smallest(values: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
+    inverse = 1.0 / values[::-1]
+    largest, gradient = _log_largest(inverse, sharpness)
+    return -largest, (gradient * inverse**2)[::-1]
+
+
+def _rotated(vectors: FloatArray, diagonal: FloatArray) -> FloatArray:
+    return np.asarray((vectors * diagonal) @ vectors.T)
+
+
+def _unit_columns(gram: FloatArray) -> tuple[FloatArray, FloatArray]:
+    lengths = np.sqrt(np.diag(gram))
+    lengths = np.where(lengths > 0.0, lengths, 1.0)
+    return gram / np.outer(lengths, lengths), lengths
+
+
+def _through_scaling(gradient: FloatArray, scaled: FloatArray, lengths: FloatArray) -> FloatArray:
+    """From the derivative by the scaled matrix to the one by the matrix: A_ij = S_ij l_i l_j, l_i² = A_ii."""
+    by_length = np.sum(gradient * scaled, axis=1) / lengths**2
+    return gradient / np.outer(lengths, lengths) - np.diag(by_length)

@@ -1,0 +1,84 @@
+"""What the parts of an excitation design share: a path on a grid, and what families of motions and constraints do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from daq.trajectories import Motion
+from daq.trajectory_file import Trajectory
+from ident.kinematics import FloatArray
+
+
+@dataclass(frozen=True)
+class Path:
+    """A joint motion on a grid of times.
+
+    Attributes:
+        time: (N,) [s].
+        position: (n, N) [rad or m].
+        velocity: (n, N) [rad/s or m/s].
+        acceleration: (n, N) [rad/s² or m/s²].
+    """
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+
+
+class Family(Protocol):
+    """Motions of one form, given by a vector x of `size` decision variables.
+
+    The variables are scaled so that each is of the order of 1 where the limits are used well.
+    """
+
+    @property
+    def size(self) -> int:
+        """Number of decision variables."""
+
+    def grid(self, count: int) -> FloatArray:
+        """About `count` times (N,) [s] that cover everything that is played, for designing (not for the last check)."""
+
+    def path(self, variables: FloatArray, time: FloatArray) -> Path:
+        """The motion of x at times (N,) [s]."""
+
+    def pull_back(self, variables: FloatArray, time: FloatArray, gradient: FloatArray) -> FloatArray:
+        """∂/∂x of scalars whose derivatives by position, velocity and acceleration are given.
+
+        Args:
+            variables: x (size,).
+            time: (N,) [s].
+            gradient: (..., 3, n, N), by position, velocity, acceleration of every joint and time.
+
+        Returns:
+            (..., size).
+        """
+
+    def random(self, generator: np.random.Generator) -> FloatArray:
+        """A random x that keeps the position, velocity and acceleration limits on the grid."""
+
+    def motion(self, variables: FloatArray) -> Motion:
+        """What is played: from rest to rest."""
+
+    def trajectory(self, variables: FloatArray, comment: str) -> Trajectory:
+        """The same as the content of a trajectory file."""
+
+
+class Constraint(Protocol):
+    """Something that a motion must keep; each value says how much of a limit is used, 1 being all of it."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each value is, for messages (`velocity of elbow`)."""
+
+    def use(self, path: Path) -> FloatArray:
+        """(m,) largest use along the path, exactly on its grid; ≤ 1 is allowed."""
+
+    def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
+        """A smooth upper bound (m,) of `use` and its derivatives (m, 3, n, N).
+
+        The bound is the soft maximum over the grid and tightens as `sharpness` grows.
+        """

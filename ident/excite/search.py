@@ -1,0 +1,223 @@
+"""Many starts on all cores, the best of them kept: whatever ends the search, there is something to show for it."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import queue
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import DynidError, IdentificationError
+from ident.excite.problem import Problem
+from ident.excite.solve import ROUNDS, Solver, solve
+from ident.kinematics import FloatArray
+
+_POLL = 0.2
+
+
+@dataclass(frozen=True)
+class SearchChoices:
+    """How long and how to search.
+
+    Attributes:
+        seed: of the random starts; start k is the same whatever the number of processes.
+        starts: how many; None for as many as `seconds` allow, which depends on the machine.
+        seconds: wall time after which the search ends with what it has; None for no limit.
+        workers: processes; one a core where None, none but this one where 1.
+        solver: of the local problems.
+    """
+
+    seed: int = 0
+    starts: int | None = 8
+    seconds: float | None = None
+    workers: int | None = None
+    solver: Solver = "slsqp"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What a start had reached after a round.
+
+    Attributes:
+        start: number of the start.
+        finished: whether that was its last round.
+        cost: the criterion, exactly (a logarithm).
+        use: the largest use of a limit on the problem's grid.
+        variables: (size,).
+    """
+
+    start: int
+    finished: bool
+    cost: float
+    use: float
+    variables: FloatArray
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search found.
+
+    Attributes:
+        best: the feasible candidate of the least cost; None where no start became feasible.
+        least_use: the candidate that came nearest to the limits, for the message where none is feasible.
+        finished: starts that went through all rounds.
+        seconds: wall time.
+        interrupted: whether Ctrl-C ended it.
+    """
+
+    best: Candidate | None
+    least_use: Candidate | None
+    finished: int
+    seconds: float
+    interrupted: bool
+
+
+@dataclass
+class _Ledger:
+    begun: float
+    best: Candidate | None = None
+    least_use: Candidate | None = None
+    finished: int = 0
+
+    def take(self, candidate: Candidate) -> None:
+        self.finished += candidate.finished
+        if self.least_use is None or (candidate.use, candidate.start) < (self.least_use.use, self.least_use.start):
+            self.least_use = candidate
+        # Ties go to the lower start, so that the order in which processes report does not matter.
+        if candidate.use <= 1.0 and (
+            self.best is None or (candidate.cost, candidate.start) < (self.best.cost, self.best.start)
+        ):
+            self.best = candidate
+
+    def found(self, *, interrupted: bool) -> Found:
+        return Found(self.best, self.least_use, self.finished, time.monotonic() - self.begun, interrupted)
+
+
+def search(
+    make: Callable[[], Problem],
+    choices: SearchChoices,
+    first: FloatArray | None = None,
+    progress: Callable[[Found], None] = lambda found: None,
+) -> Found:
+    """Search from `choices.starts` random starts, or for `choices.seconds`; Ctrl-C ends it with the best so far.
+
+    Args:
+        make: builds the problem; called once in every process, so it must be picklable.
+        choices: see there. One of `starts` and `seconds` must be given.
+        first: variables of start 0, in place of random ones.
+        progress: told whenever a start has finished a round.
+
+    Raises:
+        IdentificationError: a process died.
+        DynidError: what building the problem raised.
+    """
+    if choices.starts is None and choices.seconds is None:
+        raise ValueError("a search needs a number of starts or a time limit")
+    ledger = _Ledger(time.monotonic())
+    workers = choices.workers if choices.workers is not None else os.cpu_count() or 1
+    if choices.starts is not None:
+        workers = min(workers, choices.starts)
+    source = _own_candidates(make, choices, first) if workers <= 1 else _their_candidates(make, choices, first, workers)
+    interrupted = False
+    try:
+        for candidate in source:
+            ledger.take(candidate)
+            progress(ledger.found(interrupted=False))
+    except KeyboardInterrupt:
+        interrupted = True
+    finally:
+        source.close()
+    return ledger.found(interrupted=interrupted)
+
+
+def candidates(problem: Problem, choices: SearchChoices, start: int, first: FloatArray | None) -> Iterator[Candidate]:
+    """What start number `start` reaches, round by round."""
+    begin = problem.family.random(np.random.default_rng([choices.seed, start]))
+    if start == 0 and first is not None:
+        begin = first
+    for number, variables in enumerate(solve(problem, begin, choices.solver), start=1):
+        use = float(problem.use(variables).max(initial=0.0))
+        yield Candidate(start, number == len(ROUNDS), problem.cost(variables), use, variables)
+
+
+def _own_candidates(
+    make: Callable[[], Problem], choices: SearchChoices, first: FloatArray | None
+) -> Any:  # a generator, whose close() the caller needs
+    end = np.inf if choices.seconds is None else time.monotonic() + choices.seconds
+    problem = make()
+    start = 0
+    while (choices.starts is None or start < choices.starts) and time.monotonic() < end:
+        for candidate in candidates(problem, choices, start, first):
+            yield candidate
+            if time.monotonic() >= end:
+                return
+        start += 1
+
+
+def _their_candidates(
+    make: Callable[[], Problem], choices: SearchChoices, first: FloatArray | None, workers: int
+) -> Any:
+    end = np.inf if choices.seconds is None else time.monotonic() + choices.seconds
+    # spawn: a forked child would inherit the threads' locks of whatever this process has been doing.
+    context = multiprocessing.get_context("spawn")
+    results: Any = context.Queue()
+    counter = context.Value("q", 0)
+    processes = [
+        context.Process(target=_work, args=(make, choices, first, counter, results), daemon=True)
+        for _ in range(workers)
+    ]
+    for process in processes:
+        process.start()
+    try:
+        running = workers
+        while running and time.monotonic() < end:
+            try:
+                message = results.get(timeout=min(_POLL, max(end - time.monotonic(), 0.0)))
+            except queue.Empty:
+                _check_alive(processes)
+                continue
+            if message is None:
+                running -= 1
+            elif isinstance(message, DynidError):
+                raise message
+            else:
+                yield message
+    finally:
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.join()
+
+
+def _check_alive(processes: Sequence[BaseProcess]) -> None:
+    for process in processes:
+        if process.exitcode not in (None, 0):
+            raise IdentificationError(f"a search process died with exit status {process.exitcode}")
+
+
+def _work(
+    make: Callable[[], Problem], choices: SearchChoices, first: FloatArray | None, counter: Any, results: Any
+) -> None:
+    # Ctrl-C reaches the whole process group; the parent decides what becomes of what was found.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        problem = make()
+        while True:
+            with counter.get_lock():
+                start = counter.value
+                counter.value += 1
+            if choices.starts is not None and start >= choices.starts:
+                break
+            for candidate in candidates(problem, choices, start, first):
+                results.put(candidate)
+    except DynidError as error:
+        results.put(error)
+        return
+    results.put(None)

@@ -1,0 +1,131 @@
+"""From one start to a local optimum: a few rounds of nonlinear programming, each with a sharper problem.
+
+Extreme eigenvalues and largest uses have kinks where two of them meet, and an optimum lies on such kinks. So the first
+round sees them blunt, the last one nearly as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+
+from drivers.errors import UsageError
+from ident.excite.problem import Problem
+from ident.kinematics import FloatArray
+
+Solver = Literal["slsqp", "trust-constr", "ipopt"]
+
+
+@dataclass(frozen=True)
+class Round:
+    """How blunt a round's problem is.
+
+    Attributes:
+        cost_sharpness: order of the power means of eigenvalues.
+        limit_sharpness: of the soft maximum of uses.
+        iterations: at most.
+        tolerance: change of the cost (a logarithm) at which the round ends.
+    """
+
+    cost_sharpness: float
+    limit_sharpness: float
+    iterations: int
+    tolerance: float
+
+
+ROUNDS = (Round(4.0, 30.0, 100, 1e-4), Round(16.0, 100.0, 100, 1e-4), Round(64.0, 300.0, 100, 1e-4))
+
+
+def solve(problem: Problem, start: FloatArray, solver: Solver) -> Iterator[FloatArray]:
+    """From `start` towards a local optimum: the variables (size,) after every round.
+
+    Raises:
+        UsageError: the solver is not installed.
+    """
+    variables = start
+    for step in ROUNDS:
+        variables = _SOLVERS[solver](problem, variables, step)
+        yield variables
+
+
+def tighten(problem: Problem, variables: FloatArray, solver: Solver) -> FloatArray:
+    """Another last round from `variables`, for a problem whose limits were narrowed."""
+    return _SOLVERS[solver](problem, variables, ROUNDS[-1])
+
+
+class _Slacks:
+    """allowed − smooth use (m,) and its derivatives, computed once for each point that a solver asks about."""
+
+    def __init__(self, problem: Problem, sharpness: float) -> None:
+        self._problem = problem
+        self._sharpness = sharpness
+        self._at: FloatArray | None = None
+        self._values = np.zeros(0)
+        self._rows = np.zeros((0, 0))
+
+    def values(self, variables: FloatArray) -> FloatArray:
+        self._look(variables)
+        return self._values
+
+    def derivatives(self, variables: FloatArray) -> FloatArray:
+        self._look(variables)
+        return self._rows
+
+    def _look(self, variables: FloatArray) -> None:
+        if self._at is None or not np.array_equal(self._at, variables):
+            uses, rows = self._problem.smooth_use(variables, self._sharpness)
+            self._at, self._values, self._rows = variables.copy(), self._problem.allowed - uses, -rows
+
+
+def _cost(problem: Problem, step: Round, variables: FloatArray) -> tuple[float, FloatArray]:
+    return problem.smooth_cost(variables, step.cost_sharpness)
+
+
+def _slsqp(problem: Problem, start: FloatArray, step: Round) -> FloatArray:
+    from scipy.optimize import minimize
+
+    slacks = _Slacks(problem, step.limit_sharpness)
+    limits: Any = {"type": "ineq", "fun": slacks.values, "jac": slacks.derivatives}
+    options: Any = {"maxiter": step.iterations, "ftol": step.tolerance}
+    cost: Any = partial(_cost, problem, step)
+    found = minimize(cost, start, jac=True, method="SLSQP", constraints=[limits], options=options)
+    return np.asarray(found.x) if np.all(np.isfinite(found.x)) else start
+
+
+def _trust_constr(problem: Problem, start: FloatArray, step: Round) -> FloatArray:
+    from scipy.optimize import BFGS, NonlinearConstraint, minimize
+
+    slacks = _Slacks(problem, step.limit_sharpness)
+    limits: Any = NonlinearConstraint(slacks.values, 0.0, np.inf, jac=slacks.derivatives, hess=BFGS())
+    options: Any = {"maxiter": 3 * step.iterations, "gtol": step.tolerance, "xtol": 1e-6}
+    cost: Any = partial(_cost, problem, step)
+    found = minimize(cost, start, jac=True, hess=BFGS(), method="trust-constr", constraints=[limits], options=options)
+    return np.asarray(found.x) if np.all(np.isfinite(found.x)) else start
+
+
+def _ipopt(problem: Problem, start: FloatArray, step: Round) -> FloatArray:
+    try:
+        from cyipopt import minimize_ipopt
+    except ImportError as error:
+        raise UsageError("cyipopt is not installed", hint="pip install cyipopt, or --solver slsqp") from error
+    slacks = _Slacks(problem, step.limit_sharpness)
+    found = minimize_ipopt(
+        partial(_cost, problem, step),
+        start,
+        jac=True,
+        constraints=[{"type": "ineq", "fun": slacks.values, "jac": slacks.derivatives}],
+        tol=step.tolerance,
+        options={"max_iter": step.iterations, "print_level": 0, "hessian_approximation": "limited-memory"},
+    )
+    return np.asarray(found.x) if np.all(np.isfinite(found.x)) else start
+
+
+_SOLVERS: dict[Solver, Callable[[Problem, FloatArray, Round], FloatArray]] = {
+    "slsqp": _slsqp,
+    "trust-constr": _trust_constr,
+    "ipopt": _ipopt,
+}

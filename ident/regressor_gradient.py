@@ -1,0 +1,188 @@
+"""Derivatives of the regressor by the motion, in reverse: one pass for any number of joints and columns.
+
+For a link, the kernel's rows are functions of what its recursion gives in the link's frame: angular velocity ω and
+acceleration α, the origin's acceleration a, and the axes s_k = (w_k, v_k) of the joints below. Seen from that frame, a
+change of joint k moves everything before it by −s_k, so every motion vector u before joint k changes by u × s_k (the
+cross product of motion vectors). With V, A the link's spatial velocity and acceleration, λ the joint before k,
+
+    ∂V/∂q̇_k = s_k                ∂V/∂q_k = c_k = V_λ × s_k             ∂s_j/∂q_k = s_j × s_k  (j before k)
+    ∂A/∂q̈_k = s_k                ∂A/∂q̇_k = c_k + s_k × (V − V_k)
+    ∂A/∂q_k = A_λ × s_k + c_k × (V − V_λ)
+
+so the derivatives by all joints below a link are sums along its chain, built from what the recursion holds already.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ident.kinematics import FloatArray
+from ident.regressor import RegressorKernel
+
+
+@dataclass(frozen=True)
+class _Spatial:
+    """Motion vectors or their duals; both parts (..., 3, m)."""
+
+    angular: FloatArray
+    linear: FloatArray
+
+    def __add__(self, other: _Spatial) -> _Spatial:
+        return _Spatial(self.angular + other.angular, self.linear + other.linear)
+
+    def __sub__(self, other: _Spatial) -> _Spatial:
+        return _Spatial(self.angular - other.angular, self.linear - other.linear)
+
+    def times(self, factor: FloatArray) -> _Spatial:
+        """Scaled by factors (..., m)."""
+        return _Spatial(self.angular * factor[..., None, :], self.linear * factor[..., None, :])
+
+    def cross(self, other: _Spatial) -> _Spatial:
+        """The cross product of motion vectors."""
+        return _Spatial(
+            _cross(self.angular, other.angular), _cross(self.angular, other.linear) + _cross(self.linear, other.angular)
+        )
+
+    def cross_dual(self, dual: _Spatial) -> _Spatial:
+        """The dual d with d·t = dual·(self × t) for every motion vector t."""
+        return _Spatial(
+            _cross(dual.angular, self.angular) + _cross(dual.linear, self.linear), _cross(dual.linear, self.angular)
+        )
+
+    def dot(self, other: _Spatial) -> FloatArray:
+        """Scalar product (..., m)."""
+        return _dot(self.angular, other.angular) + _dot(self.linear, other.linear)
+
+    def sums(self) -> _Spatial:
+        """Sums along the chain (the first axis), each member included."""
+        return _Spatial(np.cumsum(self.angular, axis=0), np.cumsum(self.linear, axis=0))
+
+    def total(self) -> _Spatial:
+        """Sum along the chain."""
+        return _Spatial(self.angular.sum(axis=0), self.linear.sum(axis=0))
+
+
+def pull_back_regressor(
+    kernel: RegressorKernel,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    weights: FloatArray,
+) -> FloatArray:
+    """Derivatives (3, n, m) by position, velocity and acceleration of Σ weights · packed regressor, per sample.
+
+    Call it right after `kernel.evaluate` of the same motion: it reads the recursion's state. sign(q̇) counts as
+    constant.
+
+    Args:
+        kernel: just evaluated.
+        position: (n, m), m ≤ the kernel's chunk.
+        velocity: (n, m).
+        acceleration: (n, m).
+        weights: (row_count, m), a factor for every packed entry.
+    """
+    count = position.shape[1]
+    gradient = np.zeros((3, *position.shape))
+    for link, rows in enumerate(kernel.link_rows):
+        if rows.joints:
+            chain = list(rows.joints)
+            of_rows = np.zeros((len(chain), 10, count))
+            of_rows[:, list(rows.kinds)] = weights[np.array(rows.starts)[:, None] + np.arange(len(rows.kinds))]
+            gradient[:, chain] += _link_gradient(kernel, link, of_rows, velocity[chain], acceleration[chain])
+    smoothing = kernel.model.smoothing
+    for row, kind, joint in kernel.joint_parameter_rows:
+        if kind == "motor_inertia":
+            gradient[2, joint] += weights[row]
+        elif kind == "viscous":
+            gradient[1, joint] += weights[row]
+        elif kind == "coulomb" and smoothing > 0:
+            gradient[1, joint] += weights[row] / (smoothing * np.cosh(velocity[joint] / smoothing) ** 2)
+    return gradient
+
+
+def _link_gradient(
+    kernel: RegressorKernel, link: int, weights: FloatArray, rates: FloatArray, rate_changes: FloatArray
+) -> FloatArray:
+    """Derivatives (3, J, m) by the J joints of a link's chain; weights (J, 10, m), rates q̇ and q̈ (J, m)."""
+    count = rates.shape[1]
+    frame = kernel.frames[link]
+    omega, alpha = frame.angular_velocity[:, :count], frame.angular_acceleration[:, :count]
+    a = frame.linear[:, :count]
+    axes = _Spatial(np.empty((len(rates), 3, count)), np.empty((len(rates), 3, count)))
+    for number, axis in enumerate(frame.axes):
+        for component in range(3):
+            for part, value in ((axes.angular, axis.angular[component]), (axes.linear, axis.linear[component])):
+                part[number, component] = value if isinstance(value, float) else value[:count]
+    of_axes, of_omega, of_alpha, of_a = _body_gradient(weights, axes, omega, alpha, a)
+
+    # From the origin's acceleration to the spatial one: a = A_linear + ω × v.
+    shares = axes.times(rates)
+    before = shares.sums() - shares
+    velocity = shares.total()
+    of_velocity = _Spatial(of_omega + _cross(velocity.linear, of_a), _cross(of_a, omega))
+    of_acceleration = _Spatial(of_alpha, of_a)
+    spatial = _Spatial(alpha, a - _cross(omega, velocity.linear))
+
+    carried = before.cross(axes)
+    own = axes.times(rate_changes) + carried.times(rates)
+    from_joint_on = own.total() - own.sums() + own
+    acceleration_before = spatial - from_joint_on
+    after = velocity - before - shares
+    turned = axes.cross_dual(of_axes)
+    turned_before = turned.sums() - turned
+
+    by_acceleration = axes.dot(of_acceleration)
+    by_velocity = axes.dot(of_velocity) + (carried + axes.cross(after)).dot(of_acceleration)
+    by_position = (
+        carried.dot(of_velocity)
+        + axes.dot(acceleration_before.cross_dual(of_acceleration) + turned_before)
+        + carried.cross(after + shares).dot(of_acceleration)
+    )
+    return np.stack([by_position, by_velocity, by_acceleration])
+
+
+def _body_gradient(
+    weights: FloatArray, axes: _Spatial, omega: FloatArray, alpha: FloatArray, a: FloatArray
+) -> tuple[_Spatial, FloatArray, FloatArray, FloatArray]:
+    """Derivatives by the axes (J, 3, m) and by ω, α, a (3, m) of the weighted sum of a link's rows.
+
+    Row (j, parameter) is w_j·n + v_j·f with the force and moment of that unit parameter (module `regressor`); with the
+    weights of row j in the parameters' places, its weighted sum is w_j·(I α + ω × I ω + h × a) + v_j·(M a + α × h +
+    ω × (ω × h)).
+    """
+    inertia, h, mass = weights[:, :6], weights[:, 6:9], weights[:, 9:10]
+    w, v = axes.angular, axes.linear
+    inertia_omega = _symmetric(inertia, omega)
+    of_w = _symmetric(inertia, alpha) + _cross(omega, inertia_omega) + _cross(h, a)
+    of_v = mass * a + _cross(alpha, h) + _cross(omega, _cross(omega, h))
+    of_alpha = _symmetric(inertia, w) + _cross(h, v)
+    of_a = mass * v + _cross(w, h)
+    of_omega = (
+        _cross(inertia_omega, w)
+        + _symmetric(inertia, _cross(w, omega))
+        + v * _dot(omega, h)[..., None, :]
+        + h * _dot(v, omega)[..., None, :]
+        - 2.0 * omega * _dot(v, h)[..., None, :]
+    )
+    return _Spatial(of_w, of_v), of_omega.sum(axis=0), of_alpha.sum(axis=0), of_a.sum(axis=0)
+
+
+def _symmetric(inertia: FloatArray, vector: FloatArray) -> FloatArray:
+    """Matrices of XX XY XZ YY YZ ZZ (J, 6, m) times vectors (…, 3, m)."""
+    xx, xy, xz, yy, yz, zz = (inertia[:, k] for k in range(6))
+    x, y, z = vector[..., 0, :], vector[..., 1, :], vector[..., 2, :]
+    return np.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z], axis=-2)
+
+
+def _cross(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Cross product of (…, 3, m) arrays; np.cross takes three times as long on short ones."""
+    lx, ly, lz = left[..., 0, :], left[..., 1, :], left[..., 2, :]
+    rx, ry, rz = right[..., 0, :], right[..., 1, :], right[..., 2, :]
+    return np.stack([ly * rz - lz * ry, lz * rx - lx * rz, lx * ry - ly * rx], axis=-2)
+
+
+def _dot(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Scalar product (…, m) of (…, 3, m) arrays."""
+    return np.asarray((left * right).sum(axis=-2))
