@@ -6,6 +6,7 @@ round sees them blunt, the last one nearly as they are.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -103,7 +104,11 @@ def _trust_constr(problem: Problem, start: FloatArray, step: Round) -> FloatArra
     limits: Any = NonlinearConstraint(slacks.values, 0.0, np.inf, jac=slacks.derivatives, hess=BFGS())
     options: Any = {"maxiter": 3 * step.iterations, "gtol": step.tolerance, "xtol": 1e-6}
     cost: Any = partial(_cost, problem, step)
-    found = minimize(cost, start, jac=True, hess=BFGS(), method="trust-constr", constraints=[limits], options=options)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="delta_grad == 0.0")  # where no limit is near, as it should be
+        found = minimize(
+            cost, start, jac=True, hess=BFGS(), method="trust-constr", constraints=[limits], options=options
+        )
     return np.asarray(found.x) if np.all(np.isfinite(found.x)) else start
 
 
