@@ -14,6 +14,8 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from daq.closest import did_you_mean
+from daq.section import Finite, NonNegative, NotTruthValue, Positive, Section, Vector3
+from daq.workspace import Workspace
 from daq.yaml_file import UniqueKeyLoader, describe, first_problem
 from drivers.errors import RobotFileError
 
@@ -37,26 +39,10 @@ def _parse_angle(value: Any) -> Any:
     return -angle if sign == "-" else angle
 
 
-def _refuse_truth_value(value: Any) -> Any:
-    # YAML reads yes, on and true as a truth value, and pydantic would take that for 1.
-    if isinstance(value, bool):
-        raise ValueError(f"found {str(value).lower()}, but it should be a number")
-    return value
-
-
-_NotTruthValue = BeforeValidator(_refuse_truth_value)
-Finite = Annotated[float, Field(allow_inf_nan=False), _NotTruthValue]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), _NotTruthValue]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), _NotTruthValue]
 Angle = Annotated[Finite, BeforeValidator(_parse_angle)]
-Vector3 = tuple[Finite, Finite, Finite]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class MdhRow(_Section):
+class MdhRow(Section):
     """One frame of the modified Denavit-Hartenberg description of Khalil and Kleinfinger (1986).
 
     Frame j follows from its antecedent's by Rot(z, gamma) Trans(z, b) Rot(x, alpha) Trans(x, d) Rot(z, theta)
@@ -74,7 +60,7 @@ class MdhRow(_Section):
     r: Finite = Field(description="[m]")
 
 
-class ModelSection(_Section):
+class ModelSection(Section):
     """Kinematics: exactly one of `urdf` and `mdh`."""
 
     urdf: str | None = Field(default=None, description="path of the URDF, relative to the robot file")
@@ -118,7 +104,7 @@ def _check_mdh(rows: tuple[MdhRow, ...]) -> None:
         known.add(row.joint)
 
 
-class JointLimits(_Section):
+class JointLimits(Section):
     """A joint's limits; the torque and temperature limits may be unknown."""
 
     name: str
@@ -135,7 +121,7 @@ class JointLimits(_Section):
         return self
 
 
-class Drive(_Section):
+class Drive(Section):
     """How a motor's signal becomes joint torque: Γ = gain · signal (SR400 §4.3 point 1, AUBO eq. 2)."""
 
     joint: str
@@ -153,7 +139,7 @@ class Drive(_Section):
         return self
 
 
-class JointFriction(_Section):
+class JointFriction(Section):
     """Exceptions of one joint from the arm's friction model; what is absent follows the arm's."""
 
     viscous: bool | None = None
@@ -161,7 +147,7 @@ class JointFriction(_Section):
     offset: bool | None = None
 
 
-class Friction(_Section):
+class Friction(Section):
     """The friction columns of every joint (SR400 eq. 7; ROCR6 eq. 3-4; offset as in AUBO eq. 6)."""
 
     model: Literal["none", "viscous", "coulomb", "coulomb-viscous"] = "coulomb-viscous"
@@ -170,7 +156,7 @@ class Friction(_Section):
     joints: dict[str, JointFriction] = Field(default_factory=dict)
 
 
-class TruthLink(_Section):
+class TruthLink(Section):
     """Inertial parameters of a simulated link, in the frame of its joint."""
 
     mass: Positive = Field(description="[kg]")
@@ -180,7 +166,7 @@ class TruthLink(_Section):
     )
 
 
-class TruthJoint(_Section):
+class TruthJoint(Section):
     """Friction and motor inertia of a simulated joint, joint side."""
 
     viscous: NonNegative = Field(default=0.0, description="[N·m·s/rad]")
@@ -195,7 +181,7 @@ class TruthJoint(_Section):
     pre_sliding: Positive = Field(default=5e-5, description="travel [rad] until a joint at rest breaks away")
 
 
-class TruthThermal(_Section):
+class TruthThermal(Section):
     """Heat of every simulated joint: winding, then housing, then the air around it."""
 
     ambient: Finite = Field(default=23.0, ge=-100.0, description="[°C]")
@@ -208,7 +194,7 @@ class TruthThermal(_Section):
     housing_to_ambient: Positive = Field(default=1.5, description="[W/K]")
 
 
-class TruthNoise(_Section):
+class TruthNoise(Section):
     """What the simulated sensors add."""
 
     rate: Positive = Field(default=500.0, description="[Hz]")
@@ -216,13 +202,13 @@ class TruthNoise(_Section):
     torque_std: dict[str, NonNegative] = Field(default_factory=dict, description="joint → white noise [N·m]")
     ripple_amplitude: dict[str, NonNegative] = Field(default_factory=dict, description="joint → torque ripple [N·m]")
     ripple_per_revolution: Positive = Field(default=100.0, description="ripple periods a joint revolution")
-    torque_delay: Annotated[float, Field(ge=0, le=0.1), _NotTruthValue] = Field(
+    torque_delay: Annotated[float, Field(ge=0, le=0.1), NotTruthValue] = Field(
         default=0.0, description="how much later than the encoder the current and the torque are read [s]"
     )
     temperature_resolution: NonNegative = Field(default=0.0, description="step of the temperature sensors [K]")
 
 
-class Truth(_Section):
+class Truth(Section):
     """What a simulated arm really is; a real arm's file leaves it out."""
 
     links: dict[str, TruthLink] = Field(default_factory=dict, description="joint → the link that it moves")
@@ -239,7 +225,7 @@ class Connection(BaseModel):
     driver: str
 
 
-class Robot(_Section):
+class Robot(Section):
     """A robot file, validated; `origin` says where it was read."""
 
     name: str = Field(min_length=1)
@@ -249,6 +235,7 @@ class Robot(_Section):
     joints: tuple[JointLimits, ...] = Field(min_length=1)
     drives: tuple[Drive, ...] = ()
     friction: Friction = Field(default_factory=Friction)
+    workspace: Workspace = Field(default_factory=Workspace)
     truth: Truth = Field(default_factory=Truth)
     connections: dict[str, Connection] = Field(default_factory=dict)
 
@@ -281,6 +268,9 @@ class Robot(_Section):
             for key in keys:
                 if key not in names:
                     raise ValueError(f"'{section}' names joint '{key}', but 'joints' has only: {', '.join(names)}")
+        for section, key in self.workspace.named_links():
+            if key not in (BASE, *names):
+                raise ValueError(f"'{section}' names '{key}', but there are only: {', '.join((BASE, *names))}")
         return self
 
     @property

@@ -21,14 +21,7 @@ def urdf_joints(xml: str, names: Sequence[str], locked: Mapping[str, float], whe
         RobotFileError: not a URDF; a joint is missing, neither named nor locked, has more than one degree of freedom,
             or stands before the joint that carries it.
     """
-    import pinocchio as pin
-
-    try:
-        full = pin.buildModelFromXML(xml)
-    except Exception as error:  # Pinocchio raises several kinds, none of them public
-        reason = str(error).strip().splitlines()
-        raise RobotFileError(f"not a URDF: {reason[0] if reason else 'no robot in it'}", where=where) from error
-    model = _lock(full, names, locked, where)
+    model = urdf_model(xml, names, locked, where)
     number = {name: index for index, name in enumerate(names)}
     joints = []
     for name in names:
@@ -55,6 +48,22 @@ def urdf_joints(xml: str, names: Sequence[str], locked: Mapping[str, float], whe
             )
         )
     return tuple(joints)
+
+
+def urdf_model(xml: str, names: Sequence[str], locked: Mapping[str, float], where: str) -> Any:
+    """A URDF as a `pinocchio.Model` in which just the joints of `names` move, in its own order.
+
+    Raises:
+        RobotFileError: not a URDF; a joint is missing, or neither named nor locked.
+    """
+    import pinocchio as pin
+
+    try:
+        full = pin.buildModelFromXML(xml)
+    except Exception as error:  # Pinocchio raises several kinds, none of them public
+        reason = str(error).strip().splitlines()
+        raise RobotFileError(f"not a URDF: {reason[0] if reason else 'no robot in it'}", where=where) from error
+    return _lock(full, names, locked, where)
 
 
 def _lock(full: Any, names: Sequence[str], locked: Mapping[str, float], where: str) -> Any:

@@ -1,0 +1,27 @@
+"""What the sections of a robot file are made of: checked numbers, and mappings that refuse unknown keys."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+
+def _refuse_truth_value(value: Any) -> Any:
+    # YAML reads yes, on and true as a truth value, and pydantic would take that for 1.
+    if isinstance(value, bool):
+        raise ValueError(f"found {str(value).lower()}, but it should be a number")
+    return value
+
+
+NotTruthValue = BeforeValidator(_refuse_truth_value)
+Finite = Annotated[float, Field(allow_inf_nan=False), NotTruthValue]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), NotTruthValue]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), NotTruthValue]
+Vector3 = tuple[Finite, Finite, Finite]
+
+
+class Section(BaseModel):
+    """A mapping of the file; a key that it does not know is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
