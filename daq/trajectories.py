@@ -18,6 +18,8 @@ FloatArray = npt.NDArray[np.float64]
 GRID_RATE = 1000.0
 """Limits are checked on a grid of at least this many points a second [Hz], and where the extremes lie."""
 LIMIT_TOLERANCE = 1e-9
+_NEGLIGIBLE = 1e-14
+"""Share of the largest coefficient below which a harmonic does not move a zero, but would be divided by."""
 _MAX_GRID = 2_000_000
 
 
@@ -98,6 +100,7 @@ def _trigonometric_zeros(of_cos: FloatArray, of_sin: FloatArray) -> FloatArray:
     if scale == 0.0:
         return np.zeros(0)
     positive = 0.5 * (of_cos - 1j * of_sin) / scale  # coefficient of z^l; of z^-l its conjugate
+    positive[np.abs(positive) < _NEGLIGIBLE] = 0.0
     roots = np.roots(np.concatenate([positive[::-1], [0.0], np.conj(positive)]))
     # Double zeros leave the circle by the square root of the rounding error; a few points too many do no harm.
     near = roots[np.abs(np.abs(roots) - 1.0) < 1e-4]

@@ -1,7 +1,7 @@
 """The trajectory file (YAML): which robot, which kind of motion, its coefficients.
 
     robot: ur5e
-    kind: fourier              # or sines, points, samples
+    kind: fourier              # or fourier-quintic, sines, points, samples
     period: 10                 # [s]
     offset: [0, -1.2, …]       # [rad or m], one a joint
     sine: [[…], …]             # a row a joint, a column a harmonic
@@ -10,9 +10,11 @@
     periods: 3                 # how often it is repeated
     ramp: 2                    # [s] from rest and back to rest
 
-`sines` has `duration`, `offset`, `amplitude`, `frequency` (rows of [rad] and [rad/s], UP6 eq. 8) and `ramp`; `points`
-has `points` (a row a point), `durations` and `dwell` (SR400); `samples` has `time` and `position` (a row a sample) or
-`csv`, a file with a column `time` and one a joint. A robot's name or path may stand under `robot`.
+`fourier-quintic` has `period`, `offset`, `sine`, `cosine` (velocity amplitudes) and `periods`: a polynomial of fifth
+order, which follows from them, brings every period to rest at its ends. `sines` has `duration`, `offset`, `amplitude`,
+`frequency` (rows of [rad] and [rad/s], UP6 eq. 8) and `ramp`; `points` has `points` (a row a point), `durations` and
+`dwell` (SR400); `samples` has `time` and `position` (a row a sample) or `csv`, a file with a column `time` and one a
+joint. A robot's name or path may stand under `robot`.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from daq.robot import Finite, NonNegative, Positive, Robot
+from daq.fourier_quintic import FourierQuintic
+from daq.robot import Robot
+from daq.section import Finite, NonNegative, Positive
 from daq.trajectories import (
     FloatArray,
     FourierSeries,
@@ -40,6 +44,10 @@ from daq.trajectories import (
 )
 from daq.yaml_file import UniqueKeyLoader, describe, first_problem
 from drivers.errors import UsageError
+
+_LARGEST = 1e9
+"""No arm gets near it, whatever the unit."""
+_LOOKS = 997
 
 Row = Annotated[tuple[Finite, ...], Field(min_length=1)]
 Rows = Annotated[tuple[Row, ...], Field(min_length=1)]
@@ -56,6 +64,12 @@ def _same_shape(*named: tuple[str, Rows]) -> None:
             raise ValueError(
                 f"'{name}' is {len(rows)} × {shapes[name][0]}, but '{first}' is {len(first_rows)} × {shapes[first][0]}"
             )
+
+
+def _same_series(offset: Row, sine: Rows, cosine: Rows) -> None:
+    _same_shape(("sine", sine), ("cosine", cosine))
+    if len(offset) != len(sine):
+        raise ValueError(f"'offset' has {len(offset)} joints, but 'sine' {len(sine)} rows")
 
 
 class _Trajectory(BaseModel):
@@ -79,9 +93,7 @@ class FourierTrajectory(_Trajectory):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        _same_shape(("sine", self.sine), ("cosine", self.cosine))
-        if len(self.offset) != len(self.sine):
-            raise ValueError(f"'offset' has {len(self.offset)} joints, but 'sine' {len(self.sine)} rows")
+        _same_series(self.offset, self.sine, self.cosine)
         return self
 
     def motion(self) -> Motion:
@@ -89,6 +101,27 @@ class FourierTrajectory(_Trajectory):
         build = FourierSeries if self.amplitudes == "velocity" else FourierSeries.from_position_amplitudes
         series = build(self.period, np.array(self.offset), np.array(self.sine), np.array(self.cosine))
         return RestToRest(series, self.periods, self.ramp)
+
+
+class FourierQuinticTrajectory(_Trajectory):
+    """A Fourier series that a fifth-order polynomial brings to rest at the ends of every period."""
+
+    kind: Literal["fourier-quintic"]
+    period: Positive = Field(description="[s]")
+    offset: Row
+    sine: Rows
+    cosine: Rows
+    periods: int = Field(default=1, ge=1, le=10_000)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _same_series(self.offset, self.sine, self.cosine)
+        return self
+
+    def motion(self) -> Motion:
+        """From rest to rest, as every period is."""
+        coefficients = np.array(self.offset), np.array(self.sine), np.array(self.cosine)
+        return FourierQuintic(self.period, *coefficients, self.periods)
 
 
 class SinesTrajectory(_Trajectory):
@@ -158,9 +191,10 @@ class SamplesTrajectory(_Trajectory):
         return SampledMotion(np.array(self.time) - self.time[0], np.array(self.position).T)
 
 
-Trajectory = FourierTrajectory | SinesTrajectory | PointsTrajectory | SamplesTrajectory
+Trajectory = FourierTrajectory | FourierQuinticTrajectory | SinesTrajectory | PointsTrajectory | SamplesTrajectory
 _KINDS: dict[str, type[Trajectory]] = {
     "fourier": FourierTrajectory,
+    "fourier-quintic": FourierQuinticTrajectory,
     "sines": SinesTrajectory,
     "points": PointsTrajectory,
     "samples": SamplesTrajectory,
@@ -222,16 +256,32 @@ def parse_trajectory(text: str, robot: Robot, *, where: str, folder: Path | None
             where=f"{where}: robot",
             hint="limits and joints differ from arm to arm",
         )
-    motion = trajectory.motion()
-    _check_finite(motion, where)
-    check_limits(motion, robot.joints, where)
-    check_rest(motion, robot.joints, where)
+    motion = _plausible(trajectory, where)
+    with np.errstate(all="ignore"):  # a move of no time to speak of has an infinite velocity, which is refused
+        check_limits(motion, robot.joints, where)
+        check_rest(motion, robot.joints, where)
     return TrajectoryFile(trajectory, motion, text)
 
 
-def _check_finite(motion: Motion, where: str) -> None:
-    if not 0.0 < motion.duration <= 86_400.0:
-        raise UsageError(f"lasts {motion.duration:g} s; at most a day is allowed", where=where)
+def _plausible(trajectory: Trajectory, where: str) -> Motion:
+    """The motion, unless it would overflow in the check of the limits; else a UsageError."""
+    refusal = UsageError(
+        f"has a position, velocity or acceleration that is not below {_LARGEST:g}",
+        where=where,
+        hint="look at its times and at its largest and smallest numbers",
+    )
+    with np.errstate(all="ignore"):
+        try:
+            motion = trajectory.motion()
+        except ValueError as error:  # of a spline whose system of equations overflows; also numpy's LinAlgError
+            raise refusal from error
+        duration = motion.duration
+        if not 0.0 < duration <= 86_400.0:
+            raise UsageError(f"lasts {duration:g} s; at most a day is allowed", where=where)
+        values = np.array(motion.evaluate(np.linspace(0.0, duration, _LOOKS)))
+    if not np.all(np.abs(values) < _LARGEST):
+        raise refusal
+    return motion
 
 
 def _with_samples(content: dict[str, object], robot: Robot, where: str, folder: Path | None) -> dict[str, object]:

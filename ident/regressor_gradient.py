@@ -98,7 +98,7 @@ def pull_back_regressor(
         elif kind == "viscous":
             gradient[1, joint] += weights[row]
         elif kind == "coulomb" and smoothing > 0:
-            gradient[1, joint] += weights[row] / (smoothing * np.cosh(velocity[joint] / smoothing) ** 2)
+            gradient[1, joint] += weights[row] * (1.0 - np.tanh(velocity[joint] / smoothing) ** 2) / smoothing
     return gradient
 
 
@@ -171,16 +171,24 @@ def _body_gradient(
 
 def _symmetric(inertia: FloatArray, vector: FloatArray) -> FloatArray:
     """Matrices of XX XY XZ YY YZ ZZ (J, 6, m) times vectors (…, 3, m)."""
-    xx, xy, xz, yy, yz, zz = (inertia[:, k] for k in range(6))
-    x, y, z = vector[..., 0, :], vector[..., 1, :], vector[..., 2, :]
-    return np.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z], axis=-2)
+    product = np.empty((len(inertia), 3, inertia.shape[-1]))
+    term = np.empty((len(inertia), inertia.shape[-1]))
+    for row, entries in enumerate(((0, 1, 2), (1, 3, 4), (2, 4, 5))):
+        out = product[:, row]
+        np.multiply(inertia[:, entries[0]], vector[..., 0, :], out=out)
+        for component in (1, 2):
+            out += np.multiply(inertia[:, entries[component]], vector[..., component, :], out=term)
+    return product
 
 
 def _cross(left: FloatArray, right: FloatArray) -> FloatArray:
     """Cross product of (…, 3, m) arrays; np.cross takes three times as long on short ones."""
-    lx, ly, lz = left[..., 0, :], left[..., 1, :], left[..., 2, :]
-    rx, ry, rz = right[..., 0, :], right[..., 1, :], right[..., 2, :]
-    return np.stack([ly * rz - lz * ry, lz * rx - lx * rz, lx * ry - ly * rx], axis=-2)
+    product = np.empty(np.broadcast_shapes(left.shape, right.shape))
+    for component, (first, second) in enumerate(((1, 2), (2, 0), (0, 1))):
+        out = product[..., component, :]
+        np.multiply(left[..., first, :], right[..., second, :], out=out)
+        out -= left[..., second, :] * right[..., first, :]
+    return product
 
 
 def _dot(left: FloatArray, right: FloatArray) -> FloatArray:

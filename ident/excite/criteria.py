@@ -37,6 +37,9 @@ class RegressorCriterion:
         columns: standard columns, the base parameters' as a rule.
         measure: of the information matrix (module `measures`).
         joint_weights: (n,) w_j, 1/σ_j of each joint's torque noise; all 1 where None.
+
+    Attributes:
+        columns: as given.
     """
 
     def __init__(
@@ -47,7 +50,7 @@ class RegressorCriterion:
         joint_weights: FloatArray | None = None,
     ) -> None:
         self._model = model
-        self._columns = tuple(columns)
+        self.columns = tuple(columns)
         self._measure = measure
         self._squares = np.ones(model.dof) if joint_weights is None else np.asarray(joint_weights) ** 2
         self._smooth_model = replace(model, smoothing=max(model.smoothing, SIGN_SMOOTHING))
@@ -76,14 +79,14 @@ class RegressorCriterion:
         count = len(path.time)
         if (smooth, count) not in self._kernels:
             model = self._smooth_model if smooth else self._model
-            self._kernels[smooth, count] = RegressorKernel(model, self._columns, chunk=count)
+            self._kernels[smooth, count] = RegressorKernel(model, self.columns, chunk=count)
         kernel = self._kernels[smooth, count]
         packed = np.empty((kernel.row_count, count))
         kernel.evaluate(path.position, path.velocity, path.acceleration, packed)
         return kernel, packed
 
     def _gram(self, kernel: RegressorKernel, packed: FloatArray) -> FloatArray:
-        gram = np.zeros((len(self._columns), len(self._columns)))
+        gram = np.zeros((len(self.columns), len(self.columns)))
         for joint, rows in enumerate(kernel.joint_rows):
             columns = list(rows.columns)
             gram[np.ix_(columns, columns)] += self._squares[joint] * (packed[rows.rows] @ packed[rows.rows].T)

@@ -63,8 +63,18 @@ class Family(Protocol):
     def motion(self, variables: FloatArray) -> Motion:
         """What is played: from rest to rest."""
 
-    def trajectory(self, variables: FloatArray, comment: str) -> Trajectory:
-        """The same as the content of a trajectory file."""
+    def trajectory(self, variables: FloatArray, robot: str, comment: str) -> Trajectory:
+        """The same as the content of a trajectory file for the robot of that name."""
+
+    def encode(self, motion: Motion) -> FloatArray:
+        """The x of a motion that was designed or written earlier.
+
+        Raises:
+            UsageError: it is not of this form; says what differs.
+        """
+
+    def with_longer_ramp(self, factor: float) -> Family:
+        """The same motions with a ramp that is `factor` times longer; unchanged where there is none."""
 
 
 class Constraint(Protocol):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from kinematic_arm import ROBOT_FILE
 
+from daq.trajectories import check_limits
 from daq.trajectory_file import dump_trajectory, load_trajectory, parse_trajectory
 from drivers.errors import UsageError
 
@@ -21,6 +24,15 @@ FOURIER = {
     "sine": [[0.3, 0.1], [0.2, -0.1]],
     "cosine": [[0.1, 0.0], [0.0, 0.1]],
     "periods": 2,
+}
+QUINTIC = {
+    "robot": "two-links",
+    "kind": "fourier-quintic",
+    "period": 5.0,
+    "offset": [0.0, 0.1],
+    "sine": [[0.3, 0.1], [0.2, -0.1]],
+    "cosine": [[0.1, 0.0], [0.0, 0.1]],
+    "periods": 3,
 }
 SINES = {
     "robot": "two-links",
@@ -43,7 +55,7 @@ def parse(content):
     return parse_trajectory(yaml.safe_dump(content), ROBOT, where="traj.yaml", folder=None)
 
 
-@pytest.mark.parametrize("content", [FOURIER, SINES, POINTS, SAMPLES])
+@pytest.mark.parametrize("content", [FOURIER, QUINTIC, SINES, POINTS, SAMPLES])
 def test_every_kind_moves_from_rest_to_rest_and_survives_its_text(content):
     read = parse(content)
     ends = np.array([0.0, read.motion.duration])
@@ -61,7 +73,7 @@ def test_every_kind_moves_from_rest_to_rest_and_survives_its_text(content):
     ("content", "expected"),
     [
         ({**FOURIER, "robot": "ur5e"}, "made for 'ur5e'"),
-        ({**FOURIER, "kind": "spline"}, "allowed: fourier, sines, points, samples"),
+        ({**FOURIER, "kind": "spline"}, "allowed: fourier, fourier-quintic, sines, points, samples"),
         ({"robot": "two-links"}, "kind: this key is missing"),
         ({**FOURIER, "perod": 1}, "period"),
         ({**FOURIER, "period": -1}, "period: found -1"),
@@ -70,6 +82,12 @@ def test_every_kind_moves_from_rest_to_rest_and_survives_its_text(content):
         ({**FOURIER, "offset": [0.0]}, "'offset' has 1 joints"),
         ({**FOURIER, "offset": [0.0, 2.5]}, "joint elbow: position"),
         ({**FOURIER, "sine": [[3.0, 0.1], [0.2, -0.1]]}, "joint shoulder: velocity"),
+        ({**QUINTIC, "offset": [0.0]}, "'offset' has 1 joints"),
+        ({**QUINTIC, "cosine": [[0.1], [0.2]]}, "'cosine' is 2 × 1, but 'sine' is 2 × 2"),
+        ({**QUINTIC, "ramp": 2.0}, "ramp: unknown key"),
+        ({**QUINTIC, "periods": 0}, "periods: found 0"),
+        ({**QUINTIC, "period": 50_000.0}, "lasts 150000 s"),
+        ({**QUINTIC, "cosine": [[0.1, 0.0], [9.0, 0.1]]}, "joint elbow: position"),
         ({**POINTS, "durations": [2]}, "3 points need 2 durations, not 1"),
         ({**POINTS, "points": [[0, 0, 0], [1, 1, 1], [0, 0, 0]]}, "moves 3 joints, but the robot has 2"),
         ({**SAMPLES, "time": [0, 1, 1, 2]}, "does not rise at sample 2"),
@@ -105,3 +123,54 @@ def test_samples_of_a_csv_file_stand_in_the_text(tmp_path):
 def test_any_text_is_read_or_refused_in_words(text):
     with pytest.raises(UsageError):
         parse_trajectory(text, ROBOT, where="traj.yaml", folder=None)
+
+
+NUMBERS = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-2.0, 2.0) | st.integers() | st.text(max_size=3)
+HOSTILE = {
+    "period": NUMBERS | st.none(),
+    "offset": st.lists(NUMBERS, max_size=3),
+    "sine": st.lists(st.lists(NUMBERS, max_size=2), max_size=3) | NUMBERS,
+    "cosine": st.lists(st.lists(NUMBERS, max_size=2), max_size=3) | st.none(),
+    "periods": NUMBERS | st.booleans(),
+    "robot": st.just("two-links") | st.text(max_size=3),
+    "comment": st.text(max_size=3) | st.integers(),
+}
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.fixed_dictionaries({}, optional=HOSTILE))
+def test_a_series_of_any_values_is_within_the_limits_or_refused_in_words(values):
+    try:
+        read = parse({**QUINTIC, **values})
+    except UsageError:
+        return
+    check_limits(read.motion, ROBOT.joints, "played")
+    position, velocity, acceleration = read.motion.evaluate(np.array([0.0, read.motion.duration]))
+    np.testing.assert_allclose(position[:, 0], position[:, 1], atol=1e-9)
+    assert np.abs(velocity).max() < 1e-3 * min(limit.velocity for limit in ROBOT.joints)
+    assert np.all(np.isfinite(acceleration))
+
+
+EXTREME = st.sampled_from([0.0, 1e-300, 1e-160, 1e-9, 1e9, 1e160, 1e300, 1.7e308, -1e-300, -1e300])
+
+
+def with_extremes(data, value):
+    """The value with some of its numbers replaced."""
+    if isinstance(value, list):
+        return [with_extremes(data, part) for part in value]
+    if isinstance(value, float | int) and data.draw(st.integers(0, 3)) == 0:
+        return data.draw(EXTREME)
+    return value
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from([FOURIER, QUINTIC, SINES, POINTS, SAMPLES]), st.data())
+def test_extreme_numbers_are_refused_in_words_and_without_warnings(content, data):
+    changed = {key: with_extremes(data, value) for key, value in content.items()}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            read = parse(changed)
+        except UsageError:
+            return
+    check_limits(read.motion, ROBOT.joints, "played")

@@ -1,0 +1,192 @@
+"""From a robot file and a user's choices to the optimisation problem."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from daq.closest import did_you_mean
+from daq.robot import JointLimits, RobotFile
+from drivers.errors import UsageError
+from ident.base_parameters import BaseParameters, base_parameters
+from ident.excite.choices import DesignChoices
+from ident.excite.constraints import constraints_of
+from ident.excite.criteria import Criterion, MotionSize, RegressorCriterion
+from ident.excite.families import FourierFamily, FourierQuinticFamily, PointsFamily, SinesFamily
+from ident.excite.measures import (
+    Measure,
+    condition,
+    d_optimal,
+    deviations,
+    e_optimal,
+    hadamard,
+    moments_apart,
+    plain_condition,
+)
+from ident.excite.path import Family
+from ident.excite.prior import Prior
+from ident.excite.problem import Problem
+from ident.kinematics import FloatArray
+from ident.least_squares import EXCITATION_TOLERANCE
+from ident.model import INERTIAL, DynamicModel, build_model
+from ident.regressor import RegressorKernel, motion_factor
+
+POINTS_PER_WAVE = 20
+"""Grid points of the design in the shortest period of a motion."""
+DEVIATION_FLOOR = 0.02
+"""A parameter smaller than this share of the largest of its kind counts as that large: near 0 an RSD says nothing."""
+_TRIALS = 5
+"""Random motions that show which columns a family can excite at all."""
+
+
+def build_problem(robot_file: RobotFile, prior: Prior, choices: DesignChoices) -> Problem:
+    """The problem of a design.
+
+    Raises:
+        UsageError: a choice is not possible for this arm.
+    """
+    _check(choices)
+    model = build_model(robot_file)
+    family = build_family(model, choices)
+    time = family.grid(POINTS_PER_WAVE * _waves(choices))
+    constraints = constraints_of(robot_file, model, prior.parameters, self_collision=choices.self_collision)
+    return Problem(family, build_criterion(model, family, prior, choices), constraints, time, 1.0 - choices.margin)
+
+
+def build_family(model: DynamicModel, choices: DesignChoices) -> Family:
+    """The family of motions of a design."""
+    moving = _moving(model, choices.moving)
+    rest = np.array([_middle(limits) for limits in model.limits])
+    common = (model.limits, choices.period)
+    if choices.kind == "fourier":
+        return FourierFamily(*common, choices.harmonics, moving, rest, choices.periods, choices.ramp)
+    if choices.kind == "fourier-quintic":
+        return FourierQuinticFamily(*common, choices.harmonics, moving, rest, choices.periods)
+    if choices.kind == "sines":
+        return SinesFamily(*common, choices.harmonics, moving, rest, choices.ramp)
+    return PointsFamily(*common, choices.points, moving, rest)
+
+
+def build_criterion(model: DynamicModel, family: Family, prior: Prior, choices: DesignChoices) -> Criterion:
+    """The criterion of a design, over the columns that its family can excite.
+
+    Raises:
+        UsageError: `deviations` without prior parameters.
+    """
+    if choices.criterion == "motion-size":
+        return MotionSize()
+    base = base_parameters(model)
+    columns = excitable_columns(model, family, _wanted(model, base, choices))
+    weights: FloatArray | None = None
+    measure: Measure
+    if choices.criterion in ("d-optimal", "e-optimal", "deviations"):
+        weights = 1.0 / prior.noise
+    if choices.criterion == "deviations":
+        measure = deviations(_sizes(base, prior, columns, choices))
+    elif choices.criterion == "moments":
+        symbols = [model.parameters[column].symbol for column in columns]
+        first = tuple(i for i, symbol in enumerate(symbols) if symbol in INERTIAL[6:])
+        second = tuple(i for i, symbol in enumerate(symbols) if symbol in INERTIAL[:6])
+        measure = moments_apart(first, second, choices.moment_weights)
+    else:
+        measure = _MEASURES[choices.criterion]
+    return RegressorCriterion(model, columns, measure, weights)
+
+
+_MEASURES: dict[str, Measure] = {
+    "condition": condition,
+    "plain-condition": plain_condition,
+    "d-optimal": d_optimal,
+    "e-optimal": e_optimal,
+    "hadamard": hadamard,
+}
+
+
+def excitable_columns(model: DynamicModel, family: Family, columns: Sequence[int]) -> tuple[int, ...]:
+    """Those of the standard columns that random motions of the family excite, each independently of those before."""
+    generator = np.random.default_rng(0)
+    kernel = RegressorKernel(model, columns)
+    parts = []
+    for _ in range(_TRIALS):
+        variables = family.random(generator)
+        path = family.path(variables, family.grid(10 * len(columns)))
+        parts.append(motion_factor(kernel, path.position, path.velocity, path.acceleration))
+    stacked = np.concatenate(parts)
+    lengths = np.linalg.norm(stacked, axis=0)
+    kept: list[int] = []
+    basis = np.empty((len(stacked), 0))
+    for number in range(len(columns)):
+        column = stacked[:, number]
+        for _ in range(2):
+            column = column - basis @ (basis.T @ column)
+        length = float(np.linalg.norm(column))
+        if length > EXCITATION_TOLERANCE * lengths.max():
+            basis = np.column_stack([basis, column / length])
+            kept.append(number)
+    if not kept:
+        raise UsageError("the joints that move excite no parameter at all", where=model.name)
+    return tuple(columns[number] for number in kept)
+
+
+def _wanted(model: DynamicModel, base: BaseParameters, choices: DesignChoices) -> tuple[int, ...]:
+    if not choices.loaded:
+        return base.columns
+    last = model.dof - 1
+    return tuple(range(10 * last, 10 * last + 10))
+
+
+def _sizes(base: BaseParameters, prior: Prior, columns: Sequence[int], choices: DesignChoices) -> FloatArray:
+    """What a deviation of each parameter is compared with."""
+    if choices.loaded:
+        raise UsageError(
+            "the criterion 'deviations' needs the parameters' values, which a payload does not have yet",
+            hint="with --loaded use condition or d-optimal",
+        )
+    if prior.parameters is None:
+        raise UsageError(
+            "the criterion 'deviations' needs prior parameters", hint="give --prior result.json, or use condition"
+        )
+    values = np.abs(prior.parameters)
+    sizes = {}
+    for column, value, kind in zip(base.columns, values, base.kinds, strict=True):
+        largest = max(v for v, k in zip(values, base.kinds, strict=True) if k == kind)
+        sizes[column] = max(value, DEVIATION_FLOOR * largest)
+    found = np.array([sizes[column] for column in columns])
+    return np.where(found > 0.0, found, 1.0)
+
+
+def _moving(model: DynamicModel, names: tuple[str, ...] | None) -> tuple[int, ...]:
+    if names is None:
+        return tuple(range(model.dof))
+    for name in names:
+        if name not in model.joint_names:
+            known = f"joints: {', '.join(model.joint_names)}"
+            raise UsageError(
+                f"no joint is called '{name}'", where=model.name, hint=did_you_mean(name, model.joint_names) or known
+            )
+    return tuple(number for number, name in enumerate(model.joint_names) if name in names)
+
+
+def _middle(limits: JointLimits) -> float:
+    low, high = limits.position
+    return min(max(0.0, low), high) if not np.isfinite(high - low) else 0.5 * (low + high)
+
+
+def _waves(choices: DesignChoices) -> int:
+    return choices.points if choices.kind == "points" else choices.harmonics
+
+
+def _check(choices: DesignChoices) -> None:
+    positive = {"period": choices.period, "ramp": choices.ramp}
+    for name, value in positive.items():
+        if not 0.0 < value < np.inf:
+            raise UsageError(f"--{name} {value:g} is not a positive number of seconds")
+    whole = {"harmonics": choices.harmonics, "periods": choices.periods}
+    for name, number in whole.items():
+        if number < 1:
+            raise UsageError(f"--{name} {number} is less than 1")
+    if choices.points < 2:
+        raise UsageError(f"--points {choices.points}: a motion needs at least two points")
+    if not 0.0 <= choices.margin < 1.0:
+        raise UsageError(f"--margin {choices.margin:g} is not between 0 and 1")

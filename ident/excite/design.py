@@ -1,0 +1,140 @@
+"""The design of an excitation for an arm: from what the user wants to a motion that was checked densely."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from daq.robot import RobotFile
+from daq.trajectories import Motion
+from drivers.errors import IdentificationError, UsageError
+from ident.excite.build import build_problem
+from ident.excite.choices import DesignChoices
+from ident.excite.path import Family, Path
+from ident.excite.prior import Prior
+from ident.excite.problem import Problem
+from ident.excite.search import Found, SearchChoices, search
+from ident.excite.solve import Solver, tighten
+from ident.kinematics import FloatArray
+
+DENSER = 10
+"""The last check's grid is this many times denser than the one of the design."""
+_TIGHTENINGS = 5
+_RAMP_GROWTH = 1.4
+_RAMP_TRIES = 8
+
+
+@dataclass(frozen=True)
+class Design:
+    """A designed excitation.
+
+    Attributes:
+        motion: what is played, from rest to rest.
+        family: of motions, which writes it to a trajectory file.
+        variables: (size,) its variables.
+        cost: exp of the criterion along one repetition at full pace: a condition number where it is one.
+        use: (m,) use of every limit along what is played, on the dense grid; at most 1.
+        limits: (m,) what each of them is.
+        found: how the search went.
+    """
+
+    motion: Motion
+    family: Family
+    variables: FloatArray
+    cost: float
+    use: FloatArray
+    limits: tuple[str, ...]
+    found: Found
+
+
+def design(
+    robot_file: RobotFile,
+    prior: Prior,
+    choices: DesignChoices,
+    search_choices: SearchChoices,
+    earlier: Motion | None = None,
+    progress: Callable[[Found], None] = lambda found: None,
+) -> Design:
+    """Design an excitation trajectory; Ctrl-C ends the search with the best so far.
+
+    With several processes the caller's main module must be importable without side effects (`if __name__ == …`).
+
+    Args:
+        robot_file: the arm.
+        prior: what is known of its parameters and noise.
+        choices: what is wanted.
+        search_choices: how long and how to search.
+        earlier: a motion to start from.
+        progress: told whenever a start has finished a round.
+
+    Raises:
+        UsageError: a choice is not possible, or no motion was found that keeps every limit; names the limit.
+        IdentificationError: the best motion passes a limit between the grid's points, however it is narrowed.
+        KeyboardInterrupt: Ctrl-C before any motion was found that keeps every limit.
+    """
+    problem = build_problem(robot_file, prior, choices)  # here too: what is wrong is said before processes start
+    first = problem.family.encode(earlier) if earlier is not None else None
+    found = search(partial(build_problem, robot_file, prior, choices), search_choices, first, progress)
+    if found.best is None:
+        if found.least_use is None:
+            if found.interrupted:
+                raise KeyboardInterrupt
+            raise UsageError("the time was too short for a single round", hint="give it more with --time")
+        raise UsageError(
+            f"no motion was found that keeps every limit; the best one {_worst(problem, found.least_use.variables)}",
+            where=robot_file.robot.name,
+            hint="look at the joints' limits and the robot file's 'workspace', or give it a longer period",
+        )
+    return _settled(problem, found, found.best.variables, search_choices.solver)
+
+
+def limit_names(problem: Problem) -> tuple[str, ...]:
+    """What each use of a problem is."""
+    return tuple(name for constraint in problem.constraints for name in constraint.names)
+
+
+def _settled(problem: Problem, found: Found, variables: FloatArray, solver: Solver) -> Design:
+    """Check the best candidate between the grid's points, and narrow its limits until it keeps them there."""
+    family = problem.family
+    dense = family.grid(DENSER * len(problem.time))
+    narrowed = problem
+    for _ in range(_TIGHTENINGS):
+        worst = float(_use(problem, family.path(variables, dense)).max(initial=0.0))
+        if worst <= 1.0:
+            break
+        narrowed = replace(narrowed, allowed=narrowed.allowed / worst - 1e-3)
+        variables = tighten(narrowed, variables, solver)
+    else:
+        raise IdentificationError(
+            "the best motion passes a limit between the points of the design's grid", hint="give a larger --margin"
+        )
+    for _ in range(_RAMP_TRIES):
+        motion = family.motion(variables)
+        count = DENSER * len(problem.time) * max(1, round(motion.duration / float(np.ptp(problem.time))))
+        time = np.linspace(0.0, motion.duration, count)
+        use = _use(problem, Path(time, *motion.evaluate(time)))
+        if use.max(initial=0.0) <= 1.0:
+            return Design(
+                motion,
+                family,
+                variables,
+                float(np.exp(problem.criterion.cost(family.path(variables, problem.time)))),
+                use,
+                limit_names(problem),
+                found,
+            )
+        family = family.with_longer_ramp(_RAMP_GROWTH)
+    raise IdentificationError("the way from rest to full pace passes a limit", hint="give a longer --ramp")
+
+
+def _use(problem: Problem, path: Path) -> FloatArray:
+    return np.concatenate([np.zeros(0), *(constraint.use(path) for constraint in problem.constraints)])
+
+
+def _worst(problem: Problem, variables: FloatArray) -> str:
+    uses = problem.use(variables)
+    worst = int(np.argmax(uses))
+    return f"uses {100.0 * uses[worst]:.4g} % of the {limit_names(problem)[worst]}"

@@ -1,0 +1,155 @@
+"""Which joints a family of motions moves, how far and how fast they may, and where the others stay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from daq.robot import JointLimits
+from daq.trajectories import Motion, RestToRest
+from drivers.errors import UsageError
+from ident.excite.path import Path
+from ident.kinematics import FloatArray
+
+ONE_TURN = 2.0 * np.pi
+"""Random motions and the variables' scales use no more of a joint's range than this [rad, or m of a slide]."""
+_STILL = 1e-9  # [rad or m]
+LEAST_SHARE, LARGEST_SHARE = 0.5, 0.95
+"""Share of its tightest limit that each joint of a random motion uses."""
+
+
+@dataclass(frozen=True, eq=False)
+class MovingJoints:
+    """The joints of an arm, split into those that move (m of them) and those that rest.
+
+    Attributes:
+        limits: of all n joints; they may be infinite.
+        moving: numbers of those that move, rising.
+        rest: (n,) where the others stay [rad or m].
+
+    Raises:
+        UsageError: no joint moves.
+    """
+
+    limits: tuple[JointLimits, ...]
+    moving: tuple[int, ...]
+    rest: FloatArray
+
+    def __post_init__(self) -> None:
+        if not self.moving:
+            raise UsageError("no joint moves", hint="name at least one with --joints, or leave it out for all")
+        if sorted(set(self.moving)) != list(self.moving) or not 0 <= self.moving[0] <= self.moving[-1] < len(self):
+            raise ValueError(f"moving joints {self.moving} of {len(self)}")
+        if self.rest.shape != (len(self),):
+            raise ValueError(f"a rest of shape {self.rest.shape} for {len(self)} joints")
+
+    def __len__(self) -> int:
+        return len(self.limits)
+
+    @property
+    def count(self) -> int:
+        """How many move (m)."""
+        return len(self.moving)
+
+    @cached_property
+    def rows(self) -> list[int]:
+        """Numbers of those that move, as an index."""
+        return list(self.moving)
+
+    @cached_property
+    def velocity(self) -> FloatArray:
+        """Limits (m,) [rad/s or m/s]."""
+        return np.array([self.limits[joint].velocity for joint in self.moving])
+
+    @cached_property
+    def acceleration(self) -> FloatArray:
+        """Limits (m,) [rad/s² or m/s²]."""
+        return np.array([self.limits[joint].acceleration for joint in self.moving])
+
+    @cached_property
+    def middle(self) -> FloatArray:
+        """Middle (m,) of the ranges; where one has no end, the place nearest to 0 with half a turn to both sides."""
+        return np.array([_middle(*self.limits[joint].position) for joint in self.moving])
+
+    @cached_property
+    def half(self) -> FloatArray:
+        """Half of the ranges (m,), none of them more than one turn [rad or m]."""
+        widths = [high - low for low, high in (self.limits[joint].position for joint in self.moving)]
+        return 0.5 * np.minimum(widths, ONE_TURN)
+
+    def whole(self, of_moving: FloatArray, of_resting: FloatArray | float) -> FloatArray:
+        """Rows (m, ...) of the joints that move among the rows (n, ...) of all."""
+        every = np.empty((len(self), *of_moving.shape[1:]))
+        every.T[...] = of_resting
+        every[self.rows] = of_moving
+        return every
+
+    def path(self, time: FloatArray, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> Path:
+        """The path of all joints; positions, velocities and accelerations (m, N) are of those that move."""
+        return Path(time, self.whole(position, self.rest), self.whole(velocity, 0.0), self.whole(acceleration, 0.0))
+
+    def fitted(
+        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray, generator: np.random.Generator
+    ) -> tuple[FloatArray, FloatArray]:
+        """Factors (m,) and offsets (m,) that put waves (m, N) into the limits.
+
+        Each wave then uses a random share of its tightest limit, of its range at most one turn, and keeps to random
+        parts of the range that it has left.
+        """
+        lowest, highest = position.min(axis=1), position.max(axis=1)
+        uses = [
+            (highest - lowest) / (2.0 * self.half),
+            np.abs(velocity).max(axis=1) / self.velocity,
+            np.abs(acceleration).max(axis=1) / self.acceleration,
+        ]
+        factor = generator.uniform(LEAST_SHARE, LARGEST_SHARE, self.count) / np.max(uses, axis=0)
+        room = self.half - 0.5 * factor * (highest - lowest)
+        offset = self.middle - 0.5 * factor * (highest + lowest) + generator.uniform(-0.5, 0.5, self.count) * room
+        return factor, offset
+
+    def check_same(self, joints: int, position: FloatArray, travel: FloatArray) -> None:
+        """Refuse an earlier motion of other joints.
+
+        Args:
+            joints: their number.
+            position: (n,) a position of each on the way [rad or m].
+            travel: (n,) how far each gets from it [rad or m].
+
+        Raises:
+            UsageError: names the joint that moves, or rests elsewhere.
+        """
+        if joints != len(self):
+            raise UsageError(f"the earlier motion is one of {joints} joints, the robot has {len(self)}")
+        for joint in set(range(len(self))) - set(self.moving):
+            away = abs(float(position[joint] - self.rest[joint])) + float(travel[joint])
+            if not away <= _STILL * max(1.0, abs(float(self.rest[joint]))):
+                raise UsageError(
+                    f"joint {self.limits[joint].name} is to stay at {self.rest[joint]:.5g} rad or m, but in the "
+                    f"earlier motion it moves or stays elsewhere",
+                    hint="let it move too (--joints)",
+                )
+
+
+def _middle(low: float, high: float) -> float:
+    if np.isfinite(high - low):
+        return 0.5 * (low + high)
+    return float(np.clip(0.0, low + 0.5 * ONE_TURN, high - 0.5 * ONE_TURN))
+
+
+def check_positive(name: str, value: float) -> None:
+    """Refuse what is no time span; a UsageError."""
+    if not 0.0 < value < np.inf:
+        raise UsageError(f"a {name} of {value:g} s is not possible", hint="it must be a positive number of seconds")
+
+
+def check_count(name: str, value: int, least: int) -> None:
+    """Refuse a number that is too small; a UsageError."""
+    if value < least:
+        raise UsageError(f"{value} {name}, but at least {least} must be given")
+
+
+def unwrapped(motion: Motion) -> Motion:
+    """The motion inside one that is played from rest to rest."""
+    return motion.motion if isinstance(motion, RestToRest) else motion

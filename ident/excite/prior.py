@@ -1,0 +1,130 @@
+"""What is known of an arm before its excitation is designed: its base parameters, roughly, and the torques' noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from daq.robot import Robot, RobotFile
+from drivers.errors import ResultFileError, UsageError
+from ident.base_parameters import BaseParameters, base_parameters
+from ident.kinematics import FloatArray
+from ident.model import build_model, truth_vector
+from ident.result import Result, read_result
+
+ASSUMED_NOISE_SHARE = 0.01
+"""Torque noise of a joint of which nothing is known, as a share of its torque limit."""
+
+ASSUMED_NOISE = 1.0
+"""The same [N·m or N] where the torque limit is unknown too."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known before a recording.
+
+    Attributes:
+        parameters: (b,) base parameters; None where nothing is known.
+        noise: (n,) standard deviation of each joint's torque noise [N·m or N].
+        source: where both come from, in words.
+        rate: how many values of that noise a second are independent of each other [Hz]. Its density noise²/(rate/2) is
+            what falls into the band in which the model is fitted; the noise alone says nothing.
+    """
+
+    parameters: FloatArray | None
+    noise: FloatArray
+    source: str
+    rate: float
+
+
+def recording_rate(robot: Robot) -> float:
+    """The rate [Hz] at which an arm is recorded: of its first connection that says one, else of its truth."""
+    for connection in robot.connections.values():
+        rate = (connection.model_extra or {}).get("rate")
+        if isinstance(rate, int | float) and not isinstance(rate, bool) and 0 < rate < float("inf"):
+            return float(rate)
+    return robot.truth.noise.rate
+
+
+def find_prior(robot_file: RobotFile, result: Path | None = None) -> Prior:
+    """What is known of an arm: from an earlier identification, else from the file's truth, else assumed.
+
+    Args:
+        robot_file: the arm.
+        result: result.json of an identification of it.
+
+    Raises:
+        ResultFileError: that file cannot be read or lacks what is needed.
+        UsageError: it belongs to an arm with other base parameters.
+        RobotFileError: the geometry cannot be used.
+    """
+    base = base_parameters(build_model(robot_file))
+    if result is not None:
+        return prior_of_result(read_result(result), robot_file.robot, base, where=str(result))
+    robot = robot_file.robot
+    assumed = np.array([assumed_noise(limits.torque) for limits in robot.joints])
+    if not all(name in robot.truth.links for name in robot.joint_names):
+        source = f"no parameters; torque noise of {_ASSUMPTION} assumed"
+        return Prior(None, assumed, source, recording_rate(robot))
+    known = np.array([robot.truth.noise.torque_std.get(name, 0.0) for name in robot.joint_names])
+    source = "the robot file's truth"
+    if not np.all(known > 0):
+        silent = [name for name, value in zip(robot.joint_names, known, strict=True) if value <= 0]
+        source += f"; it has no torque noise for {', '.join(silent)}: {_ASSUMPTION} assumed"
+    truth = base.projection @ truth_vector(robot_file)
+    return Prior(truth, np.where(known > 0, known, assumed), source, robot.truth.noise.rate)
+
+
+_ASSUMPTION = f"{100 * ASSUMED_NOISE_SHARE:g} % of the torque limit ({ASSUMED_NOISE:g} N·m where it is unknown)"
+
+
+def assumed_noise(torque_limit: float | None) -> float:
+    """Torque noise [N·m or N] of a joint of which only the torque limit is known, or not even that."""
+    return ASSUMED_NOISE if torque_limit is None else ASSUMED_NOISE_SHARE * torque_limit
+
+
+def prior_of_result(result: Result, robot: Robot, base: BaseParameters, where: str) -> Prior:
+    """Parameters and noise of an identification.
+
+    Its residuals are no white noise. They count for more by the ratio of corrected to classical standard deviations
+    (median over the parameters), so that white noise of this size would give the error bars that were found.
+
+    Raises:
+        UsageError: its base parameters are not those of this arm.
+        ResultFileError: a joint's residual or the rate of the filtered torques is missing.
+    """
+    stored = {parameter.name: parameter for parameter in result.base_parameters}
+    expressions = {name: parameter.expression for name, parameter in stored.items()}
+    if tuple(result.joints) != robot.joint_names or expressions != dict(zip(base.names, base.expressions, strict=True)):
+        raise UsageError(
+            f"was identified for '{result.robot}' with other base parameters than '{robot.name}' has",
+            where=where,
+            hint="identify this arm with the columns of its robot file, or leave --prior out",
+        )
+    deviations = np.array([value for value in result.residuals.joint_std if value is not None and value >= 0])
+    if len(deviations) != robot.dof:
+        raise ResultFileError("lacks the residual of a joint", where=f"{where}: residuals.joint_std", hint=_AGAIN)
+    ratios = [
+        p.std / p.classical_std
+        for p in result.base_parameters
+        if p.std is not None and p.classical_std is not None and p.classical_std > 0
+    ]
+    noise = deviations * (float(np.median(ratios)) if ratios else 1.0)
+    floor = np.array([1e-6 * assumed_noise(limits.torque) for limits in robot.joints])  # noise-free simulations
+    parameters = np.array([stored[name].value or 0.0 for name in base.names])
+    return Prior(parameters, np.maximum(noise, floor), f"identified: {where}", _filtered_rate(result, where))
+
+
+_AGAIN = "identify again with this dynid"
+
+
+def _filtered_rate(result: Result, where: str) -> float:
+    """Rate [Hz] of the filtered torques that an identification compared."""
+    used = [use for use in result.recordings if use.role == "identification"]
+    step = next((step for step in result.preprocessing if step.name == "parallel filter"), None)
+    factor = step.settings.get("factor") if step is not None else None
+    if not used or not isinstance(factor, int | float) or factor < 1 or not used[0].rate_hz > 0:
+        raise ResultFileError("does not say the rate of its filtered torques", where=where, hint=_AGAIN)
+    return used[0].rate_hz / factor

@@ -1,0 +1,183 @@
+"""Whole designs: every kind and criterion, limits on a dense grid, refusals."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from daq.robot import load_robot
+from daq.trajectories import check_limits, check_rest
+from drivers.errors import UsageError
+from ident.excite.build import build_problem
+from ident.excite.choices import DesignChoices
+from ident.excite.criteria import RegressorCriterion
+from ident.excite.design import DENSER, design
+from ident.excite.path import Path
+from ident.excite.prior import find_prior
+from ident.excite.search import SearchChoices
+from ident.excite.solve import solve
+
+QUICK = SearchChoices(seed=1, starts=1, workers=1)
+UP6 = load_robot("up6")
+KINDS = ("fourier", "fourier-quintic", "sines", "points")
+CRITERIA = (
+    "condition",
+    "plain-condition",
+    "moments",
+    "d-optimal",
+    "e-optimal",
+    "hadamard",
+    "deviations",
+    "motion-size",
+)
+
+
+def made(robot_file, search=QUICK, **choices):
+    return design(robot_file, find_prior(robot_file), DesignChoices(**choices), search)
+
+
+def with_joint(robot_file, number, **changes):
+    joints = list(robot_file.robot.joints)
+    joints[number] = joints[number].model_copy(update=changes)
+    return robot_file.model_copy(update={"robot": robot_file.robot.model_copy(update={"joints": tuple(joints)})})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_keeps_every_limit_from_rest_to_rest(kind):
+    found = made(UP6, kind=kind, harmonics=3, points=6)
+    assert found.use.max() <= 1.0
+    assert len(found.use) == len(found.limits)
+    check_limits(found.motion, UP6.robot.joints, kind)
+    check_rest(found.motion, UP6.robot.joints, kind)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_every_criterion_is_improved(criterion):
+    choices = DesignChoices(criterion=criterion, harmonics=3)
+    problem = build_problem(UP6, find_prior(UP6), choices)
+    begin = problem.family.random(np.random.default_rng([1, 0]))
+    found = made(UP6, criterion=criterion, harmonics=3)
+    assert found.cost < np.exp(problem.cost(begin))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_derivatives_of_whole_problems_equal_finite_differences(kind):
+    problem = build_problem(UP6, find_prior(UP6), DesignChoices(kind=kind, harmonics=3, points=5))
+    generator = np.random.default_rng(3)
+    x = problem.family.random(generator)
+    direction = generator.standard_normal(problem.family.size)
+    _, gradient = problem.smooth_cost(x, 4.0)
+    _, rows = problem.smooth_use(x, 30.0)
+    step = 1e-6
+    costs = [problem.smooth_cost(x + sign * step * direction, 4.0)[0] for sign in (1, -1)]
+    uses = [problem.smooth_use(x + sign * step * direction, 30.0)[0] for sign in (1, -1)]
+    assert gradient @ direction == pytest.approx((costs[0] - costs[1]) / (2 * step), rel=1e-4, abs=1e-6)
+    assert rows @ direction == pytest.approx((uses[0] - uses[1]) / (2 * step), rel=1e-3, abs=1e-4)
+
+
+def test_the_design_beats_the_best_of_many_random_motions():
+    problem = build_problem(UP6, find_prior(UP6), DesignChoices())
+    generator = np.random.default_rng(0)
+    random = min(problem.cost(problem.family.random(generator)) for _ in range(100))
+    assert made(UP6).cost < np.exp(random)
+
+
+def test_the_same_seed_gives_the_same_trajectory():
+    first, second = (made(UP6, harmonics=2) for _ in range(2))
+    assert np.array_equal(first.variables, second.variables)
+
+
+def test_a_narrow_margin_is_made_up_for_between_the_points():
+    coarse = dataclasses.replace(DesignChoices(), margin=0.0)
+    found = design(UP6, find_prior(UP6), coarse, QUICK)
+    assert found.use.max() <= 1.0
+
+
+def test_an_earlier_motion_is_refined():
+    earlier = made(UP6)
+    again = design(UP6, find_prior(UP6), DesignChoices(), QUICK, earlier=earlier.motion)
+    assert again.cost <= earlier.cost * 1.01
+
+
+def test_an_earlier_motion_of_another_kind_is_refused():
+    earlier = made(UP6, kind="points", points=4)
+    with pytest.raises(UsageError):
+        design(UP6, find_prior(UP6), DesignChoices(), QUICK, earlier=earlier.motion)
+
+
+def test_some_joints_can_move_alone():
+    found = made(UP6, moving=("L", "U"))
+    time = np.linspace(0.0, found.motion.duration, 500)
+    position, _, _ = found.motion.evaluate(time)
+    assert np.ptp(position[0]) == 0.0
+    assert np.ptp(position[1]) > 0.5
+    problem = build_problem(UP6, find_prior(UP6), DesignChoices(moving=("L", "U")))
+    everything = build_problem(UP6, find_prior(UP6), DesignChoices())
+    assert isinstance(problem.criterion, RegressorCriterion)
+    assert isinstance(everything.criterion, RegressorCriterion)
+    assert set(problem.criterion.columns) < set(everything.criterion.columns)
+
+
+def test_a_payload_is_designed_for_by_the_last_links_parameters():
+    ur = load_robot("ur5e")
+    problem = build_problem(ur, find_prior(ur), DesignChoices(loaded=True))
+    assert isinstance(problem.criterion, RegressorCriterion)
+    assert set(problem.criterion.columns) <= set(range(50, 60))
+    assert len(problem.criterion.columns) == 10
+
+
+def test_torque_limits_are_kept_where_a_prior_is_known():
+    free = made(UP6)
+    tight = with_joint(UP6, 1, torque=400.0)
+    found = made(tight)
+    assert any(name.startswith("torque") for name in found.limits)
+    assert found.use.max() <= 1.0
+    check = build_problem(tight, find_prior(tight), DesignChoices())
+    torque = next(c for c in check.constraints if c.names == ("torque of L",))
+    time = np.linspace(0.0, free.motion.duration, 2000)
+    assert torque.use(Path(time, *free.motion.evaluate(time)))[0] > 1.0  # otherwise the limit would not have mattered
+
+
+@pytest.mark.parametrize(
+    ("choices", "message"),
+    [
+        ({"period": 0.0}, "period"),
+        ({"period": float("nan")}, "period"),
+        ({"ramp": -1.0}, "ramp"),
+        ({"harmonics": 0}, "harmonics"),
+        ({"periods": 0}, "periods"),
+        ({"kind": "points", "points": 1}, "points"),
+        ({"margin": 1.0}, "margin"),
+        ({"moving": ("elbow",)}, "elbow"),
+        ({"moving": ()}, "joint"),
+        ({"criterion": "deviations", "loaded": True}, "payload"),
+    ],
+)
+def test_impossible_choices_are_refused_with_the_reason(choices, message):
+    with pytest.raises(UsageError, match=message):
+        made(UP6, **choices)
+
+
+def test_deviations_need_a_prior():
+    bare = UP6.model_copy(
+        update={"robot": UP6.robot.model_copy(update={"truth": UP6.robot.truth.model_copy(update={"links": {}})})}
+    )
+    with pytest.raises(UsageError, match="prior"):
+        made(bare, criterion="deviations")
+
+
+def test_limits_that_exclude_every_motion_are_named():
+    with pytest.raises(UsageError, match="torque of L"):
+        made(with_joint(UP6, 1, torque=5.0))
+
+
+def test_the_dense_grid_is_denser_than_the_designs():
+    problem = build_problem(UP6, find_prior(UP6), DesignChoices())
+    *_, x = solve(problem, problem.family.random(np.random.default_rng(0)), "slsqp")
+    dense = problem.family.grid(DENSER * len(problem.time))
+    assert len(dense) >= 10 * len(problem.time)
+    path = problem.family.path(x, dense)
+    assert isinstance(path, Path)
+    assert max(float(c.use(path).max()) for c in problem.constraints) <= 1.0
