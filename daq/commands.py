@@ -12,6 +12,9 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
+TERMINATED_STATUS = 128 + 15
+"""Exit status after SIGTERM, as shells have it; the arm is stopped and the file closed first."""
+
 JSON = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there.")
 
 
@@ -112,11 +115,13 @@ def record_command(
     import sys
 
     from daq.live_view import live_view
-    from daq.recorder import Recorder
+    from daq.recorder import Recorder, require_room
+    from daq.recording_writer import require_writable
     from daq.robot import load_robot
     from daq.safety import Limits, Supervisor
-    from daq.session import INTERRUPTED, Play, load_driver, record
+    from daq.session import INTERRUPTED, TERMINATED, Play, load_driver, record
     from daq.trajectory_file import load_trajectory
+    from drivers.command import INTERRUPTED_STATUS
     from drivers.errors import UsageError
 
     if (trajectory is None) == (duration is None):
@@ -126,7 +131,9 @@ def record_command(
     robot_file = load_robot(robot)
     played = load_trajectory(trajectory, robot_file.robot) if trajectory is not None else None
     driver, rate = load_driver(robot_file.robot, wire, host)
-    try:
+    require_writable(out, overwrite=force)
+    require_room(out)
+    try:  # only now is the wire touched
         driver.open()
         layouts = driver.streams()
         rate = next((layout.rate for layout in layouts if layout.name == "joints" and layout.rate > 0), rate)
@@ -149,8 +156,11 @@ def record_command(
     finally:
         driver.close()
     _report_session(out, report, as_json)
-    if report.stopped_by == INTERRUPTED:
-        raise typer.Exit(130)
+    if report.error is None and report.stopped_by == INTERRUPTED:
+        raise typer.Exit(INTERRUPTED_STATUS)
+    if report.error is None and report.stopped_by == TERMINATED:
+        print("dynid: terminated", file=sys.stderr)
+        raise typer.Exit(TERMINATED_STATUS)
     if report.error is not None:
         print(f"dynid: {report.error}", file=sys.stderr)
         raise typer.Exit(report.error.exit_status)

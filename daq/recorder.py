@@ -32,6 +32,19 @@ class DiskError(WorkError):
     """The recording cannot be written any more."""
 
 
+def require_room(path: Path) -> None:
+    """Check that there is room for more samples in a recording's folder.
+
+    Raises:
+        DiskError: less than `RESERVE` is free.
+    """
+    free = shutil.disk_usage(path.parent).free
+    if free < RESERVE:
+        raise DiskError(
+            f"the disk is full: {free / 2**20:.0f} MiB are free", where=str(path), hint="make room on the disk"
+        )
+
+
 class Recorder:
     """Takes blocks from the acquisition without ever making it wait for the disk.
 
@@ -75,6 +88,7 @@ class Recorder:
         self._changed = threading.Condition()
         self._closing = False
         self._failure: DiskError | None = None
+        self._broken = False
         self._thread = threading.Thread(target=self._run, name=f"recorder {path.name}", daemon=True)
         self._thread.start()
 
@@ -120,6 +134,8 @@ class Recorder:
             self._closing = True
             self._changed.notify()
         self._thread.join()
+        if self._broken:
+            self._writer.abandon()
         try:
             if self.overflow and self._failure is None:
                 self._writer.event(
@@ -154,15 +170,15 @@ class Recorder:
     def _fail(self, error: DiskError, *, broken: bool) -> None:
         with self._changed:
             self._failure = error
+            self._broken = broken
             self._queue.clear()
-        if broken:
-            self._writer.abandon()
+        if broken:  # left alone until `close`, when the arm stands: what HDF5 does next is not for this moment
             return
         try:  # there is still some room: say why it ends here
             self._writer.event(float("nan"), "error", "recorder", error.message)
             self._writer.flush()
         except RecordingError:
-            self._writer.abandon()
+            self._broken = True
 
     def _take(self, item: Block | tuple[float, Level, str, str]) -> None:
         if isinstance(item, Block):
@@ -183,7 +199,7 @@ class Recorder:
             count = waiting if everything or late else whole
             if count == 0:
                 continue
-            self._require_room()
+            require_room(self.path)
             joined = _join(blocks)
             self._writer.append(
                 stream,
@@ -204,13 +220,6 @@ class Recorder:
             wrote = True
         if wrote:
             self._writer.flush()
-
-    def _require_room(self) -> None:
-        free = shutil.disk_usage(self.path.parent).free
-        if free < RESERVE:
-            raise DiskError(
-                f"the disk is full: {free / 2**20:.0f} MiB are free", where=str(self.path), hint="make room on the disk"
-            )
 
 
 def _join(blocks: Sequence[Block]) -> Block:

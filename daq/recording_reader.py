@@ -32,7 +32,7 @@ def read_recording(path: str | Path) -> Recording:
         )
     try:
         file = h5py.File(path, "r")
-    except OSError as error:
+    except (OSError, RuntimeError) as error:
         if "consistency flags" in str(error):
             raise RecordingError(
                 "is half-written: its writer is still at work, or died",
@@ -42,7 +42,7 @@ def read_recording(path: str | Path) -> Recording:
         raise RecordingError(
             f"is truncated or still open in a writer: {hdf5_reason(error)}",
             where=where,
-            hint="copy it again from its source",
+            hint=f"copy it again from its source; where its writer died: dynid recover {path}",
         ) from error
     with file:
         return read_open_recording(file, path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -32,6 +33,8 @@ CHUNK_SECONDS = 0.5
 """What one chunk holds, and so the longest stretch that a crash can cost a recorder that flushes whole chunks."""
 MAX_CHUNK_ROWS = 20_000  # a nominal rate that came out of nearly equal stamps must not size a chunk
 EVENT_CHUNK_ROWS = 64
+CREATION_ROOM = 64 * 1024
+"""Bytes that a recording surely fits into, beside its texts and the first chunk of each stream."""
 
 _EVENT_TYPE = np.dtype(
     [
@@ -46,6 +49,55 @@ _EVENT_TYPE = np.dtype(
 def chunk_rows(rate: float) -> int:
     """Rows of a chunk of a stream with this nominal rate [Hz]; 1000 where it is unknown (0)."""
     return round(min(max(rate * CHUNK_SECONDS, 1.0), MAX_CHUNK_ROWS)) if rate > 0 else 1000
+
+
+def require_writable(path: Path, *, overwrite: bool) -> None:
+    """Check that a recording can be created, as far as that is known without creating it.
+
+    Raises:
+        RecordingError: the file exists already, or its folder cannot be written.
+    """
+    where, folder = str(path), path.parent
+    if path.is_dir():
+        raise RecordingError("is a folder", where=where, hint="name a file in it")
+    if path.exists() and not overwrite:
+        raise RecordingError("the file exists already", where=where, hint="choose another name or --force")
+    if not folder.is_dir():
+        said = "is not a folder" if folder.exists() else "there is no such folder"
+        raise RecordingError(said, where=str(folder), hint="create it, or choose another one")
+    written = path if path.exists() else folder
+    if not os.access(written, os.W_OK):
+        raise RecordingError("may not be written by you", where=str(written), hint="choose another place")
+
+
+def _try_bytes(path: Path, count: int) -> None:
+    """Write so many bytes beside a recording and forget them.
+
+    Where the header or a stream's first chunk are refused, HDF5 (2.0) crashes; where later ones are, it does not.
+
+    Raises:
+        RecordingError: the system refuses them.
+    """
+    try:
+        with tempfile.TemporaryFile(dir=path.parent, buffering=0) as trial:
+            written = trial.write(bytes(count))
+            if written < count:
+                trial.write(bytes(count - written))  # says why
+    except OSError as error:
+        raise RecordingError(f"cannot be created: {hdf5_reason(error)}", where=str(path)) from error
+
+
+def _chunk_bytes(layout: StreamLayout) -> int:
+    columns = 2 + sum(len(channel.columns) for channel in layout.channels)
+    return chunk_rows(layout.rate) * columns * np.dtype(np.float64).itemsize
+
+
+def _null_device() -> int:
+    return os.open(os.devnull, os.O_RDWR)
+
+
+def _memory_file() -> int:
+    return os.memfd_create("abandoned") if hasattr(os, "memfd_create") else _null_device()
 
 
 class RecordingWriter:
@@ -68,8 +120,9 @@ class RecordingWriter:
         comment: str = "",
         overwrite: bool = False,
     ) -> None:
-        if path.exists() and not overwrite:
-            raise RecordingError("the file exists already", where=str(path), hint="choose another name or --force")
+        require_writable(path, overwrite=overwrite)
+        texts = robot.text + (robot.urdf_text or "") + trajectory + comment
+        _try_bytes(path, CREATION_ROOM + len(texts.encode()) + sum(_chunk_bytes(layout) for layout in streams))
         try:
             self._file = h5py.File(path, "w", libver="latest")
         except OSError as error:
@@ -78,13 +131,16 @@ class RecordingWriter:
         self._layouts = {layout.name: layout for layout in streams}
         # Kept open: closing a dataset that a full disk refuses leaves HDF5 in a state in which it crashes at exit.
         self._datasets: dict[str, dict[str, Any]] = {layout.name: {} for layout in streams}
-        self._write_attributes(robot, trajectory, comment)
-        group = self._file.create_group("streams")
-        for layout in streams:
-            self._create_stream(group, layout)
-        self._events = self._file.create_dataset(
-            "events", (0,), maxshape=(None,), dtype=_EVENT_TYPE, chunks=(EVENT_CHUNK_ROWS,)
-        )
+        try:
+            self._write_attributes(robot, trajectory, comment)
+            group = self._file.create_group("streams")
+            for layout in streams:
+                self._create_stream(group, layout)
+            self._events = self._file.create_dataset(
+                "events", (0,), maxshape=(None,), dtype=_EVENT_TYPE, chunks=(EVENT_CHUNK_ROWS,)
+            )
+        except (OSError, RuntimeError) as error:
+            raise self._creation_error(error) from error
 
     def _write_attributes(self, robot: RobotFile, trajectory: str, comment: str) -> None:
         attributes = self._file.attrs
@@ -153,8 +209,22 @@ class RecordingWriter:
             raise self._write_error(error) from error
 
     def allow_readers(self) -> None:
-        """Let others read the file while it grows (HDF5's single-writer multiple-reader mode); only once."""
-        self._file.swmr_mode = True
+        """Let others read the file while it grows (HDF5's single-writer multiple-reader mode); only once, at first.
+
+        Raises:
+            RecordingError: the file cannot be written; it is removed.
+        """
+        try:
+            self._file.swmr_mode = True
+        except (OSError, RuntimeError) as error:
+            raise self._creation_error(error) from error
+
+    def _creation_error(self, error: BaseException) -> RecordingError:
+        """Let go of a file that holds nothing yet, and remove it."""
+        self.abandon()
+        with suppress(OSError):
+            self.path.unlink()
+        return RecordingError(f"cannot be created: {hdf5_reason(error)}", where=str(self.path))
 
     def _write_error(self, error: BaseException) -> RecordingError:
         return RecordingError(f"cannot be written: {hdf5_reason(error)}", where=str(self.path))
@@ -205,18 +275,20 @@ class RecordingWriter:
         """Let go of a file that cannot be written any more; what was flushed stays as it is.
 
         HDF5 keeps a file open whose close failed, tries again at the interpreter's exit and crashes there (seen with
-        HDF5 2.0 and a full disk). So what it still wants to write goes nowhere.
+        HDF5 2.0, on a full disk and at a file size limit). So what it still wants to write goes nowhere.
         """
-        if not self._file.id.valid:
-            return
-        # In memory, since a file's length is set at its close, which the null device refuses.
-        nowhere = os.memfd_create("abandoned") if hasattr(os, "memfd_create") else os.open(os.devnull, os.O_RDWR)
-        try:
-            os.dup2(nowhere, self._file.id.get_vfd_handle())
-        finally:
-            os.close(nowhere)
-        with suppress(OSError, RuntimeError):
-            self._file.close()
+        # The null device takes every byte, but refuses to be given a length, as a close may want. Memory takes a
+        # length, but is bound by a file size limit. What one refused is not asked of the next.
+        for make_sink in (_null_device, _memory_file, _null_device):
+            if not self._file.id.valid:
+                return
+            nowhere = make_sink()
+            try:
+                os.dup2(nowhere, self._file.id.get_vfd_handle())
+            finally:
+                os.close(nowhere)
+            with suppress(OSError, RuntimeError):
+                self._file.close()
 
     def __enter__(self) -> Self:
         return self

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,6 +16,20 @@ from daq.recording_reader import read_open_recording
 from daq.recording_writer import write_recording
 from daq.streams import Channel, Event, Recording, Stream
 from drivers.errors import RecordingError
+
+READ_LIMIT = 20.0
+"""How long [s] a small recording may take to be read; a slow disk needs no more than READ_SPEED [B/s] beyond that."""
+READ_SPEED = 5e6
+_READ_ONCE = """
+import sys
+from pathlib import Path
+from daq.recover import follow_recording
+from drivers.errors import RecordingError
+try:
+    follow_recording(Path(sys.argv[1]))
+except RecordingError:
+    pass
+"""
 
 
 @dataclass(frozen=True)
@@ -47,12 +64,13 @@ def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:
     The recording stays incomplete (`complete` false): whoever reads it should know that it ended by accident.
 
     Raises:
-        RecordingError: nothing can be read, or the new file exists already.
+        RecordingError: nothing can be read, HDF5 loops or crashes over it, or the new file exists already.
     """
     if not path.is_file():
         raise RecordingError("no such file" if not path.exists() else "is not a file", where=str(path))
     if path.resolve() == out.resolve():
         raise RecordingError("would overwrite its own source", where=str(out), hint="choose another name with -o")
+    _require_readable(path)
     found = follow_recording(path)
     streams, cut = {}, {}
     for name, stream in found.streams.items():
@@ -63,6 +81,26 @@ def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:
     recording = replace(found, streams=streams, events=events, complete=False)
     write_recording(out, recording, overwrite=overwrite)
     return Recovered(replace(recording, path=out), cut)
+
+
+def _require_readable(path: Path) -> None:
+    """Read a recording in a process of its own first.
+
+    On a file whose bytes were changed inside, the HDF5 library may loop for ever or crash.
+
+    Raises:
+        RecordingError: it did not come to an end within the time limit.
+    """
+    limit = READ_LIMIT + path.stat().st_size / READ_SPEED
+    command = [sys.executable, "-c", _READ_ONCE, str(path)]
+    try:
+        status = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=limit).returncode
+    except subprocess.TimeoutExpired:
+        raise RecordingError(
+            f"nothing can be rescued: HDF5 did not come to an end within {limit:.0f} s", where=str(path)
+        ) from None
+    if status < 0:
+        raise RecordingError(f"nothing can be rescued: HDF5 crashed ({signal.Signals(-status).name})", where=str(path))
 
 
 def _without_unwritten_rows(stream: Stream) -> tuple[Stream, int]:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
+from types import FrameType
 from typing import Protocol
 
 import numpy as np
@@ -29,6 +30,10 @@ READ_TIMEOUT = 0.01
 FIRST_SAMPLE_LIMIT = 5.0
 """How long [s] the first samples may take."""
 INTERRUPTED = "interrupted"
+"""What `stopped_by` says after Ctrl-C (SIGINT)."""
+TERMINATED = "terminated"
+"""What it says after SIGTERM."""
+_SIGNALS = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED}
 _PLAYER_PATIENCE = 0.1
 _PLAYER_LIMIT = 10.0
 
@@ -81,7 +86,11 @@ class View(Protocol):
 
 @dataclass
 class _Course:
-    """What a running session knows."""
+    """What a running session knows.
+
+    `breach_time` [s, the source's clock] is that of what stopped it, where it has one; `silent` are the streams whose
+    silence is an event already.
+    """
 
     samples: dict[str, int] = field(default_factory=dict)
     lost: dict[str, int] = field(default_factory=dict)
@@ -89,10 +98,14 @@ class _Course:
     source_minus_host: float = float("nan")
     view: View | None = None
     moves: bool = False
+    interrupted: str | None = None
+    breach_time: float = float("nan")
+    silent: set[str] = field(default_factory=set)
 
     def take(self, block: Block) -> None:
         self.samples[block.stream] = self.samples.get(block.stream, 0) + len(block.time)
         self.lost[block.stream] = self.lost.get(block.stream, 0) + block.lost
+        self.silent.discard(f"stream {block.stream}")
         if block.stream == JOINTS_STREAM and len(block.time):
             self.position = block.values["position"][-1].copy()
             self.source_minus_host = float(block.time[-1] - block.host_time[-1])
@@ -153,8 +166,9 @@ def record(
 ) -> SessionReport:
     """Record until the motion is over, `duration` [s] has passed, or something stops it.
 
-    The driver must be open; it is stopped on every way out, then the recording is closed with the reason as an event.
-    Ctrl-C and SIGTERM end the session in the same way, and are ignored while the arm is being stopped.
+    The driver must be open; it is stopped on every way out, then the recording is closed with the reason as an event,
+    at the time of what stopped it. Ctrl-C and SIGTERM end the session in the same way, and are ignored while the arm is
+    being stopped.
 
     Args:
         driver: open.
@@ -167,37 +181,36 @@ def record(
     course = _Course(view=view)
     player: Player | None = None
     error: DynidError | None = None
-    interrupted = threading.Event()
-    stopped_by: str | None = None
-    with _signals_set(interrupted), _no_collections():
+    with _signals_noted(course), _no_collections():
         try:
             driver.start()
             begun = time.monotonic()
             if play is not None:
                 dry_run(play.rate)
-                _wait_for_position(driver, recorder, supervisor, course, interrupted)
-                if course.position is not None and not interrupted.is_set():
+                _wait_for_position(driver, recorder, supervisor, course)
+                if course.position is not None and course.interrupted is None:
                     player = _prepare(driver, supervisor, recorder, play, course, course.position)
                     supervisor.restart_ages(time.monotonic())
                     course.moves = True
                     player.start()
-            _follow(driver, recorder, supervisor, course, player, begun, duration, interrupted)
+            _follow(driver, recorder, supervisor, course, player, begun, duration)
         except KeyboardInterrupt:
-            interrupted.set()
+            course.interrupted = INTERRUPTED
         except DynidError as caught:
             error = caught
         except Exception as caught:  # a bug of a driver must not leave the arm moving or the file open
             error = WorkError(f"the session broke: {type(caught).__name__}: {caught}")
         finally:
+            noticed, interrupted = course.source_time(), course.interrupted
             _stop(driver, player)
-        if error is not None:
-            stopped_by = str(error)
-        elif interrupted.is_set():
-            stopped_by = INTERRUPTED
+        stopped_by = str(error) if error is not None else interrupted
         if stopped_by is not None:
-            recorder.event(course.source_time(), "error" if error else "warning", "session", f"stopped: {stopped_by}")
-        with suppress(DynidError):  # after the stop there is nothing left that could stop anything
-            _take_notices(driver.notices(), recorder)
+            when = course.breach_time if np.isfinite(course.breach_time) else noticed
+            recorder.event(when, "error" if error else "warning", "session", f"stopped: {stopped_by}")
+        with suppress(DynidError):
+            unhalted = _note(driver.notices(), recorder)  # an error now says that the arm could not be stopped in order
+            if player is not None and unhalted is None:
+                recorder.event(course.source_time(), "info", "driver", "arm halted")
         try:
             recorder.close(complete=stopped_by is None)
         except DynidError as caught:
@@ -207,11 +220,9 @@ def record(
     )
 
 
-def _wait_for_position(
-    driver: Driver, recorder: Recorder, supervisor: Supervisor, course: _Course, interrupted: threading.Event
-) -> None:
+def _wait_for_position(driver: Driver, recorder: Recorder, supervisor: Supervisor, course: _Course) -> None:
     limit = time.monotonic() + FIRST_SAMPLE_LIMIT
-    while course.position is None and not interrupted.is_set():
+    while course.position is None and course.interrupted is None:
         _cycle(driver, recorder, supervisor, course)
         if time.monotonic() > limit:
             raise ConnectionLostError(f"no joint position within {FIRST_SAMPLE_LIMIT:g} s")
@@ -239,10 +250,9 @@ def _follow(
     player: Player | None,
     begun: float,
     duration: float | None,
-    interrupted: threading.Event,
 ) -> None:
     moving = False
-    while not interrupted.is_set():
+    while course.interrupted is None:
         _cycle(driver, recorder, supervisor, course)
         now = time.monotonic()
         if player is not None:
@@ -277,10 +287,16 @@ def _cycle(
             when = float(block.time[0]) if len(block.time) else float("nan")
             recorder.event(when, "warning", block.stream, f"{block.lost} samples lost")
     now = time.monotonic()
-    for block in blocks:
-        if len(block.time) and (breach := supervisor.check(block, now)) is not None:
-            raise SafetyStopError(str(breach))
-    _take_notices(driver.notices(), recorder)
+    breaches = [supervisor.check(block, now) for block in blocks if len(block.time)]
+    breach = next((breach for breach in breaches if breach is not None), None)
+    notice = _note(driver.notices(), recorder)
+    if notice is not None and not (breach is not None and breach.time < notice.time):
+        # Braking after a protective stop may itself pass a limit: what came first is the reason.
+        course.breach_time = notice.time
+        raise SafetyStopError(notice.message)
+    if breach is not None:
+        course.breach_time = breach.time
+        raise SafetyStopError(str(breach))
     if recorder.failure is not None:
         raise recorder.failure
     if (breach := supervisor.check_ages(now)) is not None:
@@ -291,18 +307,17 @@ def _cycle(
         if course.moves:
             raise SafetyStopError(str(breach))
         # Nobody is in danger: the recording goes on until the driver gives the connection up.
-        recorder.event(course.source_time(), "warning", "session", str(breach))
+        if breach.joint not in course.silent:
+            recorder.event(course.source_time(), "warning", "session", str(breach))
+            course.silent.add(breach.joint)
         supervisor.restart_ages(now)
 
 
-def _take_notices(notices: Sequence[Notice], recorder: Recorder) -> None:
-    worst: Notice | None = None
+def _note(notices: Sequence[Notice], recorder: Recorder) -> Notice | None:
+    """Make notices events; the first error among them."""
     for notice in notices:
         recorder.event(notice.time, notice.level, "driver", notice.message)
-        if notice.level == "error":
-            worst = worst or notice
-    if worst is not None:
-        raise SafetyStopError(worst.message)
+    return next((notice for notice in notices if notice.level == "error"), None)
 
 
 def _stop(driver: Driver, player: Player | None) -> None:
@@ -317,14 +332,18 @@ def _stop(driver: Driver, player: Player | None) -> None:
 
 
 @contextmanager
-def _signals_set(interrupted: threading.Event) -> Iterator[None]:
-    """Ctrl-C and SIGTERM set a flag; as exceptions they could cut the stop itself short."""
+def _signals_noted(course: _Course) -> Iterator[None]:
+    """Ctrl-C and SIGTERM are noted only; as exceptions they could cut the stop itself short."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        course.interrupted = course.interrupted or _SIGNALS[signal.Signals(number)]
+
+    before = {number: signal.getsignal(number) for number in _SIGNALS}
     for number in before:
-        signal.signal(number, lambda *_: interrupted.set())
+        signal.signal(number, note)
     try:
         yield
     finally:

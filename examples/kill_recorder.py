@@ -2,7 +2,7 @@
 
 Records a simulated UR5e, kills `dynid record` with SIGKILL 2 to 5 s after its file appeared, rescues the file with
 `dynid recover` and compares its last sample with the controller's clock at the moment of the kill, which a second
-connection watches. Prints what was lost, at least, in the middle and at most.
+connection watches, and that every channel is whole. Prints what was lost, at least, in the middle and at most.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def kill_one(driver: Driver, out: Path, delay: float) -> dict[str, float]:
     """Record, kill after `delay` [s] of the file's life, rescue; lost samples and seconds, and what was rescued.
 
     Raises:
-        RuntimeError: the recording ended by itself, the rescue failed, or the rescued clock has gaps.
+        RuntimeError: the recording ended by itself, the rescue failed, or what was rescued has gaps.
     """
     command = [DYNID, "record", ROBOT, "--host", HOST, "--duration", "60", "-o", str(out), "--no-ui", "--json"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -61,7 +61,10 @@ def kill_one(driver: Driver, out: Path, delay: float) -> dict[str, float]:
     if done.returncode:
         raise RuntimeError(f"dynid recover: {done.stderr}")
     with h5py.File(rescued) as file:
-        stamps = file["streams/joints/time"][:]
+        joints = {name: dataset[:] for name, dataset in file["streams/joints"].items()}
+    stamps = joints["time"]
+    if unwritten := [name for name, values in joints.items() if not np.all(np.isfinite(values))]:
+        raise RuntimeError(f"rows that were not written were rescued: {', '.join(unwritten)}")
     if not len(stamps) or np.any(np.rint(np.diff(stamps) * RATE) != 1):
         raise RuntimeError(f"{len(stamps)} samples were rescued, with gaps")
     seconds = killed_at - float(stamps[-1])

@@ -38,7 +38,7 @@ def sim(
     seed: int = typer.Option(1, "--seed", help="Of the noise."),
     no_ui: bool = typer.Option(False, "--no-ui", help="No live line on standard error."),
 ) -> None:
-    """Serve a simulated arm until Ctrl-C; type faults: drop N, freeze S, cut, protective-stop, heat JOINT CELSIUS.
+    """Serve a simulated arm until Ctrl-C; type a fault, such as: drop 10, freeze 3, cut, block 2.
 
     Example: dynid sim ur5e
     """

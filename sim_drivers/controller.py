@@ -31,6 +31,8 @@ JOINT_MODE_RUNNING = 253
 PROGRAM_END_DECELERATION = 4.0
 PROTECTIVE_STOP_DECELERATION = 20.0
 """[rad/s²]: assumptions; the maker publishes stopping times and distances only."""
+DRIFT_ACCELERATION = 4.0
+"""Of a drift on request [rad/s²]."""
 UNLOCK_DELAY = 5.0
 """A protective stop can be unlocked only so long [s] after it happened."""
 STEADY_TIME = 0.1
@@ -86,6 +88,9 @@ class SimulatedArm(Protocol):
     def heat(self, joint: int, celsius: float) -> None:
         """Warm a joint up by so much."""
 
+    def block(self, joint: int) -> None:
+        """Jam a joint."""
+
 
 class Controller:
     """Everything of a controller that is not a socket.
@@ -121,6 +126,7 @@ class Controller:
         self.safety_mode = NORMAL
         self.messages: deque[str] = deque(maxlen=100)
         self._stopped_at = -math.inf
+        self._stop_drift()
         self._still_since = arm.time
         self._set_constants()
         self._publish(measured)
@@ -144,8 +150,8 @@ class Controller:
                 self.follow(self.motion.step(self.period))
                 if self.motion is not None and self.motion.finished:
                     self.motion = None
+            reference = self._drifted()
             if self.safety_mode == NORMAL:
-                reference = self.reference
                 self.arm.set_target(reference.position, reference.velocity, reference.acceleration)
         self.arm.advance(self.period)
         self._publish(self.arm.measure())
@@ -186,6 +192,11 @@ class Controller:
             return
         self.script = None
         if self.safety_mode == NORMAL:
+            before = self.reference
+            self.reference = Reference(
+                before.position + self._drift_offset, before.velocity + self._drift_velocity, before.acceleration
+            )
+            self._stop_drift()
             self.brake(PROGRAM_END_DECELERATION)
 
     def fail_program(self, reason: str) -> None:
@@ -202,6 +213,7 @@ class Controller:
         self._stopped_at = self.arm.time
         self.motion = None
         self.script = None
+        self._stop_drift()
         self.arm.halt(PROTECTIVE_STOP_DECELERATION)
 
     def unlock_protective_stop(self) -> bool:
@@ -213,6 +225,33 @@ class Controller:
             held = np.asarray(self.arm.measure().target_position, dtype=np.float64)
             self.reference = Reference.at_rest(np.clip(held, self.lower, self.upper))
         return True
+
+    def drift(self, joint: int, velocity: float) -> None:
+        """A fault: carry a joint away from its reference at so many rad/s, until the program ends."""
+        if self.script is None:
+            self.messages.append("nothing drifts: no program runs")
+            return
+        self._drift_wanted[joint] = velocity
+
+    def _stop_drift(self) -> None:
+        self._drift_wanted, self._drift_velocity, self._drift_offset = np.zeros((3, JOINTS))
+
+    def _drifted(self) -> Reference:
+        """The reference with what a drift adds to it, one period later."""
+        if not np.any(self._drift_wanted) and not np.any(self._drift_offset):
+            return self.reference
+        step = DRIFT_ACCELERATION * self.period
+        change = np.clip(self._drift_wanted - self._drift_velocity, -step, step)
+        self._drift_velocity = self._drift_velocity + change
+        self._drift_offset = self._drift_offset + self.period * (self._drift_velocity - 0.5 * change)
+        reference = Reference(
+            self.reference.position + self._drift_offset,
+            self.reference.velocity + self._drift_velocity,
+            self.reference.acceleration + change / self.period,
+        )
+        if not self.allowed(reference.position, reference.velocity):
+            self.protective_stop("a joint drifted out of its limits of position or speed")
+        return reference
 
     def write_inputs(self, received: dict[str, Value]) -> None:
         """Take over what a client sent: registers, and outputs under their masks."""

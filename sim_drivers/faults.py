@@ -42,9 +42,24 @@ class Heat:
     celsius: float
 
 
-Fault = Drop | Freeze | Cut | ProtectiveStop | Heat
+@dataclass(frozen=True)
+class Block:
+    """Jam joint number `joint` (from 0) for good: it stops at once and moves no more."""
 
-USAGE = "drop N | freeze SECONDS | cut | protective-stop | heat JOINT CELSIUS"
+    joint: int
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Carry joint number `joint` (from 0) away from its target at `velocity` [rad/s] while a program runs."""
+
+    joint: int
+    velocity: float
+
+
+Fault = Drop | Freeze | Cut | ProtectiveStop | Heat | Block | Drift
+
+USAGE = "drop N | freeze SECONDS | cut | protective-stop | heat JOINT CELSIUS | block JOINT | drift JOINT RAD/S"
 
 
 class Faults:
@@ -77,6 +92,14 @@ class Faults:
         """Warm a joint up."""
         self.request(Heat(joint, celsius))
 
+    def block(self, joint: int) -> None:
+        """Jam a joint."""
+        self.request(Block(joint))
+
+    def drift(self, joint: int, velocity: float) -> None:
+        """Carry a joint away from its target [rad/s]."""
+        self.request(Drift(joint, velocity))
+
     def take(self) -> list[Fault]:
         """What was requested since the last call."""
         taken: list[Fault] = []
@@ -103,17 +126,30 @@ def parse_fault(line: str, joints: Sequence[str]) -> Fault:
         case ["protective-stop"]:
             return ProtectiveStop()
         case ["heat", joint, celsius] if (rise := _positive(celsius)) is not None:
-            if joint in joints:
-                return Heat(joints.index(joint), rise)
-            if joint.isdecimal() and 1 <= int(joint) <= len(joints):
-                return Heat(int(joint) - 1, rise)
-            raise UsageError(f"no joint is called '{joint}'", hint=f"1 to {len(joints)}, or {', '.join(joints)}")
+            return Heat(_joint(joint, joints), rise)
+        case ["block", joint]:
+            return Block(_joint(joint, joints))
+        case ["drift", joint, speed] if (velocity := _finite(speed)) is not None:
+            return Drift(_joint(joint, joints), velocity)
     raise UsageError(f"'{line.strip()}' is not a fault", hint=USAGE)
 
 
-def _positive(text: str) -> float | None:
+def _joint(text: str, joints: Sequence[str]) -> int:
+    if text in joints:
+        return joints.index(text)
+    if text.isdecimal() and 1 <= int(text) <= len(joints):
+        return int(text) - 1
+    raise UsageError(f"no joint is called '{text}'", hint=f"1 to {len(joints)}, or {', '.join(joints)}")
+
+
+def _finite(text: str) -> float | None:
     try:
         value = float(text)
     except ValueError:
         return None
-    return value if math.isfinite(value) and value > 0 else None
+    return value if math.isfinite(value) else None
+
+
+def _positive(text: str) -> float | None:
+    value = _finite(text)
+    return value if value is not None and value > 0 else None

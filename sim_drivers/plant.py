@@ -24,6 +24,9 @@ from sim_drivers.thermal import JointHeat, copper_losses
 POSTURES = 20
 """Random postures that inertias are taken over, for gains and for numerical stability."""
 
+JAMMED_INERTIA = 1e9
+"""Inertia [kg·m²] of a jammed joint."""
+
 COLDEST = -100.0
 """Lowest temperature [°C] that is simulated."""
 
@@ -242,6 +245,21 @@ class Plant:
         self.thermal.winding[number] += celsius
         self.thermal.housing[number] += celsius
         self._update_conditions()
+
+    def block(self, joint: int) -> None:
+        """Jam a joint by its number: it stops at once and moves no more, whatever its drive does.
+
+        Raises:
+            ValueError: no such joint.
+        """
+        if not 0 <= joint < self.robot.dof:
+            raise ValueError(f"no joint {joint}; there are {self.robot.dof}, the first is 0")
+        # So much inertia that no drive moves it: the other joints then feel the jam as they would feel a rigid link.
+        self._added_inertia[joint] = 0.0
+        armature = np.array(self._moving_arm.armature)
+        armature[joint] = JAMMED_INERTIA
+        self._moving_arm.armature = armature
+        self.velocity[joint] = self.acceleration[joint] = 0.0
 
     def _vector(self, values: FloatArray, what: str) -> FloatArray:
         vector = np.asarray(values, dtype=np.float64)

@@ -21,7 +21,7 @@ from drivers.errors import ConnectionFailedError, ConnectionLostError, UsageErro
 from sim_drivers.connection import Connection, Session
 from sim_drivers.controller import Controller, SimulatedArm
 from sim_drivers.dashboard import DashboardSession
-from sim_drivers.faults import Cut, Drop, Fault, Faults, Freeze, Heat, ProtectiveStop
+from sim_drivers.faults import Block, Cut, Drift, Drop, Fault, Faults, Freeze, Heat, ProtectiveStop
 from sim_drivers.rtde_protocol import parse_version
 from sim_drivers.rtde_session import RtdeSession
 from sim_drivers.script_port import ScriptSession
@@ -235,6 +235,10 @@ class RtdeServer:
                 self.controller.protective_stop("on request")
             case Heat(joint, celsius):
                 self.controller.arm.heat(joint, celsius)
+            case Block(joint):
+                self.controller.arm.block(joint)
+            case Drift(joint, velocity):
+                self.controller.drift(joint, velocity)
 
     def _serve(self, timeout: float) -> None:
         """Read and write what can be, waiting at most `timeout` [s] for something to be."""

@@ -17,6 +17,7 @@ from drivers.base import DriverSettings, Notice, State, require_state
 from drivers.errors import DriverStateError, UsageError
 from drivers.gains import joint_torque
 from drivers.rtde import wire
+from drivers.rtde.dashboard import stop_program
 from drivers.rtde.modes import describe_mode
 from drivers.rtde.motion import JOINTS, MotionProcess
 from drivers.rtde.receiver import TIMESTAMP, RtdeReceiver, Samples
@@ -25,6 +26,8 @@ from drivers.streams import Block, ChannelLayout, FloatArray, StreamLayout
 
 THERMAL_RATE = 20.0
 STATUS_RATE = 10.0
+DASHBOARD_TIMEOUT = 1.0
+"""How long [s] the dashboard may take to end a program."""
 FIRST_STEP_LIMIT = 0.1
 """How far [rad] a first command may be from where the arm stands; it would be reached within one period."""
 
@@ -212,7 +215,12 @@ class RtdeDriver:
         with self._motion_lock:
             motion, self._motion = self._motion, None
         if motion is not None and not motion.stop():
-            self._notices.append(Notice(float("nan"), "error", "the arm did not confirm that it stopped"))
+            # Out of reach, or killed; ur_rtde may have started a fresh program meanwhile, which would stay.
+            if stop_program(self._settings.host, DASHBOARD_TIMEOUT):
+                said = "the arm did not confirm that it stopped; the controller's program was ended by its dashboard"
+            else:
+                said = "the arm did not confirm that it stopped, and the controller's program may still run"
+            self._notices.append(Notice(float("nan"), "error", said))
         if self._state == "running":
             self._receiver.pause()
             self._state = "open"

@@ -2,15 +2,18 @@
 
 ur_rtde's constructors hold the interpreter's lock, and against a silent controller they hang for ever; in the process
 that records, either would cost samples. A position crosses a pipe, the newest one wins. The process stops the arm when
-it is told to, when its parent dies or falls silent, and when the controller refuses a command.
+it is told to, when its parent dies or falls silent, and when the controller refuses a command. Where the process itself
+is gone, or the network, the controller's watchdog ends the program.
 """
 
 from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import signal
 import struct
+import sys
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
 from typing import Protocol
@@ -31,11 +34,15 @@ JOINT_DECELERATION = 2.0
 """Of every joint after that [rad/s²]; UR's default for stopJ."""
 SILENCE_LIMIT = 0.5
 """Without a command for this long [s] the process stops the arm and gives up control."""
+WATCHDOG_RATE = 1.0
+"""Commands a second below which the controller itself ends the program. Its period is longer than `SILENCE_LIMIT`, so
+that this process stops the arm first where it can, and longer than leaving servo mode takes, which sends nothing."""
 STOP_LIMIT = 4.0
 """How long [s] the process may take to stop the arm before it is killed."""
 BACKLOG_LIMIT = 100
 """Commands that the process may leave unanswered before it counts as hung."""
 
+_UNCONFIRMED_STATUS = 1
 _POSITION = struct.Struct(f"{JOINTS}d")
 _STOP, _READY, _TAKEN, _FAILED = b"stop", b"ready", b"taken", b"failed "
 
@@ -47,11 +54,17 @@ class Control(Protocol):
         self, q: Sequence[float], speed: float, acceleration: float, time: float, lookahead: float, gain: float
     ) -> bool: ...
 
+    def setWatchdog(self, min_frequency: float) -> bool: ...  # noqa: D102
+
     def servoStop(self, a: float) -> bool: ...  # noqa: D102
 
     def stopJ(self, a: float) -> None: ...  # noqa: D102
 
     def stopScript(self) -> None: ...  # noqa: D102
+
+    def isConnected(self) -> bool: ...  # noqa: D102
+
+    def isProgramRunning(self) -> bool: ...  # noqa: D102
 
     def disconnect(self) -> None: ...  # noqa: D102
 
@@ -142,6 +155,7 @@ class MotionProcess:
             )
         if answer != _READY:
             reason = answer.removeprefix(_FAILED).decode(errors="replace")
+            self._process.join(STOP_LIMIT)  # it gives back what it had
             raise ConnectionFailedError(
                 f"no control of the arm: {reason}", where=self._host, hint="is it on, and in remote control?"
             )
@@ -162,25 +176,33 @@ class MotionProcess:
 
 
 def _serve(pipe: Connection, factory: Callable[[str, float], Control], host: str, rate: float, timeout: float) -> None:
-    # Ctrl-C reaches the whole process group; the parent must decide, or nobody would stop the arm in order.
+    # Both may reach the whole process group; the parent must decide, or nobody would stop the arm in order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    _keep_standard_output_clean()
     _die_after(timeout)
     try:
         control = factory(host, rate)
     except Exception as error:
         _say(pipe, _FAILED + str(error).encode())
         return
-    _die_after(0.0)
     reason: bytes | None = b"the motion process broke"
     try:
-        _say(pipe, _READY)
-        reason = _follow(pipe, control, 1.0 / rate)
+        watched = control.setWatchdog(WATCHDOG_RATE)
+        _die_after(0.0)
+        if watched:
+            _say(pipe, _READY)
+            reason = _follow(pipe, control, 1.0 / rate)
+        else:
+            reason = b"the controller refused the watchdog"
     except Exception as error:
         reason = str(error).encode()
     finally:
         if reason is not None:
             _say(pipe, _FAILED + reason)
-        _halt(control)
+        halted = _halt(control)
+    if not halted:
+        sys.exit(_UNCONFIRMED_STATUS)
 
 
 def _follow(pipe: Connection, control: Control, period: float) -> bytes | None:
@@ -204,18 +226,27 @@ def _follow(pipe: Connection, control: Control, period: float) -> bytes | None:
             return b"the controller refused a position; its program no longer runs"
 
 
-def _halt(control: Control) -> None:
+def _halt(control: Control) -> bool:
+    """Stop the arm and end the program; whether the controller confirmed the one or the other."""
     # Each on its own: an arm that has left servo mode already must still be stopped, and the script ended.
-    for step in (
-        lambda: control.servoStop(SERVO_DECELERATION),
-        lambda: control.stopJ(JOINT_DECELERATION),
-        lambda: control.stopScript(),
-        lambda: control.disconnect(),
-    ):
-        try:
-            step()
-        except Exception:
-            continue
+    confirmed = False
+    with contextlib.suppress(Exception):
+        confirmed = control.servoStop(SERVO_DECELERATION)
+    with contextlib.suppress(Exception):
+        control.stopJ(JOINT_DECELERATION)
+    with contextlib.suppress(Exception):
+        control.stopScript()
+    with contextlib.suppress(Exception):
+        confirmed = confirmed or (control.isConnected() and not control.isProgramRunning())
+    with contextlib.suppress(Exception):
+        control.disconnect()
+    return confirmed
+
+
+def _keep_standard_output_clean() -> None:
+    """What ur_rtde prints goes to standard error: standard output belongs to the command, which may print JSON."""
+    with contextlib.suppress(OSError):  # nobody listens there
+        os.dup2(2, 1)
 
 
 def _die_after(seconds: float) -> None:

@@ -5,19 +5,25 @@ from __future__ import annotations
 import json
 import os
 import pty
+import signal
 import subprocess
 import sys
+import textwrap
 import threading
+import time
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import yaml
 from kinematic_arm import RATE, ROBOT_FILE, KinematicArm
 
 from daq import session
+from daq.commands import TERMINATED_STATUS
 from daq.recording import read_recording
+from daq.recover import recover
 from drivers import command
 
 TRAJECTORY = {
@@ -179,10 +185,108 @@ def test_a_driver_that_is_not_installed_exits_2(bench, dynid):
     assert "connections.bench.driver: no driver is called 'kinematic' (installed: other)" in said
 
 
-def test_an_existing_file_is_kept(bench, dynid):
-    (bench.folder / "run.h5").write_bytes(b"precious")
-    assert "run.h5" in refused(bench, dynid, "--duration", "1", "-o", "run.h5")
-    assert bench.made[0][1].stopped_at is not None  # closed again
+@pytest.mark.parametrize(
+    ("out", "said"),
+    [
+        ("there.h5", "there.h5: the file exists already (choose another name or --force)"),
+        ("nowhere/run.h5", "nowhere: there is no such folder"),
+        ("there.h5/run.h5", "there.h5: is not a folder"),
+        (".", ".: is a folder"),
+    ],
+)
+def test_where_nothing_can_be_written_is_known_before_the_wire_is_touched(bench, dynid, out, said):
+    (bench.folder / "there.h5").write_bytes(b"precious")
+    assert said in refused(bench, dynid, "--duration", "1", "-o", out)
+    assert not any(arm.opened for _, arm in bench.made)
+
+
+def test_a_full_disk_is_known_before_the_wire_is_touched(bench, dynid, monkeypatch):
+    monkeypatch.setattr("daq.recorder.RESERVE", 2**62)
+    status, out, _ = dynid("record", "robot.yaml", "--duration", "1", "-o", "run.h5", "--json")
+    assert status == 1
+    assert "the disk is full" in json.loads(out)["error"]
+    assert not any(arm.opened for _, arm in bench.made)
+
+
+def in_a_process(code, folder, *arguments):
+    """`dynid record` with the driver `kinematic` in a process of its own; `code` runs first and has `arm` to set."""
+    support = str(Path(sys.modules["kinematic_arm"].__file__).parent)
+    script = textwrap.dedent(code) + textwrap.dedent(
+        """
+        import sys
+        from types import SimpleNamespace
+        from daq import session
+        from drivers import command
+        entry = SimpleNamespace(name="kinematic", load=lambda: lambda settings: arm)
+        session.entry_points = lambda group: [entry]
+        try:
+            command.main()
+        finally:
+            with open("arm.txt", "w") as told:
+                print(len(arm.commands) > 0, arm.stopped_at is not None, arm.commands_after_stop, file=told)
+        """
+    )
+    return subprocess.Popen(
+        [sys.executable, "-c", script, "record", "robot.yaml", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(session.__file__).parents[1]), support])},
+    )
+
+
+LIMITED = """
+    import resource
+    import kinematic_arm
+    kinematic_arm.RATE = 2000.0
+    arm = kinematic_arm.KinematicArm()
+    resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
+"""
+
+
+@pytest.mark.parametrize("limit", [180_000, 250_000])
+def test_a_write_that_the_system_refuses_ends_in_order(bench, limit):
+    """A file size limit, as a quota would: there is room on the disk, yet a write fails."""
+    trajectory = ("--trajectory", "traj.yaml", "-o", "run.h5", "--json")
+    (bench.folder / "traj.yaml").write_text(yaml.safe_dump(TRAJECTORY | {"durations": [9.0, 9.0]}))
+    process = in_a_process(LIMITED.format(limit=limit), bench.folder, *trajectory)
+    out, errors = process.communicate(timeout=60)
+    assert process.returncode == 1, errors  # not -11: HDF5 crashes at exit where a broken file is left to it
+    said = "run.h5: cannot be written: File too large (rescue what was written: dynid recover run.h5)"
+    assert errors == f"dynid: {said}\n"
+    assert json.loads(out)["stopped_by"] == said
+    assert (bench.folder / "arm.txt").read_text() == "True True 0\n"
+    found = recover(bench.folder / "run.h5", bench.folder / "rescued.h5")
+    joints = read_recording(bench.folder / "rescued.h5").streams["joints"]
+    assert len(joints.time) >= 1000  # whole chunks
+    assert np.allclose(np.diff(joints.time), 1 / 2000.0)
+    for channel in joints.channels.values():  # rows that were written in part are not among them
+        assert np.all(np.isfinite(channel.values))
+    assert found.cut["joints"] >= 0
+
+
+def test_a_limit_that_leaves_no_room_for_a_file_is_refused(bench):
+    process = in_a_process(LIMITED.format(limit=5000), bench.folder, "--duration", "1", "-o", "run.h5")
+    out, errors = process.communicate(timeout=60)
+    assert (process.returncode, out) == (2, "")
+    assert errors == "dynid: run.h5: cannot be created: File too large\n"
+    assert not (bench.folder / "run.h5").exists()
+
+
+def test_sigterm_ends_in_order_with_the_status_of_shells(bench):
+    code = "from kinematic_arm import KinematicArm\narm = KinematicArm()\n"
+    process = in_a_process(code, bench.folder, "--duration", "60", "-o", "run.h5", "--json")
+    limit = time.monotonic() + 20.0
+    while not (bench.folder / "run.h5").exists() and time.monotonic() < limit:
+        time.sleep(0.01)
+    time.sleep(0.5)
+    process.terminate()
+    out, errors = process.communicate(timeout=20)
+    assert process.returncode == 128 + signal.SIGTERM == TERMINATED_STATUS
+    assert errors == "dynid: terminated\n"
+    assert json.loads(out)["stopped_by"] == "terminated"
+    assert any(event.message == "stopped: terminated" for event in read_recording(bench.folder / "run.h5").events)
 
 
 IN_A_TERMINAL = """

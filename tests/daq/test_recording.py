@@ -141,7 +141,7 @@ def test_writer_refuses_to_overwrite(tmp_path: Path) -> None:
 
 
 def test_writer_without_folder(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"cannot be created: No such file"):
+    with pytest.raises(RecordingError, match=r"missing: there is no such folder"):
         write_recording(tmp_path / "missing" / "run.h5", make_recording())
 
 

@@ -81,6 +81,38 @@ def test_what_is_no_recording_is_refused(tmp_path):
         recover(tmp_path / "text.h5", tmp_path / "text.h5")
 
 
+LIMITED_RECOVER = """
+    import sys
+    sys.path[:0] = [{root!r}]
+    from daq import recover
+    from drivers.command import main
+    recover.READ_LIMIT = 4.0
+    sys.argv = ["dynid", "recover", {path!r}, "--json"]
+    main()
+"""
+
+
+def test_a_file_over_which_hdf5_loops_is_refused(tmp_path):
+    path = tmp_path / "run.h5"
+    times = np.arange(300.0) / RATE
+    with RecordingWriter(
+        path, ROBOT_FILE, (StreamLayout("joints", (ChannelLayout("position", NAMES),), RATE),)
+    ) as file:
+        file.append("joints", times, times, {"position": np.ones((300, 2))})
+        for number in range(10):
+            file.event(1.0, "info", "x", f"message {number}")
+    content = bytearray(path.read_bytes())
+    heap = content.rindex(b"GCOL")  # the texts of the events
+    # The size of a text, 4, becomes 2564: the next one is looked for among zeros, where each has the size 0.
+    content[heap + content[heap:].index(b"info") - 7] = 10
+    path.write_bytes(content)
+    script = textwrap.dedent(LIMITED_RECOVER).format(root=str(Path(__file__).parents[2]), path=str(path))
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=False)
+    assert ended.returncode == 2, ended.stderr
+    assert "HDF5 did not come to an end within 4 s" in json.loads(ended.stdout)["error"]
+    assert not (tmp_path / "run-recovered.h5").exists()
+
+
 def test_the_command_says_what_was_rescued(tmp_path, capsys):
     path = tmp_path / "run.h5"
     times = np.arange(100.0) / RATE

@@ -17,9 +17,10 @@ from daq import recorder as recorder_module
 from daq.recorder import Recorder
 from daq.recording import read_recording
 from daq.safety import Limits, Supervisor
-from daq.session import INTERRUPTED, Play, load_driver, record
+from daq.session import INTERRUPTED, TERMINATED, Play, load_driver, record
 from daq.stream_quality import stream_quality
 from daq.trajectories import FourierSeries, PointToPoint, RestToRest
+from drivers.base import Notice
 from drivers.errors import ConnectionLostError, SafetyStopError, UsageError, WorkError
 
 MOTION = PointToPoint(np.array([[0.1, -0.1], [0.5, 0.3], [0.0, 0.0]]), np.array([1.2, 1.2]))
@@ -102,7 +103,8 @@ def test_silence_without_a_motion_is_an_event_and_no_end(tmp_path):
     assert report.stopped_by is None
     recording = read_recording(path)
     assert recording.complete
-    assert any(event.level == "warning" and "stale data" in event.message for event in recording.events)
+    told = [event for event in recording.events if "stale data" in event.message]
+    assert [event.level for event in told] == ["warning"]  # one silence, one event
 
 
 @pytest.mark.parametrize(
@@ -116,8 +118,8 @@ def test_a_broken_driver_ends_in_order(tmp_path, fault, kind, reason):
     assert_closed(path, arm, reason)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_stops_the_arm_first(tmp_path, number):
+@pytest.mark.parametrize(("number", "reason"), [(signal.SIGINT, INTERRUPTED), (signal.SIGTERM, TERMINATED)])
+def test_an_interrupt_stops_the_arm_first(tmp_path, number, reason):
     path, arm = tmp_path / "run.h5", KinematicArm()
     before = signal.getsignal(number)
 
@@ -131,10 +133,69 @@ def test_an_interrupt_stops_the_arm_first(tmp_path, number):
     interrupter.start()
     report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, RATE))
     interrupter.join()
-    assert report.stopped_by == INTERRUPTED
+    assert report.stopped_by == reason
     assert report.error is None
-    assert_closed(path, arm, INTERRUPTED)
+    assert_closed(path, arm, reason)
     assert signal.getsignal(number) is before
+
+
+class SlowToStop(KinematicArm):
+    """Needs a while to come to rest, as a real arm does."""
+
+    def stop(self):
+        time.sleep(0.5)
+        super().stop()
+
+
+@pytest.mark.parametrize(("fault", "level"), [("torque", "error"), ("protective stop", "error"), ("", "warning")])
+def test_the_reason_has_the_time_of_the_breach_and_the_halt_its_own(tmp_path, fault, level):
+    path, arm = tmp_path / "run.h5", SlowToStop(fault, after=0.8)
+    if not fault:
+        threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT)).start()
+    run(path, arm, Play(MOTION, ROBOT_FILE.robot, RATE), duration=5.0)
+    recording = read_recording(path)
+    joints = recording.streams["joints"]
+    (stopped,) = (event for event in recording.events if event.source == "session")
+    (halted,) = (event for event in recording.events if event.message == "arm halted")
+    assert stopped.level == level
+    if fault == "torque":
+        torque = joints.channels["torque"].values
+        assert stopped.time == joints.time[np.argmax(np.any(torque > 50.0, axis=1))]
+    elif fault:
+        assert stopped.time == 101.0  # of the driver's notice
+    else:
+        assert stopped.time == pytest.approx(joints.time[-1], abs=0.1)
+    assert halted.level == "info"
+    assert halted.time > joints.time[-1] + 0.4
+
+
+def test_what_came_first_is_the_reason(tmp_path):
+    """A protective stop brakes so hard that the torque may pass its limit: within one look at both, time decides."""
+
+    class Braking(KinematicArm):
+        def notices(self):
+            if self.fault == "torque" and self.faulty and not self._noticed:
+                self._noticed = True
+                return (Notice(100.0, "error", "protective stop"),)
+            return ()
+
+    path, arm = tmp_path / "run.h5", Braking("torque")
+    report = run(path, arm, duration=5.0)
+    assert report.stopped_by == "protective stop"
+    assert read_recording(path).events[-1].time == 100.0
+
+
+def test_a_signal_while_the_arm_is_being_stopped_changes_nothing(tmp_path):
+    class Interrupted(KinematicArm):
+        def stop(self):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.05)
+            super().stop()
+
+    path, arm = tmp_path / "run.h5", Interrupted()
+    report = run(path, arm, duration=0.3)
+    assert report.stopped_by is None
+    assert read_recording(path).complete
 
 
 def test_a_full_disk_stops_the_arm(tmp_path, monkeypatch):

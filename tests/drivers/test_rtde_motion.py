@@ -10,7 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_ur_control import DyingControl, FakeControl, HangingControl, RefusingControl, hang, refuse
+from fake_ur_control import (
+    CutOffControl,
+    DyingControl,
+    FakeControl,
+    HangingControl,
+    RefusingControl,
+    UnwatchedControl,
+    WatchedControl,
+    hang,
+    refuse,
+)
 
 from drivers.errors import ConnectionFailedError, ConnectionLostError
 from drivers.rtde import motion as motion_module
@@ -121,6 +131,48 @@ def test_a_silent_controller_costs_no_more_than_the_time_limit(log: Path) -> Non
 def test_why_control_was_refused_is_told(log: Path) -> None:
     with pytest.raises(ConnectionFailedError, match="not in remote control"):
         MotionProcess(str(log), 500.0, 10.0, refuse)
+
+
+def test_a_stop_that_the_controller_did_not_confirm_is_none(log: Path) -> None:
+    motion = MotionProcess(str(log), 500.0, 10.0, CutOffControl)
+    motion.command(np.zeros(6))
+    assert not motion.stop()
+    assert lines(log)[-3:] == HALT[1:]
+
+
+def test_the_controller_itself_is_told_to_watch(log: Path) -> None:
+    motion = MotionProcess(str(log), 500.0, 10.0, WatchedControl)
+    motion.stop()
+    assert lines(log)[1:] == [f"setWatchdog {motion_module.WATCHDOG_RATE:g}", *HALT]
+    assert 1.0 / motion_module.WATCHDOG_RATE > motion_module.SILENCE_LIMIT
+
+
+def test_without_a_watchdog_there_is_no_motion(log: Path) -> None:
+    with pytest.raises(ConnectionFailedError, match="refused the watchdog"):
+        MotionProcess(str(log), 500.0, 10.0, UnwatchedControl)
+    assert wait_for(lambda: lines(log)[-4:] == HALT)
+
+
+def test_a_sigterm_to_the_process_group_is_the_parents_business(motion: MotionProcess, log: Path) -> None:
+    motion.command(np.zeros(6))
+    os.kill(int(motion.pid or 0), signal.SIGTERM)
+    hold(motion, 20, 0.005)
+    assert motion.stop()
+    assert lines(log)[-4:] == HALT
+
+
+def test_what_ur_rtde_prints_does_not_reach_standard_output(log: Path) -> None:
+    script = f"from fake_ur_control import move_and_print\nif __name__ == '__main__': move_and_print({str(log)!r})"
+    paths = os.pathsep.join([str(REPOSITORY), str(REPOSITORY / "tests" / "support")])
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env=os.environ | {"PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        timeout=20,
+    )
+    assert done.stdout == "only this\n"
+    assert "Reconnecting..." in done.stderr
 
 
 def test_the_real_client_against_a_silent_controller() -> None:

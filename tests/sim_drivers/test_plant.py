@@ -290,6 +290,24 @@ def test_every_built_in_arm_runs(name, controller):
     assert np.max(np.abs(plant.position - middle)) < 0.3
 
 
+def test_a_blocked_joint_stays_where_it_is_and_the_others_go_on(ur5e):
+    plant = Plant(ur5e, seed=1)
+    step = np.array([0.3, 0.2, 0.3, 0.2, 0.2, 0.2])
+    target = plant.position + step
+    plant.set_target(target)
+    plant.advance(0.05)
+    assert abs(plant.velocity[2]) > 0.1
+    plant.block(2)
+    jammed = plant.position[2]
+    plant.advance(2.0)
+    assert plant.position[2] == pytest.approx(jammed, abs=1e-4)
+    others = np.arange(6) != 2
+    np.testing.assert_allclose(plant.position[others], target[others], atol=0.02)
+    assert np.all(np.isfinite(plant.measure().torque))
+    with pytest.raises(ValueError, match="no joint 6"):
+        plant.block(6)
+
+
 def test_drives_do_not_exceed_their_limit(pendulum):
     plant = Plant(pendulum(), position=np.zeros(1))
     plant.set_target(np.array([3.0]))

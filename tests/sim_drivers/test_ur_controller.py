@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import UsageError
-from sim_drivers.controller import NORMAL, PROTECTIVE_STOP, Controller
-from sim_drivers.faults import Cut, Drop, Freeze, Heat, ProtectiveStop, parse_fault
+from sim_drivers.controller import DRIFT_ACCELERATION, NORMAL, PROTECTIVE_STOP, Controller
+from sim_drivers.faults import Block, Cut, Drift, Drop, Freeze, Heat, ProtectiveStop, parse_fault
 from sim_drivers.joint_motion import Motion, MoveJ, Reference, ServoJ, VelocityRamp
 from sim_drivers.rtde_protocol import parse_version
 from sim_drivers.script_port import ScriptSession
@@ -155,6 +155,39 @@ def test_the_watchdog_ends_the_program_when_commands_stay_away() -> None:
     np.testing.assert_array_equal(arm.reference.velocity, 0.0)
 
 
+def test_a_drift_carries_a_joint_away_until_the_program_ends() -> None:
+    arm = controller()
+    start = arm.arm.measure().position.copy()
+    command(arm, 11, *start, *[0.0] * 3, 0.1, 300.0)
+    arm.drift(0, 0.5)
+    for _ in range(500):
+        command(arm, 11, *start, *[0.0] * 3, 0.1, 300.0)
+    ramp = 0.5 / DRIFT_ACCELERATION
+    moved = arm.arm.measure().position - start
+    assert moved[0] == pytest.approx(0.5 * (500 * PERIOD - 0.5 * ramp), abs=0.01)
+    np.testing.assert_array_equal(moved[1:], 0.0)
+    arm.stop_program()
+    np.testing.assert_allclose(arm.reference.position, arm.arm.measure().position)  # no step back
+    for _ in range(300):
+        arm.step()
+    np.testing.assert_array_equal(arm.arm.measure().velocity, 0.0)
+    arm.drift(0, 0.5)  # no program runs: nothing happens
+    held = arm.arm.measure().position.copy()
+    for _ in range(100):
+        arm.step()
+    np.testing.assert_array_equal(arm.arm.measure().position, held)
+
+
+def test_a_drift_beyond_the_limits_is_a_protective_stop() -> None:
+    arm = controller()
+    start = arm.arm.measure().position.copy()
+    command(arm, 11, *start, *[0.0] * 3, 0.1, 300.0)
+    arm.drift(0, 10.0)
+    for _ in range(1000):
+        command(arm, 11, *start, *[0.0] * 3, 0.1, 300.0)
+    assert arm.safety_mode == PROTECTIVE_STOP
+
+
 def test_stop_script_brakes_a_moving_arm() -> None:
     arm = controller()
     for _ in range(200):
@@ -204,6 +237,8 @@ def test_scripts_start_only_where_they_are_the_control_script() -> None:
         ("protective-stop", ProtectiveStop()),
         ("heat j3 12.5", Heat(2, 12.5)),
         ("heat 3 12.5", Heat(2, 12.5)),
+        ("block j3", Block(2)),
+        ("drift 1 -0.5", Drift(0, -0.5)),
     ],
 )
 def test_faults_are_read(line: str, fault: object) -> None:
@@ -211,7 +246,23 @@ def test_faults_are_read(line: str, fault: object) -> None:
 
 
 @pytest.mark.parametrize(
-    "line", ["", "drop", "drop -1", "drop 0", "freeze nan", "freeze -1", "heat 7 1", "heat 0 1", "heat j3", "boom"]
+    "line",
+    [
+        "",
+        "drop",
+        "drop -1",
+        "drop 0",
+        "freeze nan",
+        "freeze -1",
+        "heat 7 1",
+        "heat 0 1",
+        "heat j3",
+        "block",
+        "block j9",
+        "drift 1",
+        "drift 1 inf",
+        "boom",
+    ],
 )
 def test_what_is_no_fault_is_refused(line: str) -> None:
     with pytest.raises(UsageError):

@@ -57,6 +57,9 @@ class ExactPlant:
     def heat(self, joint: int, celsius: float) -> None:
         self.temperature[joint] += celsius
 
+    def block(self, joint: int) -> None:
+        self.blocked = joint
+
     def measure(self) -> Measurement:
         current = 0.5 + self.position
         return Measurement(

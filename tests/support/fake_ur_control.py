@@ -23,9 +23,18 @@ class FakeControl:
         self.write(f"servoJ {q[0]:g} {time:g}")
         return True
 
+    def setWatchdog(self, min_frequency: float) -> bool:
+        return True
+
     def servoStop(self, a: float) -> bool:
         self.write("servoStop")
         return True
+
+    def isConnected(self) -> bool:
+        return True
+
+    def isProgramRunning(self) -> bool:
+        return False
 
     def stopJ(self, a: float) -> None:
         self.write("stopJ")
@@ -35,6 +44,41 @@ class FakeControl:
 
     def disconnect(self) -> None:
         self.write("disconnect")
+
+
+class PrintingControl(FakeControl):
+    """Writes to standard output as a C++ library does, which Python's own `sys.stdout` knows nothing of."""
+
+    def servoJ(
+        self, q: Sequence[float], speed: float, acceleration: float, time: float, lookahead: float, gain: float
+    ) -> bool:
+        os.write(1, b"Reconnecting...\n")
+        return super().servoJ(q, speed, acceleration, time, lookahead, gain)
+
+
+class UnwatchedControl(FakeControl):
+    """Refuses the watchdog."""
+
+    def setWatchdog(self, min_frequency: float) -> bool:
+        return False
+
+
+class CutOffControl(FakeControl):
+    """Cannot reach the controller any more when the arm is to be stopped."""
+
+    def servoStop(self, a: float) -> bool:
+        return False
+
+    def isConnected(self) -> bool:
+        return False
+
+
+class WatchedControl(FakeControl):
+    """Writes down what the watchdog was set to."""
+
+    def setWatchdog(self, min_frequency: float) -> bool:
+        self.write(f"setWatchdog {min_frequency:g}")
+        return True
 
 
 class RefusingControl(FakeControl):
@@ -81,6 +125,20 @@ def refuse(host: str, rate: float) -> FakeControl:
 def _sleep_for_ever() -> None:
     while True:
         time.sleep(1.0)
+
+
+def move_and_print(log: str) -> None:
+    """A short motion of a control interface that prints."""
+    import numpy as np
+
+    from drivers.rtde.motion import MotionProcess
+
+    motion = MotionProcess(log, 500.0, 10.0, PrintingControl)
+    for _ in range(5):
+        motion.command(np.zeros(6))
+        time.sleep(0.01)
+    motion.stop()
+    print("only this", flush=True)
 
 
 def move_for_ever(log: str, commands: int) -> None:
