@@ -17,9 +17,17 @@ from drivers.errors import DynidError
 from ident.base_parameters import base_parameters
 from ident.delay import DelaySearch, search_delay
 from ident.excitation import ExcitationReached, excitation_reached
+from ident.excite.sufficiency import (
+    Sufficiency,
+    TimesNeeded,
+    check_wanted_rsd,
+    recording_sufficiency,
+    times_needed,
+)
 from ident.measured import measured_motion
 from ident.model import build_model
 from ident.preprocess import PreprocessChoices, prepare
+from ident.pruning import SIGNIFICANT_RSD
 from ident.regressor import RegressorKernel
 
 MOTOR_SIGNALS = ("current", "voltage", "torque")
@@ -43,6 +51,8 @@ class RecordingInfo:
         columns: (stream, quantity) → figures of its columns.
         excitation: what the motion could reveal; None where nothing could be analysed.
         delay: torque behind position; None where there is no torque or no motion.
+        sufficiency: error bars that the motion lets expect; None where nothing could be analysed.
+        times: how long it must last for a wanted RSD; None where none was asked for.
         findings: what speaks against the recording, in words; empty if nothing does.
     """
 
@@ -52,11 +62,26 @@ class RecordingInfo:
     columns: Mapping[tuple[str, str], tuple[ColumnQuality, ...]]
     excitation: ExcitationReached | None
     delay: DelaySearch | None
+    sufficiency: Sufficiency | None
+    times: TimesNeeded | None
     findings: tuple[str, ...]
 
 
-def recording_info(recording: Recording, robot_file: RobotFile) -> RecordingInfo:
-    """Look at a recording's clocks, signals and motion."""
+def recording_info(
+    recording: Recording, robot_file: RobotFile, wanted_rsd_percent: float | None = None
+) -> RecordingInfo:
+    """Look at a recording's clocks, signals and motion.
+
+    Args:
+        recording: as read.
+        robot_file: of its arm.
+        wanted_rsd_percent: relative standard deviation [%] for which the time needed is told.
+
+    Raises:
+        UsageError: `wanted_rsd_percent` is not a percentage.
+    """
+    if wanted_rsd_percent is not None:
+        check_wanted_rsd(wanted_rsd_percent)
     streams = {name: stream_quality(stream.time) for name, stream in recording.streams.items()}
     columns = {
         (name, quantity): channel_quality(channel)
@@ -65,8 +90,14 @@ def recording_info(recording: Recording, robot_file: RobotFile) -> RecordingInfo
     }
     excitation = excitation_reached(recording, robot_file)
     delay = _delay(recording, robot_file)
+    sufficiency = recording_sufficiency(recording, robot_file, delay.used if delay is not None else 0.0)
+    times = None
+    if sufficiency is not None and wanted_rsd_percent is not None:
+        times = times_needed(sufficiency, wanted_rsd_percent)
     findings = tuple(_findings(recording, streams, columns, excitation))
-    return RecordingInfo(recording, robot_file.robot.name, streams, columns, excitation, delay, findings)
+    return RecordingInfo(
+        recording, robot_file.robot.name, streams, columns, excitation, delay, sufficiency, times, findings
+    )
 
 
 def _delay(recording: Recording, robot_file: RobotFile) -> DelaySearch | None:
@@ -143,9 +174,22 @@ def info_object(info: RecordingInfo, file: str) -> dict[str, Any]:
         },
         "excitation": asdict(info.excitation) if info.excitation is not None else None,
         "delay": asdict(info.delay) if info.delay is not None else None,
+        "sufficiency": _sufficiency_object(info),
         "findings": list(info.findings),
         "events": [asdict(event) for event in recording.events],
     }
+
+
+def _sufficiency_object(info: RecordingInfo) -> dict[str, Any] | None:
+    if info.sufficiency is None:
+        return None
+    content: dict[str, Any] = {
+        "seconds": info.sufficiency.seconds,
+        "source": info.sufficiency.source,
+        "repetitions": info.sufficiency.repetitions,
+        **asdict(info.sufficiency.forecast),
+    }
+    return content if info.times is None else {**content, "needed": asdict(info.times)}
 
 
 def print_info(info: RecordingInfo, file: str) -> None:
@@ -193,6 +237,8 @@ def print_info(info: RecordingInfo, file: str) -> None:
         )
     if info.delay is not None and np.isfinite(info.delay.best):
         print(f"\ndelay: {info.delay.note}")
+    if info.sufficiency is not None:
+        _print_sufficiency(info.sufficiency, info.times)
     for event in recording.events:
         print(f"{event.level} at {event.time:.3f} s, {event.source}: {event.message}")
     if info.findings:
@@ -201,3 +247,22 @@ def print_info(info: RecordingInfo, file: str) -> None:
             print(f"  - {finding}")
     else:
         print("\nNothing speaks against this recording.")
+
+
+def _print_sufficiency(sufficiency: Sufficiency, times: TimesNeeded | None) -> None:
+    expected = sufficiency.forecast
+    known = [p.rsd_percent for p in expected.parameters if p.rsd_percent is not None]
+    text = f"\nInformation: log det {expected.log_det:.1f} over {sufficiency.seconds:.1f} s of motion"
+    if known:
+        significant = sum(value < SIGNIFICANT_RSD for value in known)
+        text += f"; predicted RSD below {SIGNIFICANT_RSD:g} % for {significant} of {len(known)} base parameters"
+    print(f"{text} (parameters and noise: {sufficiency.source})")
+    if times is None:
+        return
+    if times.parameters:
+        print_table(
+            f"\nTime needed for an RSD of {times.wanted_rsd_percent:g} %",
+            ("parameter", "RSD now [%]", "needed [s]"),
+            [(entry.name, entry.rsd_percent, entry.seconds) for entry in times.parameters],
+        )
+    print(times.sentence)

@@ -38,6 +38,10 @@ class Round:
     tolerance: float
 
 
+VARIABLE_BOUND = 3.0
+"""Variables stay within this or their start's largest: a family scales them to the order of 1, and a line search that
+leaves for 10⁵ does not come back."""
+
 ROUNDS = (Round(4.0, 30.0, 100, 1e-4), Round(16.0, 100.0, 100, 1e-4), Round(64.0, 300.0, 100, 1e-4))
 
 
@@ -86,6 +90,11 @@ def _cost(problem: Problem, step: Round, variables: FloatArray) -> tuple[float, 
     return problem.smooth_cost(variables, step.cost_sharpness)
 
 
+def _bounds(start: FloatArray) -> list[tuple[float, float]]:
+    largest = max(VARIABLE_BOUND, float(np.abs(start).max(initial=0.0)))
+    return [(-largest, largest)] * len(start)
+
+
 def _slsqp(problem: Problem, start: FloatArray, step: Round) -> FloatArray:
     from scipy.optimize import minimize
 
@@ -93,7 +102,9 @@ def _slsqp(problem: Problem, start: FloatArray, step: Round) -> FloatArray:
     limits: Any = {"type": "ineq", "fun": slacks.values, "jac": slacks.derivatives}
     options: Any = {"maxiter": step.iterations, "ftol": step.tolerance}
     cost: Any = partial(_cost, problem, step)
-    found = minimize(cost, start, jac=True, method="SLSQP", constraints=[limits], options=options)
+    found = minimize(
+        cost, start, jac=True, method="SLSQP", bounds=_bounds(start), constraints=[limits], options=options
+    )
     return np.asarray(found.x) if np.all(np.isfinite(found.x)) else start
 
 
@@ -107,7 +118,14 @@ def _trust_constr(problem: Problem, start: FloatArray, step: Round) -> FloatArra
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="delta_grad == 0.0")  # where no limit is near, as it should be
         found = minimize(
-            cost, start, jac=True, hess=BFGS(), method="trust-constr", constraints=[limits], options=options
+            cost,
+            start,
+            jac=True,
+            hess=BFGS(),
+            method="trust-constr",
+            bounds=_bounds(start),
+            constraints=[limits],
+            options=options,
         )
     return np.asarray(found.x) if np.all(np.isfinite(found.x)) else start
 
@@ -122,6 +140,7 @@ def _ipopt(problem: Problem, start: FloatArray, step: Round) -> FloatArray:
         partial(_cost, problem, step),
         start,
         jac=True,
+        bounds=_bounds(start),
         constraints=[{"type": "ineq", "fun": slacks.values, "jac": slacks.derivatives}],
         tol=step.tolerance,
         options={"max_iter": step.iterations, "print_level": 0, "hessian_approximation": "limited-memory"},

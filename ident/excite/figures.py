@@ -1,0 +1,281 @@
+"""What a designed motion will give: condition, predicted error bars, and how much of each limit it uses.
+
+The error bars are those of weighted least squares, (Σ_j Φ_jᵀΦ_j/σ_j²)⁻¹ (SR400 eq. 14 with the joints' weights of
+ROCR6 eq. 10-12), Φ_j the rows of the base regressor that joint j records and σ_j the noise that the prior tells of.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.robot import RobotFile
+from daq.trajectories import Extremes, Motion, motion_extremes
+from ident.base_parameters import BaseParameters, base_parameters
+from ident.excite.prior import Prior, recording_rate
+from ident.filters import no_filter
+from ident.kinematics import FloatArray
+from ident.least_squares import excited_columns
+from ident.model import DynamicModel, Kind, build_model
+from ident.observation import Reduction, reduce_segments
+from ident.prepared import Segment
+from ident.pruning import relative_std
+from ident.regressor import RegressorKernel, model_torque
+from ident.result import UNITS
+from ident.triangular import scaled_condition
+
+MOST_SAMPLES = 400_000
+"""A longer motion is looked at on a coarser grid than that of its recording."""
+
+TORQUE_GRID_RATE = 1000.0
+"""Torques are looked for on a grid of this many points a second [Hz], as the limits of the motion itself are."""
+
+
+@dataclass(frozen=True)
+class ParameterForecast:
+    """What can be expected of one base parameter.
+
+    Attributes:
+        name: as in the result.
+        expression: what it combines.
+        kind: what it is.
+        unit: of value and std.
+        value: prior; None where nothing is known.
+        std: predicted standard deviation; inf where the motion does not excite it.
+        rsd_percent: the same, of the value [%]; inf where the value is 0, None where it is not known.
+    """
+
+    name: str
+    expression: str
+    kind: Kind
+    unit: str
+    value: float | None
+    std: float
+    rsd_percent: float | None
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What the information of a motion lets expect.
+
+    Attributes:
+        condition: of the base regressor, columns as they are.
+        scaled_condition: the same with columns of unit length.
+        log_det: natural logarithm of the determinant of the information matrix Σ_j Φ_jᵀΦ_j/σ_j² (all excited columns).
+        unexcited: names of the base parameters that the motion does not excite.
+        parameters: one entry a base parameter.
+    """
+
+    condition: float
+    scaled_condition: float
+    log_det: float
+    unexcited: tuple[str, ...]
+    parameters: tuple[ParameterForecast, ...]
+
+
+@dataclass(frozen=True)
+class JointUse:
+    """How far one joint goes; a use of 1 is all of a limit.
+
+    Attributes:
+        joint: its name.
+        lowest, highest: position [rad or m].
+        position_use: largest distance from the middle of the range, of half the range.
+        velocity: largest magnitude [rad/s or m/s].
+        velocity_use: of its limit.
+        acceleration: largest magnitude [rad/s² or m/s²].
+        acceleration_use: of its limit.
+        torque: largest magnitude that the prior parameters need [N·m or N]; None where there are none.
+        torque_use: of its limit; None where either is unknown.
+    """
+
+    joint: str
+    lowest: float
+    highest: float
+    position_use: float
+    velocity: float
+    velocity_use: float
+    acceleration: float
+    acceleration_use: float
+    torque: float | None
+    torque_use: float | None
+
+
+@dataclass(frozen=True)
+class ExcitationFigures:
+    """Everything that is told of a designed motion.
+
+    Attributes:
+        duration: of what is played [s].
+        rate: at which it is recorded [Hz].
+        forecast: what its recording will tell.
+        joints: how far each joint goes.
+        worst_use: largest use of a limit of any joint.
+        worst_limit: which one, in words.
+        worst_time: when [s].
+        prior: where parameters and noise come from.
+    """
+
+    duration: float
+    rate: float
+    forecast: Forecast
+    joints: tuple[JointUse, ...]
+    worst_use: float
+    worst_limit: str
+    worst_time: float
+    prior: str
+
+
+def excitation_figures(robot_file: RobotFile, motion: Motion, prior: Prior) -> ExcitationFigures:
+    """Figures of a motion as it is played, from rest to rest.
+
+    Args:
+        robot_file: the arm.
+        motion: of all its joints.
+        prior: of its parameters and its noise.
+
+    Raises:
+        RobotFileError: the geometry cannot be used.
+    """
+    model = build_model(robot_file)
+    base = base_parameters(model)
+    rate = recording_rate(robot_file.robot)
+    joints, worst = _limit_use(model, base, motion, prior)
+    return ExcitationFigures(
+        duration=motion.duration,
+        rate=rate,
+        forecast=forecast(base, model, _motion_reduction(model, base, motion, rate), prior),
+        joints=joints,
+        worst_use=worst[0],
+        worst_limit=worst[1],
+        worst_time=worst[2],
+        prior=prior.source,
+    )
+
+
+def forecast(
+    base: BaseParameters,
+    model: DynamicModel,
+    reduction: tuple[Reduction, float],
+    prior: Prior,
+    active: Sequence[int] | None = None,
+) -> Forecast:
+    """What rows of a regressor let expect, whatever their torque.
+
+    Args:
+        base: their columns.
+        model: of the arm.
+        reduction: the rows, and how many a second each joint has [Hz].
+        prior: of parameters and noise.
+        active: numbers of the base columns that count; those that the rows can tell apart where None.
+    """
+    reduced, row_rate = reduction
+    active = list(excited_columns(reduced) if active is None else active)
+    plain = reduced.stacked()[:, active]
+    # A row stands for prior.rate/row_rate independent values of the noise.
+    weighted = math.sqrt(prior.rate / row_rate) * reduced.stacked(1.0 / prior.noise)[:, active]
+    lengths = np.linalg.norm(weighted, axis=0)
+    std = np.full(base.count, np.inf)
+    log_det, condition = -math.inf, math.inf
+    if active:
+        inverse = np.linalg.pinv(weighted / lengths)
+        std[active] = np.linalg.norm(inverse, axis=1) / lengths
+        singular = np.linalg.svd(weighted / lengths, compute_uv=False)
+        log_det = 2.0 * float(np.sum(np.log(singular)) + np.sum(np.log(lengths)))
+        singular = np.linalg.svd(plain, compute_uv=False)
+        condition = float(singular[0] / singular[-1])
+    rsd = None if prior.parameters is None else relative_std(prior.parameters, std)
+    return Forecast(
+        condition=condition,
+        scaled_condition=scaled_condition(plain),
+        log_det=log_det,
+        unexcited=tuple(base.names[i] for i in range(base.count) if i not in active),
+        parameters=tuple(
+            ParameterForecast(
+                name=base.names[i],
+                expression=base.expressions[i],
+                kind=base.kinds[i],
+                unit=UNITS[model.parameters[column].symbol],
+                value=None if prior.parameters is None else float(prior.parameters[i]),
+                std=float(std[i]),
+                rsd_percent=None if rsd is None else float(rsd[i]),
+            )
+            for i, column in enumerate(base.columns)
+        ),
+    )
+
+
+def _motion_reduction(
+    model: DynamicModel, base: BaseParameters, motion: Motion, rate: float
+) -> tuple[Reduction, float]:
+    """The base regressor along a motion, and its rows a second [Hz]."""
+    count = max(2, min(round(motion.duration * rate), MOST_SAMPLES))
+    time = np.linspace(0.0, motion.duration, count, endpoint=False)
+    position, velocity, acceleration = motion.evaluate(time)
+    segment = Segment(
+        time=time,
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
+        torque=np.zeros_like(position),
+        rate=count / motion.duration,
+        used=np.ones(count, dtype=np.bool_),
+    )
+    return reduce_segments(RegressorKernel(model, base.columns), [segment], no_filter()), segment.rate
+
+
+def _limit_use(
+    model: DynamicModel, base: BaseParameters, motion: Motion, prior: Prior
+) -> tuple[tuple[JointUse, ...], tuple[float, str, float]]:
+    """Every joint's use, and the largest: how much, of what, when [s]."""
+    extremes = motion_extremes(motion)
+    torque, torque_times = _largest_torques(model, base, motion, prior)
+    joints = []
+    uses: list[tuple[float, str, float]] = []
+    for number, limits in enumerate(model.limits):
+        low, high = limits.position
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        below, above = (middle - extremes.lowest[number]) / half, (extremes.highest[number] - middle) / half
+        known = None if torque is None else float(torque[number])
+        entry = JointUse(
+            joint=limits.name,
+            lowest=float(extremes.lowest[number]),
+            highest=float(extremes.highest[number]),
+            position_use=float(max(below, above)),
+            velocity=float(extremes.velocity[number]),
+            velocity_use=float(extremes.velocity[number]) / limits.velocity,
+            acceleration=float(extremes.acceleration[number]),
+            acceleration_use=float(extremes.acceleration[number]) / limits.acceleration,
+            torque=known,
+            torque_use=None if known is None or limits.torque is None else known / limits.torque,
+        )
+        joints.append(entry)
+        uses += _named_uses(entry, extremes, number, int(above >= below))
+        if entry.torque_use is not None:
+            uses.append((entry.torque_use, f"torque of {entry.joint}", float(torque_times[number])))
+    return tuple(joints), max(uses)
+
+
+def _named_uses(entry: JointUse, extremes: Extremes, number: int, side: int) -> list[tuple[float, str, float]]:
+    """Uses of one joint with their names and times; `side` is 0 where its lower position is the nearer to its limit."""
+    return [
+        (entry.position_use, f"position of {entry.joint}", float(extremes.times[side, number])),
+        (entry.velocity_use, f"velocity of {entry.joint}", float(extremes.times[2, number])),
+        (entry.acceleration_use, f"acceleration of {entry.joint}", float(extremes.times[3, number])),
+    ]
+
+
+def _largest_torques(
+    model: DynamicModel, base: BaseParameters, motion: Motion, prior: Prior
+) -> tuple[FloatArray | None, FloatArray]:
+    """Largest magnitudes (n,) of the torques of the prior parameters, None without them, and their times (n,) [s]."""
+    if prior.parameters is None:
+        return None, np.zeros(model.dof)
+    count = int(min(max(motion.duration * TORQUE_GRID_RATE, 2000.0), MOST_SAMPLES)) + 1
+    time = np.linspace(0.0, motion.duration, count)
+    torque = np.abs(model_torque(model, base.columns, prior.parameters, *motion.evaluate(time)))
+    at = torque.argmax(axis=1)
+    return torque[np.arange(model.dof), at], time[at]

@@ -1,0 +1,188 @@
+"""The command `dynid excite` as a user calls it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from daq.robot import load_robot
+from daq.trajectories import motion_extremes
+from daq.trajectory_file import load_trajectory
+from drivers import command
+from ident.excite import design as design_module
+
+QUICK = ("--starts", "1", "--harmonics", "2")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, three_joint) -> Path:
+    (tmp_path / "arm.yaml").write_text(three_joint.text)
+    (tmp_path / "high.yaml").write_text(three_joint.text + "workspace:\n  height: [5, 6]\n")
+    inside = "{box: {lower: [-0.2, -0.2, 0], upper: [0.2, 0.2, 0.4]}}"
+    (tmp_path / "boxed.yaml").write_text(three_joint.text + f"workspace:\n  keep_out: [{inside}]\n")
+    (tmp_path / "there.yaml").write_text("a file of the user")
+    (tmp_path / "bad.json").write_text("{")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(monkeypatch, capsys, *arguments: str) -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
+    with pytest.raises(SystemExit) as stopped:
+        command.main()
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), captured.out, captured.err
+
+
+def test_it_designs_writes_and_prints(monkeypatch, capsys, folder):
+    status, out, _ = run(
+        monkeypatch, capsys, "excite", "arm.yaml", "-o", "t.yaml", "--page", "t.html", "--periods", "2", *QUICK
+    )
+    assert status == 0
+    assert "Use of the limits" in out
+    assert "as played: condition" in out
+    robot = load_robot(folder / "arm.yaml").robot
+    written = load_trajectory(folder / "t.yaml", robot)  # checks limits and rest
+    assert written.motion.duration == pytest.approx(24.0)
+    comment = written.trajectory.comment
+    assert comment.startswith("designed by dynid excite: fourier of 24 s, condition")
+    assert len(comment.splitlines()) == 1
+    assert comment.split(": ", 1)[1] in out.replace("\n", "")
+    extremes = motion_extremes(written.motion)
+    share = max(np.max(extremes.velocity) / 3.0, np.max(extremes.highest) / 3.0, -np.min(extremes.lowest) / 3.0)
+    assert 0.5 < share <= 1.0
+    assert (folder / "t.html").stat().st_size > 1e6
+
+
+def test_json_is_one_object_with_the_figures(monkeypatch, capsys, folder):
+    status, out, _ = run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "t.yaml", "--json", *QUICK)
+    told = json.loads(out)
+    assert status == 0
+    assert told["file"] == "t.yaml"
+    assert told["page"] is None
+    assert told["search"]["interrupted"] is False
+    assert told["search"]["finished_starts"] == 1
+    assert max(told["limits"].values()) <= 1.0
+    assert len(told["figures"]["forecast"]["parameters"]) == 25
+    assert [joint["joint"] for joint in told["figures"]["joints"]] == ["j1", "j2", "j3"]
+    assert told["figures"]["forecast"]["scaled_condition"] < 30
+
+
+def test_the_same_seed_gives_the_same_file_and_another_one_another(monkeypatch, capsys, folder):
+    for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
+        assert run(monkeypatch, capsys, "excite", "arm.yaml", "-o", f"{name}.yaml", "--seed", seed, *QUICK)[0] == 0
+    texts = [(folder / f"{name}.yaml").read_text() for name in "abc"]
+    assert texts[0] == texts[1] != texts[2]
+
+
+def test_an_earlier_design_is_improved_or_kept(monkeypatch, capsys, folder):
+    first = json.loads(run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "a.yaml", "--json", *QUICK)[1])
+    more = ("--starts", "1", "--harmonics", "3", "--from", "a.yaml", "--json")
+    again = json.loads(run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "b.yaml", *more)[1])
+    assert again["cost"] <= 1.02 * first["cost"]
+
+
+def test_a_payload_and_single_joints(monkeypatch, capsys, folder):
+    arguments = ("excite", "arm.yaml", "--json", "--force", "-o", "t.yaml", *QUICK)
+    loaded = json.loads(run(monkeypatch, capsys, *arguments, "--loaded")[1])
+    usual = json.loads(run(monkeypatch, capsys, *arguments)[1])
+    assert loaded["choices"]["loaded"] is True
+    assert loaded["cost"] < usual["cost"]  # ten parameters of one link are fewer than all
+    status, out, _ = run(monkeypatch, capsys, *arguments, "--joints", "j2, j3")
+    joints = {joint["joint"]: joint for joint in json.loads(out)["figures"]["joints"]}
+    assert status == 0
+    assert joints["j1"]["lowest"] == joints["j1"]["highest"] == 0.0
+    assert joints["j2"]["velocity"] > 0.1
+    assert {"Fv1", "Fs1"} <= set(json.loads(out)["figures"]["forecast"]["unexcited"])
+
+
+def interrupted_search(keep: bool):
+    real = design_module.search
+
+    def search(*arguments, **named):
+        found = real(*arguments, **named)
+        return replace(
+            found, interrupted=True, best=found.best if keep else None, least_use=found.least_use if keep else None
+        )
+
+    return search
+
+
+def test_ctrl_c_writes_the_best_so_far(monkeypatch, capsys, folder):
+    monkeypatch.setattr(design_module, "search", interrupted_search(keep=True))
+    status, out, _ = run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "t.yaml", *QUICK)
+    assert status == 0
+    assert "Ctrl-C ended the search" in out
+    load_trajectory(folder / "t.yaml", load_robot(folder / "arm.yaml").robot)
+
+
+def test_ctrl_c_before_anything_was_found_writes_nothing(monkeypatch, capsys, folder):
+    monkeypatch.setattr(design_module, "search", interrupted_search(keep=False))
+    status, out, err = run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "t.yaml", *QUICK)
+    assert (status, out) == (130, "")
+    assert "interrupted" in err
+    assert not (folder / "t.yaml").exists()
+
+
+def test_an_existing_file_stays_unless_forced(monkeypatch, capsys, folder):
+    assert run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "there.yaml", *QUICK)[0] == 2
+    assert (folder / "there.yaml").read_text() == "a file of the user"
+    assert run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "there.yaml", "--force", *QUICK)[0] == 0
+    assert yaml.safe_load((folder / "there.yaml").read_text())["kind"] == "fourier"
+
+
+REFUSED = [
+    (["arm.yaml", "-o", "there.yaml"], ["there.yaml", "exists already", "--force"]),
+    (["arm.yaml", "--page", "there.yaml"], ["there.yaml", "exists already"]),
+    (["arm.yaml", "-o", "none/t.yaml"], ["no folder none"]),
+    (["arm.yaml", "-o", "."], ["is a folder"]),
+    (["arm.yaml", "--page", "t.yaml"], ["--page", "same file"]),
+    (["missing.yaml"], ["missing.yaml", "no such file"]),
+    (["arm.yaml", "--kind", "foo"], ["'foo'", "fourier-quintic"]),
+    (["arm.yaml", "--criterion", "foo"], ["'foo'", "d-optimal"]),
+    (["arm.yaml", "--solver", "foo"], ["'foo'", "slsqp"]),
+    (["arm.yaml", "--period", "0"], ["--period 0"]),
+    (["arm.yaml", "--period", "nan"], ["--period nan"]),
+    (["arm.yaml", "--ramp=-1"], ["--ramp -1"]),
+    (["arm.yaml", "--periods", "0"], ["--periods 0"]),
+    (["arm.yaml", "--harmonics", "0"], ["--harmonics 0"]),
+    (["arm.yaml", "--margin", "1"], ["--margin 1"]),
+    (["arm.yaml", "--time", "0"], ["--time 0"]),
+    (["arm.yaml", "--time", "inf"], ["--time inf"]),
+    (["arm.yaml", "--time", "3", "--starts", "3"], ["exclude each other"]),
+    (["arm.yaml", "--starts", "0"], ["--starts 0"]),
+    (["arm.yaml", "--seed=-1"], ["--seed -1"]),
+    (["arm.yaml", "--joints", "j9"], ["'j9'"]),
+    (["arm.yaml", "--joints", ","], ["names no joint"]),
+    (["arm.yaml", "--from", "missing.yaml"], ["missing.yaml"]),
+    (["arm.yaml", "--from", "there.yaml"], ["there.yaml"]),
+    (["arm.yaml", "--prior", "bad.json"], ["bad.json", "not JSON"]),
+    # Several seconds: a search that finds nothing goes through all its iterations.
+    pytest.param(["high.yaml", *QUICK], ["no motion was found", "workspace"], marks=pytest.mark.slow),
+    (["boxed.yaml", *QUICK], ["keep_out"]),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), REFUSED)
+def test_what_is_refused_is_told_in_one_line(monkeypatch, capsys, folder, arguments, words):
+    out_option = [] if "-o" in arguments else ["-o", "t.yaml"]
+    status, out, err = run(monkeypatch, capsys, "excite", *arguments, *out_option)
+    assert status == 2, err
+    assert out == ""
+    assert len(err.strip().splitlines()) == 1
+    for word in words:
+        assert word in err
+    assert not (folder / "t.yaml").exists()
+    assert (folder / "there.yaml").read_text() == "a file of the user"
+
+
+def test_a_refusal_with_json_is_an_object(monkeypatch, capsys, folder):
+    status, out, err = run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "t.yaml", "--period", "0", "--json")
+    assert (status, err) == (2, "")
+    assert "--period 0" in json.loads(out)["error"]
