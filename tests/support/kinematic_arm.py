@@ -39,6 +39,7 @@ class KinematicArm:
         self.fault, self.after = fault, after
         self.position = np.array([0.1, -0.1])
         self.commands: list[np.ndarray] = []
+        self.opened = False
         self.stopped_at: float | None = None
         self.commands_after_stop = 0
         self._count = 0
@@ -47,7 +48,7 @@ class KinematicArm:
         self._lock = threading.Lock()
 
     def open(self):
-        pass
+        self.opened = True
 
     def streams(self):
         quantities = ("position", "velocity", "torque", "temperature")
