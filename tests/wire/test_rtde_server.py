@@ -47,7 +47,10 @@ def test_every_version_moves_the_arm(version: str, rate: float) -> None:
             began = time.time()
             out["done"] = control.moveJ({GOAL}, 2.0, 8.0)
             out["took"] = time.time() - began
-            out["q"] = receive.getActualQ()
+            while time.time() < began + 5.0:  # the receiving thread of a busy machine lags behind
+                out["q"] = receive.getActualQ()
+                if max(abs(q - goal) for q, goal in zip(out["q"], {GOAL})) < 1e-12:
+                    break
             stamps = []
             while len(stamps) < 100:
                 stamp = receive.getTimestamp()
