@@ -10,6 +10,7 @@ import multiprocessing
 import statistics
 import time
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -66,7 +67,7 @@ def make_problem() -> Problem:
     """Ours, on a grid of 200 samples."""
     problem = build_problem(peers_arm(), no_prior(), CHOICES)
     time_grid = np.linspace(0.0, CHOICES.period, SAMPLES, endpoint=False)
-    return Problem(problem.family, problem.criterion, problem.constraints, time_grid, allowed=0.99)
+    return replace(problem, time=time_grid, allowed=0.99)
 
 
 class PeerCost:
@@ -111,9 +112,7 @@ class _Watch:
 
 def our_time(problem: Problem, start: FloatArray) -> float:
     """Seconds [s] from the start to the target; inf where it was not reached."""
-    watched = Problem(
-        problem.family, _Watch(problem.criterion, problem), problem.constraints, problem.time, problem.allowed
-    )
+    watched = replace(problem, criterion=_Watch(problem.criterion, problem))
     since = time.perf_counter()
     try:
         for _ in solve(watched, start, "slsqp"):

@@ -24,7 +24,12 @@ def main(seconds: float) -> None:
     print(f"{'arm':10} {'condition':>10} {'starts':>7} {'seconds':>8} {'largest use':>12}  of")
     for name in builtin_robots():
         robot_file = load_robot(name)
-        found = design(robot_file, find_prior(robot_file), DesignChoices(), SearchChoices(starts=None, seconds=seconds))
+        found = design(
+            robot_file,
+            find_prior(robot_file),
+            DesignChoices(criterion="condition"),
+            SearchChoices(starts=None, seconds=seconds),
+        )
         worst = int(found.use.argmax())
         print(
             f"{name:10} {found.cost:10.2f} {found.found.finished:7d} {found.found.seconds:8.1f} "

@@ -130,7 +130,7 @@ def _excitation(robot_file: RobotFile, period: float, periods: int, seed: int) -
     unknown = robot_file.model_copy(update={"robot": robot_file.robot.model_copy(update={"truth": Truth()})})
     choices = DesignChoices(period=period, periods=periods, ramp=RAMP)
     found = design(unknown, find_prior(unknown), choices, SearchChoices(seed=seed, starts=STARTS, workers=1))
-    comment = f"designed by dynid demo, condition number {found.cost:.3g}"
+    comment = f"designed by dynid demo, condition number {found.condition:.3g}"
     return dump_trajectory(found.family.trajectory(found.variables, robot_file.robot.name, comment))
 
 

@@ -51,7 +51,10 @@ def build_problem(robot_file: RobotFile, prior: Prior, choices: DesignChoices) -
     family = build_family(model, choices)
     time = family.grid(POINTS_PER_WAVE * _waves(choices))
     constraints = constraints_of(robot_file, model, prior.parameters, self_collision=choices.self_collision)
-    return Problem(family, build_criterion(model, family, prior, choices), constraints, time, 1.0 - choices.margin)
+    columns = excitable_columns(model, family, _wanted(model, base_parameters(model), choices))
+    criterion = build_criterion(model, columns, prior, choices)
+    conditioning = RegressorCriterion(model, columns, condition)
+    return Problem(family, criterion, conditioning, constraints, time, 1.0 - choices.margin)
 
 
 def build_family(model: DynamicModel, choices: DesignChoices) -> Family:
@@ -68,22 +71,20 @@ def build_family(model: DynamicModel, choices: DesignChoices) -> Family:
     return PointsFamily(*common, choices.points, moving, rest)
 
 
-def build_criterion(model: DynamicModel, family: Family, prior: Prior, choices: DesignChoices) -> Criterion:
-    """The criterion of a design, over the columns that its family can excite.
+def build_criterion(model: DynamicModel, columns: tuple[int, ...], prior: Prior, choices: DesignChoices) -> Criterion:
+    """The criterion of a design over the standard columns that its family can excite.
 
     Raises:
         UsageError: `deviations` without prior parameters.
     """
     if choices.criterion == "motion-size":
         return MotionSize()
-    base = base_parameters(model)
-    columns = excitable_columns(model, family, _wanted(model, base, choices))
     weights: FloatArray | None = None
     measure: Measure
     if choices.criterion in ("d-optimal", "e-optimal", "deviations"):
         weights = 1.0 / prior.noise
     if choices.criterion == "deviations":
-        measure = deviations(_sizes(base, prior, columns, choices))
+        measure = deviations(_sizes(base_parameters(model), prior, columns, choices))
     elif choices.criterion == "moments":
         symbols = [model.parameters[column].symbol for column in columns]
         first = tuple(i for i, symbol in enumerate(symbols) if symbol in INERTIAL[6:])

@@ -31,7 +31,7 @@ class DesignChoices:
     """
 
     kind: Kind = "fourier"
-    criterion: CriterionName = "condition"
+    criterion: CriterionName = "d-optimal"
     harmonics: int = 5
     points: int = 12
     period: float = 10.0

@@ -26,9 +26,9 @@ def excite(
     out: Path = typer.Option(..., "-o", "--out", help="Trajectory file to write (.yaml)."),
     kind: str = typer.Option("fourier", "--kind", help="fourier, fourier-quintic, sines or points."),
     criterion: str = typer.Option(
-        "condition",
+        "d-optimal",
         "--criterion",
-        help="condition, plain-condition, moments, d-optimal, e-optimal, hadamard, deviations or motion-size.",
+        help="d-optimal, e-optimal, deviations, condition, plain-condition, moments, hadamard or motion-size.",
     ),
     harmonics: int = typer.Option(5, "--harmonics", help="Harmonics of the series, or number of sines."),
     points: int = typer.Option(12, "--points", help="Points of a point-to-point motion."),
@@ -94,9 +94,7 @@ def excite(
     start = load_trajectory(earlier, robot_file.robot).motion if earlier is not None else None
     with progress_line(quiet=as_json) as progress:
         progress("search")
-        found = design(
-            robot_file, known, choices, search_choices, start, lambda state: progress(_state(state, criterion))
-        )
+        found = design(robot_file, known, choices, search_choices, start, lambda state: progress(_state(state)))
         progress("figures")
         figures = excitation_figures(robot_file, found.motion, known)
         text = _trajectory_text(robot_file.robot, found, figures, choices)
@@ -168,10 +166,8 @@ def _names(joints: str | None) -> tuple[str, ...] | None:
     return names
 
 
-def _state(found: Found, criterion: str) -> str:
-    from math import exp
-
-    best = f"{criterion} {exp(found.best.cost):.4g}" if found.best is not None else "nothing within the limits yet"
+def _state(found: Found) -> str:
+    best = f"condition number {found.best.condition:.4g}" if found.best is not None else "nothing within the limits yet"
     return f"{found.seconds:.0f} s, {found.finished} starts finished, best so far: {best}"
 
 

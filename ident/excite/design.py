@@ -36,6 +36,7 @@ class Design:
         family: of motions, which writes it to a trajectory file.
         variables: (size,) its variables.
         cost: exp of the criterion along one repetition at full pace: a condition number where it is one.
+        condition: number of the base regressor there, columns scaled to unit length.
         use: (m,) use of every limit along what is played, on the dense grid; at most 1.
         limits: (m,) what each of them is.
         found: how the search went.
@@ -45,6 +46,7 @@ class Design:
     family: Family
     variables: FloatArray
     cost: float
+    condition: float
     use: FloatArray
     limits: tuple[str, ...]
     found: Found
@@ -121,7 +123,8 @@ def _settled(problem: Problem, found: Found, variables: FloatArray, solver: Solv
                 motion,
                 family,
                 variables,
-                float(np.exp(problem.criterion.cost(family.path(variables, problem.time)))),
+                float(np.exp(problem.cost(variables))),
+                problem.condition(variables),
                 use,
                 limit_names(problem),
                 found,

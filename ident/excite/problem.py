@@ -22,6 +22,7 @@ class Problem:
     Attributes:
         family: what x stands for.
         criterion: the cost.
+        conditioning: log of the condition number, columns scaled, of what the criterion is about; for progress.
         constraints: the limits.
         time: (N,) grid [s] on which both are evaluated.
         allowed: largest use of a limit, 1 minus a margin for what lies between the grid's points.
@@ -29,6 +30,7 @@ class Problem:
 
     family: Family
     criterion: Criterion
+    conditioning: Criterion
     constraints: Sequence[Constraint]
     time: FloatArray
     allowed: float
@@ -40,6 +42,10 @@ class Problem:
     def cost(self, variables: FloatArray) -> float:
         """The criterion at x (size,), without regard to the limits."""
         return self.criterion.cost(self.path(variables))
+
+    def condition(self, variables: FloatArray) -> float:
+        """The condition number at x (size,)."""
+        return float(np.exp(self.conditioning.cost(self.path(variables))))
 
     def smooth_cost(self, variables: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
         """The smooth criterion at x and its derivatives (size,)."""

@@ -19,6 +19,8 @@ from ident.excite.problem import Problem
 from ident.excite.solve import ROUNDS, Solver, solve
 from ident.kinematics import FloatArray
 
+DRAWS = 20
+"""Random members that a start is chosen from."""
 _POLL = 0.2
 
 
@@ -49,6 +51,7 @@ class Candidate:
         start: number of the start.
         finished: whether that was its last round.
         cost: the criterion, exactly (a logarithm).
+        condition: number of the base regressor, columns scaled.
         use: the largest use of a limit on the problem's grid.
         variables: (size,).
     """
@@ -56,6 +59,7 @@ class Candidate:
     start: int
     finished: bool
     cost: float
+    condition: float
     use: float
     variables: FloatArray
 
@@ -139,12 +143,29 @@ def search(
 
 def candidates(problem: Problem, choices: SearchChoices, start: int, first: FloatArray | None) -> Iterator[Candidate]:
     """What start number `start` reaches, round by round."""
-    begin = problem.family.random(np.random.default_rng([choices.seed, start]))
-    if start == 0 and first is not None:
-        begin = first
+    begin = first if start == 0 and first is not None else _random_start(problem, [choices.seed, start])
     for number, variables in enumerate(solve(problem, begin, choices.solver), start=1):
         use = float(problem.use(variables).max(initial=0.0))
-        yield Candidate(start, number == len(ROUNDS), problem.cost(variables), use, variables)
+        cost, condition = problem.cost(variables), problem.condition(variables)
+        yield Candidate(start, number == len(ROUNDS), cost, condition, use, variables)
+
+
+def _random_start(problem: Problem, seed: list[int]) -> FloatArray:
+    """The first of some random members that keeps all limits, or the one that passes them least.
+
+    From deep within a collision a local solver does not find its way out.
+    """
+    generator = np.random.default_rng(seed)
+    best: tuple[float, FloatArray] | None = None
+    for _ in range(DRAWS):
+        variables = problem.family.random(generator)
+        use = float(problem.use(variables).max(initial=0.0))
+        if best is None or use < best[0]:
+            best = use, variables
+        if use <= problem.allowed:
+            break
+    assert best is not None
+    return best[1]
 
 
 def _own_candidates(

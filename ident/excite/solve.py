@@ -38,9 +38,9 @@ class Round:
     tolerance: float
 
 
-VARIABLE_BOUND = 3.0
-"""Variables stay within this or their start's largest: a family scales them to the order of 1, and a line search that
-leaves for 10⁵ does not come back."""
+REACHES = (3.0, 0.5, 0.15)
+"""How far a round may move a variable, tried in this order. A family scales variables to the order of 1; a line search
+that leaves for 10⁵, or into a collision, does not come back."""
 
 ROUNDS = (Round(4.0, 30.0, 100, 1e-4), Round(16.0, 100.0, 100, 1e-4), Round(64.0, 300.0, 100, 1e-4))
 
@@ -53,13 +53,23 @@ def solve(problem: Problem, start: FloatArray, solver: Solver) -> Iterator[Float
     """
     variables = start
     for step in ROUNDS:
-        variables = _SOLVERS[solver](problem, variables, step)
+        variables = _round(problem, variables, solver, step)
         yield variables
 
 
 def tighten(problem: Problem, variables: FloatArray, solver: Solver) -> FloatArray:
     """Another last round from `variables`, for a problem whose limits were narrowed."""
-    return _SOLVERS[solver](problem, variables, ROUNDS[-1])
+    return _round(problem, variables, solver, ROUNDS[-1])
+
+
+def _round(problem: Problem, start: FloatArray, solver: Solver, step: Round) -> FloatArray:
+    """What a round reaches; within a shorter reach where it ends further outside the limits than it began."""
+    before = max(1.0, float(problem.use(start).max(initial=0.0)))
+    for reach in REACHES:
+        found = _SOLVERS[solver](problem, start, step, reach)
+        if float(problem.use(found).max(initial=0.0)) <= before:
+            return found
+    return start
 
 
 class _Slacks:
@@ -90,12 +100,11 @@ def _cost(problem: Problem, step: Round, variables: FloatArray) -> tuple[float, 
     return problem.smooth_cost(variables, step.cost_sharpness)
 
 
-def _bounds(start: FloatArray) -> list[tuple[float, float]]:
-    largest = max(VARIABLE_BOUND, float(np.abs(start).max(initial=0.0)))
-    return [(-largest, largest)] * len(start)
+def _bounds(start: FloatArray, reach: float) -> list[tuple[float, float]]:
+    return [(value - reach, value + reach) for value in start]
 
 
-def _slsqp(problem: Problem, start: FloatArray, step: Round) -> FloatArray:
+def _slsqp(problem: Problem, start: FloatArray, step: Round, reach: float) -> FloatArray:
     from scipy.optimize import minimize
 
     slacks = _Slacks(problem, step.limit_sharpness)
@@ -103,12 +112,12 @@ def _slsqp(problem: Problem, start: FloatArray, step: Round) -> FloatArray:
     options: Any = {"maxiter": step.iterations, "ftol": step.tolerance}
     cost: Any = partial(_cost, problem, step)
     found = minimize(
-        cost, start, jac=True, method="SLSQP", bounds=_bounds(start), constraints=[limits], options=options
+        cost, start, jac=True, method="SLSQP", bounds=_bounds(start, reach), constraints=[limits], options=options
     )
     return np.asarray(found.x) if np.all(np.isfinite(found.x)) else start
 
 
-def _trust_constr(problem: Problem, start: FloatArray, step: Round) -> FloatArray:
+def _trust_constr(problem: Problem, start: FloatArray, step: Round, reach: float) -> FloatArray:
     from scipy.optimize import BFGS, NonlinearConstraint, minimize
 
     slacks = _Slacks(problem, step.limit_sharpness)
@@ -123,14 +132,14 @@ def _trust_constr(problem: Problem, start: FloatArray, step: Round) -> FloatArra
             jac=True,
             hess=BFGS(),
             method="trust-constr",
-            bounds=_bounds(start),
+            bounds=_bounds(start, reach),
             constraints=[limits],
             options=options,
         )
     return np.asarray(found.x) if np.all(np.isfinite(found.x)) else start
 
 
-def _ipopt(problem: Problem, start: FloatArray, step: Round) -> FloatArray:
+def _ipopt(problem: Problem, start: FloatArray, step: Round, reach: float) -> FloatArray:
     try:
         from cyipopt import minimize_ipopt
     except ImportError as error:
@@ -140,7 +149,7 @@ def _ipopt(problem: Problem, start: FloatArray, step: Round) -> FloatArray:
         partial(_cost, problem, step),
         start,
         jac=True,
-        bounds=_bounds(start),
+        bounds=_bounds(start, reach),
         constraints=[{"type": "ineq", "fun": slacks.values, "jac": slacks.derivatives}],
         tol=step.tolerance,
         options={"max_iter": step.iterations, "print_level": 0, "hessian_approximation": "limited-memory"},
@@ -148,7 +157,7 @@ def _ipopt(problem: Problem, start: FloatArray, step: Round) -> FloatArray:
     return np.asarray(found.x) if np.all(np.isfinite(found.x)) else start
 
 
-_SOLVERS: dict[Solver, Callable[[Problem, FloatArray, Round], FloatArray]] = {
+_SOLVERS: dict[Solver, Callable[[Problem, FloatArray, Round, float], FloatArray]] = {
     "slsqp": _slsqp,
     "trust-constr": _trust_constr,
     "ipopt": _ipopt,

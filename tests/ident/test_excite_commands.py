@@ -51,7 +51,7 @@ def test_it_designs_writes_and_prints(monkeypatch, capsys, folder):
     written = load_trajectory(folder / "t.yaml", robot)  # checks limits and rest
     assert written.motion.duration == pytest.approx(24.0)
     comment = written.trajectory.comment
-    assert comment.startswith("designed by dynid excite: fourier of 24 s, condition")
+    assert comment.startswith("designed by dynid excite: fourier of 24 s, d-optimal")
     assert len(comment.splitlines()) == 1
     assert comment.split(": ", 1)[1] in out.replace("\n", "")
     extremes = motion_extremes(written.motion)

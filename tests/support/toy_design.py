@@ -68,7 +68,7 @@ def toy_problem(pause: float = 0.0, fault: str = "") -> Problem:
     if fault == "die":
         os._exit(3)
     time.sleep(pause)
-    return Problem(Still(), Distance(), (Below(),), np.linspace(0.0, 1.0, 4), 0.99)
+    return Problem(Still(), Distance(), Distance(), (Below(),), np.linspace(0.0, 1.0, 4), 0.99)
 
 
 def maker(**choices):
