@@ -63,6 +63,7 @@ def excite(
     from ident.excite.page import write_page
     from ident.excite.prior import find_prior
     from ident.excite.search import SearchChoices
+    from ident.excite.surroundings import surroundings_warning
 
     _check_choices(kind, criterion, solver, seed)
     _check_search(seconds, starts)
@@ -97,15 +98,19 @@ def excite(
         found = design(robot_file, known, choices, search_choices, start, lambda state: progress(_state(state)))
         progress("figures")
         figures = excitation_figures(robot_file, found.motion, known)
+        warning = surroundings_warning(robot_file, found.motion)
         text = _trajectory_text(robot_file.robot, found, figures, choices)
         _write(out, text)
         if page is not None:
             progress("page")
             write_page(page, robot_file, found.motion, known, figures, _notes(found, choices))
     if as_json:
-        print_json(_object(robot_file.robot.name, out, page, found, figures, choices))
+        told = _object(robot_file.robot.name, out, page, found, figures, choices)
+        print_json(told | {"warnings": [warning] if warning is not None else []})
     else:
         _print(out, page, found, figures, choices)
+        if warning is not None:
+            print(f"\nwarning: {warning}")
 
 
 def _check_choices(kind: str, criterion: str, solver: str, seed: int) -> None:
