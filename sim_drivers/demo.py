@@ -11,7 +11,7 @@ import yaml
 
 from daq.console import print_json, print_table
 from daq.recording import JOINTS_STREAM, read_recording
-from daq.robot import RobotFile, Truth, load_robot
+from daq.robot import RobotFile, load_robot
 from daq.trajectory_file import dump_trajectory, load_trajectory
 from drivers.errors import UsageError
 from ident.base_parameters import base_parameters
@@ -126,10 +126,9 @@ def run_demo(
 
 
 def _excitation(robot_file: RobotFile, period: float, periods: int, seed: int) -> str:
-    """The trajectory file of a design that knows no more of the arm than a user does: its truth is left out."""
-    unknown = robot_file.model_copy(update={"robot": robot_file.robot.model_copy(update={"truth": Truth()})})
+    """The trajectory file of a design as `dynid excite` makes it: the file's public inertias bound the torque."""
     choices = DesignChoices(period=period, periods=periods, ramp=RAMP)
-    found = design(unknown, find_prior(unknown), choices, SearchChoices(seed=seed, starts=STARTS, workers=1))
+    found = design(robot_file, find_prior(robot_file), choices, SearchChoices(seed=seed, starts=STARTS, workers=1))
     comment = f"designed by dynid demo, condition number {found.condition:.3g}"
     return dump_trajectory(found.family.trajectory(found.variables, robot_file.robot.name, comment))
 

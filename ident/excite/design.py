@@ -113,6 +113,7 @@ def _settled(problem: Problem, found: Found, variables: FloatArray, solver: Solv
         raise IdentificationError(
             "the best motion passes a limit between the points of the design's grid", hint="give a larger --margin"
         )
+    variables = family.begun_near_middle(variables)
     for _ in range(_RAMP_TRIES):
         motion = family.motion(variables)
         count = DENSER * len(problem.time) * max(1, round(motion.duration / float(np.ptp(problem.time))))

@@ -202,6 +202,17 @@ class FourierFamily(_Family):
             raise UsageError("the earlier motion is no Fourier series", hint="--kind must be that of the file")
         return self._encoded(found)
 
+    def begun_near_middle(self, variables: FloatArray) -> FloatArray:
+        """The x of the series from another moment on; nearest by the time that the slowest joint needs."""
+        time = self.grid(_SCALE_POINTS * self.harmonics)
+        way = np.abs(self.path(variables, time).position[self.joints.rows] - self.joints.middle[:, None])
+        start = float(time[np.argmin(np.max(way / self.joints.velocity[:, None], axis=0))])
+        coefficients = self._scale * variables.reshape(self.joints.count, -1)
+        sine, cosine = coefficients[:, 1 : 1 + self.harmonics], coefficients[:, 1 + self.harmonics :]
+        angle = 2.0 * np.pi * start / self.period * np.arange(1, self.harmonics + 1)
+        turned = (sine * np.cos(angle) + cosine * np.sin(angle), cosine * np.cos(angle) - sine * np.sin(angle))
+        return np.asarray((np.concatenate([coefficients[:, :1], *turned], axis=1) / self._scale).ravel())
+
     def with_longer_ramp(self, factor: float) -> FourierFamily:
         """The same motions with a ramp that is `factor` times longer."""
         return replace(self, ramp=factor * self.ramp)
@@ -256,6 +267,10 @@ class FourierQuinticFamily(_Family):
                 "the earlier motion is no Fourier series with a polynomial", hint="--kind must be that of the file"
             )
         return self._encoded(motion)
+
+    def begun_near_middle(self, variables: FloatArray) -> FloatArray:
+        """Unchanged: it rests where it begins."""
+        return variables
 
     def with_longer_ramp(self, factor: float) -> FourierQuinticFamily:
         """The same: these motions have no ramp."""

@@ -73,6 +73,12 @@ class Family(Protocol):
             UsageError: it is not of this form; says what differs.
         """
 
+    def begun_near_middle(self, variables: FloatArray) -> FloatArray:
+        """The x of the same closed path, begun where it comes nearest to the middle of all joints' ranges.
+
+        An arm is slow on its way to the start pose. Unchanged where a path has a beginning of its own.
+        """
+
     def with_longer_ramp(self, factor: float) -> Family:
         """The same motions with a ramp that is `factor` times longer; unchanged where there is none."""
 

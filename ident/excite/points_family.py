@@ -200,6 +200,10 @@ class PointsFamily:
             )
         return self._variables(points)
 
+    def begun_near_middle(self, variables: FloatArray) -> FloatArray:
+        """Unchanged: it begins at its first point."""
+        return variables
+
     def with_longer_ramp(self, factor: float) -> PointsFamily:
         """The same: these motions have no ramp."""
         return self

@@ -166,6 +166,10 @@ class SinesFamily:
         padded = [np.concatenate([values, missing], axis=1) for values in (amplitude, share)]
         return self._joined(found.offset[rows], *padded)
 
+    def begun_near_middle(self, variables: FloatArray) -> FloatArray:
+        """Unchanged: its path is not closed."""
+        return variables
+
     def with_longer_ramp(self, factor: float) -> SinesFamily:
         """The same motions with a ramp that is `factor` times longer."""
         return replace(self, ramp=factor * self.ramp)

@@ -13,12 +13,14 @@ from ident.model import DynamicModel
 from ident.regressor import CHUNK, RegressorKernel, model_torque
 from ident.regressor_gradient import pull_back_regressor
 
+TORQUE_SHARE = 0.85
+"""Share of a torque limit that a design may use: the prior is rough, and a supervisor looks at noisy torque."""
 _NEGLIGIBLE = 1e-12
 """Samples whose torque moves the soft maximum by less than this of its change are left out of the derivative."""
 
 
 class TorqueLimits:
-    """|τ_j| over the torque limit of every joint that has one, with τ = Y·π on chosen standard columns.
+    """|τ_j| over `TORQUE_SHARE` of each known torque limit, with τ = Y·π on chosen standard columns.
 
     The sign of a velocity counts as constant where the model's Coulomb friction is not smooth.
     """
@@ -41,7 +43,7 @@ class TorqueLimits:
         self._parameters = np.array(parameters, dtype=np.float64)
         known = [(joint, limits.torque) for joint, limits in enumerate(model.limits) if limits.torque is not None]
         self._joints = [joint for joint, torque in known if np.isfinite(torque)]
-        self._limits = np.array([torque for _, torque in known if np.isfinite(torque)])
+        self._limits = TORQUE_SHARE * np.array([torque for _, torque in known if np.isfinite(torque)])
         self._kernel = RegressorKernel(model, columns)
         # Of each packed row, how much it adds to the use of each limited joint.
         self._shares = np.zeros((self._kernel.row_count, len(self._joints)))
@@ -51,8 +53,11 @@ class TorqueLimits:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """As in `torque of elbow`."""
-        return tuple(f"torque of {self._model.limits[joint].name}" for joint in self._joints)
+        """As in `torque of elbow (85 % of its limit)`."""
+        return tuple(
+            f"torque of {self._model.limits[joint].name} ({100 * TORQUE_SHARE:g} % of its limit)"
+            for joint in self._joints
+        )
 
     def use(self, path: Path) -> FloatArray:
         """(m,) largest use on the grid."""

@@ -135,7 +135,7 @@ def test_torque_limits_are_kept_where_a_prior_is_known():
     assert any(name.startswith("torque") for name in found.limits)
     assert found.use.max() <= 1.0
     check = build_problem(tight, find_prior(tight), DesignChoices())
-    torque = next(c for c in check.constraints if c.names == ("torque of L",))
+    torque = next(c for c in check.constraints if c.names[0].startswith("torque of L"))
     time = np.linspace(0.0, free.motion.duration, 2000)
     assert torque.use(Path(time, *free.motion.evaluate(time)))[0] > 1.0  # otherwise the limit would not have mattered
 

@@ -269,3 +269,26 @@ def test_one_unit_of_a_coefficient_uses_a_limit_fully():
         path = family.path(variables.ravel(), family.grid(2000))
         largest = np.abs(stacked(path)).max(axis=2)
         np.testing.assert_allclose(largest[[1, 2, 0], [0, 1, 2]], [0.1, 0.1, 2.0], rtol=1e-2)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_series_can_begin_elsewhere_on_the_same_path(seed):
+    family = FAMILIES["fourier"]
+    variables = random_of(family, seed)
+    later = family.begun_near_middle(variables)
+    time = family.grid(4000)
+    before, after = stacked(family.path(variables, time)), stacked(family.path(later, time))
+    shift = int(np.argmin(np.abs(before[0] - after[0][:, :1]).sum(axis=0)))
+    np.testing.assert_allclose(np.roll(before, -shift, axis=2), after, atol=0.02 * np.abs(before).max())
+    middle = np.array([0.5 * sum(limits.position) for limits in LIMITS])[list(MOVING)]
+    speed = np.array([limits.velocity for limits in LIMITS])[list(MOVING)]
+    away = np.max(np.abs(after[0][list(MOVING)] - middle[:, None]) / speed[:, None], axis=0)
+    assert away[0] <= away.min() + 0.02
+    again = family.begun_near_middle(later)
+    np.testing.assert_allclose(again, later, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["fourier-quintic", "sines", "points"])
+def test_other_paths_have_a_beginning_of_their_own(name):
+    variables = random_of(FAMILIES[name])
+    assert np.array_equal(FAMILIES[name].begun_near_middle(variables), variables)
