@@ -130,7 +130,7 @@ def record_command(
         raise UsageError(f"--duration {duration:g} is not a positive number of seconds")
     robot_file = load_robot(robot)
     played = load_trajectory(trajectory, robot_file.robot) if trajectory is not None else None
-    driver, rate = load_driver(robot_file.robot, wire, host)
+    driver, rate = load_driver(robot_file.robot, wire, host, robot_file.folder)
     require_writable(out, overwrite=force)
     require_room(out)
     try:  # only now is the wire touched

@@ -34,7 +34,7 @@ def print_table(title: str, headers: Sequence[str], rows: Iterable[Sequence[obje
 
     table = Table(title=Text(title) if title else None, title_justify="left", show_edge=False, pad_edge=False)
     for number, header in enumerate(headers):
-        table.add_column(header, justify="left" if number == 0 else "right", overflow="fold")
+        table.add_column(Text(header), justify="left" if number == 0 else "right", overflow="fold")
     for row in rows:
         table.add_row(*(Text(cell(value)) for value in row))
     console = Console(highlight=False)

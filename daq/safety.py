@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+import numpy.typing as npt
 
 from daq.robot import Robot
 from drivers.streams import Block, FloatArray, StreamLayout
@@ -90,8 +91,17 @@ def stale_after(rate: float) -> float:
     return max(STALE_PERIODS / rate, STALE_FLOOR) if rate > 0 else np.inf
 
 
+_Index = npt.NDArray[np.intp]
+_Part = tuple[FloatArray, _Index]
+"""Values (N, m) of m joints, and which joints (m,) they are."""
+
+
 class Supervisor:
     """Checks blocks, commands and ages against limits.
+
+    A column that bears a joint's name is held to that joint's limit, also in a stream that has only some of the joints
+    or has them in another order; where no column does, as many columns as joints count as the joints. Only streams with
+    all joints are compared with commands and targets.
 
     Args:
         limits: of the arm.
@@ -100,7 +110,9 @@ class Supervisor:
 
     def __init__(self, limits: Limits, layouts: Sequence[StreamLayout]) -> None:
         self._limits = limits
-        self._stale_after = {layout.name: stale_after(layout.rate) for layout in layouts}
+        self._stale_after = {layout.name: stale_after(layout.rate) for layout in layouts if layout.essential}
+        self._parts = _partial_channels(limits.joints, layouts)
+        self._all = np.arange(len(limits.joints))
         self._last_arrival: dict[str, float] = {}
         self._commands: deque[tuple[float, FloatArray]] = deque()
 
@@ -113,30 +125,28 @@ class Supervisor:
         self._last_arrival[block.stream] = now
         # A temperature that is not a number is a sensor without a reading; elsewhere it is a breach.
         found: list[tuple[int, Breach]] = []
-        limits, values = self._limits, block.values
-        if self._fits(values.get("position")):
-            position = values["position"]
-            self._add(found, block, "position", "rad", position, position >= limits.lowest, limits.lowest)
-            self._add(found, block, "position", "rad", position, position <= limits.highest, limits.highest)
-            if self._fits(values.get("target_position")):
-                error = np.abs(values["target_position"] - position)
-                self._add(
-                    found, block, "tracking error", "rad", error, error <= limits.tracking_error, limits.tracking_error
-                )
-            error = self._distance_to_commands(block.host_time, position)
-            self._add(
-                found, block, "tracking error", "rad", error, error <= limits.tracking_error, limits.tracking_error
-            )
-        if self._fits(values.get("velocity")):
-            speed = np.abs(values["velocity"])
-            self._add(found, block, "velocity", "rad/s", speed, speed <= limits.velocity, limits.velocity)
-        torque = self._torque(values)
-        if torque is not None:
-            self._add(found, block, "torque", "N·m", torque, torque <= limits.torque, limits.torque)
-        if self._fits(values.get("temperature")):
-            heat = values["temperature"]
-            within = (heat <= limits.temperature) | np.isnan(heat)
-            self._add(found, block, "temperature", "°C", heat, within, limits.temperature)
+        limits = self._limits
+        if (part := self._part(block, "position")) is not None:
+            position, at = part
+            self._add(found, block, "position", "rad", part, position >= limits.lowest[at], limits.lowest)
+            self._add(found, block, "position", "rad", part, position <= limits.highest[at], limits.highest)
+            if len(at) == len(limits.joints):
+                bound, target = limits.tracking_error, self._part(block, "target_position")
+                if target is not None and len(target[1]) == len(at):
+                    error = np.abs(target[0] - position)
+                    self._add(found, block, "tracking error", "rad", (error, at), error <= bound, bound)
+                error = self._distance_to_commands(block.host_time, position)
+                self._add(found, block, "tracking error", "rad", (error, at), error <= bound, bound)
+        if (part := self._part(block, "velocity")) is not None:
+            speed, at = np.abs(part[0]), part[1]
+            self._add(found, block, "velocity", "rad/s", (speed, at), speed <= limits.velocity[at], limits.velocity)
+        if (part := self._torque(block)) is not None:
+            torque, at = part
+            self._add(found, block, "torque", "N·m", part, torque <= limits.torque[at], limits.torque)
+        if (part := self._part(block, "temperature")) is not None:
+            heat, at = part
+            within = (heat <= limits.temperature[at]) | np.isnan(heat)
+            self._add(found, block, "temperature", "°C", part, within, limits.temperature)
         return min(found, key=lambda entry: entry[0])[1] if found else None
 
     def check_ages(self, now: float) -> Breach | None:
@@ -151,16 +161,24 @@ class Supervisor:
         """Forgive the time until `now` [s, host clock], in which this process could not look."""
         self._last_arrival = dict.fromkeys(self._last_arrival, now)
 
-    def _fits(self, values: FloatArray | None) -> bool:
-        return values is not None and values.ndim == 2 and values.shape[1] == len(self._limits.joints)
-
-    def _torque(self, values: Mapping[str, FloatArray]) -> FloatArray | None:
-        if self._fits(values.get("torque")):
-            return np.abs(values["torque"])
-        if not self._fits(values.get("current")):
+    def _part(self, block: Block, quantity: str) -> _Part | None:
+        """What a block says of a quantity of joints; None where it says nothing of any."""
+        values = block.values.get(quantity)
+        if values is None:
             return None
-        gain = self._limits.torque_per_current
-        return np.abs(np.where(np.isnan(gain), 0.0, values["current"] * gain))
+        if (partial := self._parts.get((block.stream, quantity))) is not None:
+            columns, joints = partial
+            return (values[:, columns], joints) if len(joints) else None
+        return (values, self._all) if values.ndim == 2 and values.shape[1] == len(self._all) else None
+
+    def _torque(self, block: Block) -> _Part | None:
+        if (part := self._part(block, "torque")) is not None:
+            return np.abs(part[0]), part[1]
+        if (part := self._part(block, "current")) is None:
+            return None
+        current, joints = part
+        gain = self._limits.torque_per_current[joints]
+        return np.abs(np.where(np.isnan(gain), 0.0, current * gain)), joints
 
     def _distance_to_commands(self, host_time: FloatArray, position: FloatArray) -> FloatArray:
         """How far (N, n) positions lie from everything commanded shortly before; 0 without a command."""
@@ -186,19 +204,39 @@ class Supervisor:
         block: Block,
         what: str,
         unit: str,
-        values: FloatArray,
+        part: _Part,
         within: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
         limit: FloatArray,
     ) -> None:
         if within.all():
             return
-        row, joint = (int(index) for index in np.argwhere(~within)[0])
+        values, joints = part
+        row, column = (int(index) for index in np.argwhere(~within)[0])
+        joint = int(joints[column])
         breach = Breach(
             what,
             self._limits.joints[joint],
-            float(values[row, joint]),
+            float(values[row, column]),
             float(limit[joint]),
             float(block.time[row]),
             unit,
         )
         found.append((row, breach))
+
+
+def _partial_channels(
+    joints: Sequence[str], layouts: Sequence[StreamLayout]
+) -> Mapping[tuple[str, str], tuple[_Index, _Index]]:
+    """(stream, quantity) → its columns that bear joints' names, and those joints, in their order.
+
+    Channels with a column for each joint, in their order or under names of their own, are left out.
+    """
+    found: dict[tuple[str, str], tuple[_Index, _Index]] = {}
+    for layout in layouts:
+        for channel in layout.channels:
+            named = [number for number, joint in enumerate(joints) if joint in channel.columns]
+            if channel.columns == tuple(joints) or (not named and len(channel.columns) == len(joints)):
+                continue
+            columns = [channel.columns.index(joints[number]) for number in named]
+            found[layout.name, channel.quantity] = (np.array(columns, np.intp), np.array(named, np.intp))
+    return found

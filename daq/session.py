@@ -8,22 +8,25 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import entry_points
+from pathlib import Path
 from types import FrameType
 from typing import Protocol
 
 import numpy as np
 
+from daq.clocks import ClockLog
+from daq.connections import connection_keys, connection_names, driver_settings
 from daq.player import Player, Punctuality, dry_run, ticks
 from daq.recorder import Recorder
 from daq.robot import Robot
 from daq.safety import Supervisor
+from daq.sources import Sources
 from daq.streams import JOINTS_STREAM
 from daq.trajectories import FloatArray, Motion, check_limits, slow_move
 from drivers.base import DRIVERS_GROUP, Driver, DriverSettings, Notice
 from drivers.errors import ConnectionLostError, DynidError, SafetyStopError, UsageError, WorkError
-from drivers.gains import DriveGain
 from drivers.streams import Block
 
 READ_TIMEOUT = 0.01
@@ -89,7 +92,7 @@ class _Course:
     """What a running session knows.
 
     `breach_time` [s, the source's clock] is that of what stopped it, where it has one; `silent` are the streams whose
-    silence is an event already.
+    silence is an event already; `host_ahead` is by stream the host's clock less the source's at its last sample [s].
     """
 
     samples: dict[str, int] = field(default_factory=dict)
@@ -101,11 +104,16 @@ class _Course:
     interrupted: str | None = None
     breach_time: float = float("nan")
     silent: set[str] = field(default_factory=set)
+    host_ahead: dict[str, float] = field(default_factory=dict)
+    clocks: ClockLog = field(default_factory=ClockLog)
 
     def take(self, block: Block) -> None:
         self.samples[block.stream] = self.samples.get(block.stream, 0) + len(block.time)
         self.lost[block.stream] = self.lost.get(block.stream, 0) + block.lost
         self.silent.discard(f"stream {block.stream}")
+        self.clocks.take(block)
+        if len(block.time):
+            self.host_ahead[block.stream] = float(block.host_time[-1] - block.time[-1])
         if block.stream == JOINTS_STREAM and len(block.time):
             self.position = block.values["position"][-1].copy()
             self.source_minus_host = float(block.time[-1] - block.host_time[-1])
@@ -116,39 +124,49 @@ class _Course:
         """Now, in the clock of the joints' stream [s]."""
         return time.monotonic() + self.source_minus_host
 
+    def joints_time(self, when: float, stream: str) -> float:
+        """A time of a stream's clock, in the clock of the joints' stream [s]."""
+        if stream == JOINTS_STREAM or JOINTS_STREAM not in self.host_ahead:
+            return when
+        return when + self.host_ahead[stream] + self.source_minus_host
 
-def load_driver(robot: Robot, wire: str | None = None, host: str | None = None) -> tuple[Driver, float]:
+
+def load_driver(
+    robot: Robot, wire: str | None = None, host: str | None = None, folder: Path | None = None
+) -> tuple[Driver, float]:
     """The driver of a robot's connection and the connection's rate [Hz], not yet open.
+
+    A connection's key `with` names others that are recorded in the same session; the driver is then one for all.
 
     Args:
         robot: names the connections.
         wire: which of them; the first where None.
         host: in place of the connection's own.
+        folder: of the robot file, where relative paths among a connection's keys start; None for the current one.
 
     Raises:
         UsageError: no such connection, or no such driver is installed.
     """
-    known = ", ".join(robot.connections) or "none"
-    if not robot.connections:
-        raise UsageError("the robot file has no connection", where=f"{robot.name}: connections")
-    name = wire if wire is not None else next(iter(robot.connections))
-    if name not in robot.connections:
-        raise UsageError(f"no connection is called '{name}'", where=robot.name, hint=f"there are: {known}")
-    connection = robot.connections[name]
-    keys = dict(connection.model_extra or {})
+    name, *others = connection_names(robot, wire)
+    keys = connection_keys(robot, name)
     if host is not None:
         keys["host"] = host
+    main = _make_driver(robot, name, keys, folder)
+    beside = {other: _make_driver(robot, other, connection_keys(robot, other), folder) for other in others}
+    return Sources(name, main, beside) if beside else main, _rate_of(keys)
+
+
+def _make_driver(robot: Robot, name: str, keys: Mapping[str, object], folder: Path | None) -> Driver:
+    driver = robot.connections[name].driver
     found = {entry.name: entry for entry in entry_points(group=DRIVERS_GROUP)}
-    if connection.driver not in found:
+    if driver not in found:
         raise UsageError(
-            f"no driver is called '{connection.driver}'",
+            f"no driver is called '{driver}'",
             where=f"{robot.name}: connections.{name}.driver",
             hint=f"installed: {', '.join(sorted(found)) or 'none'}",
         )
-    drives = [robot.drive(joint) for joint in robot.joint_names]
-    gains = tuple(DriveGain(drive.gain, drive.gain_std, drive.signal) for drive in drives)
-    make: Callable[[DriverSettings], Driver] = found[connection.driver].load()
-    return make(DriverSettings(robot.joint_names, keys, gains)), _rate_of(keys)
+    make: Callable[[DriverSettings], Driver] = found[driver].load()
+    return make(driver_settings(robot, keys, folder))
 
 
 def _rate_of(keys: Mapping[str, object]) -> float:
@@ -203,6 +221,8 @@ def record(
         finally:
             noticed, interrupted = course.source_time(), course.interrupted
             _stop(driver, player)
+        for message in course.clocks.messages():
+            recorder.event(course.source_time(), "info", "clocks", message)
         stopped_by = str(error) if error is not None else interrupted
         if stopped_by is not None:
             when = course.breach_time if np.isfinite(course.breach_time) else noticed
@@ -287,8 +307,11 @@ def _cycle(
             when = float(block.time[0]) if len(block.time) else float("nan")
             recorder.event(when, "warning", block.stream, f"{block.lost} samples lost")
     now = time.monotonic()
-    breaches = [supervisor.check(block, now) for block in blocks if len(block.time)]
-    breach = next((breach for breach in breaches if breach is not None), None)
+    breach = None
+    for block in blocks:
+        found = supervisor.check(block, now) if len(block.time) else None
+        if found is not None and breach is None:
+            breach = replace(found, time=course.joints_time(found.time, block.stream))
     notice = _note(driver.notices(), recorder)
     if notice is not None and not (breach is not None and breach.time < notice.time):
         # Braking after a protective stop may itself pass a limit: what came first is the reason.
@@ -299,6 +322,8 @@ def _cycle(
         raise SafetyStopError(str(breach))
     if recorder.failure is not None:
         raise recorder.failure
+    for message in course.clocks.due():
+        recorder.event(course.source_time(), "info", "clocks", message)
     if (breach := supervisor.check_ages(now)) is not None:
         if now - before > 2.0 * READ_TIMEOUT and not looked_twice:
             # This process may have been stalled itself: what came meanwhile is in the next read, if anything came.

@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from pathlib import Path
+from typing import Literal, Protocol, runtime_checkable
 
 from drivers.errors import DriverStateError
 from drivers.gains import DriveGain
@@ -34,11 +35,13 @@ class DriverSettings:
         joints: joint names in the order of every array.
         connection: the robot file's keys for this connection, without `driver`.
         gains: one a joint.
+        folder: what relative paths among the keys start at; None for the current folder.
     """
 
     joints: tuple[str, ...]
     connection: Mapping[str, object]
     gains: tuple[DriveGain, ...]
+    folder: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,18 @@ class Driver(Protocol):
 
     def close(self) -> None:
         """Let go of the connection; safe in every state."""
+
+
+@runtime_checkable
+class Identifying(Protocol):
+    """A driver that can also tell who is at the other end; `dynid check --connect` shows it."""
+
+    def identify(self) -> Sequence[object]:
+        """Who answers: dataclasses whose fields say it, one a device; known once open.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
 
 
 def require_state(actual: State, allowed: State, action: str) -> None:

@@ -58,11 +58,13 @@ class StreamLayout:
         name: of the group under /streams.
         channels: its datasets.
         rate: nominal rate [Hz], sets the chunk length; 0 where unknown.
+        essential: whether a motion must not go on while the stream is silent; its driver tells a silence otherwise.
     """
 
     name: str
     channels: tuple[ChannelLayout, ...]
     rate: float = 0.0
+    essential: bool = True
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from importlib.metadata import entry_points
 
 import numpy as np
 
+from daq.connections import connection_keys, driver_settings
 from daq.robot import RobotFile
+from daq.session import load_driver
 from drivers.base import DRIVERS_GROUP
+from drivers.can_budget import TIGHT_SHARE, Budget, connection_budget
+from drivers.errors import RobotFileError, UsageError
 from ident.base_parameters import base_parameters
 from ident.model import build_model
 
@@ -16,7 +21,8 @@ def check_robot(robot_file: RobotFile) -> list[str]:
     """Warnings about a valid robot file, in words.
 
     Raises:
-        RobotFileError: its kinematics cannot be used.
+        RobotFileError: its kinematics cannot be used, or a connection asks more of its bus than fits.
+        UsageError: the keys of a connection are wrong.
         IdentificationError: its base parameters cannot be decided.
     """
     robot = robot_file.robot
@@ -43,9 +49,78 @@ def check_robot(robot_file: RobotFile) -> list[str]:
             warnings.append(
                 f"connection '{name}' needs the driver '{connection.driver}', which is not installed ({known})"
             )
+            continue
+        try:
+            load_driver(robot, name, folder=robot_file.folder)  # the driver checks its keys; nothing is opened
+        except UsageError as error:
+            error.where = error.where or f"{robot.name}: connections.{name}"
+            raise
+    for name, budget in bus_budgets(robot_file).items():
+        if budget.load > TIGHT_SHARE:
+            warnings.append(
+                f"connection '{name}' fills its bus to {100 * budget.load:.1f} % at worst; "
+                f"at {budget.highest_rate(TIGHT_SHARE):.0f} Hz it would be {100 * TIGHT_SHARE:.0f} %"
+            )
     return warnings
+
+
+def bus_budgets(robot_file: RobotFile) -> dict[str, Budget]:
+    """What each CAN connection asks of its bus, by the connection's name.
+
+    Raises:
+        UsageError: a connection's keys are wrong.
+        RobotFileError: a connection asks more of its bus than fits.
+    """
+    robot = robot_file.robot
+    found: dict[str, Budget] = {}
+    for name, connection in robot.connections.items():
+        where = f"{robot.name}: connections.{name}"
+        keys = connection_keys(robot, name)
+        try:
+            budget = connection_budget(connection.driver, driver_settings(robot, keys, robot_file.folder))
+        except UsageError as error:
+            error.where = f"{where}: {error.where}" if error.where else where
+            raise
+        if budget is None:
+            continue
+        if budget.load > 1.0:
+            raise RobotFileError(
+                f"{budget.rate:g} Hz do not fit on a bus of {budget.bitrate:g} bit/s: {100 * budget.load:.0f} % of it",
+                where=where,
+                hint=f"at most {budget.highest_rate():.0f} Hz, better {budget.highest_rate(TIGHT_SHARE):.0f} Hz",
+            )
+        found[name] = budget
+    return found
 
 
 def _needs_gain(robot_file: RobotFile, joint: str) -> bool:
     drive = robot_file.robot.drive(joint)
     return drive.gain is None and drive.signal != "torque"
+
+
+def budget_object(budget: Budget) -> dict[str, float]:
+    """The JSON object of a bus budget."""
+    return {
+        "bitrate": budget.bitrate,
+        "rate_hz": budget.rate,
+        "cycle_bits": budget.cycle_bits,
+        "load_percent": 100.0 * budget.load,
+        "highest_rate_hz": budget.highest_rate(),
+        "highest_rate_at_80_percent_hz": budget.highest_rate(TIGHT_SHARE),
+    }
+
+
+def print_budget(name: str, budget: Budget) -> None:
+    """The same for a person."""
+    print(
+        f"  connection {name}: its bus ({budget.bitrate / 1e3:g} kbit/s) is {100 * budget.load:.1f} % full at "
+        f"{budget.rate:g} Hz with every stuffed bit; at most {budget.highest_rate():.0f} Hz, "
+        f"{budget.highest_rate(TIGHT_SHARE):.0f} Hz for {100 * TIGHT_SHARE:.0f} %"
+    )
+    cycle = Counter[tuple[str, int]]()
+    for group in budget.cycle:
+        cycle[group.meaning, group.data_bytes] += group.count
+    listed = ", ".join(f"{count} × {meaning} ({size} bytes)" for (meaning, size), count in cycle.items())
+    print(f"    a cycle of {budget.cycle_bits} bits: {listed}")
+    for group, rate in budget.beside:
+        print(f"    beside it: {group.count} × {group.meaning} ({group.data_bytes} bytes) at {rate:g} Hz")

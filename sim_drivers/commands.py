@@ -32,16 +32,22 @@ def demo(
 @app.command("sim")
 def sim(
     robot: str = typer.Argument(help="Built-in robot or robot file with a truth section."),
-    wire: str = typer.Option("rtde", "--wire", help="What to simulate: rtde."),
+    wire: str = typer.Option("rtde", "--wire", help="rtde, canopen, slcan (CANopen), can, thermometer."),
     host: str = typer.Option("127.0.0.1", "--host", help="Address to listen on; several arms: 127.0.0.2, 127.0.0.3."),
     version: str = typer.Option("5.22", "--version", help="Of the controller: 3.15 (125 Hz), 5.22, 5.23, 10.10."),
+    interface: str | None = typer.Option(None, "--interface", help="CAN interface; default: the robot file's."),
+    channel: str | None = typer.Option(None, "--channel", help="CAN channel; default: the robot file's."),
+    swap: str | None = typer.Option(None, "--swap", help="Two joints, j1,j2, whose drives have swapped node ids."),
+    worst_stuffing: bool = typer.Option(False, "--worst-stuffing", help="Every CAN frame as long as it can be."),
+    thermometer: bool = typer.Option(False, "--thermometer", help="Its serial thermometer beside it."),
     seed: int = typer.Option(1, "--seed", help="Of the noise."),
     no_ui: bool = typer.Option(False, "--no-ui", help="No live line on standard error."),
 ) -> None:
-    """Serve a simulated arm until Ctrl-C; type a fault, such as: drop 10, freeze 3, cut, block 2.
+    """Serve a simulated arm until Ctrl-C; type a fault, such as: drop 10, freeze 3, cut, block 2, power-cycle 3.
 
-    Example: dynid sim ur5e
+    Example: dynid sim ur5e --wire canopen
     """
-    from sim_drivers.serve import simulate
+    from sim_drivers.serve import BusOptions, simulate
 
-    simulate(robot, wire, host, version, seed, live=not no_ui)
+    bus = BusOptions(interface, channel, swap, worst_stuffing, thermometer)
+    simulate(robot, wire, host, version, seed, live=not no_ui, bus=bus)

@@ -119,22 +119,27 @@ def parse_fault(line: str, joints: Sequence[str]) -> Fault:
     match line.split():
         case ["drop", count] if count.isdecimal() and int(count) > 0:
             return Drop(int(count))
-        case ["freeze", seconds] if (duration := _positive(seconds)) is not None:
+        case ["freeze", seconds] if (duration := positive(seconds)) is not None:
             return Freeze(duration)
         case ["cut"]:
             return Cut()
         case ["protective-stop"]:
             return ProtectiveStop()
-        case ["heat", joint, celsius] if (rise := _positive(celsius)) is not None:
-            return Heat(_joint(joint, joints), rise)
+        case ["heat", joint, celsius] if (rise := positive(celsius)) is not None:
+            return Heat(joint_number(joint, joints), rise)
         case ["block", joint]:
-            return Block(_joint(joint, joints))
+            return Block(joint_number(joint, joints))
         case ["drift", joint, speed] if (velocity := _finite(speed)) is not None:
-            return Drift(_joint(joint, joints), velocity)
+            return Drift(joint_number(joint, joints), velocity)
     raise UsageError(f"'{line.strip()}' is not a fault", hint=USAGE)
 
 
-def _joint(text: str, joints: Sequence[str]) -> int:
+def joint_number(text: str, joints: Sequence[str]) -> int:
+    """The number from 0 of a joint that goes by its name, or its number from 1.
+
+    Raises:
+        UsageError: there is no such joint.
+    """
     if text in joints:
         return joints.index(text)
     if text.isdecimal() and 1 <= int(text) <= len(joints):
@@ -150,6 +155,7 @@ def _finite(text: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _positive(text: str) -> float | None:
+def positive(text: str) -> float | None:
+    """A positive finite number; None where it is none."""
     value = _finite(text)
     return value if value is not None and value > 0 else None

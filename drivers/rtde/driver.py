@@ -66,6 +66,23 @@ _STATUS = _MODES + _JOINT_MODE
 _STREAMS: Mapping[str, tuple[_Source, ...]] = {"joints": _REQUIRED + _TARGETS, "thermal": _THERMAL, "status": _STATUS}
 
 
+@dataclass(frozen=True)
+class ControllerIdentity:
+    """Who answers.
+
+    Attributes:
+        controller: address and port.
+        software: version of the controller's software.
+        rate: of the samples [Hz].
+        variables: that the controller delivers.
+    """
+
+    controller: str
+    software: str
+    rate: float
+    variables: int
+
+
 class RtdeDriver:
     """A Universal Robots arm on RTDE; implements `drivers.base.Driver`.
 
@@ -114,6 +131,19 @@ class RtdeDriver:
         require_state(self._state, "closed", "open")
         self._receiver.connect()
         self._state = "open"
+
+    def identify(self) -> tuple[ControllerIdentity, ...]:
+        """The controller.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+        if self._state == "closed":
+            require_state(self._state, "open", "identify the controller")
+        receiver = self._receiver
+        return (
+            ControllerIdentity(receiver.where, str(receiver.version), receiver.rate, len(receiver.recipe.variables)),
+        )
 
     def streams(self) -> tuple[StreamLayout, ...]:
         """`joints` at the full rate, `thermal` at about 20 Hz and `status` at about 10 Hz, as far as delivered.

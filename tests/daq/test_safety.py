@@ -84,3 +84,49 @@ def test_a_silent_stream_is_stale():
     assert breach.what == "stale data"
     assert stale_after(20.0) == pytest.approx(5 / 20.0)
     assert stale_after(0.0) == np.inf
+
+
+def thermometer(*columns: str) -> tuple[StreamLayout, ...]:
+    layout = StreamLayout("thermometer", (ChannelLayout("temperature", columns),), 5.0, essential=False)
+    return (*LAYOUTS, layout)
+
+
+def heat(*celsius: float) -> Block:
+    return Block("thermometer", np.zeros(1), np.zeros(1), {"temperature": np.array([celsius])})
+
+
+@pytest.mark.parametrize(
+    ("columns", "celsius", "hot"),
+    [
+        (("elbow",), (71.0,), "elbow"),
+        (("shoulder",), (71.0,), "shoulder"),
+        (("elbow", "shoulder"), (71.0, 20.0), "elbow"),
+        (("elbow", "shoulder"), (20.0, 71.0), "shoulder"),
+        (("room", "elbow", "gearbox"), (99.0, 71.0, 99.0), "elbow"),
+        (("room", "elbow", "gearbox"), (99.0, np.nan, 99.0), None),
+        (("room",), (99.0,), None),
+        (("first", "second"), (20.0, 71.0), "elbow"),  # as many as joints, without their names
+    ],
+)
+def test_a_limit_holds_for_the_column_with_the_joints_name(columns, celsius, hot):
+    breach = Supervisor(LIMITS, thermometer(*columns)).check(heat(*celsius), 0.0)
+    assert (breach.joint if breach else None) == hot
+    assert breach is None or (breach.value, breach.limit) == (71.0, 70.0)
+
+
+@given(st.permutations(NAMES), st.floats(-5, 5), st.floats(-5, 5))
+def test_the_order_of_columns_changes_nothing(order, shoulder, elbow):
+    values = {"shoulder": shoulder, "elbow": elbow}
+    layouts = (StreamLayout("joints", (ChannelLayout("position", tuple(order)),), 500.0),)
+    sorted_block = Block("joints", np.zeros(1), np.zeros(1), {"position": np.array([[shoulder, elbow]])})
+    mixed_block = Block("joints", np.zeros(1), np.zeros(1), {"position": np.array([[values[name] for name in order]])})
+    sorted_one, mixed_one = Supervisor(LIMITS, LAYOUTS), Supervisor(LIMITS, layouts)
+    for supervisor in (sorted_one, mixed_one):
+        supervisor.commanded(0.0, np.array([shoulder, elbow]))  # as commanded: no tracking error
+    assert sorted_one.check(sorted_block, 0.0) == mixed_one.check(mixed_block, 0.0)
+
+
+def test_a_stream_that_is_not_essential_may_fall_silent():
+    supervisor = Supervisor(LIMITS, thermometer("elbow"))
+    supervisor.check(heat(20.0), 50.0)
+    assert supervisor.check_ages(1e6) is None

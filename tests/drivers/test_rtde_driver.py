@@ -12,7 +12,7 @@ import pytest
 from fake_ur_control import FakeControl
 from scripted_rtde import Cut, Never, Sample, ScriptedController, Step, Wait, paced, steady
 
-from drivers.base import DRIVERS_GROUP, Driver, DriverSettings
+from drivers.base import DRIVERS_GROUP, Driver, DriverSettings, Identifying
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
 from drivers.gains import DriveGain
 from drivers.rtde import driver as driver_module
@@ -64,6 +64,20 @@ def test_the_driver_is_registered() -> None:
     project = tomllib.loads((Path(__file__).resolve().parents[2] / "pyproject.toml").read_text())
     value = project["project"]["entry-points"][DRIVERS_GROUP]["rtde"]
     assert EntryPoint("rtde", value, DRIVERS_GROUP).load() is RtdeDriver
+
+
+def test_it_tells_who_answers(controller: Make, make_driver: MakeDriver) -> None:
+    script = controller(lambda number: [*steady(10.0, 10), Never()])
+    driver = make_driver(script.port)
+    assert isinstance(driver, Identifying)
+    with pytest.raises(DriverStateError):
+        driver.identify()
+    driver.open()
+    (identity,) = driver.identify()
+    assert identity.controller == f"127.0.0.1:{script.port}"
+    assert identity.software.startswith("5.")
+    assert identity.rate == 500.0
+    assert identity.variables > 4
 
 
 def test_blocks_are_what_the_streams_promise(controller: Make, make_driver: MakeDriver) -> None:

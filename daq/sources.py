@@ -1,0 +1,195 @@
+"""Several sources in one session: the arm's own connection and what is recorded beside it, behind one driver."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+from drivers.base import Driver, Notice
+from drivers.errors import DynidError
+from drivers.streams import Block, FloatArray, StreamLayout
+
+_Result = TypeVar("_Result")
+
+
+@dataclass
+class _Source:
+    """One of the sources.
+
+    Attributes:
+        name: of its connection.
+        driver: its driver.
+        streams: the driver's name of a stream → the session's; known once open.
+        host_ahead: the host's clock less the source's at its last block [s]; nan before the first.
+    """
+
+    name: str
+    driver: Driver
+    streams: dict[str, str] = field(default_factory=dict)
+    host_ahead: float = math.nan
+
+
+class Sources:
+    """A driver made of several; implements `drivers.base.Driver`.
+
+    The main one moves the arm and is waited for; the others are asked what has arrived. The main one's streams keep
+    their names; another's only stream bears the name of its connection, several are called `connection_stream`.
+
+    Args:
+        name: of the main connection.
+        main: its driver.
+        others: connection → driver.
+    """
+
+    def __init__(self, name: str, main: Driver, others: Mapping[str, Driver]) -> None:
+        self._main = _Source(name, main)
+        self._others = [_Source(other, driver) for other, driver in others.items()]
+        self._failure: DynidError | None = None
+        self._notices: deque[Notice] = deque()
+
+    def open(self) -> None:
+        """Open all, the main one first; those that are open already are closed again where one fails.
+
+        Raises:
+            ConnectionFailedError, UsageError: of the source that failed; named by `where`.
+        """
+        opened: list[_Source] = []
+        try:
+            for source in self._all:
+                opened.append(source)  # it may fail half-way, and close is safe in every state
+                _named(source, source.driver.open)
+            self._name_streams()
+        except BaseException:
+            for source in reversed(opened):
+                with suppress(Exception):  # the error on its way is the one to tell
+                    source.driver.close()
+            raise
+
+    def streams(self) -> tuple[StreamLayout, ...]:
+        """The streams of all, under names of their own.
+
+        Raises:
+            DriverStateError: not open.
+        """
+        return tuple(
+            replace(layout, name=source.streams[layout.name])
+            for source in self._all
+            for layout in source.driver.streams()
+        )
+
+    def start(self) -> None:
+        """Make the samples of all flow, the main one's last.
+
+        Raises:
+            ConnectionFailedError, ConnectionLostError, DriverStateError: of the source that failed; all are stopped.
+        """
+        self._failure = None
+        for source in self._all:
+            source.host_ahead = math.nan
+        try:
+            for source in (*self._others, self._main):
+                _named(source, source.driver.start)
+        except BaseException:
+            self.stop()
+            raise
+
+    def read(self, timeout: float) -> Sequence[Block]:
+        """Blocks of all that have arrived, waiting at most `timeout` [s] for the main one's.
+
+        Raises:
+            ConnectionLostError: of one of them; what the main one had to say is handed out before another's error.
+        """
+        if self._failure is not None:
+            raise self._failure
+        blocks = list(_renamed(self._main, _named(self._main, self._main.driver.read, timeout)))
+        for source in self._others:
+            try:
+                blocks.extend(_renamed(source, _named(source, source.driver.read, 0.0)))
+            except DynidError as error:
+                self._failure = self._failure or error
+        return blocks
+
+    def notices(self) -> Sequence[Notice]:
+        """What all reported since the last call, the source's name first; stamps are on the main one's clock."""
+        found = list(self._notices)
+        self._notices.clear()
+        for source in self._all:
+            for notice in source.driver.notices():
+                shift = 0.0 if source is self._main else source.host_ahead - self._main.host_ahead
+                found.append(Notice(notice.time + shift, notice.level, f"{source.name}: {notice.message}"))
+        return found
+
+    def command(self, position: FloatArray) -> None:
+        """Send a joint position to the main one.
+
+        Raises:
+            DriverStateError, ConnectionLostError: of the main one.
+        """
+        self._main.driver.command(position)
+
+    def stop(self) -> None:
+        """Halt the arm, then end the samples of the others; never raises."""
+        for source in self._all:
+            try:
+                source.driver.stop()
+            except Exception as error:  # against the contract, but the others must be stopped all the same
+                said = f"{source.name}: could not be stopped: {type(error).__name__}: {error}"
+                self._notices.append(Notice(math.nan, "error" if source is self._main else "warning", said))
+
+    def close(self) -> None:
+        """Let go of all connections; safe in every state.
+
+        Raises:
+            Exception: the first that a driver raised, against its contract; all are closed before.
+        """
+        failure: Exception | None = None
+        for source in self._all:
+            try:
+                source.driver.close()
+            except Exception as error:
+                failure = failure or error
+        if failure is not None:
+            raise failure
+
+    @property
+    def _all(self) -> tuple[_Source, ...]:
+        return (self._main, *self._others)
+
+    def _name_streams(self) -> None:
+        main = [layout.name for layout in self._main.driver.streams()]
+        self._main.streams = dict(zip(main, main, strict=True))
+        taken = set(main)
+        for source in self._others:
+            names = [layout.name for layout in source.driver.streams()]
+            base = source.name.replace("/", "_").strip(".") or "source"  # it becomes the name of an HDF5 group
+            source.streams = {name: _free(base if len(names) == 1 else f"{base}_{name}", taken) for name in names}
+
+
+def _free(wanted: str, taken: set[str]) -> str:
+    name, number = wanted, 2
+    while name in taken:
+        name, number = f"{wanted}_{number}", number + 1
+    taken.add(name)
+    return name
+
+
+def _renamed(source: _Source, blocks: Iterable[Block]) -> list[Block]:
+    found = []
+    for block in blocks:
+        if len(block.time):
+            source.host_ahead = float(block.host_time[-1] - block.time[-1])
+        found.append(replace(block, stream=source.streams[block.stream]))
+    return found
+
+
+def _named(source: _Source, call: Callable[..., _Result], *arguments: object) -> _Result:
+    """Call, and put the source's name before what an error says of its place."""
+    try:
+        return call(*arguments)
+    except DynidError as error:
+        error.where = f"{source.name}: {error.where}" if error.where else source.name
+        raise

@@ -1,0 +1,424 @@
+"""A CAN bus through python-can: opening any of its interfaces, sending, and receiving without loss.
+
+Buses differ in what they tell: socketcan and udp_multicast stamp a frame in the kernel when it arrives, others when it
+is read; udp_multicast hands a sender its own frames back; slcan passes truncated lines on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import errno
+import logging
+import math
+import os
+import socket
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Container, Mapping, Sequence
+from typing import Any
+
+import can
+
+from drivers.base import Level, Notice
+from drivers.errors import ConnectionFailedError, ConnectionLostError
+
+RECEIVE_BUFFER_BYTES = 4 * 2**20
+"""Asked of the kernel; udp_multicast's default holds 256 frames, 21 ms of six drives at 1 kHz."""
+POLL = 0.02
+"""How long [s] the receiving thread waits for a frame before it looks whether it shall end."""
+BUFFER_FRAMES = 200_000
+"""Frames that may wait to be taken: 40 s of six drives at 400 Hz."""
+SEND_LIMIT = 0.05
+"""How long [s] a frame may wait for room in the adapter."""
+NOTICE_PERIOD = 1.0
+"""At most one notice of a kind in so many seconds."""
+FAULTY_LIMIT = 1000
+"""Unreadable frames without a sound one in between, after which the adapter counts as lost."""
+EXTENDED = 0x80000000
+"""Added to a 29-bit identifier, as socketcan and DBC files do; an 11-bit one stands as it is."""
+
+Frame = tuple[float, int, bytes]
+"""Arrival [s, the host's monotonic clock], identifier, data."""
+
+# Interfaces whose time stamps are the kernel's or the sender's clock of day, so that an age can be told from them.
+_STAMPED_BY_CLOCK = frozenset({"SocketcanBus", "UdpMulticastBus", "VirtualBus"})
+_IP_MULTICAST_ALL, _IPV6_MULTICAST_ALL = 49, 29  # Linux's numbers, which the socket module lacks
+_CLOCK_CHECK = 0.1
+_OLDEST = 1.0
+
+# Error frames as Linux delivers them (include/uapi/linux/can/error.h): bit of the identifier → meaning.
+_BUS_OFF, _CONTROLLER, _NO_ACKNOWLEDGE, _BUS_ERROR = 0x40, 0x04, 0x20, 0x80
+_CONTROLLER_TROUBLES: Mapping[int, str] = {
+    0x01: "receive overflow",
+    0x02: "send overflow",
+    0x04: "receive error warning",
+    0x08: "send error warning",
+    0x10: "error passive (receiving)",
+    0x20: "error passive (sending)",
+}
+
+
+def open_bus(interface: str, channel: str | int, bitrate: int, options: Mapping[str, object]) -> can.BusABC:
+    """Open a bus of any interface that python-can knows.
+
+    Args:
+        interface: its name there: socketcan, slcan, pcan, udp_multicast, virtual, …
+        channel: what the interface calls a bus: can0, a serial port, a multicast address, …
+        bitrate: [bit/s]; socketcan's is set outside (ip link), and buses without wires have none.
+        options: further arguments of the interface, which go before our defaults.
+
+    Raises:
+        ConnectionFailedError: says in words what is missing.
+    """
+    where = f"{interface} {channel}"
+    _keep_quiet()
+    if interface not in can.interfaces.VALID_INTERFACES:
+        known = sorted(can.interfaces.VALID_INTERFACES)
+        close = difflib.get_close_matches(interface, known, 1)
+        hint = f"did you mean '{close[0]}'?" if close else f"there are: {', '.join(known)}"
+        raise ConnectionFailedError(f"python-can has no interface '{interface}'", where=where, hint=hint)
+    defaults: dict[str, object] = {}
+    if interface == "udp_multicast":
+        defaults["hop_limit"] = 0  # frames stay on this computer
+    elif interface == "slcan":
+        defaults["sleep_after_open"] = 0  # python-can waits 2 s for adapters that restart when they are opened
+    arguments: dict[str, Any] = {"bitrate": bitrate, **defaults, **options}
+    try:
+        bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **arguments)
+    except Exception as error:  # python-can's interfaces raise whatever their makers' libraries do
+        message, hint = _why_not(error, interface, channel)
+        raise ConnectionFailedError(message, where=where, hint=hint) from error
+    _prepare_socket(bus)
+    return bus
+
+
+class Sender:
+    """Sends frames from any thread, one at a time.
+
+    Args:
+        bus: open.
+    """
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self._bus = bus
+        self._lock = threading.Lock()
+        # slcan and socketcan give up at once without a limit or wait for ever; the others know none.
+        self._limit = SEND_LIMIT if type(bus).__name__ in {"SocketcanBus", "slcanBus"} else None
+
+    def send(self, identifier: int, data: bytes) -> float:
+        """Send a frame with an 11-bit identifier; when that was [s, the host's monotonic clock, before sending].
+
+        Raises:
+            ConnectionLostError: the adapter is gone, or does not take it.
+        """
+        return self.send_all(((identifier, data),))
+
+    def send_all(self, frames: Sequence[tuple[int, bytes]]) -> float:
+        """Send frames without another thread's in between; when the first was sent.
+
+        Raises:
+            ConnectionLostError: the adapter is gone, or does not take them.
+        """
+        messages = [
+            can.Message(
+                arbitration_id=identifier & ~EXTENDED,
+                data=data,
+                is_extended_id=bool(identifier & EXTENDED),
+                check=False,
+            )
+            for identifier, data in frames
+        ]
+        with self._lock:
+            begun = time.monotonic()
+            try:
+                for message in messages:
+                    self._bus.send(message, self._limit)
+            except (can.CanError, OSError, ValueError) as error:
+                raise ConnectionLostError(
+                    f"the CAN adapter does not take frames: {_reason(error)}",
+                    where=str(self._bus.channel_info),
+                    hint="is another device on the bus, at this bit rate, and the bus terminated?",
+                ) from error
+        return begun
+
+
+class Receiver:
+    """Stores what comes on a bus, in a thread of its own, until it is taken.
+
+    Args:
+        bus: open; the receiver does not close it.
+        stored: identifiers to store; None for all.
+        other: is told every other frame (identifier, data, arrival [s]) in the receiving thread; must be quick.
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        stored: Container[int] | None = None,
+        other: Callable[[int, bytes, float], None] | None = None,
+    ) -> None:
+        self.overflow = 0
+        """Frames dropped because `take` stayed away."""
+        self.latest: dict[int, Frame] = {}
+        """The newest stored frame of every identifier."""
+        self._bus = bus
+        self._stored = stored
+        self._other = other
+        self._stamped = type(bus).__name__ in _STAMPED_BY_CLOCK
+        self._clock_offset, self._clock_checked = 0.0, -math.inf
+        self._ring: deque[Frame] = deque()
+        self._arrival = threading.Condition()
+        self._wanted = 1
+        self._drained = -math.inf
+        self._failure: ConnectionLostError | None = None
+        self._ending = threading.Event()
+        self._troubles: dict[str, tuple[int, float]] = {}
+        self._notices: deque[Notice] = deque()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def drained(self) -> float:
+        """Everything that arrived before this time [s, host's monotonic clock] has been stored or passed on."""
+        return self._drained
+
+    @property
+    def failure(self) -> ConnectionLostError | None:
+        """Why nothing comes any more; None while all is well."""
+        return self._failure
+
+    def start(self) -> None:
+        """Begin to receive."""
+        self._thread = threading.Thread(target=self._receive, name=f"can {self._bus.channel_info}", daemon=True)
+        self._thread.start()
+
+    def take(self, timeout: float = 0.0, at_least: int = 1) -> list[Frame]:
+        """Stored frames since the last call, waiting at most `timeout` [s] until there are `at_least` so many.
+
+        Raises:
+            ConnectionLostError: none is left, and the adapter is gone or the bus off.
+        """
+        with self._arrival:
+            self._wanted = at_least
+            self._arrival.wait_for(lambda: len(self._ring) >= at_least or self._failure is not None, timeout)
+            frames = list(self._ring)
+            self._ring.clear()
+        if not frames and self._failure is not None:
+            raise self._failure
+        return frames
+
+    def notices(self) -> list[Notice]:
+        """What there was to tell since the last call: error frames, truncated and unreadable ones."""
+        found = []
+        while self._notices:
+            found.append(self._notices.popleft())
+        return found
+
+    def stop(self) -> None:
+        """End the thread; safe at any time."""
+        self._ending.set()
+        thread, self._thread = self._thread, None
+        if thread is not None and thread is not threading.current_thread():
+            thread.join()
+
+    def _receive(self) -> None:
+        faulty = 0
+        while not self._ending.is_set():
+            asked = time.monotonic()
+            try:
+                message = self._bus.recv(POLL)
+            except (can.CanError, OSError) as error:
+                if self._ending.is_set():
+                    return
+                if not _is_unreadable(error):
+                    self._fail(f"the CAN adapter is gone: {_reason(error)}", "is it plugged in, and the interface up?")
+                    return
+                faulty = self._skip_unreadable(faulty)
+            except (ValueError, IndexError, KeyError, TypeError) as error:  # what slcan makes of a garbled line
+                if self._ending.is_set():
+                    return
+                del error
+                faulty = self._skip_unreadable(faulty)
+            else:
+                if message is None:
+                    self._drained = max(self._drained, asked)
+                    continue
+                faulty = 0
+                if not self._keep(message):
+                    return
+            if faulty > FAULTY_LIMIT:
+                self._fail(f"{faulty} unreadable frames in a row", "is this the right port, bit rate and adapter?")
+                return
+
+    def _keep(self, message: can.Message) -> bool:
+        arrived = self._arrived(message)
+        if message.is_error_frame:
+            return self._note_error(message, arrived)
+        if message.is_remote_frame:
+            self._drained = arrived
+            return True
+        identifier, data = message.arbitration_id, bytes(message.data)
+        if message.is_extended_id:
+            identifier |= EXTENDED
+        if len(data) != message.dlc:
+            self._trouble("truncated frame(s) left out", arrived)
+        elif self._stored is None or identifier in self._stored:
+            self._store((arrived, identifier, data))
+        elif self._other is not None:
+            try:
+                self._other(identifier, data, arrived)
+            except Exception as error:  # a malformed answer of one node must not end the reception of all
+                self._trouble(f"frame(s) 0x{identifier:X} not understood ({type(error).__name__})", arrived)
+        self._drained = arrived
+        return True
+
+    def _store(self, frame: Frame) -> None:
+        self.latest[frame[1]] = frame
+        with self._arrival:
+            if len(self._ring) >= BUFFER_FRAMES:
+                self._ring.popleft()
+                if not self.overflow:
+                    self._tell("warning", "CAN frames are not read for too long: the oldest are dropped")
+                self.overflow += 1
+            self._ring.append(frame)
+            if len(self._ring) >= self._wanted:
+                self._arrival.notify_all()
+
+    def _arrived(self, message: can.Message) -> float:
+        """Arrival in the host's monotonic clock, from the frame's own stamp where it is the clock of day."""
+        now = time.monotonic()
+        if not self._stamped:
+            return now
+        if now - self._clock_checked > _CLOCK_CHECK:
+            self._clock_offset, self._clock_checked = _clock_offset(), now
+        arrived = message.timestamp - self._clock_offset
+        return arrived if now - _OLDEST < arrived <= now else now
+
+    def _note_error(self, message: can.Message, arrived: float) -> bool:
+        if type(self._bus).__name__ != "SocketcanBus":
+            self._trouble("error frame(s)", arrived)
+            return True
+        kind, data = message.arbitration_id, bytes(message.data)
+        if kind & _BUS_OFF:
+            self._fail(
+                "the adapter is off the bus (bus-off)",
+                "check wiring, termination and bit rate; then take the interface down and up again",
+            )
+            return False
+        if kind & _CONTROLLER and len(data) > 1:
+            words = [text for bit, text in _CONTROLLER_TROUBLES.items() if data[1] & bit]
+            self._trouble(f"error frame(s): {', '.join(words) or 'controller'}", arrived)
+        elif kind & _NO_ACKNOWLEDGE:
+            self._trouble("error frame(s): nobody acknowledges", arrived)
+        elif kind & _BUS_ERROR:
+            self._trouble("error frame(s): bus error", arrived)
+        else:
+            self._trouble("error frame(s)", arrived)
+        return True
+
+    def _skip_unreadable(self, faulty: int) -> int:
+        # slcan keeps a line that it cannot decode, and would meet it again for ever.
+        flush = getattr(self._bus, "flush", None)
+        if flush is not None:
+            with contextlib.suppress(can.CanError, OSError):
+                flush()
+        self._trouble("unreadable frame(s) left out", time.monotonic())
+        return faulty + 1
+
+    def _trouble(self, what: str, now: float) -> None:
+        count, told = self._troubles.get(what, (0, -math.inf))
+        count += 1
+        if now - told >= NOTICE_PERIOD:
+            self._tell("warning", f"{count} {what}")
+            count, told = 0, now
+        self._troubles[what] = (count, told)
+
+    def _tell(self, level: Level, message: str) -> None:
+        self._notices.append(Notice(math.nan, level, message))
+
+    def _fail(self, message: str, hint: str) -> None:
+        with self._arrival:
+            self._failure = ConnectionLostError(message, where=str(self._bus.channel_info), hint=hint)
+            self._arrival.notify_all()
+
+
+def close_bus(bus: can.BusABC) -> None:
+    """Close a bus; never raises, for an adapter that is gone cannot be closed in order."""
+    with contextlib.suppress(can.CanError, OSError, ValueError, TypeError):
+        bus.shutdown()
+
+
+def _clock_offset() -> float:
+    """Clock of day minus monotonic clock [s]; the least disturbed of three readings."""
+    best = (math.inf, 0.0)
+    for _ in range(3):
+        before, day, after = time.monotonic(), time.time(), time.monotonic()
+        best = min(best, (after - before, day - 0.5 * (before + after)))
+    return best[1]
+
+
+def _is_unreadable(error: Exception) -> bool:
+    """Whether an adapter met a frame that it does not understand, as opposed to being gone itself."""
+    return isinstance(error, can.CanOperationError) and not isinstance(error.__cause__, OSError | type(None))
+
+
+def _prepare_socket(bus: can.BusABC) -> None:
+    """Enlarge the receive buffer; of multicast groups, hear the bus's own only."""
+    if type(bus).__name__ not in {"SocketcanBus", "UdpMulticastBus"}:
+        return
+    # The options belong to the socket, which the copy of its descriptor shares.
+    with socket.socket(fileno=os.dup(bus.fileno())) as shared:
+        shared.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+        if type(bus).__name__ == "UdpMulticastBus" and sys.platform == "linux":
+            # By default Linux hands a socket every group that any program here has joined, on the same port.
+            if shared.family == socket.AF_INET6:
+                shared.setsockopt(socket.IPPROTO_IPV6, _IPV6_MULTICAST_ALL, 0)
+            else:
+                shared.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
+
+
+def _keep_quiet() -> None:
+    """What python-can and canopen log is told by our errors and notices; without a handler it goes to the terminal."""
+    for name in ("can", "canopen"):
+        logger = logging.getLogger(name)
+        if not logger.handlers:
+            logger.addHandler(logging.NullHandler())
+
+
+def _reason(error: BaseException) -> str:
+    cause = error.__cause__ or error.__context__
+    system = error if isinstance(error, OSError) else cause if isinstance(cause, OSError) else None
+    if system is not None and system.strerror:
+        return system.strerror
+    return str(error) or type(error).__name__
+
+
+def _why_not(error: Exception, interface: str, channel: str | int) -> tuple[str, str]:
+    cause = error if isinstance(error, OSError) else error.__cause__ or error.__context__
+    number = cause.errno if isinstance(cause, OSError) else None
+    if isinstance(error, can.CanInterfaceNotImplementedError | ImportError):
+        return f"interface '{interface}' cannot be used here: {error}", "is its maker's driver installed?"
+    if isinstance(error, TypeError):
+        return f"interface '{interface}' does not take these options: {error}", "see 'options' of the connection"
+    if number in (errno.EACCES, errno.EPERM) or "ermission denied" in str(error):
+        return (
+            f"no permission to open {channel}",
+            "a serial adapter needs membership of the group that owns it (dialout)",
+        )
+    if number == errno.EBUSY or "exclusively lock" in str(error):
+        return f"{channel} is in use by another program", "close that program"
+    if interface == "udp_multicast" and number in (errno.ENODEV, errno.ENETUNREACH):
+        return "no route for multicast", "sudo ip route add 239.0.0.0/8 dev lo"
+    if number in (errno.ENODEV, errno.ENOENT, errno.ENXIO):
+        hint = f"sudo ip link set {channel} up type can bitrate …" if interface == "socketcan" else "is it plugged in?"
+        return f"there is no channel '{channel}'", hint
+    if number == errno.ENETDOWN:
+        return f"{channel} is down", f"sudo ip link set {channel} up type can bitrate …"
+    if number == errno.EAFNOSUPPORT:
+        return "this computer knows no CAN sockets", "socketcan needs Linux with its CAN modules"
+    return (
+        f"cannot be opened: {_reason(error)}",
+        "see 'interface', 'channel', 'bitrate' and 'options' of the connection",
+    )

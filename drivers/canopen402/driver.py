@@ -1,0 +1,374 @@
+"""The driver of arms whose joints have CiA 402 drives on one CANopen bus.
+
+`joints` has a row a SYNC; `thermal` comes by SDO, a few times a second, where the robot file says where drives keep it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+
+import can
+import numpy as np
+
+from drivers.base import DriverSettings, Notice, State, require_state
+from drivers.can_bus import Receiver, Sender, close_bus, open_bus
+from drivers.canopen402 import objects
+from drivers.canopen402.configuration import Configured, Identity, configure
+from drivers.canopen402.decode import Aligned, Aligner
+from drivers.canopen402.motion import Motion
+from drivers.canopen402.sdo import CanopenNetwork, Drive
+from drivers.canopen402.settings import MODES, parse_settings
+from drivers.canopen402.sync import SyncProducer
+from drivers.canopen402.temperature import RATE as THERMAL_RATE
+from drivers.canopen402.temperature import TemperaturePoll, read_temperature
+from drivers.canopen402.watch import DriveWatch
+from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.streams import Block, ChannelLayout, FloatArray, StreamLayout
+
+SILENCE_LIMIT = 0.5
+"""Without a complete row for this long [s], or ten periods, the connection counts as lost."""
+SILENCE_PERIODS = 10
+FIRST_ROW_LIMIT = 1.0
+"""How long [s] the first complete row may take."""
+FIRST_STEP_LIMIT = 0.1
+"""How far [rad] a first command may be from where the arm stands; it would be reached within one period."""
+STANDSTILL = 0.01
+"""Speed [rad/s] below which a stopped joint is at rest."""
+
+_DESCRIPTIONS = {
+    "position": "actual position (object 0x6064)",
+    "velocity": "actual velocity, as the drive derives it (object 0x606C)",
+    "current": "actual current, raw, in the joint's direction (object 0x6078 times the rated current)",
+    "torque": "actual torque, as the drive derives it (object 0x6077 times the rated torque)",
+}
+_LATENESS_DESCRIPTION = "how much later than 'time' SYNC was sent; the drives measure at SYNC"
+_STATUS_DESCRIPTION = "statusword of the drive (object 0x6041, CiA 402)"
+
+
+class Canopen402Driver:
+    """An arm of CiA 402 drives; implements `drivers.base.Driver`.
+
+    Args:
+        settings: joints, the connection's keys (see `drivers.canopen402.settings.CanopenSettings`) and the gains.
+
+    Raises:
+        UsageError: the connection's keys are wrong.
+    """
+
+    def __init__(self, settings: DriverSettings) -> None:
+        self._joints = settings.joints
+        self._settings = parse_settings(settings.connection, settings.joints)
+        self._ids = tuple(node.id for node in self._settings.nodes)
+        self._mode = MODES[self._settings.mode]
+        self._state: State = "closed"
+        self._notices: deque[Notice] = deque()
+        self._motion_lock = threading.Lock()
+        self._motion: Motion | None = None
+        self._halted = False
+        self._bus: can.BusABC | None = None
+        self._poll: TemperaturePoll | None = None
+        self._last_row = 0.0
+        self._last_slot: int | None = None
+        self._latest_position: FloatArray | None = None
+        self._skipped = 0
+
+    def open(self) -> None:
+        """Open the bus, check the drives and configure them, within the connection's `timeout`.
+
+        Drives that were left enabled are stopped and faults are reset, unless the connection's mode is "none".
+
+        Raises:
+            ConnectionFailedError: no such bus, a drive does not answer, is not the right one, or refuses something.
+            DriverStateError: it is open already.
+        """
+        require_state(self._state, "closed", "open")
+        deadline = time.monotonic() + self._settings.timeout
+        settings = self._settings
+        self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
+        try:
+            self._sender = Sender(self._bus)
+            network = CanopenNetwork(self._sender)
+            stored = frozenset(base + node for base in objects.TPDO_BASES for node in self._ids)
+            self._receiver = Receiver(self._bus, stored, network.take)
+            self._receiver.start()
+            self._drives = [Drive(network, joint, node) for joint, node in zip(self._joints, self._ids, strict=True)]
+            self._configured = self._configure(deadline)
+            self._sync = SyncProducer(self._sender, settings.sync_rate, self._outputs)
+            self._watch = DriveWatch(
+                self._joints, self._ids, self._configured.heartbeats, settings.heartbeat, self._sync.clock
+            )
+            for node in self._ids:
+                network.subscribe(objects.EMCY + node, self._watch.on_emergency)
+                network.subscribe(objects.HEARTBEAT + node, self._watch.on_heartbeat)
+            self._poll = self._make_poll()
+        except BaseException:
+            self._disconnect()
+            raise
+        self._state = "open"
+
+    def identify(self) -> tuple[Identity, ...]:
+        """Who the drives are, one a joint.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+        self._require_not_closed("identify the drives")
+        return self._configured.identities
+
+    def streams(self) -> tuple[StreamLayout, ...]:
+        """`joints` at the rate of SYNC; `thermal` with a column for every joint whose drive tells a temperature.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+        self._require_not_closed("list its streams")
+        channels = [ChannelLayout(name, self._joints, "", words) for name, words in _DESCRIPTIONS.items()]
+        channels.append(ChannelLayout("statusword", self._joints, "1", _STATUS_DESCRIPTION))
+        channels.append(ChannelLayout("sync_lateness", ("sync",), "s", _LATENESS_DESCRIPTION))
+        layouts = [StreamLayout("joints", tuple(channels), self._settings.sync_rate)]
+        if warm := self._joints_with_temperature():
+            channel = ChannelLayout("temperature", warm, "", "temperature object of the drive, read by SDO")
+            layouts.append(StreamLayout("thermal", (channel,), THERMAL_RATE))
+        return tuple(layouts)
+
+    def start(self) -> None:
+        """Set the drives operational and send SYNC: samples flow. Nothing is enabled.
+
+        Raises:
+            DriverStateError: it is not open.
+            ConnectionLostError: the adapter is gone.
+        """
+        require_state(self._state, "open", "start")
+        self._receiver.take()  # from before
+        self._aligner = Aligner(self._ids, self._settings.sync_rate)
+        self._latest_position, self._last_slot = None, None
+        self._skipped = self._sync.skipped
+        self._motion = None if self._mode is None else self._make_motion(self._mode)
+        self._halted = False
+        for node in self._ids:
+            self._sender.send(objects.NMT, bytes([objects.NMT_START, node]))
+        self._last_row = time.monotonic()
+        self._sync.start()
+        self._watch.start(self._last_row)
+        if self._poll is not None:
+            self._poll.start()
+        self._state = "running"
+
+    def read(self, timeout: float) -> Sequence[Block]:
+        """Blocks that have arrived, waiting at most `timeout` [s] for the first; empty where none came.
+
+        A row is handed out when the next SYNC has gone out: only then it is sure that nothing more belongs to it.
+
+        Raises:
+            DriverStateError: it is not running.
+            ConnectionLostError: the adapter is gone, or a drive does not answer SYNC.
+        """
+        require_state(self._state, "running", "read")
+        deadline = time.monotonic() + timeout
+        blocks: list[Block] = []
+        while not blocks:
+            left = max(0.0, deadline - time.monotonic())
+            frames = self._receiver.take(left, self._aligner.wanted)
+            aligned = self._aligner.feed(frames, self._sync.take(), self._receiver.drained)
+            blocks = [*self._joints_block(aligned), *self._thermal_blocks()]
+            if time.monotonic() >= deadline:
+                break
+        self._watch.check_heartbeats(self._receiver.drained)
+        self._check_silence()
+        return blocks
+
+    def notices(self) -> Sequence[Notice]:
+        """What drives and adapter reported since the last call."""
+        found = []
+        while self._notices:
+            found.append(self._notices.popleft())
+        if self._bus is not None:
+            found += self._receiver.notices()
+            if self._state != "closed":
+                found += self._watch.notices()
+                if self._poll is not None:
+                    found += self._poll.notices()
+        return found
+
+    def command(self, position: FloatArray) -> None:
+        """Send a joint position (n,) [rad] to be reached within a few periods (see `TargetPath`).
+
+        The first one enables the drives, each holding its position; that lasts a few tenths of a second and more.
+
+        Raises:
+            DriverStateError: it is not running, the connection's mode is "none", a first position is too far from where
+                the arm stands, or a drive is in fault or cannot be enabled.
+            ConnectionLostError: the adapter is gone.
+            ValueError: not n finite numbers.
+        """
+        position = np.asarray(position, dtype=np.float64)
+        if position.shape != (len(self._joints),) or not np.all(np.isfinite(position)):
+            raise ValueError(f"a position has {len(self._joints)} finite numbers, not {position}")
+        with self._motion_lock:
+            require_state(self._state, "running", "move")
+            if self._halted:
+                raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
+            motion = self._motion
+            if motion is None:
+                raise DriverStateError(
+                    "this connection only records (mode: none)", hint="set its 'mode' to position or profile"
+                )
+            for failure in (self._sync.failure, self._receiver.failure):
+                if failure is not None:
+                    raise failure
+            if not motion.moving and motion.ended_by is None:
+                self._check_first(position)
+                motion.enable(self._settings.timeout)
+            try:
+                motion.command(self._configured.scaling.counts(position))
+            except DriverStateError as error:
+                cause = "" if motion.dropped_out is None else self._watch.cause(motion.dropped_out)
+                if not cause:
+                    raise
+                raise DriverStateError(f"{error.message}: {cause}", hint=error.hint) from error
+
+    def stop(self) -> None:
+        """Quick-stop the drives that this driver moves, then end the samples; safe in every state, never raises.
+
+        Another thread may go on reading until the arm has come to rest, but no longer command it.
+        """
+        self._halted = True
+        motion = self._motion
+        if motion is not None:
+            motion.halt()
+        with self._motion_lock:
+            if motion is not None and self._state == "running":
+                for joint in motion.stop(lambda: self._sync.running):
+                    said = "the drive did not confirm that it is at rest and off"
+                    self._notices.append(Notice(math.nan, "error", f"{joint}: {said}"))
+            self._motion = None
+            if self._state == "running":
+                self._watch.stop()
+                if self._poll is not None:
+                    self._poll.stop()
+                self._sync.stop()
+                for node in self._ids:
+                    with contextlib.suppress(ConnectionLostError):
+                        self._sender.send(objects.NMT, bytes([objects.NMT_PRE_OPERATIONAL, node]))
+                self._state = "open"
+
+    def close(self) -> None:
+        """Let go of the bus; safe in every state."""
+        self.stop()
+        self._disconnect()
+        self._state = "closed"
+
+    def _configure(self, deadline: float) -> Configured:
+        try:
+            configured = configure(self._drives, self._settings, self._sender, deadline)
+            for drive, node in zip(self._drives, self._settings.nodes, strict=True):
+                if node.temperature is not None:
+                    read_temperature(drive, node.temperature)  # a wrong index shows here, not in the recording
+        except ConnectionLostError as error:
+            raise self._as_failed(error) from error
+        for drive in self._drives:
+            drive.deadline = math.inf
+        self._notices.extend(configured.notices)
+        return configured
+
+    def _make_motion(self, mode: int) -> Motion:
+        standstill = STANDSTILL / np.abs(self._configured.scaling.radians_per_count)
+        period = 1.0 / self._settings.sync_rate
+        return Motion(self._joints, self._ids, mode, period, list(standstill), self._receiver.latest, self._sender)
+
+    def _make_poll(self) -> TemperaturePoll | None:
+        sources = [node.temperature for node in self._settings.nodes]
+        drives = [drive for drive, source in zip(self._drives, sources, strict=True) if source is not None]
+        return TemperaturePoll(drives, [source for source in sources if source is not None]) if drives else None
+
+    def _joints_with_temperature(self) -> tuple[str, ...]:
+        pairs = zip(self._joints, self._settings.nodes, strict=True)
+        return tuple(joint for joint, node in pairs if node.temperature is not None)
+
+    def _outputs(self, moment: float) -> Sequence[tuple[int, bytes]]:
+        motion = self._motion
+        return () if motion is None else motion.outputs(moment)
+
+    def _joints_block(self, aligned: Aligned) -> list[Block]:
+        rows = aligned.rows
+        if self._last_slot is not None:  # before the first row the drives are still starting
+            skipped = self._sync.skipped
+            self._watch.check_alignment(aligned, skipped - self._skipped, self._receiver.drained)
+            self._skipped = skipped
+        if not len(rows.slot):
+            return []
+        before = int(rows.slot[0]) - 1 if self._last_slot is None else self._last_slot
+        self._last_slot = int(rows.slot[-1])
+        lost = self._last_slot - before - len(rows.slot)
+        time_ = rows.slot / self._settings.sync_rate
+        values = self._configured.scaling.values(rows)
+        values["sync_lateness"] = (self._sync.clock(rows.sent) - time_)[:, np.newaxis]
+        self._latest_position = values["position"][-1].copy()
+        self._last_row = float(rows.host_time[-1])
+        motion = self._motion
+        moving = motion is not None and (motion.moving or motion.ended_by is not None)
+        self._watch.check_status(time_, rows.statusword, moving=moving)
+        return [Block("joints", time_, rows.host_time, values, lost)]
+
+    def _thermal_blocks(self) -> list[Block]:
+        readings = [] if self._poll is None else self._poll.take()
+        if not readings:
+            return []
+        host_time = np.array([reading.host_time for reading in readings])
+        time_ = np.array([self._sync.clock(moment) for moment in host_time])
+        return [Block("thermal", time_, host_time, {"temperature": np.stack([one.values for one in readings])})]
+
+    def _check_silence(self) -> None:
+        if self._sync.failure is not None:
+            raise self._sync.failure
+        period = 1.0 / self._settings.sync_rate
+        limit = max(SILENCE_LIMIT, SILENCE_PERIODS * period)
+        if self._last_slot is None:
+            limit = max(FIRST_ROW_LIMIT, limit)
+        silent_for = self._receiver.drained - self._last_row
+        if silent_for <= limit:
+            return
+        since = self._receiver.drained - limit
+        mute = []
+        for joint, node in zip(self._joints, self._ids, strict=True):
+            heard = [self._receiver.latest.get(base + node, (-math.inf,))[0] for base in objects.TPDO_BASES]
+            if min(heard) < since:
+                mute.append(f"{joint} (node {node})")
+        who = "any drive" if len(mute) == len(self._ids) > 1 else ", ".join(mute) or "some drive to every SYNC"
+        raise ConnectionLostError(
+            f"no complete sample for {silent_for:.1f} s: no answer of {who}",
+            where=f"{self._settings.interface} {self._settings.channel}",
+            hint="is the power on, and can the bus carry this sync_rate? (dynid check)",
+        )
+
+    def _check_first(self, position: FloatArray) -> None:
+        if self._latest_position is None:
+            raise DriverStateError("nobody knows where the arm stands", hint="read samples before the first command")
+        away = np.abs(position - self._latest_position)
+        worst = int(np.argmax(away))
+        if away[worst] > FIRST_STEP_LIMIT:
+            raise DriverStateError(
+                f"the first position is {away[worst]:.3f} rad away from where the joint stands",
+                where=f"joint {self._joints[worst]}",
+                hint=f"begin within {FIRST_STEP_LIMIT:g} rad of the present position",
+            )
+
+    def _as_failed(self, error: ConnectionLostError) -> ConnectionFailedError:
+        return ConnectionFailedError(error.message, where=error.where, hint=error.hint)
+
+    def _require_not_closed(self, action: str) -> None:
+        if self._state == "closed":
+            require_state(self._state, "open", action)
+
+    def _disconnect(self) -> None:
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            receiver = getattr(self, "_receiver", None)
+            if receiver is not None:
+                receiver.stop()
+            close_bus(bus)

@@ -1,0 +1,109 @@
+"""Objects of CiA 301 and CiA 402 that are used: index, meaning, size; and the PDO mapping of this driver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class DriveObject:
+    """An entry of a drive's object dictionary.
+
+    Attributes:
+        index, subindex: of the entry.
+        size: [bytes].
+        signed: whether the number may be negative.
+        name: in words.
+    """
+
+    index: int
+    subindex: int
+    size: int
+    signed: bool
+    name: str
+
+    def __str__(self) -> str:
+        number = f"0x{self.index:04X}" + (f":{self.subindex}" if self.subindex else "")
+        return f"{number} ({self.name})"
+
+    @property
+    def mapping(self) -> int:
+        """Its entry in a PDO's mapping (CiA 301, 7.5.2.36): index, subindex, length [bit]."""
+        return self.index << 16 | self.subindex << 8 | 8 * self.size
+
+    def decode(self, data: bytes) -> int:
+        """The number in an SDO's answer; a drive may send more bytes than the object has."""
+        return int.from_bytes(data[: self.size], "little", signed=self.signed)
+
+    def encode(self, value: int) -> bytes:
+        """The bytes of a number.
+
+        Raises:
+            OverflowError: it does not fit.
+        """
+        return value.to_bytes(self.size, "little", signed=self.signed)
+
+
+DEVICE_TYPE = DriveObject(0x1000, 0, 4, False, "device type")
+CYCLE_PERIOD = DriveObject(0x1006, 0, 4, False, "communication cycle period")
+DEVICE_NAME = DriveObject(0x1008, 0, 0, False, "device name")
+FIRMWARE = DriveObject(0x100A, 0, 0, False, "software version")
+HEARTBEAT_TIME = DriveObject(0x1017, 0, 2, False, "producer heartbeat time")
+VENDOR = DriveObject(0x1018, 1, 4, False, "vendor")
+PRODUCT = DriveObject(0x1018, 2, 4, False, "product code")
+REVISION = DriveObject(0x1018, 3, 4, False, "revision")
+SERIAL = DriveObject(0x1018, 4, 4, False, "serial number")
+
+ERROR_CODE = DriveObject(0x603F, 0, 2, False, "error code")
+CONTROLWORD = DriveObject(0x6040, 0, 2, False, "controlword")
+STATUSWORD = DriveObject(0x6041, 0, 2, False, "statusword")
+QUICK_STOP_OPTION = DriveObject(0x605A, 0, 2, True, "quick stop option")
+MODE = DriveObject(0x6060, 0, 1, True, "mode of operation")
+MODE_DISPLAY = DriveObject(0x6061, 0, 1, True, "mode of operation display")
+POSITION = DriveObject(0x6064, 0, 4, True, "actual position")
+VELOCITY = DriveObject(0x606C, 0, 4, True, "actual velocity")
+RATED_CURRENT = DriveObject(0x6075, 0, 4, False, "rated current")
+RATED_TORQUE = DriveObject(0x6076, 0, 4, False, "rated torque")
+TORQUE = DriveObject(0x6077, 0, 2, True, "actual torque")
+CURRENT = DriveObject(0x6078, 0, 2, True, "actual current")
+TARGET_POSITION = DriveObject(0x607A, 0, 4, True, "target position")
+PROFILE_VELOCITY = DriveObject(0x6081, 0, 4, False, "profile velocity")
+PROFILE_ACCELERATION = DriveObject(0x6083, 0, 4, False, "profile acceleration")
+PROFILE_DECELERATION = DriveObject(0x6084, 0, 4, False, "profile deceleration")
+ENCODER_INCREMENTS = DriveObject(0x608F, 1, 4, False, "encoder increments")
+ENCODER_TURNS = DriveObject(0x608F, 2, 4, False, "motor revolutions of the encoder increments")
+GEAR_MOTOR_TURNS = DriveObject(0x6091, 1, 4, False, "motor revolutions of the gear")
+GEAR_SHAFT_TURNS = DriveObject(0x6091, 2, 4, False, "shaft revolutions of the gear")
+INTERPOLATION_PERIOD = DriveObject(0x60C2, 1, 1, False, "interpolation time period")
+INTERPOLATION_INDEX = DriveObject(0x60C2, 2, 1, True, "interpolation time index")
+SUPPORTED_MODES = DriveObject(0x6502, 0, 4, False, "supported drive modes")
+
+PROFILE_402 = 402
+"""Low half of the device type of a drive (CiA 402-2)."""
+
+MODE_PROFILE_POSITION = 1
+MODE_CYCLIC_POSITION = 8
+MODE_NAMES = {MODE_PROFILE_POSITION: "profile position", MODE_CYCLIC_POSITION: "cyclic synchronous position"}
+
+# Predefined connection set (CiA 301, 7.3.5): function code plus node id.
+NMT = 0x000
+SYNC = 0x080
+EMCY = 0x080
+TPDO1 = 0x180
+RPDO1 = 0x200
+TPDO2 = 0x280
+SDO_ANSWER = 0x580
+SDO_REQUEST = 0x600
+HEARTBEAT = 0x700
+
+NMT_START = 0x01
+NMT_PRE_OPERATIONAL = 0x80
+STATE_BOOT_UP = 0x00
+STATE_OPERATIONAL = 0x05
+NMT_STATES = {STATE_BOOT_UP: "boot-up", 0x04: "stopped", STATE_OPERATIONAL: "operational", 0x7F: "pre-operational"}
+
+TPDO_BASES = (TPDO1, TPDO2)
+TPDO_OBJECTS = ((STATUSWORD, MODE_DISPLAY, POSITION), (VELOCITY, TORQUE, CURRENT))
+"""What each TPDO carries, in order; answered to every SYNC (transmission type 1)."""
+RPDO_OBJECTS = (CONTROLWORD, MODE, TARGET_POSITION)
+"""What the RPDO carries; applied at the next SYNC."""

@@ -1,0 +1,63 @@
+"""Targets for SYNCs from commands that another thread sends at the same rate, but at its own moments."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Sequence
+
+DELAY = 2
+"""Periods by which targets follow the commands: so late a command may be, and the drives still move evenly."""
+CATCH_UP = 1.1
+"""Periods of the commands played at most in one of SYNC: after a SYNC that was left out, the drives catch up gently."""
+
+
+class TargetPath:
+    """Straight lines between commands, read once a SYNC, at its moment.
+
+    Commands belong to a grid of periods, each sent at its tick or a little later; a sender that is late leaves ticks
+    out. Without this, a thread that comes now before and now after SYNC would give the drives one command twice and two
+    at once.
+
+    Args:
+        start: positions [counts] that the drives hold.
+        period: of commands and SYNCs [s].
+    """
+
+    def __init__(self, start: Sequence[int], period: float) -> None:
+        self._period = period
+        self._begin = math.nan
+        self._played = math.nan
+        self._points: deque[tuple[int, tuple[int, ...]]] = deque([(-DELAY, tuple(start))])
+        self._lock = threading.Lock()
+
+    def put(self, now: float, counts: Sequence[int]) -> None:
+        """Take a command (n,) [counts] sent at `now` [s, host's monotonic clock]."""
+        with self._lock:
+            if math.isnan(self._begin):
+                self._begin = now
+            last, held = self._points[-1]
+            tick = max(last + 1, math.floor((now - self._begin) / self._period + 1e-6))
+            self._begin = min(self._begin, now - tick * self._period)  # what came soonest after its tick shows the grid
+            if tick - last > DELAY:
+                self._points.append((tick - DELAY, held))  # after a pause, not at one stroke
+            self._points.append((tick, tuple(counts)))
+
+    def at(self, moment: float) -> tuple[int, ...]:
+        """The targets (n,) [counts] at a moment [s, host's monotonic clock]; the last command where none follows."""
+        with self._lock:
+            if not math.isnan(self._played):
+                moment = min(moment, self._played + CATCH_UP * self._period)
+            self._played = moment
+            if math.isnan(self._begin):
+                return self._points[0][1]
+            tick = (moment - self._begin) / self._period - DELAY
+            while len(self._points) > 1 and self._points[1][0] <= tick:
+                self._points.popleft()
+            first, before = self._points[0]
+            if len(self._points) == 1 or tick <= first:
+                return before
+            second, after = self._points[1]
+            share = (tick - first) / (second - first)
+            return tuple(round(a + share * (b - a)) for a, b in zip(before, after, strict=True))

@@ -1,0 +1,1 @@
+"""Thermometers that send lines of text over a serial line."""

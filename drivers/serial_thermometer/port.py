@@ -1,0 +1,193 @@
+"""The port of a serial thermometer: a thread reads whole chunks, and opens the port again when it has gone."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import serial
+
+from drivers.errors import ConnectionFailedError, UsageError
+
+READ_TIMEOUT = 0.01
+"""Longest time [s] that a chunk is collected."""
+CHUNK_BYTES = 4096
+BUFFER_BYTES = 1 << 20
+"""What may wait for `take` before the oldest is dropped."""
+RETRY_PERIOD = 1.0
+"""[s] between two attempts to open a port that has gone."""
+CLOSE_LIMIT = 2.0
+BITS_A_CHARACTER = 10
+"""Start bit, eight data bits, stop bit."""
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Bytes that arrived after `since` and until `until` [s, host's monotonic clock]."""
+
+    data: bytes
+    since: float
+    until: float
+
+
+@dataclass(frozen=True)
+class Lost:
+    """The port has gone, at `time` [s, host's monotonic clock]; `reason` in words."""
+
+    time: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Restored:
+    """The port is open again after `attempts` attempts, at `time` [s, host's monotonic clock]."""
+
+    time: float
+    attempts: int
+
+
+Arrival = Chunk | Lost | Restored
+
+
+class SerialPort:
+    """A port that is read continuously from `open` to `close`.
+
+    Args:
+        url: device or pyserial URL.
+        baudrate: [bit/s].
+
+    Attributes:
+        dropped: bytes that were thrown away because `take` stayed away.
+        attempts: to open a port that has gone, since it went.
+    """
+
+    def __init__(self, url: str, baudrate: int) -> None:
+        self.url = url
+        self.dropped = 0
+        self.attempts = 0
+        self._baudrate = baudrate
+        self._arrivals: deque[Arrival] = deque()
+        self._waiting = 0
+        self._changed = threading.Condition()
+        self._closing = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def open(self) -> None:
+        """Open the port and begin to read.
+
+        Raises:
+            ConnectionFailedError: no such device, no permission, or it is in use.
+            UsageError: not a URL, or a baud rate that the port does not have.
+        """
+        try:
+            port = self._open()
+        except ValueError as error:
+            raise UsageError(str(error), where=self.url, hint="a device, or a URL that pyserial knows") from error
+        except Exception as error:  # pyserial lets through whatever the system or a protocol's module raises
+            raise ConnectionFailedError(
+                f"cannot be opened: {_reason(error)}",
+                where=self.url,
+                hint="is it plugged in, and are you in the group that owns it (dialout)?",
+            ) from error
+        self.clear()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(
+            target=self._run, args=(port, self._closing), name=f"thermometer {self.url}", daemon=True
+        )
+        self._thread.start()
+
+    def take(self, timeout: float) -> list[Arrival]:
+        """What has arrived since the last call, waiting at most `timeout` [s] for the first."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._arrivals, timeout)
+            arrivals = list(self._arrivals)
+            self._arrivals.clear()
+            self._waiting = 0
+        return arrivals
+
+    def clear(self) -> None:
+        """Forget what has arrived."""
+        with self._changed:
+            self._arrivals.clear()
+            self._waiting = 0
+
+    def close(self) -> None:
+        """Let go of the port; safe at any time."""
+        self._closing.set()
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            thread.join(CLOSE_LIMIT)  # an attempt to connect may take longer; the thread closes what it gets then
+
+    def _open(self) -> serial.SerialBase:
+        # Two readers of one device would each get a part of the bytes: exclusive.
+        port: serial.SerialBase = serial.serial_for_url(
+            self.url, baudrate=self._baudrate, timeout=READ_TIMEOUT, exclusive=True
+        )
+        return port
+
+    def _run(self, port: serial.SerialBase, closing: threading.Event) -> None:
+        try:
+            while not closing.is_set():
+                reason = _read_until_lost(port, closing, self._put)
+                with contextlib.suppress(Exception):
+                    port.close()
+                if closing.is_set():
+                    return
+                self._put(Lost(time.monotonic(), reason))
+                found = self._open_again(closing)
+                if found is None:
+                    return
+                port = found
+        finally:
+            with contextlib.suppress(Exception):
+                port.close()
+
+    def _open_again(self, closing: threading.Event) -> serial.SerialBase | None:
+        self.attempts = 0
+        while not closing.wait(RETRY_PERIOD):
+            self.attempts += 1
+            with contextlib.suppress(Exception):  # whatever it is, the next attempt may succeed
+                port = self._open()
+                self._put(Restored(time.monotonic(), self.attempts))
+                return port
+        return None
+
+    def _put(self, arrival: Arrival) -> None:
+        with self._changed:
+            if isinstance(arrival, Chunk):
+                self._waiting += len(arrival.data)
+                while self._waiting > BUFFER_BYTES:
+                    oldest = next(item for item in self._arrivals if isinstance(item, Chunk))
+                    self._arrivals.remove(oldest)
+                    self._waiting -= len(oldest.data)
+                    self.dropped += len(oldest.data)
+            self._arrivals.append(arrival)
+            self._changed.notify()
+
+
+def _read_until_lost(port: serial.SerialBase, closing: threading.Event, put: Callable[[Arrival], None]) -> str:
+    since = time.monotonic()
+    while not closing.is_set():
+        try:
+            data = port.read(CHUNK_BYTES)
+        except Exception as error:  # SerialException, OSError, termios.error, and what other protocols' modules raise
+            return _reason(error)
+        until = time.monotonic()
+        if data:
+            put(Chunk(bytes(data), since, until))
+        since = until
+    return ""
+
+
+def _reason(error: Exception) -> str:
+    text = str(error) or type(error).__name__
+    if "exclusively lock" in text:
+        return "another program has opened it"
+    if isinstance(error, OSError) and error.errno:  # pyserial's own text repeats the port
+        return os.strerror(error.errno)
+    return text.partition(" (device disconnected")[0]

@@ -1,0 +1,85 @@
+"""What a simulated drive is, how it is built in, and what it measures."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from drivers.canopen402.objects import (
+    ENCODER_INCREMENTS,
+    ENCODER_TURNS,
+    GEAR_MOTOR_TURNS,
+    GEAR_SHAFT_TURNS,
+    PROFILE_ACCELERATION,
+    PROFILE_DECELERATION,
+    PROFILE_VELOCITY,
+    RATED_CURRENT,
+    RATED_TORQUE,
+    SERIAL,
+    DriveObject,
+)
+
+QUICK_STOP_DECELERATION = 20.0
+"""Default of object 0x6085 [rad/s²]."""
+QUICK_STOP_RAMP = DriveObject(0x6085, 0, 4, False, "quick stop deceleration")
+
+
+@dataclass(frozen=True)
+class DriveSetup:
+    """What a drive is and how it is built in.
+
+    Attributes:
+        serial: serial number.
+        increments: of the encoder a motor revolution.
+        gear: motor revolutions a joint revolution.
+        direction: of the drive's counts against the joint, 1 or -1.
+        zero: joint position at count 0 [rad].
+        rated_current: [A].
+        rated_torque: joint side [N·m].
+        velocity: of profiles, unless it is told another [rad/s].
+        acceleration: of profiles, unless it is told another [rad/s²].
+    """
+
+    serial: int
+    increments: int = 8192
+    gear: int = 64
+    direction: int = 1
+    zero: float = 0.0
+    rated_current: float = 5.0
+    rated_torque: float = 50.0
+    velocity: float = 0.5
+    acceleration: float = 5.0
+
+    @property
+    def counts_per_radian(self) -> float:
+        """Position counts per rad of the joint, sign included."""
+        return self.direction * self.increments * self.gear / (2.0 * math.pi)
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """What a drive measures of its joint [rad, rad/s, N·m, A, °C]."""
+
+    position: float
+    velocity: float = 0.0
+    torque: float = 0.0
+    current: float = 0.0
+    temperature: float = 20.0
+
+
+def fixed_values(setup: DriveSetup) -> dict[tuple[int, int], int | str]:
+    """Objects whose values are this drive's own, by index and subindex."""
+    scale = abs(setup.counts_per_radian)
+    return {
+        (SERIAL.index, SERIAL.subindex): setup.serial,
+        (ENCODER_INCREMENTS.index, 1): setup.increments,
+        (ENCODER_TURNS.index, 2): 1,
+        (GEAR_MOTOR_TURNS.index, 1): setup.gear,
+        (GEAR_SHAFT_TURNS.index, 2): 1,
+        (RATED_CURRENT.index, 0): round(1e3 * setup.rated_current),
+        (RATED_TORQUE.index, 0): round(1e3 * setup.rated_torque),
+        (PROFILE_VELOCITY.index, 0): round(setup.velocity * scale),
+        (PROFILE_ACCELERATION.index, 0): round(setup.acceleration * scale),
+        (PROFILE_DECELERATION.index, 0): round(setup.acceleration * scale),
+        (QUICK_STOP_RAMP.index, 0): round(QUICK_STOP_DECELERATION * scale),
+    }

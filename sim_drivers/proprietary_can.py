@@ -1,0 +1,287 @@
+"""A simulated arm that speaks a table of CAN frames on a python-can bus, in wall-clock time.
+
+One thread does everything. Frames go out when they would have been over on a real bus of this bit rate; a value that
+is overtaken by its successor before it was sent is lost, as in a CAN controller.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Self
+
+import can
+import numpy as np
+
+from daq.robot import Robot
+from drivers.can_bus import EXTENDED, Receiver, close_bus, open_bus
+from drivers.can_frames.settings import parse_settings
+from drivers.errors import ConnectionLostError, UsageError
+from drivers.punctual import set_timer_slack
+from sim_drivers.bus_load import BusModel, Frame
+from sim_drivers.can_faults import Garbage, OverTemperature, Truncate, parse_can_fault
+from sim_drivers.controller import SimulatedArm
+from sim_drivers.faults import Block, Drop, Freeze, Heat
+from sim_drivers.table_arm import TableArm
+
+LONGEST_LAG = 0.25
+"""A stall of more than this [s] is not made up for: the arm's time stands still meanwhile."""
+STOP_TIMEOUT = 5.0
+USAGE = (
+    "drop FRAMES | freeze SECONDS | garbage FRAMES | truncate FRAMES | over-temperature JOINT | heat JOINT CELSIUS | "
+    "block JOINT"
+)
+
+TableFault = Drop | Freeze | Garbage | Truncate | OverTemperature | Heat | Block
+
+
+@dataclass(frozen=True)
+class TableStatus:
+    """What the arm has done so far.
+
+    Attributes:
+        time: of the arm [s].
+        enabled: whether it follows commands.
+        cycles: of frames.
+        frames: sent.
+        withheld: by faults on request.
+        lost: frames that the bus had no room for.
+        load: share of the time that the bus was busy since the start.
+        stalls: times when the arm's time fell behind the clock.
+    """
+
+    time: float
+    enabled: bool = False
+    cycles: int = 0
+    frames: int = 0
+    withheld: int = 0
+    lost: int = 0
+    load: float = 0.0
+    stalls: int = 0
+
+
+class ProprietaryCanServer:
+    """An arm on a bus; `start` opens it, `stop` lets go.
+
+    Args:
+        arm: the plant.
+        robot: whose joints and limits these are.
+        connection: the keys of a can_frames connection, without `driver`.
+        folder: what a relative `dbc` starts at; the current folder where None.
+
+    Attributes:
+        messages: for whoever shows them.
+        failure: what ended it; None while all is well.
+
+    Raises:
+        UsageError: the keys are wrong, or the table has a quantity that a simulated arm does not measure.
+    """
+
+    def __init__(
+        self, arm: SimulatedArm, robot: Robot, connection: Mapping[str, object], folder: Path | None = None
+    ) -> None:
+        self.settings = parse_settings(connection, robot.joint_names, folder)
+        self.failure: BaseException | None = None
+        self._joints = robot.joint_names
+        self._arm = TableArm(arm, robot.joints, self.settings)
+        self.messages: deque[str] = self._arm.messages
+        self._model = BusModel(self.settings.bitrate)
+        self._own = self.settings.identifiers
+        self._faults: SimpleQueue[TableFault] = SimpleQueue()
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._drop = self._truncate = 0
+        self._frozen_until = -math.inf
+        self._generator = np.random.default_rng(0)
+        self._begun = self._arm_time = self._due = 0.0
+        self._status = TableStatus(arm.time)
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def start(self) -> None:
+        """Open the bus and let time run.
+
+        Raises:
+            ConnectionFailedError: the bus cannot be opened.
+        """
+        if self._thread is not None:
+            raise RuntimeError("started already")
+        settings = self.settings
+        bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
+        self._thread = threading.Thread(target=self._run, args=(bus,), name="table-arm", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Let go of the bus; safe to call twice."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join(STOP_TIMEOUT)
+
+    def status(self) -> TableStatus:
+        """What the arm has done so far."""
+        return self._status
+
+    def cause(self, fault: TableFault) -> None:
+        """Make a fault happen; from any thread."""
+        self._faults.put(fault)
+
+    def obey(self, line: str) -> None:
+        """Cause a fault as a person types it.
+
+        Raises:
+            UsageError: not a fault of this arm.
+        """
+        try:
+            fault = parse_can_fault(line, self._joints)
+        except UsageError as error:
+            raise UsageError(error.message, hint=USAGE) from error
+        if not isinstance(fault, TableFault):
+            raise UsageError(f"'{line.strip()}' is not a fault of this arm", hint=USAGE)
+        self.cause(fault)
+
+    def ready(self) -> dict[str, object]:
+        """What a client must know to reach it."""
+        settings = self.settings
+        return {
+            "interface": settings.interface,
+            "channel": settings.channel,
+            "bitrate": settings.bitrate,
+            "rate_hz": settings.rate,
+        }
+
+    def live_line(self) -> str:
+        """How it goes, in one line."""
+        status = self._status
+        state = "enabled" if status.enabled else "not enabled"
+        line = f"{status.time:8.1f} s  {state}, {status.frames} frames, bus load {100 * status.load:.0f} %"
+        troubles = {"withheld": status.withheld, "lost on the bus": status.lost, "stalls": status.stalls}
+        return line + "".join(f", {count} {word}" for word, count in troubles.items() if count)
+
+    def _run(self, bus: can.BusABC) -> None:
+        receiver = Receiver(bus)
+        try:
+            set_timer_slack()
+            receiver.start()
+            self._begun = self._arm_time = time.monotonic()
+            self._due = self._begun + 1.0 / self.settings.rate
+            while not self._stopping.is_set():
+                end = self._model.peek()
+                wake = self._due if end is None else min(self._due, end)
+                for arrived, identifier, data in receiver.take(max(0.0, wake - time.monotonic())):
+                    if identifier in self._own:
+                        continue  # udp_multicast gives a sender its own frames back
+                    # Everything in the order of its own time, however late this thread is.
+                    self._run_until(bus, arrived)
+                    frame = Frame(identifier & ~EXTENDED, data, bool(identifier & EXTENDED))
+                    self._model.submit(frame, arrived, own=False)
+                now = time.monotonic()
+                if now - self._due > LONGEST_LAG:
+                    self._due = self._arm_time = now
+                    self._status = replace(self._status, stalls=self._status.stalls + 1)
+                self._run_until(bus, now)
+        except can.CanError as error:
+            self.failure = ConnectionLostError(f"the bus does not take frames: {error.__cause__ or error}")
+        except BaseException as error:  # the thread ends either way; whoever started it must hear why
+            self.failure = error
+        finally:
+            receiver.stop()
+            close_bus(bus)
+
+    def _run_until(self, bus: can.BusABC, moment: float) -> None:
+        """Everything that is due by a time: periods of the controller, and frames that are over on the bus."""
+        while (due := self._due) <= moment:
+            self._carry_until(bus, due)
+            self._period(due)
+            self._due += 1.0 / self.settings.rate
+        self._carry_until(bus, moment)
+
+    def _carry_until(self, bus: can.BusABC, moment: float) -> None:
+        while (end := self._model.peek()) is not None and end <= moment:
+            sent = self._model.pop()
+            if sent.own:
+                self._transmit(bus, sent.frame)
+            elif sent.time >= self._frozen_until:
+                self._take(sent.frame, sent.time)
+
+    def _period(self, now: float) -> None:
+        self._obey_faults(now)
+        self._advance_to(now)
+        if self.settings.poll is None:
+            self._speak(now)
+        self._status = replace(
+            self._status,
+            time=self._arm.arm.time,
+            enabled=self._arm.enabled,
+            lost=self._model.lost,
+            load=self._model.bits / self.settings.bitrate / max(now - self._begun, 1e-9),
+        )
+
+    def _take(self, frame: Frame, now: float) -> None:
+        identifier = frame.id | (EXTENDED if frame.extended else 0)
+        if self._arm.is_poll(identifier, frame.data):
+            self._advance_to(now)
+            self._speak(now)
+        else:
+            self._arm.obey(identifier, frame.data)
+
+    def _advance_to(self, now: float) -> None:
+        if now > self._arm_time:
+            self._arm.advance(now - self._arm_time)
+            self._arm_time = now
+
+    def _speak(self, now: float) -> None:
+        multiplexed = {signal.identifier for signal in self.settings.signals if signal.multiplexer is not None}
+        for frame in self._arm.cycle():
+            identifier = frame.id | (EXTENDED if frame.extended else 0)
+            # The parts of a multiplexed frame share an identifier but are no successors of each other.
+            self._model.submit(frame, now, own=True, newest_wins=identifier not in multiplexed)
+        self._status = replace(self._status, cycles=self._status.cycles + 1)
+
+    def _transmit(self, bus: can.BusABC, frame: Frame) -> None:
+        data = frame.data
+        if time.monotonic() < self._frozen_until or self._drop:
+            self._drop = max(0, self._drop - 1)
+            self._status = replace(self._status, withheld=self._status.withheld + 1)
+            return
+        if self._truncate and data:
+            self._truncate -= 1
+            data = data[:-1]
+        message = can.Message(arbitration_id=frame.id, is_extended_id=frame.extended, data=data, check=False)
+        bus.send(message)
+        self._status = replace(self._status, frames=self._status.frames + 1)
+
+    def _obey_faults(self, now: float) -> None:
+        while True:
+            try:
+                fault = self._faults.get_nowait()
+            except Empty:
+                return
+            match fault:
+                case Drop(frames):
+                    self._drop += frames
+                case Truncate(frames):
+                    self._truncate += frames
+                case Freeze(duration):
+                    self._frozen_until = now + duration
+                case Garbage(frames):
+                    for _ in range(frames):
+                        content = self._generator.bytes(int(self._generator.integers(0, 9)))
+                        rubbish = Frame(int(self._generator.integers(1, 0x800)), content)
+                        self._model.submit(rubbish, now, own=True)
+                case OverTemperature(joint):
+                    self._arm.fail(joint)
+                case Heat(joint, celsius):
+                    self._arm.arm.heat(joint, celsius)
+                case Block(joint):
+                    self._arm.arm.block(joint)

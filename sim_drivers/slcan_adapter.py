@@ -1,0 +1,249 @@
+"""A simulated CAN adapter on a pseudo-terminal: Lawicel's ASCII protocol ("slcan") in front of a python-can bus."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import select
+import threading
+import time
+import tty
+from collections import deque
+from typing import Self
+
+import can
+import numpy as np
+
+BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
+"""[bit/s] of the commands S0 to S8."""
+OK, REFUSED = b"\r", b"\a"
+VERSION, SERIAL_NUMBER = b"V1013\r", b"NA402\r"
+LONGEST_COMMAND = 40
+"""[byte]: the longest command is that of an extended frame, 27."""
+BACKLOG_LIMIT = 65536
+"""Bytes that wait for a host that does not read, as in the kernel's serial buffers; what comes then is lost."""
+OVERRUN, BUS_ERROR = 0x08, 0x80
+"""Bits of the status flags (command F)."""
+POLL = 0.02
+STAMP_PERIOD = 60_000
+"""Time stamps count milliseconds up to here."""
+
+_FRAME = re.compile(rb"([tr])([0-9A-Fa-f]{3})([0-8])([0-9A-Fa-f]*)|([TR])([0-9A-Fa-f]{8})([0-8])([0-9A-Fa-f]*)")
+
+
+def parse_frame(command: bytes) -> can.Message | None:
+    """The frame of a t, T, r or R command; None where it is none."""
+    found = _FRAME.fullmatch(command)
+    if found is None:
+        return None
+    kind, identifier, length, data = found.groups()[:4] if found[1] else found.groups()[4:]
+    extended, remote = kind in b"TR", kind in b"rR"
+    size = int(length)
+    if len(data) != (0 if remote else 2 * size) or int(identifier, 16) >= (1 << 29 if extended else 1 << 11):
+        return None
+    return can.Message(
+        arbitration_id=int(identifier, 16),
+        is_extended_id=extended,
+        is_remote_frame=remote,
+        dlc=size,
+        data=bytes.fromhex(data.decode()),
+    )
+
+
+def format_frame(message: can.Message, stamp: int | None = None) -> bytes:
+    """What the adapter says of a frame that came, with a time stamp [ms] where it has one."""
+    letter = "r" if message.is_remote_frame else "t"
+    identifier = f"{message.arbitration_id:03X}"
+    if message.is_extended_id:
+        letter, identifier = letter.upper(), f"{message.arbitration_id:08X}"
+    data = "" if message.is_remote_frame else bytes(message.data).hex().upper()
+    tail = "" if stamp is None else f"{stamp:04X}"
+    return f"{letter}{identifier}{message.dlc}{data}{tail}\r".encode()
+
+
+class SlcanAdapter:
+    """An adapter that is plugged in by `start` and let go of by `stop`.
+
+    Args:
+        bus: what it stands in front of; closed with it.
+        bitrate: of that bus [bit/s]; an adapter set to another gets nothing across.
+    """
+
+    def __init__(self, bus: can.BusABC, bitrate: int = 1_000_000) -> None:
+        self._bus = bus
+        self._bitrate = bitrate
+        self._host, self._device = os.openpty()
+        self.path = os.ttyname(self._device)
+        """The serial port that a client opens."""
+        # Bytes as they are: no echo, no line editing, on either side.
+        tty.setraw(self._host)
+        tty.setraw(self._device)
+        os.set_blocking(self._host, False)
+        self._lock = threading.Lock()
+        self._backlog = bytearray()
+        self._plugged = True
+        self._ending = threading.Event()
+        self._threads: list[threading.Thread] = []
+        self._open = self._listen_only = self._stamped = False
+        self._setting: int | None = None
+        self._flags = 0
+        self._truncate = 0
+        self._generator = np.random.default_rng(0)
+        self.lost = 0
+        """Frames that the host did not read in time."""
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def start(self) -> None:
+        """Plug it in."""
+        for name, work in (("slcan-commands", self._serve_host), ("slcan-frames", self._serve_bus)):
+            thread = threading.Thread(target=work, name=name, daemon=True)
+            thread.start()
+            self._threads.append(thread)
+
+    def stop(self) -> None:
+        """Let go of bus and port; safe to call twice."""
+        self._ending.set()
+        for thread in self._threads:
+            thread.join()
+        self._threads = []
+        self.unplug()
+        with contextlib.suppress(can.CanError):
+            self._bus.shutdown()
+
+    def unplug(self) -> None:
+        """Pull it out: the port is gone for good; from any thread."""
+        with self._lock:
+            if self._plugged:
+                self._plugged = False
+                os.close(self._host)
+                os.close(self._device)
+
+    def truncate(self, lines: int) -> None:
+        """Cut the next lines of received frames short."""
+        self._truncate += lines
+
+    def garbage(self, lines: int) -> None:
+        """Send lines of rubbish."""
+        for _ in range(lines):
+            self._tell(self._generator.bytes(int(self._generator.integers(1, 30))) + OK)
+
+    # Towards the host.
+
+    def _tell(self, content: bytes) -> bool:
+        """Queue bytes for the host; False where it has left too many unread."""
+        with self._lock:
+            if not self._plugged or len(self._backlog) + len(content) > BACKLOG_LIMIT:
+                return False
+            self._backlog += content
+            self._flush()
+            return True
+
+    def _flush(self) -> None:
+        while self._backlog:
+            try:
+                written = os.write(self._host, self._backlog)
+            except BlockingIOError:
+                return
+            except OSError as error:
+                if error.errno == errno.EIO:  # nobody has the port open
+                    self._backlog.clear()
+                    return
+                raise
+            del self._backlog[:written]
+
+    def _serve_bus(self) -> None:
+        while not self._ending.is_set() and self._plugged:
+            message = self._bus.recv(POLL)
+            if message is not None and message.is_error_frame:
+                self._flags |= BUS_ERROR
+            elif message is None or not self._open or message.is_fd:
+                continue
+            elif self._setting not in (None, self._bitrate):
+                self._flags |= BUS_ERROR
+            else:
+                self._pass_on(message)
+
+    def _pass_on(self, message: can.Message) -> None:
+        stamp = int(1e3 * time.monotonic()) % STAMP_PERIOD if self._stamped else None
+        line = format_frame(message, stamp)
+        if self._truncate > 0 and len(message.data) > 1:
+            self._truncate -= 1
+            line = line[:-3] + OK  # as many data bytes as the length says, but one
+        if not self._tell(line):
+            self._flags |= OVERRUN
+            self.lost += 1
+
+    # From the host.
+
+    def _serve_host(self) -> None:
+        received = bytearray()
+        commands: deque[bytes] = deque()
+        while not self._ending.is_set() and self._plugged:
+            chunk = self._read()
+            for part in re.split(rb"(\r)", chunk):
+                if part == OK:
+                    commands.append(bytes(received))
+                    received.clear()
+                elif len(received) <= LONGEST_COMMAND:
+                    received += part[: LONGEST_COMMAND + 1]
+            while commands:
+                self._tell(self._answer(commands.popleft()))
+
+    def _read(self) -> bytes:
+        try:
+            with self._lock:
+                writers = [self._host] if self._backlog and self._plugged else []
+            readable, writable, _ = select.select([self._host], writers, [], POLL)
+            if writable:
+                with self._lock:
+                    if self._plugged:
+                        self._flush()
+            with self._lock:
+                return os.read(self._host, 4096) if readable and self._plugged else b""
+        except (OSError, ValueError):
+            # Pulled out, or nobody has the port open at the moment.
+            self._ending.wait(POLL)
+            return b""
+
+    def _answer(self, command: bytes) -> bytes:
+        """Obey one command (Lawicel CAN232 manual, version 3) and answer it."""
+        match command[:1], command[1:]:
+            case b"", _:
+                return OK
+            case b"S", digit if not self._open and digit in [b"%d" % number for number in range(len(BITRATES))]:
+                self._setting = BITRATES[int(digit)]
+                return OK
+            case (b"O" | b"L") as letter, b"" if not self._open:
+                self._open, self._listen_only, self._flags = True, letter == b"L", 0
+                return OK
+            case b"C", b"" if self._open:
+                self._open = False
+                return OK
+            case ((b"t" | b"T" | b"r" | b"R"), _) if self._open and not self._listen_only:
+                message = parse_frame(command)
+                if message is None:
+                    return REFUSED
+                if self._setting not in (None, self._bitrate):
+                    self._flags |= BUS_ERROR
+                    return REFUSED
+                self._bus.send(message)
+                return b"Z\r" if message.is_extended_id else b"z\r"
+            case b"F", b"" if self._open:
+                flags, self._flags = self._flags, 0
+                return b"F%02X\r" % flags
+            case b"V", b"":
+                return VERSION
+            case b"N", b"":
+                return SERIAL_NUMBER
+            case b"Z", (b"0" | b"1") as digit if not self._open:
+                self._stamped = digit == b"1"
+                return OK
+        return REFUSED

@@ -1,0 +1,108 @@
+"""The bus budget: figures of six drives worked out by hand, and properties that no set of frames may break."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.base import DriverSettings
+from drivers.can_budget import Budget, FrameGroup, connection_budget, frame_bits, synchronous_cycle
+from drivers.errors import UsageError
+from drivers.gains import DriveGain
+from sim_drivers.bus_load import Frame, exact_bits, worst_case_bits
+
+JOINTS = tuple(f"j{number}" for number in range(1, 7))
+CANOPEN: dict[str, object] = {
+    "interface": "virtual",
+    "channel": "budget",
+    "sync_rate": 300,
+    "nodes": {joint: {"id": number} for number, joint in enumerate(JOINTS, start=1)},
+}
+
+
+def settings(keys: dict[str, object]) -> DriverSettings:
+    return DriverSettings(JOINTS, keys, (DriveGain(1.0),) * 6)
+
+
+def test_frames_as_long_as_the_literature_says() -> None:
+    assert frame_bits(0) == 55
+    assert frame_bits(8) == 135
+    assert frame_bits(8, extended=True) == 160
+    with pytest.raises(ValueError, match="0 to 8"):
+        frame_bits(9)
+
+
+@pytest.mark.parametrize("extended", [False, True])
+@given(data=st.binary(max_size=8), identifier=st.integers(0, 0x7FF))
+def test_no_frame_is_longer_and_the_simulated_bus_agrees(extended: bool, data: bytes, identifier: int) -> None:
+    frame = Frame(identifier, data, extended)
+    assert exact_bits(frame) <= frame_bits(len(data), extended=extended) == worst_case_bits(frame)
+
+
+@pytest.mark.parametrize(
+    ("tpdos", "rpdos", "highest", "at_80_percent"), [(2, 0, 597, 478), (2, 1, 402, 322), (3, 1, 303, 243)]
+)
+def test_six_drives_at_a_megabit(tpdos: int, rpdos: int, highest: int, at_80_percent: int) -> None:
+    budget = Budget(1e6, 400.0, synchronous_cycle(6, [8] * tpdos, [8] * rpdos))
+    assert round(budget.highest_rate()) == highest
+    assert round(budget.highest_rate(0.8)) == at_80_percent
+
+
+groups = st.builds(FrameGroup, st.just("frames"), st.integers(1, 30), st.integers(0, 8), st.booleans())
+
+
+@given(
+    st.lists(groups, min_size=1, max_size=5),
+    st.lists(st.tuples(groups, st.floats(0.1, 50)), max_size=3),
+    st.floats(1, 2000),
+    st.sampled_from([125e3, 250e3, 500e3, 1e6]),
+)
+def test_the_highest_rate_fills_the_bus_and_more_never_takes_less(
+    cycle: list[FrameGroup], beside: list[tuple[FrameGroup, float]], rate: float, bitrate: float
+) -> None:
+    budget = Budget(bitrate, rate, tuple(cycle), tuple(beside))
+    full = budget.highest_rate()
+    if full > 0:
+        assert Budget(bitrate, full, tuple(cycle), tuple(beside)).load == pytest.approx(1.0)
+    assert (budget.load > 1.0) == (rate > full) or budget.load == pytest.approx(1.0)
+    assert Budget(bitrate, rate, (*cycle, FrameGroup("one more", 1, 0)), tuple(beside)).load > budget.load
+
+
+def test_a_canopen_connection_is_counted_frame_by_frame() -> None:
+    recording = connection_budget("canopen402", settings({**CANOPEN, "mode": "none"}))
+    moving = connection_budget("canopen402", settings(CANOPEN))
+    assert recording is not None
+    assert moving is not None
+    # TPDO1 carries 7 bytes, TPDO2 8, RPDO1 7.
+    assert recording.cycle_bits == 55 + 6 * (125 + 135)
+    assert moving.cycle_bits == 55 + 6 * (125 + 135 + 125)
+    assert moving.beside_rate == pytest.approx(6 * 65 / 0.1)  # heartbeats of one byte
+    assert moving.load == pytest.approx((2365 * 300 + 3900) / 1e6)
+    nodes = {joint: {"id": number, "temperature": {"index": 0x2031}} for number, joint in enumerate(JOINTS, start=1)}
+    warm = connection_budget("canopen402", settings({**CANOPEN, "nodes": nodes}))
+    assert warm is not None
+    assert warm.beside_rate == pytest.approx(3900 + 5 * 6 * 2 * 135)
+
+
+def test_frames_of_a_table_are_counted() -> None:
+    signals = [
+        {"quantity": "position", "joint": joint, "id": 0x181 + number // 2, "start": 32 * (number % 2), "length": 32}
+        | {"signed": True, "scale": 0.0001, "unit": "rad"}
+        for number, joint in enumerate(JOINTS)
+    ]
+    keys: dict[str, object] = {"interface": "virtual", "channel": "x", "rate": 200, "signals": signals}
+    budget = connection_budget("can_frames", settings(keys))
+    assert budget is not None
+    assert budget.cycle_bits == 3 * 135
+    polled = connection_budget(
+        "can_frames", settings({**keys, "poll": {"id": 0x100, "data": "01 00", "period": 0.005}})
+    )
+    assert polled is not None
+    assert polled.cycle_bits == 3 * 135 + frame_bits(2)
+
+
+def test_other_drivers_have_no_budget_and_wrong_keys_are_refused() -> None:
+    assert connection_budget("rtde", settings({"host": "127.0.0.1"})) is None
+    with pytest.raises(UsageError):
+        connection_budget("canopen402", settings({**CANOPEN, "bitrate": "fast"}))

@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.canopen402.settings import TemperatureSource, parse_settings
+from drivers.errors import UsageError
+
+JOINTS = ("j1", "j2")
+GOOD: dict[str, Any] = {
+    "interface": "virtual",
+    "channel": "bench",
+    "nodes": {"j1": {"id": 1}, "j2": {"id": 2, "counts_per_turn": 524288, "direction": -1, "zero": 0.5}},
+}
+
+
+def changed(path: str, value: object) -> dict[str, Any]:
+    connection = copy.deepcopy(GOOD)
+    *way, last = path.split(".")
+    place = connection
+    for key in way:
+        place = place[key]
+    if value is ...:
+        del place[last]
+    else:
+        place[last] = value
+    return connection
+
+
+def test_defaults_and_order_of_the_joints() -> None:
+    settings = parse_settings({**GOOD, "nodes": dict(reversed(GOOD["nodes"].items())), "with": ["thermometer"]}, JOINTS)
+    assert [node.id for node in settings.nodes] == [1, 2]
+    assert settings.nodes[1].direction == -1
+    assert settings.nodes[1].counts_per_turn == 524288
+    assert settings.nodes[0].temperature is None
+    assert (settings.bitrate, settings.mode, settings.timeout, settings.heartbeat) == (1_000_000, "position", 5.0, 0.1)
+
+
+def test_a_temperature_object() -> None:
+    connection = changed("nodes.j1.temperature", {"index": 0x2031, "subindex": 1, "scale": 0.1, "offset": -3})
+    assert parse_settings(connection, JOINTS).nodes[0].temperature == TemperatureSource(0x2031, 1, 0.1, -3.0)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("interface", ...),
+        ("interface", 3),
+        ("channel", ...),
+        ("channel", True),
+        ("channel", " "),
+        ("bitrate", 1.5),
+        ("bitrate", 5_000_000),
+        ("options", [1]),
+        ("options", {1: 2}),
+        ("sync_rate", 0),
+        ("sync_rate", 1001),
+        ("sync_rate", float("nan")),
+        ("sync_rate", "fast"),
+        ("mode", "velocity"),
+        ("mode", 8),
+        ("timeout", float("inf")),
+        ("heartbeat", 0),
+        ("nodes", ...),
+        ("nodes", [1, 2]),
+        ("nodes.j1", 1),
+        ("nodes.j1.id", ...),
+        ("nodes.j1.id", 0),
+        ("nodes.j1.id", 128),
+        ("nodes.j1.id", True),
+        ("nodes.j1.id", 2),
+        ("nodes.j1.direction", 0),
+        ("nodes.j1.direction", -2),
+        ("nodes.j1.counts_per_turn", 0),
+        ("nodes.j1.counts_per_turn", -5),
+        ("nodes.j1.zero", "pi"),
+        ("nodes.j1.rated_current", float("nan")),
+        ("nodes.j1.rated_torque", -1),
+        ("nodes.j1.serial", -1),
+        ("nodes.j1.serial", "A17"),
+        ("nodes.j1.velocity", 0),
+        ("nodes.j1.temperature", 0x2031),
+        ("nodes.j1.temperature", {}),
+        ("nodes.j1.temperature", {"index": 3}),
+        ("nodes.j1.temperature", {"index": 0x2031, "scale": 0}),
+        ("nodes.j1.temperature", {"index": 0x2031, "signed": 1}),
+        ("nodes.j1.temperature", {"index": 0x2031, "unit": "K"}),
+        ("nodes.j1.unit", "deg"),
+        ("nodes.j3", {"id": 3}),
+        ("nodes.j2", ...),
+        ("host", "127.0.0.1"),
+    ],
+)
+def test_wrong_keys_are_named_with_what_is_allowed(path: str, value: object) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_settings(changed(path, value), JOINTS)
+    assert caught.value.hint
+    assert path.rsplit(".", 1)[-1] in caught.value.message
+    assert "\n" not in str(caught.value)
+
+
+def test_two_joints_with_one_node_id_are_both_named() -> None:
+    with pytest.raises(UsageError, match=r"nodes\.j2\.id.*1.*j1"):
+        parse_settings(changed("nodes.j2.id", 1), JOINTS)
+
+
+anything = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text() | st.integers(), inner, max_size=3),
+    max_leaves=6,
+)
+PATHS = ("interface", "channel", "options", "sync_rate", "mode", "nodes", "nodes.j1", "nodes.j1.id", "nodes.j1.zero")
+
+
+@given(st.sampled_from((*PATHS, "nodes.j1.temperature", "nodes.j1.serial")), anything)
+def test_hostile_values_are_refused_or_taken_but_never_crash(path: str, value: object) -> None:
+    try:
+        settings = parse_settings(changed(path, value), JOINTS)
+    except UsageError:
+        return
+    assert len(settings.nodes) == 2
+    assert len({node.id for node in settings.nodes}) == 2

@@ -1,0 +1,301 @@
+"""The arm that speaks a table of CAN frames, and the driver that reads the same table."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq.recorder import Recorder
+from daq.recording import read_recording
+from daq.robot import load_robot
+from daq.safety import Limits, Supervisor
+from daq.session import Play, SessionReport, record
+from daq.trajectories import slow_move
+from drivers.base import DriverSettings
+from drivers.can_frames.driver import CanFramesDriver
+from drivers.can_frames.settings import parse_settings
+from drivers.can_frames.table import batches, decode, parts_of
+from drivers.errors import ConnectionLostError, UsageError
+from drivers.gains import DriveGain
+from sim_drivers.can_faults import Drop, Freeze, Garbage, OverTemperature, Truncate
+from sim_drivers.plant import Plant
+from sim_drivers.proprietary_can import ProprietaryCanServer
+from sim_drivers.table_arm import FAULT_COMMAND, TableArm
+
+ROBOT_FILE = load_robot("aubo_i5")
+ROBOT = ROBOT_FILE.robot
+JOINTS = ROBOT.joint_names
+KEYS = dict(ROBOT.connections["can"].model_extra or {})
+STEP = 2 * np.pi * 2.0**-20
+PERIOD = 1 / 200
+DBC = Path(__file__).resolve().parents[1] / "drivers" / "aubo_i5.dbc"
+POSE = np.array([0.3, -0.2, 1.0, 0.4, -0.5, 0.1])
+_CHANNELS = count()
+
+
+def keys(**more: object) -> dict[str, Any]:
+    return KEYS | {"interface": "virtual", "channel": f"table-{next(_CHANNELS)}", "options": {}} | more
+
+
+class Noting(Plant):
+    """Keeps what it measured, by the number that the table arm's cycle had."""
+
+    def __init__(self) -> None:
+        self.noted: dict[int, Any] = {}
+        self.talker: TableArm | None = None
+        super().__init__(ROBOT_FILE, seed=3, position=POSE)
+
+    def measure(self) -> Any:
+        measured = super().measure()
+        if self.talker is not None:
+            self.noted[self.talker._cycles] = measured
+        return measured
+
+
+def decoded(frames: list[Any]) -> dict[tuple[str, str], float]:
+    grouped = batches([(0.0, frame.id, frame.data) for frame in frames])
+    found = {}
+    for part in parts_of(parse_settings(KEYS, JOINTS).signals):
+        if part.identifier in grouped:
+            _, values, _ = decode(part, grouped[part.identifier])
+            for row in values:
+                found |= {(s.quantity, s.joint): value for s, value in zip(part.signals, row, strict=True)}
+    return found
+
+
+@pytest.fixture
+def talker() -> TableArm:
+    plant = Noting()
+    table = TableArm(plant, ROBOT.joints, parse_settings(KEYS, JOINTS))
+    plant.talker = table
+    return table
+
+
+def test_the_dbc_file_says_the_same_as_the_table() -> None:
+    by_table = parse_settings(KEYS, JOINTS)
+    from_dbc = {key: value for key, value in KEYS.items() if key not in ("signals", "command", "start", "stop")}
+    by_file = parse_settings(from_dbc | {"dbc": str(DBC)}, JOINTS)
+    assert set(by_file.signals) == set(by_table.signals)
+    commands = [{"joint": joint, "signal": f"command_{joint}"} for joint in JOINTS]
+    by_both = parse_settings(KEYS | {"dbc": str(DBC), "command": {"signals": commands}}, JOINTS)
+    assert by_both == by_table
+
+
+def test_what_is_decoded_is_what_was_measured(talker: TableArm) -> None:
+    for cycle in range(6):
+        talker.advance(PERIOD)
+        found = decoded(talker.cycle())
+        measured = talker.arm.noted[cycle]  # type: ignore[attr-defined]
+        assert found["counter", ""] == cycle
+        for number, joint in enumerate(JOINTS):
+            assert abs(found["position", joint] - measured.position[number]) <= STEP / 2
+            assert abs(found["velocity", joint] - measured.velocity[number]) <= np.deg2rad(0.005) + 1e-12
+            assert abs(found["current", joint] - measured.current[number]) <= 0.0005 + 1e-12
+            assert found["fault", joint] == 0
+        warm = [joint for joint in JOINTS if ("temperature", joint) in found]
+        assert warm == [JOINTS[2 * (cycle % 3)], JOINTS[2 * (cycle % 3) + 1]]
+        assert found["temperature", warm[0]] == pytest.approx(23.0)
+
+
+def command(talker: TableArm, position: np.ndarray) -> None:
+    from drivers.can_frames.commanding import Commander
+
+    table = parse_settings(KEYS, JOINTS).command
+    assert table is not None
+    for identifier, data in Commander(table, JOINTS).frames(position):
+        talker.obey(identifier, data)
+
+
+def test_commands_are_followed_once_enabled(talker: TableArm) -> None:
+    start = talker.arm.position.copy()  # type: ignore[attr-defined]
+    command(talker, start + 0.01)
+    talker.advance(0.1)
+    assert np.allclose(talker.arm.measure().target_position, start)  # not enabled
+    talker.obey(0x200, b"\1\1")
+    assert talker.enabled
+    for tick in range(200):
+        command(talker, start + 0.1 * (1 - np.cos(np.pi * (tick + 1) / 200)) / 2)
+        talker.advance(PERIOD)
+    talker.advance(0.2)
+    measured = talker.arm.measure()
+    assert np.allclose(measured.target_position, start + 0.1, atol=STEP)
+    assert np.allclose(measured.position, start + 0.1, atol=2e-3)
+    assert not np.any(talker._faults)
+
+
+def test_a_stop_halts_a_moving_arm(talker: TableArm) -> None:
+    talker.obey(0x200, b"\1\1")
+    position = talker.arm.measure().target_position
+    for _ in range(40):
+        position = position + 0.5 * PERIOD
+        command(talker, position)
+        talker.advance(PERIOD)
+    assert np.all(talker.arm.measure().velocity > 0.3)
+    talker.obey(0x200, b"\0\0")
+    command(talker, position + 0.5 * PERIOD)
+    talker.advance(0.5)
+    assert not talker.enabled
+    assert np.all(np.abs(talker.arm.measure().velocity) < 0.01)
+    assert np.all(talker.arm.measure().position < position + 0.05)
+
+
+@pytest.mark.parametrize("jump", [0.2, 4.0])
+def test_commands_outside_the_limits_are_a_fault(talker: TableArm, jump: float) -> None:
+    talker.obey(0x200, b"\1\1")
+    position = talker.arm.measure().target_position
+    position[2] += jump
+    command(talker, position)
+    assert not talker.enabled
+    found = decoded(talker.cycle())
+    assert [found["fault", joint] for joint in JOINTS] == [0, 0, FAULT_COMMAND, 0, 0, 0]
+    talker.obey(0x200, b"\1\1")
+    assert decoded(talker.cycle())["fault", JOINTS[2]] == 0
+
+
+def test_a_table_that_no_plant_can_fill_is_refused() -> None:
+    signals = [
+        *KEYS["signals"],
+        *({"quantity": "voltage", "joint": j, "id": 0x400 + n, "start": 0, "length": 16} for n, j in enumerate(JOINTS)),
+    ]
+    for signal in signals[-6:]:
+        signal["unit"] = "V"
+    with pytest.raises(UsageError, match="does not measure voltage"):
+        ProprietaryCanServer(Plant(ROBOT_FILE), ROBOT, keys(signals=signals))
+
+
+@pytest.fixture
+def server() -> Iterator[ProprietaryCanServer]:
+    plant = Noting()
+    made = ProprietaryCanServer(plant, ROBOT, keys())
+    plant.talker = made._arm
+    with made:
+        yield made
+    assert made.failure is None
+
+
+def driver_of(connection: dict[str, Any]) -> CanFramesDriver:
+    gains = tuple(DriveGain(ROBOT.drive(joint).gain, None, ROBOT.drive(joint).signal) for joint in JOINTS)
+    return CanFramesDriver(DriverSettings(JOINTS, connection, gains))
+
+
+def connection_of(server: ProprietaryCanServer) -> dict[str, Any]:
+    return KEYS | {"interface": "virtual", "channel": server.settings.channel, "options": {}}
+
+
+def session(
+    path: Path, driver: CanFramesDriver, play: Play | None = None, duration: float | None = None
+) -> SessionReport:
+    try:
+        driver.open()
+        layouts = driver.streams()
+        supervisor = Supervisor(Limits.of_robot(ROBOT), layouts)
+        return record(driver, Recorder(path, ROBOT_FILE, layouts), supervisor, play, duration)
+    finally:
+        driver.close()
+
+
+def test_a_motion_is_recorded_as_the_plant_made_it(server: ProprietaryCanServer, tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    motion = slow_move(POSE, POSE + 0.15, ROBOT.joints, share=0.3)
+    report = session(path, driver_of(connection_of(server)), Play(motion, ROBOT, 200.0))
+    assert report.stopped_by is None
+    recording = read_recording(path)
+    joints = recording.streams["joints"]
+    noted = server._arm.arm.noted  # type: ignore[attr-defined]
+    cycles = np.rint(joints.time / PERIOD).astype(int)
+    assert np.allclose(joints.time, cycles * PERIOD)
+    position = joints.channels["position"].values
+    assert np.max(np.abs(position - [noted[cycle].position for cycle in cycles])) <= STEP / 2
+    assert np.ptp(position[:, 0]) > 0.14
+    current = joints.channels["current"].values
+    assert np.max(np.abs(current - [noted[cycle].current for cycle in cycles])) <= 0.0005 + 1e-9
+    assert np.allclose(joints.channels["torque"].values, current * [ROBOT.drive(name).gain for name in JOINTS])
+    # Everything that was sent has come, in order.
+    assert np.all(np.diff(cycles) == 1)
+    assert report.lost["joints"] == 0
+    assert recording.streams["thermal"].channels["temperature"].values.shape[1] == 6
+    assert len(recording.streams["thermal"].time) == pytest.approx(len(cycles) / 3, abs=3)
+    assert not server.status().enabled
+
+
+def test_dropped_and_garbled_frames_lose_rows_and_nothing_else(server: ProprietaryCanServer) -> None:
+    driver = driver_of(connection_of(server))
+    driver.open()
+    driver.start()
+    rows: list[tuple[int, np.ndarray]] = []
+    lost = 0
+    for fault in (Drop(3), Garbage(20), Truncate(2), Freeze(0.2), None):
+        if fault is not None:
+            server.cause(fault)
+        end = time.monotonic() + 0.5
+        while time.monotonic() < end:
+            for block in driver.read(0.02):
+                if block.stream == "joints":
+                    lost += block.lost
+                    cycles = np.rint(block.time / PERIOD).astype(int).tolist()
+                    rows += list(zip(cycles, block.values["position"], strict=True))
+    warned = [notice.message for notice in driver.notices() if notice.level == "warning"]
+    driver.close()
+    noted = server._arm.arm.noted  # type: ignore[attr-defined]
+    assert all(np.max(np.abs(position - noted[cycle].position)) <= STEP / 2 for cycle, position in rows)
+    steps = np.diff([cycle for cycle, _ in rows])
+    assert np.all(steps >= 1)
+    assert lost == int(np.sum(steps - 1))
+    assert lost == pytest.approx(42, abs=6)
+    assert any("incomplete row(s)" in message for message in warned)
+    assert any("too short" in message for message in warned)
+
+
+def test_a_fault_on_request_stops_the_session(server: ProprietaryCanServer, tmp_path: Path) -> None:
+    server.cause(OverTemperature(1))
+    report = session(tmp_path / "run.h5", driver_of(connection_of(server)), duration=2.0)
+    assert report.stopped_by == f"fault of {JOINTS[1]}: 2"
+
+
+def test_a_silent_arm_is_given_up(server: ProprietaryCanServer, tmp_path: Path) -> None:
+    threading.Timer(1.0, lambda: server.cause(Freeze(3.0))).start()
+    report = session(tmp_path / "run.h5", driver_of(connection_of(server)), duration=5.0)
+    assert isinstance(report.error, ConnectionLostError)
+    assert "no complete row of the joints" in str(report.stopped_by)
+
+
+def test_an_arm_that_is_polled_answers() -> None:
+    connection = keys(poll={"id": 0x100, "data": "01"})
+    connection["signals"] = [signal for signal in connection["signals"] if signal["quantity"] != "counter"]
+    with ProprietaryCanServer(Plant(ROBOT_FILE, position=POSE), ROBOT, connection) as server:
+        time.sleep(0.05)
+        assert server.status().cycles == 0
+        driver = driver_of(connection)
+        driver.open()
+        driver.start()
+        count, end = 0, time.monotonic() + 0.5
+        while time.monotonic() < end:
+            count += sum(len(block.time) for block in driver.read(0.02) if block.stream == "joints")
+        driver.close()
+        assert count == pytest.approx(100, abs=15)
+
+
+def test_a_bus_that_is_too_slow_loses_frames_as_a_real_one() -> None:
+    # Eight frames of some 110 bits, 200 times a second, are 180 kbit/s.
+    with ProprietaryCanServer(Plant(ROBOT_FILE, position=POSE), ROBOT, keys(bitrate=100_000)) as server:
+        time.sleep(0.5)
+        status = server.status()
+    assert status.lost > 0.3 * 8 * status.cycles
+    assert status.load > 0.9
+
+
+def test_typed_faults() -> None:
+    server = ProprietaryCanServer(Plant(ROBOT_FILE), ROBOT, keys())
+    server.obey("drop 3")
+    server.obey(f"over-temperature {JOINTS[0]}")
+    for line in ("unplug", "power-cycle 1", "nonsense"):
+        with pytest.raises(UsageError) as caught:
+            server.obey(line)
+        assert "garbage FRAMES" in caught.value.hint

@@ -1,0 +1,95 @@
+"""An arm on a virtual CAN bus that sends what a test tells it to, cycle by cycle; for the tests of can_frames."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from itertools import count
+
+import can
+
+RATE = 100.0
+JOINTS = ("shoulder", "elbow")
+_CHANNELS = count()
+
+Cycle = Callable[[int], Sequence[tuple[int, bytes]]]
+"""Frames of a cycle by its number."""
+
+
+def two_frames(number: int) -> list[tuple[int, bytes]]:
+    """Positions 0.1 and −0.2 rad, velocities 0, a counter of 8 bits."""
+    shoulder, elbow = (value.to_bytes(2, "little", signed=True) for value in (1000, -2000))
+    return [(0x181, shoulder + bytes(2) + bytes([number % 256])), (0x182, elbow + bytes(2))]
+
+
+def connection(channel: str, *, counter: bool = False, **more: object) -> dict[str, object]:
+    """The keys of a connection to an arm that sends `two_frames`."""
+    signals: list[dict[str, object]] = []
+    for number, joint in enumerate(JOINTS):
+        place = {"joint": joint, "id": 0x181 + number, "length": 16, "signed": True}
+        signals.append({"quantity": "position", **place, "start": 0, "scale": 1e-4, "unit": "rad"})
+        signals.append({"quantity": "velocity", **place, "start": 16, "scale": 1e-3, "unit": "rad/s"})
+    if counter:
+        signals.append({"quantity": "counter", "id": 0x181, "start": 32, "length": 8})
+    keys = {"interface": "virtual", "channel": channel, "rate": RATE, "timeout": 1.0, "signals": signals}
+    return keys | more
+
+
+def moving(channel: str, **more: object) -> dict[str, object]:
+    """The same with command frames."""
+    return connection(
+        channel,
+        start=[{"id": 0x200, "data": "01"}],
+        stop=[{"id": 0x200, "data": "00"}],
+        command={
+            "signals": [
+                {"joint": joint, "id": 0x201, "start": 16 * n, "length": 16, "signed": True}
+                | {"scale": 1e-4, "unit": "rad"}
+                for n, joint in enumerate(JOINTS)
+            ]
+        },
+        **more,
+    )
+
+
+class ScriptedCanArm:
+    """Sends cycles at `RATE`, or one a poll; keeps what it hears.
+
+    Args:
+        cycle: what it sends.
+        poll: identifier of the frame that makes it answer; None to send by itself.
+    """
+
+    def __init__(self, cycle: Cycle = two_frames, poll: int | None = None) -> None:
+        self.channel = f"scripted-{next(_CHANNELS)}"
+        self.cycle = cycle
+        self.heard: list[tuple[int, bytes]] = []
+        self.number = 0
+        self._poll = poll
+        self._bus = can.Bus(interface="virtual", channel=self.channel)
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ending.set()
+        self._thread.join()
+        self._bus.shutdown()
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        while not self._ending.is_set():
+            message = self._bus.recv(max(0.0, min(due - time.monotonic(), 0.01)))
+            if message is not None:
+                self.heard.append((message.arbitration_id, bytes(message.data)))
+                if message.arbitration_id == self._poll:
+                    self._speak()
+            if self._poll is None and time.monotonic() >= due:
+                self._speak()
+                due += 1.0 / RATE
+
+    def _speak(self) -> None:
+        for identifier, data in self.cycle(self.number):
+            self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+        self.number += 1
