@@ -105,6 +105,7 @@ def record_command(
     out: Path = typer.Option(..., "-o", "--out", help="Recording to write (.h5)."),
     comment: str = typer.Option("", "--comment", help="Your words, kept in the recording."),
     force: bool = typer.Option(False, "--force", help="Overwrite the output file."),
+    realtime: bool = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs the right to it)."),
     no_ui: bool = typer.Option(False, "--no-ui", help="No live status on stderr."),
     as_json: bool = JSON,
 ) -> None:
@@ -115,6 +116,7 @@ def record_command(
     import sys
 
     from daq.live_view import live_view
+    from daq.realtime import ask_for_realtime
     from daq.recorder import Recorder, require_room
     from daq.recording_writer import require_writable
     from daq.robot import load_robot
@@ -133,6 +135,8 @@ def record_command(
     driver, rate = load_driver(robot_file.robot, wire, host, robot_file.folder)
     require_writable(out, overwrite=force)
     require_room(out)
+    if realtime:
+        ask_for_realtime()
     try:  # only now is the wire touched
         driver.open()
         layouts = driver.streams()

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.realtime import give_realtime_back
 from daq.recorder import Recorder
 from daq.safety import Limits
 from daq.streams import JOINTS_STREAM
@@ -204,6 +205,7 @@ def _leave(process: BaseProcess) -> None:
 def draw(reader: Connection) -> None:
     """Draw on stderr every picture that arrives, until the pipe ends; the display's process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    give_realtime_back()
     from rich.console import Console
     from rich.live import Live
     from rich.text import Text

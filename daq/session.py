@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -32,6 +33,8 @@ from drivers.streams import Block
 READ_TIMEOUT = 0.01
 FIRST_SAMPLE_LIMIT = 5.0
 """How long [s] the first samples may take."""
+SWITCH_INTERVAL = 2e-4
+"""Longest time [s] that a thread keeps the interpreter while another one wants it."""
 INTERRUPTED = "interrupted"
 """What `stopped_by` says after Ctrl-C (SIGINT)."""
 TERMINATED = "terminated"
@@ -199,7 +202,7 @@ def record(
     course = _Course(view=view)
     player: Player | None = None
     error: DynidError | None = None
-    with _signals_noted(course), _no_collections():
+    with _signals_noted(course), _undisturbed():
         try:
             driver.start()
             begun = time.monotonic()
@@ -377,11 +380,18 @@ def _signals_noted(course: _Course) -> Iterator[None]:
 
 
 @contextmanager
-def _no_collections() -> Iterator[None]:
-    """Keep the garbage collector off what exists already: a full collection stops every thread for up to 0.1 s."""
+def _undisturbed() -> Iterator[None]:
+    """Keep what stops threads short while they record.
+
+    The garbage collector stays off what exists already: a full collection stops every thread for up to 0.1 s. And a
+    thread that computes hands the interpreter on within `SWITCH_INTERVAL`: by default it may take 5 ms, two periods.
+    """
+    interval = sys.getswitchinterval()
     gc.collect()
     gc.freeze()
+    sys.setswitchinterval(SWITCH_INTERVAL)
     try:
         yield
     finally:
+        sys.setswitchinterval(interval)
         gc.unfreeze()

@@ -1,0 +1,33 @@
+"""Real-time priority for the process that records (Linux)."""
+
+from __future__ import annotations
+
+import os
+
+from drivers.errors import UsageError
+
+PRIORITY = 20
+"""Of SCHED_FIFO: above all ordinary processes, below the kernel's own threads that serve interrupts (50)."""
+
+
+def ask_for_realtime() -> None:
+    """Give this thread, and all threads and processes that it starts from now on, SCHED_FIFO.
+
+    Raises:
+        UsageError: the system has no such thing, or does not allow it.
+    """
+    if not hasattr(os, "sched_setscheduler"):
+        raise UsageError("this system has no real-time priority", hint="leave out --realtime")
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except OSError as error:
+        raise UsageError(
+            f"real-time priority was refused: {error.strerror}",
+            hint="allow it in /etc/security/limits.d (rtprio 20 for your user), or leave out --realtime",
+        ) from error
+
+
+def give_realtime_back() -> None:
+    """Ordinary priority again for this thread; a display must not disturb what it shows."""
+    if hasattr(os, "sched_setscheduler"):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
