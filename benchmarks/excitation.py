@@ -37,7 +37,7 @@ TARGET = 12.0
 SAMPLES = 200
 PEER_LIMIT = 60.0
 """After this long [s] a peer's start counts as having taken so long."""
-CHOICES = DesignChoices(criterion="plain-condition", harmonics=5, period=10.0, self_collision=False)
+CHOICES = DesignChoices(criterion="plain-condition", harmonics=5, period=10.0, margin=0.01, self_collision=False)
 
 COMPARED = """\
 excitation_time_to_cond12_vs_slsqp_pin: wall time in one process until a motion within all limits on 200 samples has a

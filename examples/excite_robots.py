@@ -27,7 +27,7 @@ def main(seconds: float) -> None:
         found = design(
             robot_file,
             find_prior(robot_file),
-            DesignChoices(criterion="condition"),
+            DesignChoices(criterion="condition", margin=0.01),
             SearchChoices(starts=None, seconds=seconds),
         )
         worst = int(found.use.argmax())

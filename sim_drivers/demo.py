@@ -34,6 +34,9 @@ PERIOD = 15.0
 RAMP = 2.0
 """From rest into the periodic motion and back [s]."""
 
+MARGIN = 0.2
+"""Of every limit: the simulated robot shares this computer with all the rest, and commands come late."""
+
 STARTS = 1
 """Of the excitation's design: the first start already comes within a tenth of the best of many."""
 
@@ -127,7 +130,7 @@ def run_demo(
 
 def _excitation(robot_file: RobotFile, period: float, periods: int, seed: int) -> str:
     """The trajectory file of a design as `dynid excite` makes it: the file's public inertias bound the torque."""
-    choices = DesignChoices(period=period, periods=periods, ramp=RAMP)
+    choices = DesignChoices(period=period, periods=periods, ramp=RAMP, margin=MARGIN)
     found = design(robot_file, find_prior(robot_file), choices, SearchChoices(seed=seed, starts=STARTS, workers=1))
     comment = f"designed by dynid demo, condition number {found.condition:.3g}"
     return dump_trajectory(found.family.trajectory(found.variables, robot_file.robot.name, comment))

@@ -11,6 +11,10 @@ CriterionName = Literal[
 ]
 
 
+DEFAULT_MARGIN = 0.1
+"""Share of every limit that is left: commands that come late make the path that is played faster than the design."""
+
+
 @dataclass(frozen=True)
 class DesignChoices:
     """What is to be designed.
@@ -25,7 +29,7 @@ class DesignChoices:
         ramp: from rest to full pace [s].
         moving: names of the joints that move; all where None. The others stay in the middle of their range.
         loaded: design for the ten parameters of the last link, which a payload changes, all others being known.
-        margin: share of every limit that is left for what lies between the grid's points.
+        margin: share of every limit that is left.
         self_collision: whether links that touch each other are looked for.
         moment_weights: W1, W2 of AUBO eq. 21.
     """
@@ -39,6 +43,6 @@ class DesignChoices:
     ramp: float = 2.0
     moving: tuple[str, ...] | None = None
     loaded: bool = False
-    margin: float = 0.01
+    margin: float = DEFAULT_MARGIN
     self_collision: bool = True
     moment_weights: tuple[float, float] = (1.0, 1.0)

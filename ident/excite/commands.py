@@ -42,7 +42,7 @@ def excite(
     loaded: bool = typer.Option(False, "--loaded", help="Design for the last link, which a payload changes."),
     joints: str = typer.Option(None, "--joints", help="Joints that move, separated by commas; the others rest."),
     prior: Path = typer.Option(None, "--prior", help="result.json that tells parameters and noise."),
-    margin: float = typer.Option(0.01, "--margin", help="Share of every limit that is not used."),
+    margin: float = typer.Option(0.1, "--margin", help="Share of every limit that is not used."),
     self_collision: bool = typer.Option(True, "--self-collision/--no-self-collision", help="Keep links apart."),
     solver: str = typer.Option("slsqp", "--solver", help="slsqp, trust-constr or ipopt."),
     page: Path = typer.Option(None, "--page", help="Page to write (.html): figures, plots, the arm in motion."),
