@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from daq.console import print_json, print_table
 from daq.recording import JOINTS_STREAM, read_recording
@@ -15,17 +14,17 @@ from daq.robot import RobotFile, load_robot
 from daq.trajectory_file import dump_trajectory, load_trajectory
 from drivers.errors import UsageError
 from ident.base_parameters import base_parameters
+from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
-from ident.excite.search import SearchChoices
+from ident.excite.search import SearchChoices, random_start
 from ident.identify import Identification, IdentifyChoices, identify
 from ident.kinematics import FloatArray
-from ident.model import DynamicModel, build_model, truth_vector
+from ident.model import build_model, truth_vector
 from ident.report import TruthTable, write_report
 from ident.result import Result, write_result
 from ident.summary import summarise
-from sim_drivers.motion import random_fourier_motion
 from sim_drivers.simulated_arm import record_over_wire, simulated_arm
 
 PERIOD = 15.0
@@ -39,6 +38,9 @@ MARGIN = 0.2
 
 STARTS = 1
 """Of the excitation's design: the first start already comes within a tenth of the best of many."""
+
+DRAWS = 1000
+"""Random motions that are tried until one keeps all limits."""
 
 INTERVAL = 1.96
 """Half width of a 95 % interval in standard deviations."""
@@ -102,9 +104,10 @@ def run_demo(
     periods = max(1, round(duration / PERIOD))
     period = duration / periods
     progress("designing an excitation trajectory")
+    choices = DesignChoices(period=period, periods=periods, ramp=RAMP, margin=MARGIN)
     trajectories = {
-        "identification": _excitation(robot_file, period, periods, seed),
-        "validation": _validation(robot_file.robot.name, model, period, seed + 1),
+        "identification": _excitation(robot_file, choices, seed),
+        "validation": _validation(robot_file, replace(choices, periods=1), seed + 1),
     }
     paths = []
     lost = samples = 0
@@ -128,28 +131,18 @@ def run_demo(
     return Demo(found, result, truth, folder, lost, samples)
 
 
-def _excitation(robot_file: RobotFile, period: float, periods: int, seed: int) -> str:
+def _excitation(robot_file: RobotFile, choices: DesignChoices, seed: int) -> str:
     """The trajectory file of a design as `dynid excite` makes it: the file's public inertias bound the torque."""
-    choices = DesignChoices(period=period, periods=periods, ramp=RAMP, margin=MARGIN)
     found = design(robot_file, find_prior(robot_file), choices, SearchChoices(seed=seed, starts=STARTS, workers=1))
     comment = f"designed by dynid demo, condition number {found.condition:.3g}"
     return dump_trajectory(found.family.trajectory(found.variables, robot_file.robot.name, comment))
 
 
-def _validation(robot: str, model: DynamicModel, period: float, seed: int) -> str:
-    """The trajectory file of a motion that was not made for identification: a random one."""
-    motion = random_fourier_motion(model, period, seed=seed)
-    content = {
-        "robot": robot,
-        "kind": "fourier",
-        "period": motion.period,
-        "offset": motion.offset.tolist(),
-        "sine": motion.sine.tolist(),
-        "cosine": motion.cosine.tolist(),
-        "periods": 1,
-        "ramp": RAMP,
-    }
-    return yaml.safe_dump(content, sort_keys=False)
+def _validation(robot_file: RobotFile, choices: DesignChoices, seed: int) -> str:
+    """The trajectory file of a motion that was not made for identification: a random one that keeps the same limits."""
+    problem = build_problem(robot_file, find_prior(robot_file), choices)
+    variables = problem.family.begun_near_middle(random_start(problem, [seed], DRAWS))
+    return dump_trajectory(problem.family.trajectory(variables, robot_file.robot.name, "random, for validation"))
 
 
 def print_demo(demo: Demo, as_json: bool) -> None:

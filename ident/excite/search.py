@@ -143,21 +143,21 @@ def search(
 
 def candidates(problem: Problem, choices: SearchChoices, start: int, first: FloatArray | None) -> Iterator[Candidate]:
     """What start number `start` reaches, round by round."""
-    begin = first if start == 0 and first is not None else _random_start(problem, [choices.seed, start])
+    begin = first if start == 0 and first is not None else random_start(problem, [choices.seed, start])
     for number, variables in enumerate(solve(problem, begin, choices.solver), start=1):
         use = float(problem.use(variables).max(initial=0.0))
         cost, condition = problem.cost(variables), problem.condition(variables)
         yield Candidate(start, number == len(ROUNDS), cost, condition, use, variables)
 
 
-def _random_start(problem: Problem, seed: list[int]) -> FloatArray:
-    """The first of some random members that keeps all limits, or the one that passes them least.
+def random_start(problem: Problem, seed: Sequence[int], draws: int = DRAWS) -> FloatArray:
+    """The first of `draws` random members that keeps all limits, or the one that passes them least; (size,).
 
     From deep within a collision a local solver does not find its way out.
     """
     generator = np.random.default_rng(seed)
     best: tuple[float, FloatArray] | None = None
-    for _ in range(DRAWS):
+    for _ in range(draws):
         variables = problem.family.random(generator)
         use = float(problem.use(variables).max(initial=0.0))
         if best is None or use < best[0]:
