@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -13,8 +11,13 @@ import numpy as np
 
 from daq.trajectories import FloatArray, Motion
 from drivers.errors import DynidError, WorkError
+from drivers.punctual import set_timer_slack, sleep_until
 
-_PR_SET_TIMERSLACK = 29
+SKIP_LIMIT = 3
+"""Overdue positions that are skipped; where a stall left more, the motion goes on where it was, that much later.
+
+An arm that was held for 0.1 s and is then told to be where it should be by now is thrown there.
+"""
 DRY_RUN = 0.3
 """Length of the dry run [s]."""
 DRY_RUN_PERIODS = 5
@@ -28,11 +31,13 @@ class Punctuality:
     Attributes:
         sent: number of positions.
         skipped: positions that were not sent since a later one was already due.
+        delayed_ms: how much later the motion ended because it was resumed where it had stalled [ms].
         p50_ms, p99_ms, max_ms: lateness [ms].
     """
 
     sent: int
     skipped: int
+    delayed_ms: float
     p50_ms: float
     p99_ms: float
     max_ms: float
@@ -74,6 +79,7 @@ class Player:
         self._failure: DynidError | None = None
         self._late: list[float] = []
         self._skipped = 0
+        self._delayed = 0.0
         self._index = 0
         self._thread = threading.Thread(target=self._run, name="player", daemon=True)
 
@@ -115,21 +121,25 @@ class Player:
 
     def punctuality(self) -> Punctuality:
         """The figures so far."""
-        return _punctuality(self._late, self._skipped)
+        return _punctuality(self._late, self._skipped, self._delayed)
 
     def _run(self) -> None:
-        _set_timer_slack()
+        set_timer_slack()
         try:
             # Taking control of an arm may last seconds: the clock starts when it is had.
             self._noted(time.monotonic(), self._positions[0])
             self._send(self._positions[0])
             start, tick, last = time.monotonic(), 0, len(self._positions) - 1
             while not self._halt.is_set():
+                overdue = int((time.monotonic() - start) / self._period) - tick
+                if overdue > SKIP_LIMIT and tick < last:
+                    start += (overdue - 1) * self._period
+                    self._delayed += (overdue - 1) * self._period
                 due = max(tick + 1, int((time.monotonic() - start) / self._period))
                 if tick < last:
                     self._skipped += min(due, last) - tick - 1
                 tick = due
-                late = _sleep_until(start + tick * self._period)
+                late = sleep_until(start + tick * self._period)
                 if self._halt.is_set():
                     return
                 index = min(tick, last)
@@ -152,12 +162,12 @@ def dry_run(rate: float) -> Punctuality:
     Raises:
         WorkError: the median lateness is above five periods: it cannot play a motion at this rate.
     """
-    _set_timer_slack()
+    set_timer_slack()
     period, late = 1.0 / rate, []
     start = time.monotonic()
     for tick in range(1, max(2, int(DRY_RUN * rate))):
-        late.append(_sleep_until(start + tick * period))
-    figures = _punctuality(late, 0)
+        late.append(sleep_until(start + tick * period))
+    figures = _punctuality(late, 0, 0.0)
     if figures.p50_ms > 1e3 * DRY_RUN_PERIODS * period:
         raise WorkError(
             f"this computer is {figures.p50_ms:.1f} ms late at {rate:g} Hz (median of a dry run)",
@@ -166,22 +176,8 @@ def dry_run(rate: float) -> Punctuality:
     return figures
 
 
-def _sleep_until(moment: float) -> float:
-    """Sleep until a monotonic time [s]; how late it became [s]."""
-    left = moment - time.monotonic()
-    if left > 0:
-        time.sleep(left)
-    return max(0.0, time.monotonic() - moment)
-
-
-def _set_timer_slack() -> None:
-    """Let this thread's sleeps end within a nanosecond instead of 50 µs (Linux only)."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
-
-
-def _punctuality(late: list[float], skipped: int) -> Punctuality:
+def _punctuality(late: list[float], skipped: int, delayed: float) -> Punctuality:
     if not late:
-        return Punctuality(0, skipped, float("nan"), float("nan"), float("nan"))
+        return Punctuality(0, skipped, 1e3 * delayed, float("nan"), float("nan"), float("nan"))
     p50, p99 = np.percentile(late, [50.0, 99.0])
-    return Punctuality(len(late), skipped, 1e3 * float(p50), 1e3 * float(p99), 1e3 * max(late))
+    return Punctuality(len(late), skipped, 1e3 * delayed, 1e3 * float(p50), 1e3 * float(p99), 1e3 * max(late))

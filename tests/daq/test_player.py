@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from daq.player import Player, dry_run, ticks
+from daq.player import SKIP_LIMIT, Player, dry_run, ticks
 from daq.trajectories import PointToPoint
 from drivers.errors import ConnectionLostError, WorkError
 
@@ -61,6 +61,24 @@ def test_a_late_player_skips_what_is_overdue():
     assert sent[-1] == 29.0
 
 
+def test_after_a_stall_the_motion_goes_on_where_it_was():
+    sent = []
+
+    def stalls_once(position):
+        sent.append(position[0])
+        if position[0] == 10.0:
+            time.sleep(0.25)
+
+    player = Player(stalls_once, lambda *_: None, np.arange(40.0)[:, None], RATE)
+    player.start()
+    wait_for(lambda: player.done)
+    player.stop(1.0)
+    assert max(np.diff(sent)) <= SKIP_LIMIT + 1
+    figures = player.punctuality()
+    assert figures.delayed_ms == pytest.approx(250.0 - 1e3 / RATE, abs=40.0)
+    assert sent[-1] == 39.0
+
+
 @pytest.mark.parametrize(
     ("error", "kind"), [(ConnectionLostError("gone"), ConnectionLostError), (KeyError("x"), WorkError)]
 )
@@ -87,6 +105,6 @@ def test_ticks_hold_both_ends():
 
 def test_a_dry_run_refuses_a_computer_that_is_too_slow(monkeypatch):
     assert dry_run(RATE).sent > 20
-    monkeypatch.setattr("daq.player._sleep_until", lambda moment: 6.0 / RATE)
+    monkeypatch.setattr("daq.player.sleep_until", lambda moment: 6.0 / RATE)
     with pytest.raises(WorkError, match="ms late at 100 Hz"):
         dry_run(RATE)
