@@ -199,7 +199,7 @@ def _report_session(out: Path, report: SessionReport, as_json: bool) -> None:
             f"positions sent late by {late.p50_ms:.2f} ms (median), {late.p99_ms:.2f} (99 %), {late.max_ms:.2f} (most)"
         )
         if report.punctuality.delayed_ms > 0:
-            print(f"the motion was resumed after stalls of this computer, {report.punctuality.delayed_ms:.0f} ms in all")
+            print(f"the motion was resumed after stalls of this computer: {report.punctuality.delayed_ms:.0f} ms later")
 
 
 @app.command("recover")

@@ -177,7 +177,7 @@ class RtdeServer:
                 self._serve(0.0)
                 while (left := due - time.monotonic()) > 0.0:
                     self._serve(left)
-                self._period()
+                self._period(behind=time.monotonic() - due > period)
                 due += period
                 if time.monotonic() - due > LONGEST_LAG:
                     due = time.monotonic()
@@ -187,9 +187,12 @@ class RtdeServer:
         finally:
             self._close()
 
-    def _period(self) -> None:
+    def _period(self, *, behind: bool) -> None:
         for fault in self.faults.take():
             self._cause(fault)
+        for connection in self._connections:
+            if isinstance(connection.session, RtdeSession):
+                connection.session.apply_inputs(behind=behind)
         started = time.perf_counter()
         self.controller.step()
         self.controller.values["actual_execution_time"] = 1e3 * (time.perf_counter() - started)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections import deque
 
 from drivers.errors import ConnectionLostError
 from drivers.rtde.wire import (
@@ -23,6 +24,7 @@ from sim_drivers.rtde_protocol import (
     IN_USE,
     NOT_FOUND,
     PackageRecipe,
+    Value,
     encode_recipe_answer,
     encode_text_message,
     input_variables,
@@ -60,6 +62,7 @@ class RtdeSession:
         self._inputs = input_variables(controller.version)
         self._recipe: PackageRecipe | None = None
         self._input_recipes: dict[int, PackageRecipe] = {}
+        self._waiting: deque[dict[str, Value]] = deque()
         self._share = 1.0
         self._ticks = 0
 
@@ -83,6 +86,17 @@ class RtdeSession:
         for package in self._splitter.feed(chunk):
             answer += self._answer(package.kind, package.payload)
         return answer
+
+    def apply_inputs(self, *, behind: bool) -> None:
+        """Hand the controller what has come for its next period.
+
+        While virtual time makes up for a stall, packages that came a period apart must not act all at once: then one a
+        period is handed on.
+        """
+        while self._waiting:
+            self._controller.write_inputs(self._waiting.popleft())
+            if behind:
+                return
 
     def data_package(self) -> bytes:
         """This period's data package; nothing where the client wants a lower rate, or none."""
@@ -154,7 +168,7 @@ class RtdeSession:
         received = recipe.decode(payload)
         if received is None:
             return encode_text_message(f"a data package of a wrong length for input recipe {recipe.number}")
-        self._controller.write_inputs(received)
+        self._waiting.append(received)
         return b""
 
 

@@ -39,8 +39,10 @@ WATCHDOG_RATE = 1.0
 that this process stops the arm first where it can, and longer than leaving servo mode takes, which sends nothing."""
 STOP_LIMIT = 4.0
 """How long [s] the process may take to stop the arm before it is killed."""
-BACKLOG_LIMIT = 100
-"""Commands that the process may leave unanswered before it counts as hung."""
+BACKLOG_LIMIT = 5
+"""Commands that the process may leave unanswered: a sender waits then, so that the arm is never sent far at once."""
+PATIENCE = 0.2
+"""How long [s] a sender waits before the process counts as hung."""
 
 _UNCONFIRMED_STATUS = 1
 _POSITION = struct.Struct(f"{JOINTS}d")
@@ -115,7 +117,7 @@ class MotionProcess:
         return self._process.pid
 
     def command(self, position: FloatArray) -> None:
-        """Send a joint position (6,) [rad].
+        """Send a joint position (6,) [rad]; waits while the process is behind.
 
         Raises:
             ConnectionLostError: the process ended, hangs, or the controller refused a command.
@@ -126,11 +128,13 @@ class MotionProcess:
         try:
             while self._pipe.poll():
                 self._check_answer(self._pipe.recv_bytes())
-            if self._unanswered >= BACKLOG_LIMIT:
-                self._end(0.0)
-                raise ConnectionLostError(
-                    f"the motion process left {BACKLOG_LIMIT} commands unanswered", where=self._host
-                )
+            while self._unanswered >= BACKLOG_LIMIT:
+                if not self._pipe.poll(PATIENCE):
+                    self._end(0.0)
+                    raise ConnectionLostError(
+                        f"the motion process left commands unanswered for {PATIENCE:g} s", where=self._host
+                    )
+                self._check_answer(self._pipe.recv_bytes())
             self._pipe.send_bytes(_POSITION.pack(*position))
         except (EOFError, OSError) as error:
             raise ConnectionLostError(
