@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 
 from drivers.errors import UsageError
 
@@ -25,6 +26,22 @@ def ask_for_realtime() -> None:
             f"real-time priority was refused: {error.strerror}",
             hint="allow it in /etc/security/limits.d (rtprio 20 for your user), or leave out --realtime",
         ) from error
+
+
+def may_have_realtime() -> bool:
+    """Whether the system allows it; tried in a thread that ends at once, since priority is a thread's own."""
+    refusals: list[UsageError] = []
+
+    def ask() -> None:
+        try:
+            ask_for_realtime()
+        except UsageError as error:
+            refusals.append(error)
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    thread.join()
+    return not refusals
 
 
 def give_realtime_back() -> None:

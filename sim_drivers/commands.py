@@ -41,13 +41,17 @@ def sim(
     worst_stuffing: bool = typer.Option(False, "--worst-stuffing", help="Every CAN frame as long as it can be."),
     thermometer: bool = typer.Option(False, "--thermometer", help="Its serial thermometer beside it."),
     seed: int = typer.Option(1, "--seed", help="Of the noise."),
+    realtime: bool = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs the right to it)."),
     no_ui: bool = typer.Option(False, "--no-ui", help="No live line on standard error."),
 ) -> None:
     """Serve a simulated arm until Ctrl-C; type a fault, such as: drop 10, freeze 3, cut, block 2, power-cycle 3.
 
     Example: dynid sim ur5e --wire canopen
     """
+    from daq.realtime import ask_for_realtime
     from sim_drivers.serve import BusOptions, simulate
 
+    if realtime:
+        ask_for_realtime()
     bus = BusOptions(interface, channel, swap, worst_stuffing, thermometer)
     simulate(robot, wire, host, version, seed, live=not no_ui, bus=bus)

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from daq.realtime import may_have_realtime
 from drivers.errors import ConnectionFailedError, WorkError
 
 HOSTS = tuple(f"127.0.0.{number}" for number in (1, 2, 3, 4, 5))
@@ -45,7 +46,7 @@ def simulated_arm(robot: str, seed: int, hosts: Sequence[str] = HOSTS) -> Iterat
 def _start(robot: str, seed: int, hosts: Sequence[str]) -> tuple[subprocess.Popen[str], str]:
     reason = "no address was tried"
     for host in hosts:
-        arguments = _dynid("sim", robot, "--host", host, "--seed", str(seed), "--no-ui")
+        arguments = _dynid("sim", robot, "--host", host, "--seed", str(seed), "--no-ui", *_priority())
         process = subprocess.Popen(
             arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
@@ -76,7 +77,8 @@ def record_over_wire(robot: str, host: str, trajectory: Path, out: Path) -> dict
         WorkError: the recording did not run to its end.
     """
     arguments = _dynid("record", robot, "--host", host, "--trajectory", str(trajectory), "-o", str(out))
-    done = subprocess.run([*arguments, "--force", "--no-ui", "--json"], capture_output=True, text=True, check=False)
+    arguments += ["--force", "--no-ui", "--json", *_priority()]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
     try:
         told = json.loads(done.stdout)
     except json.JSONDecodeError:
@@ -85,6 +87,11 @@ def record_over_wire(robot: str, host: str, trajectory: Path, out: Path) -> dict
         reason = told.get("error") or told.get("stopped_by") or done.stderr.strip() or "it ended without a word"
         raise WorkError(f"the recording stopped: {reason}", where=str(out))
     return dict(told)
+
+
+def _priority() -> list[str]:
+    """Real-time priority where it can be had: here robot and recorder share one computer with whatever else runs."""
+    return ["--realtime"] if may_have_realtime() else []
 
 
 def _dynid(*arguments: str) -> list[str]:

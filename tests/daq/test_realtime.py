@@ -51,3 +51,18 @@ def test_a_system_without_it_says_so(monkeypatch):
     with pytest.raises(UsageError, match="no real-time priority"):
         realtime.ask_for_realtime()
     realtime.give_realtime_back()
+
+
+@linux
+def test_trying_leaves_this_thread_as_it_was():
+    before = os.sched_getscheduler(0)
+    assert realtime.may_have_realtime() in (True, False)
+    assert os.sched_getscheduler(0) == before
+
+
+def test_a_refusal_is_seen_by_trying(monkeypatch):
+    def refuse():
+        raise UsageError("no")
+
+    monkeypatch.setattr(realtime, "ask_for_realtime", refuse)
+    assert realtime.may_have_realtime() is False
