@@ -114,7 +114,7 @@ def test_a_process_that_dies_shows(log: Path) -> None:
 
 def test_a_process_that_hangs_shows_and_is_killed(log: Path) -> None:
     motion = MotionProcess(str(log), 500.0, 10.0, HangingControl)
-    with pytest.raises(ConnectionLostError, match="commands unanswered for 0.2 s"):
+    with pytest.raises(ConnectionLostError, match=r"commands unanswered for 0\.2 s"):
         hold(motion, 500, 0.0)
     assert not motion.stop()
     assert not alive(int(motion.pid or 0))
