@@ -5,41 +5,22 @@ Units: m, rad, s, kg, N·m, A, °C. Angles of the geometry may be written as mul
 
 from __future__ import annotations
 
-import re
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from daq.closest import did_you_mean
-from daq.section import Finite, NonNegative, NotTruthValue, Positive, Section, Vector3
+from daq.lengths import with_lengths
+from daq.loops import Loop, check_coupling, check_drives, check_pairs, passive_joints
+from daq.section import Angle, Finite, NonNegative, NotTruthValue, Positive, Section, Vector3
 from daq.workspace import Workspace
 from daq.yaml_file import UniqueKeyLoader, describe, first_problem
 from drivers.errors import RobotFileError
 
 BASE = "base"
-_PI_MULTIPLE = re.compile(r"^\s*([+-]?)\s*(?:(\d+(?:\.\d*)?)\s*\*\s*)?pi\s*(?:/\s*(\d+(?:\.\d*)?))?\s*$")
-_PI = 3.141592653589793
-
-
-def _parse_angle(value: Any) -> Any:
-    if not isinstance(value, str):
-        return value
-    match = _PI_MULTIPLE.match(value)
-    if match is None:
-        return value
-    sign, factor, divisor = match.groups()
-    angle = _PI * float(factor or 1)
-    if divisor is not None:
-        if float(divisor) == 0:
-            raise ValueError("division by zero")
-        angle /= float(divisor)
-    return -angle if sign == "-" else angle
-
-
-Angle = Annotated[Finite, BeforeValidator(_parse_angle)]
 
 
 class MdhRow(Section):
@@ -65,10 +46,21 @@ class ModelSection(Section):
 
     urdf: str | None = Field(default=None, description="path of the URDF, relative to the robot file")
     mdh: tuple[MdhRow, ...] | None = None
+    lengths: dict[str, Finite] = Field(
+        default_factory=dict, description="name → length [m]; `b`, `d` and `r` may then be written `d3` or `-d3`"
+    )
     gravity: Vector3 = Field(default=(0.0, 0.0, -9.81), description="[m/s²] in the base frame")
     locked: dict[str, Finite] = Field(default_factory=dict, description="joint → fixed position [rad or m]; URDF only")
-    loops: tuple[dict[str, Any], ...] = ()
-    coupling: dict[str, Any] = Field(default_factory=dict)
+    loops: tuple[Loop, ...] = Field(default=(), description="how joints without a motor follow the others")
+    coupling: dict[str, dict[str, Finite]] = Field(
+        default_factory=dict,
+        description="motor → joint → factor: rows of q_motor = R·q_joint of motors that several joints move",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _lengths(cls, content: Any) -> Any:
+        return with_lengths(content)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -78,10 +70,6 @@ class ModelSection(Section):
             _check_mdh(self.mdh)
             if self.locked:
                 raise ValueError("'locked' works with 'urdf' only; leave the joint out of 'mdh' instead")
-        if self.loops:
-            raise ValueError("closed loops ('loops') are not supported by this version; leave the key out")
-        if self.coupling:
-            raise ValueError("coupled motors ('coupling') are not supported by this version; leave the key out")
         if max(abs(component) for component in self.gravity) > 30:
             raise ValueError(f"gravity {list(self.gravity)} m/s² is larger than any planet's surface; check the unit")
         return self
@@ -131,6 +119,7 @@ class Drive(Section):
     gain_std: NonNegative | None = Field(default=None, description="standard deviation of the gain, in its unit")
     signal: Literal["current", "voltage", "torque"] = "current"
     inertia: bool = Field(default=True, description="whether the measured torque carries the motor's inertia")
+    pair_inertia: bool = Field(default=False, description="of coupled motors: Iac, which turns with the joint")
 
     @model_validator(mode="after")
     def _non_zero(self) -> Self:
@@ -145,6 +134,7 @@ class JointFriction(Section):
     viscous: bool | None = None
     coulomb: bool | None = None
     offset: bool | None = None
+    pair: bool | None = Field(default=None, description="of coupled motors: the joint rubs too (SR400 eq. 8)")
 
 
 class Friction(Section):
@@ -179,6 +169,9 @@ class TruthJoint(Section):
     stribeck: NonNegative = Field(default=0.0, description="static friction above Coulomb's [N·m]")
     stribeck_velocity: Positive = Field(default=0.05, description="[rad/s] where the Stribeck term is down to 1/e")
     pre_sliding: Positive = Field(default=5e-5, description="travel [rad] until a joint at rest breaks away")
+    pair_inertia: NonNegative = Field(default=0.0, description="Iac of a coupled joint [kg·m²]")
+    pair_viscous: Finite = Field(default=0.0, description="Fv of a coupled joint, signs as SR400 eq. 8 [N·m·s/rad]")
+    pair_coulomb: Finite = Field(default=0.0, description="Fs of a coupled joint, signs as SR400 eq. 8 [N·m]")
 
 
 class TruthThermal(Section):
@@ -245,21 +238,29 @@ class Robot(Section):
         for name in names:
             if names.count(name) > 1:
                 raise ValueError(f"'joints' names '{name}' twice")
+        passive = self.passive_names
         if self.model.mdh is not None:
-            rows = tuple(row.joint for row in self.model.mdh)
+            rows = tuple(row.joint for row in self.model.mdh if row.joint not in passive)
+            for name in passive:
+                if name not in (row.joint for row in self.model.mdh):
+                    raise ValueError(f"'model.loops' names joint '{name}', but 'model.mdh' has no such row")
             if rows != names:
                 expected, found = ", ".join(rows), ", ".join(names)
                 raise ValueError(
                     f"'joints' must name the joints of 'model.mdh' in its order: {expected}; found: {found}"
                 )
         driven = [drive.joint for drive in self.drives]
+        check_drives(driven, passive)
+        check_coupling(self.model.coupling, names, passive)
+        paired = [drive.joint for drive in self.drives if drive.pair_inertia]
+        paired += [name for name, friction in self.friction.joints.items() if friction.pair is not None]
+        check_pairs(paired, self.model.coupling)
         for name in driven:
             if driven.count(name) > 1:
                 raise ValueError(f"'drives' names '{name}' twice")
         for section, keys in (
             ("drives", driven),
             ("friction.joints", self.friction.joints),
-            ("truth.links", self.truth.links),
             ("truth.joints", self.truth.joints),
             ("truth.thermal.copper_loss", self.truth.thermal.copper_loss),
             ("truth.noise.torque_std", self.truth.noise.torque_std),
@@ -268,20 +269,29 @@ class Robot(Section):
             for key in keys:
                 if key not in names:
                     raise ValueError(f"'{section}' names joint '{key}', but 'joints' has only: {', '.join(names)}")
+        links = (*names, *passive)
+        for key in self.truth.links:
+            if key not in links:
+                raise ValueError(f"'truth.links' names joint '{key}', but 'joints' has only: {', '.join(links)}")
         for section, key in self.workspace.named_links():
-            if key not in (BASE, *names):
-                raise ValueError(f"'{section}' names '{key}', but there are only: {', '.join((BASE, *names))}")
+            if key not in (BASE, *links):
+                raise ValueError(f"'{section}' names '{key}', but there are only: {', '.join((BASE, *links))}")
         return self
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints, in the order of every array."""
+        """Names of the joints that motors move, in the order of every array."""
         return tuple(joint.name for joint in self.joints)
 
     @property
     def dof(self) -> int:
-        """Number of joints."""
+        """Number of joints that motors move."""
         return len(self.joints)
+
+    @property
+    def passive_names(self) -> tuple[str, ...]:
+        """Names of the joints without a motor, which `model.loops` makes follow the others."""
+        return passive_joints(self.model.loops, self.joint_names)
 
     def drive(self, joint: str) -> Drive:
         """The drive of a joint; one with unknown gain where the file names none."""

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+_PI_MULTIPLE = re.compile(r"^\s*([+-]?)\s*(?:(\d+(?:\.\d*)?)\s*\*\s*)?pi\s*(?:/\s*(\d+(?:\.\d*)?))?\s*$")
+_PI = 3.141592653589793
 
 
 def _refuse_truth_value(value: Any) -> Any:
@@ -19,6 +23,24 @@ Finite = Annotated[float, Field(allow_inf_nan=False), NotTruthValue]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), NotTruthValue]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), NotTruthValue]
 Vector3 = tuple[Finite, Finite, Finite]
+
+
+def _parse_angle(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    match = _PI_MULTIPLE.match(value)
+    if match is None:
+        return value
+    sign, factor, divisor = match.groups()
+    angle = _PI * float(factor or 1)
+    if divisor is not None:
+        if float(divisor) == 0:
+            raise ValueError("division by zero")
+        angle /= float(divisor)
+    return -angle if sign == "-" else angle
+
+
+Angle = Annotated[Finite, BeforeValidator(_parse_angle)]
 
 
 class Section(BaseModel):

@@ -1,7 +1,8 @@
 """How often do 95 % intervals hold the truth? Simulated arms, 20 s each, many seeds; takes about a minute.
 
 Prints, for each arm, the share of true base parameters within ±1.96 standard deviations over all parameters and seeds,
-with corrected (delete-block jackknife) and with classical standard deviations.
+with corrected (delete-block jackknife) and with classical standard deviations. Arguments: seeds, and the method
+where it is not wls.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from daq.robot import load_robot
 from ident.base_parameters import base_parameters
 from ident.identify import IdentifyChoices, identify
+from ident.least_squares import Method
 from ident.model import build_model, truth_vector
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion
@@ -25,7 +27,7 @@ DURATION = 20.0
 HELD_OUT = 8.6
 
 
-def coverage(robot: str, seeds: int) -> tuple[float, float, float]:
+def coverage(robot: str, seeds: int, method: Method = "wls") -> tuple[float, float, float]:
     """Shares of true values inside: corrected, classical, and of the parameter that was missed most (corrected)."""
     robot_file = load_robot(robot)
     model = build_model(robot_file)
@@ -35,20 +37,25 @@ def coverage(robot: str, seeds: int) -> tuple[float, float, float]:
     for seed in range(seeds):
         motion = random_fourier_motion(model, DURATION, seed=seed, candidates=10)
         recording = simulate_recording(robot_file, motion, DURATION + HELD_OUT, seed=seed)
-        found = identify([recording], [], IdentifyChoices(split=DURATION))
+        found = identify([recording], [], IdentifyChoices(method, split=DURATION))
         error = np.abs(found.solution.parameters - truth)
         corrected.append(error <= INTERVAL * found.std)
         classical.append(error <= INTERVAL * found.solution.std)
     return float(np.mean(corrected)), float(np.mean(classical)), float(np.mean(corrected, axis=0).min())
 
 
-def main(robots: tuple[str, ...] = ("ur5e", "rocr6", "aubo_i5", "panda"), seeds: int = 20) -> None:
+def main(
+    robots: tuple[str, ...] = ("ur5e", "rocr6", "aubo_i5", "panda"), seeds: int = 20, method: Method = "wls"
+) -> None:
     """Print a line for each arm."""
-    print(f"{'arm':10} {'corrected':>10} {'classical':>10} {'worst parameter':>16}   ({seeds} seeds)")
+    print(f"{'arm':10} {'corrected':>10} {'classical':>10} {'worst parameter':>16}   ({method}, {seeds} seeds)")
     for robot in robots:
-        corrected, classical, worst = coverage(robot, seeds)
+        corrected, classical, worst = coverage(robot, seeds, method)
         print(f"{robot:10} {corrected:10.1%} {classical:10.1%} {worst:16.0%}")
 
 
 if __name__ == "__main__":
-    main(seeds=int(sys.argv[1]) if len(sys.argv) > 1 else 20)
+    main(
+        seeds=int(sys.argv[1]) if len(sys.argv) > 1 else 20,
+        method=sys.argv[2] if len(sys.argv) > 2 else "wls",  # type: ignore[arg-type]
+    )

@@ -8,13 +8,16 @@ stable and reads like the papers' tables.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from drivers.errors import IdentificationError
+from ident.joint_columns import joint_column
 from ident.kinematics import FloatArray
+from ident.loops import main_chain
 from ident.model import DynamicModel, Kind, StandardParameter
 from ident.regressor import RegressorKernel, motion_factor
 
@@ -39,12 +42,13 @@ class BaseParameters:
             (`ZZR1`), as SR400 Table 1 writes them.
         expressions: each combination in full, `ZZ2 + 0.166·M3 + …`.
         kinds: of the kept parameters.
-        joints: number of the joint of each, from 0.
+        joints: number in the tree of the joint of each, from 0.
         columns: standard columns kept; the base regressor is Y[:, columns].
         projection: (b, p); base parameters = projection @ standard parameters.
         no_effect: names of the standard parameters that never act on the torque.
         margin: smallest singular value that counts divided by the largest that does not (inf where none is left).
         smallest: smallest singular value that counts, relative to the largest.
+        motions: (joint, factor) of the joints with a motor that each acts along with; empty for inertial ones.
     """
 
     names: tuple[str, ...]
@@ -56,6 +60,7 @@ class BaseParameters:
     no_effect: tuple[str, ...]
     margin: float
     smallest: float
+    motions: tuple[tuple[tuple[int, float], ...], ...]
 
     @property
     def count(self) -> int:
@@ -86,10 +91,10 @@ def base_parameters(model: DynamicModel) -> BaseParameters:
     Raises:
         IdentificationError: the rank cannot be decided (no gap between the singular values).
     """
-    return _cached(_Key(model))
+    return _cached(ModelKey(model))
 
 
-class _Key:
+class ModelKey:
     """Lets the cache compare models by content: their arrays are not hashable."""
 
     def __init__(self, model: DynamicModel) -> None:
@@ -97,19 +102,28 @@ class _Key:
         self._content = repr((model.joints, model.limits, model.gravity.tolist())) + repr(
             (model.motor_inertia, model.viscous, model.coulomb, model.offset, model.smoothing)
         )
+        if model.transmission is not None:
+            self._content += repr(model.transmission.content())
 
     def __hash__(self) -> int:
         return hash(self._content)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Key) and self._content == other._content
+        return isinstance(other, ModelKey) and self._content == other._content
 
 
 @lru_cache(maxsize=32)
-def _cached(key: _Key) -> BaseParameters:
-    model = key.model
+def _cached(key: ModelKey) -> BaseParameters:
+    return base_parameters_of(key.model, _random_factor(key.model))
+
+
+def base_parameters_of(model: DynamicModel, gram_root: FloatArray) -> BaseParameters:
+    """Base parameters that a triangular factor (p, p) of the model's standard columns at random states shows.
+
+    Raises:
+        IdentificationError: the rank cannot be decided (no gap between the singular values).
+    """
     parameters = model.parameters
-    gram_root = _random_factor(model)
     scale = np.linalg.norm(gram_root, axis=0)
     silent = scale <= RANK_TOLERANCE * scale.max()
     active = np.flatnonzero(~silent)
@@ -126,7 +140,7 @@ def _cached(key: _Key) -> BaseParameters:
             where=model.name,
             hint="check the geometry for lengths or angles that are nearly, but not quite, zero",
         )
-    kept = _greedy_columns(scaled, [parameters[i] for i in active], rank, model.name)
+    kept = _greedy_columns(scaled, [parameters[i] for i in active], rank, model)
     columns = sorted(int(active[i]) for i in kept)
     order = [int(np.flatnonzero(active == column)[0]) for column in columns]
     coefficients, *_ = np.linalg.lstsq(scaled[:, order], scaled, rcond=None)
@@ -145,6 +159,10 @@ def _cached(key: _Key) -> BaseParameters:
         no_effect=tuple(parameters[i].name for i in np.flatnonzero(silent)),
         margin=margin,
         smallest=float(relative[rank - 1]),
+        motions=tuple(
+            () if parameters[column].kind == "inertial" else joint_column(model, parameters[column]).motion
+            for column in columns
+        ),
     )
 
 
@@ -155,20 +173,26 @@ def _random_factor(model: DynamicModel) -> FloatArray:
     return motion_factor(kernel, *random_states(model, count))
 
 
-def _preference(parameter: StandardParameter) -> tuple[int, int, int]:
-    """Sort key: what comes first is kept, what comes last is regrouped."""
+def _preference(parameter: StandardParameter, preferred: Sequence[int]) -> tuple[int, bool, int, int]:
+    """Sort key: what comes first is kept, what comes last is regrouped; of equals that of a preferred link is kept."""
+    beside = parameter.joint not in preferred
     if parameter.symbol in _KEEP_FIRST:
-        return (0, -parameter.joint, _KEEP_FIRST.index(parameter.symbol))
-    if parameter.kind in ("viscous", "coulomb", "offset"):
-        return (1, parameter.joint, 0)
-    if parameter.kind == "motor_inertia":
-        return (2, -parameter.joint, 0)
-    return (3, -parameter.joint, _KEEP_LAST.index(parameter.symbol))
+        return (0, beside, -parameter.joint, _KEEP_FIRST.index(parameter.symbol))
+    if parameter.kind in ("viscous", "coulomb", "offset") or parameter.symbol in ("Fv", "Fs"):
+        return (1, False, parameter.joint, 0)
+    if parameter.kind in ("motor_inertia", "coupling"):
+        return (2, False, -parameter.joint, 0)
+    return (3, beside, -parameter.joint, _KEEP_LAST.index(parameter.symbol))
 
 
-def _greedy_columns(scaled: FloatArray, parameters: list[StandardParameter], rank: int, where: str) -> list[int]:
+def _greedy_columns(
+    scaled: FloatArray, parameters: list[StandardParameter], rank: int, model: DynamicModel
+) -> list[int]:
     """Indices of `rank` independent columns, the preferred ones first (modified Gram-Schmidt, applied twice)."""
-    order = sorted(range(len(parameters)), key=lambda i: _preference(parameters[i]))
+    # The rods of a closed loop are regrouped on the links between base and tool, as SR400 Table 1 does.
+    closed = model.transmission is not None and model.transmission.closed
+    preferred = main_chain(model.joints) if closed else range(len(model.joints))
+    order = sorted(range(len(parameters)), key=lambda i: _preference(parameters[i], preferred))
     basis = np.empty((scaled.shape[0], 0))
     kept: list[int] = []
     for i in order:
@@ -182,7 +206,7 @@ def _greedy_columns(scaled: FloatArray, parameters: list[StandardParameter], ran
     if len(kept) != rank:
         raise IdentificationError(
             f"{len(kept)} independent columns were found where the singular values show {rank}",
-            where=where,
+            where=model.name,
             hint="check the geometry for lengths or angles that are nearly, but not quite, zero",
         )
     return kept

@@ -32,16 +32,18 @@ def show(
     from daq.robot import load_robot
     from ident.base_parameters import base_parameters
     from ident.model import build_model
+    from ident.symbols import symbolic_expressions
 
     robot_file = load_robot(robot)
     if as_yaml:
         print(robot_file.text, end="")
         return
-    model = build_model(robot_file)
-    base = base_parameters(model)
     if as_json:
         print_json(_description(robot_file))
         return
+    model = build_model(robot_file)
+    base = base_parameters(model)
+    expressions = symbolic_expressions(robot_file, model, base)
     described = robot_file.robot
     print(f"{described.name}: {described.description}".rstrip(": "))
     print_table(
@@ -63,7 +65,7 @@ def show(
     print_table(
         f"\nBase parameters: {base.count}, {_inertial_count(robot_file)} of them inertial",
         ("name", "kind", "expression"),
-        zip(base.names, (kind.replace("_", " ") for kind in base.kinds), base.expressions, strict=True),
+        zip(base.names, (kind.replace("_", " ") for kind in base.kinds), expressions, strict=True),
     )
     print(f"\nwithout effect: {', '.join(base.no_effect) or 'none'}")
     print(f"rank decided with a margin of {base.margin:.1e} between singular values")
@@ -74,9 +76,11 @@ def show(
 def _description(robot_file: RobotFile) -> dict[str, Any]:
     from ident.base_parameters import base_parameters
     from ident.model import build_model
+    from ident.symbols import symbolic_expressions
 
-    robot = robot_file.robot
-    base = base_parameters(build_model(robot_file))
+    robot, model = robot_file.robot, build_model(robot_file)
+    base = base_parameters(model)
+    expressions = symbolic_expressions(robot_file, model, base)
     return {
         "name": robot.name,
         "description": robot.description,
@@ -84,7 +88,7 @@ def _description(robot_file: RobotFile) -> dict[str, Any]:
         "joints": [joint.model_dump(mode="json") for joint in robot.joints],
         "base_parameters": [
             {"name": name, "expression": expression, "kind": kind}
-            for name, expression, kind in zip(base.names, base.expressions, base.kinds, strict=True)
+            for name, expression, kind in zip(base.names, expressions, base.kinds, strict=True)
         ],
         "inertial_base_count": _inertial_count(robot_file),
         "base_count": base.count,
@@ -180,7 +184,7 @@ def info(
 def identify_recordings(
     recordings: list[Path] = typer.Argument(help="Recordings (.h5) of one arm; several stack."),
     out: Path = typer.Option(None, "-o", "--out", help="Folder for result.json and report.html."),
-    method: str = typer.Option("wls", "--method", help="Estimator: ols or wls."),
+    method: str = typer.Option("wls", "--method", help="Estimator: ols, wls, energy or power."),
     validate_with: list[Path] = typer.Option([], "--validate", help="Held-out recording; the last 30 % without one."),
     split: float = typer.Option(None, "--split", help="Identify on the first SECONDS, validate on the rest."),
     robot: str = typer.Option(None, "--robot", help="Robot file in place of the recording's own."),
@@ -195,6 +199,9 @@ def identify_recordings(
     position_decimate: int = typer.Option(1, "--position-decimate", help="Decimate the positions first (Chebyshev)."),
     filter_kind: str = typer.Option("butterworth", "--filter", help="Parallel filter: butterworth or chebyshev."),
     measured_velocity: bool = typer.Option(False, "--measured-velocity", help="Use the recorded velocity."),
+    energy_window: float = typer.Option(
+        None, "--energy-window", help="Mean duration of the windows of --method energy [s]."
+    ),
     start: float = typer.Option(None, "--start", help="Leave out what lies before [s from the first stamp]."),
     stop: float = typer.Option(None, "--stop", help="Leave out what lies behind [s from the first stamp]."),
     keep_rest: bool = typer.Option(False, "--keep-rest", help="Keep stretches in which no joint moves."),
@@ -207,18 +214,22 @@ def identify_recordings(
 
     Example: dynid identify run.h5 --validate val.h5 -o model
     """
+    from typing import get_args
+
     from daq.console import progress_line
     from daq.recording import read_recording
     from daq.robot import load_robot
     from drivers.errors import UsageError
     from ident.identify import IdentifyChoices, ModelChoices, identify
+    from ident.least_squares import Method
     from ident.preprocess import PreprocessChoices
     from ident.report import write_report
     from ident.result import result_json, write_result
     from ident.summary import summarise
 
-    if method not in ("ols", "wls"):
-        raise UsageError(f"no method is called '{method}'", hint="ols or wls")
+    *others, last = get_args(Method)
+    if method not in (*others, last):
+        raise UsageError(f"no method is called '{method}'", hint=f"{', '.join(others)} or {last}")
     if friction not in (None, "none", "viscous", "coulomb", "coulomb-viscous"):
         raise UsageError(f"no friction model is called '{friction}'", hint="none, viscous, coulomb or coulomb-viscous")
     if not 0 < significance <= 100:
@@ -243,6 +254,7 @@ def identify_recordings(
         search_delay=delay == "auto",
         split=split,
         significant_rsd=significance,
+        energy_window=energy_window,
     )
     read = [read_recording(path) for path in recordings]
     held_out = [read_recording(path) for path in validate_with]

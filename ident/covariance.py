@@ -15,7 +15,7 @@ of the normal matrix accounts for its leverage. Samples of the same phase of a r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -77,33 +77,45 @@ def block_jackknife(
     counted = np.concatenate([phase[part.used] for phase, part in zip(phases, series, strict=True)])
     different = np.unique(counted)
     length = block_length(autocorrelation, len(different))
-    normal = np.linalg.inv(solution.inverse)
-    scale = np.sqrt(np.diag(normal))
-    scaled_normal = normal / np.outer(scale, scale)
-    sums: dict[int, _BlockSum] = {}
+    sums: dict[int, BlockSum] = {}
     remaining = iter(phases)
     for run in runs:
         for segment, part in zip(run.segments, run.series, strict=True):
             # Blocks of different motions never share a number: their phases are disjoint.
             numbers = np.searchsorted(different, next(remaining)) // length
             _add_block_sums(sums, kernel, segment, run.parallel_filter, part, solution, numbers)
+    normal = np.asarray(np.linalg.inv(solution.inverse))
+    if not np.all(np.diag(normal) > 0.0):  # rounding, where columns are hardly excited
+        normal = total_gram(sums)
+    covariance = jackknife(sums, normal)
+    share = independent_share(autocorrelation)
+    new = len(different) / len(counted)
+    return CorrectedCovariance(covariance, length, len(sums), autocorrelation, solution.rows * share * new, 1.0 / new)
+
+
+@dataclass
+class BlockSum:
+    """W_bᵀW_b (a, a) and W_bᵀρ_b (a,) of one block, weighted."""
+
+    gram: FloatArray
+    score: FloatArray
+
+
+def total_gram(sums: Mapping[int, BlockSum]) -> FloatArray:
+    """WᵀW (a, a) of all blocks together."""
+    return np.asarray(np.sum([block.gram for block in sums.values()], axis=0))
+
+
+def jackknife(sums: Mapping[int, BlockSum], normal: FloatArray) -> FloatArray:
+    """Covariance (a, a) of a solution's active parameters from the sums of all its blocks and WᵀW (a, a)."""
+    scale = np.sqrt(np.diag(normal))
+    scaled_normal = normal / np.outer(scale, scale)
     blocks = len(sums)
     total = np.zeros_like(normal)
     for block in sums.values():
         moved = _move(scaled_normal - block.gram / np.outer(scale, scale), block.score / scale)
         total += np.outer(moved, moved)
-    covariance = (blocks - 1) / blocks * total / np.outer(scale, scale)
-    share = independent_share(autocorrelation)
-    new = len(different) / len(counted)
-    return CorrectedCovariance(covariance, length, blocks, autocorrelation, solution.rows * share * new, 1.0 / new)
-
-
-@dataclass
-class _BlockSum:
-    """W_bᵀW_b (a, a) and W_bᵀρ_b (a,) of one block, weighted."""
-
-    gram: FloatArray
-    score: FloatArray
+    return np.asarray((blocks - 1) / blocks * total / np.outer(scale, scale))
 
 
 def _move(rest: FloatArray, score: FloatArray) -> FloatArray:
@@ -126,7 +138,7 @@ def block_length(autocorrelation: FloatArray, samples: int) -> int:
 
 
 def _add_block_sums(
-    sums: dict[int, _BlockSum],
+    sums: dict[int, BlockSum],
     kernel: RegressorKernel,
     segment: Segment,
     parallel_filter: ZeroPhaseFilter,
@@ -154,7 +166,7 @@ def _add_block_sums(
         for start, stop in pairwise(edges.tolist()):
             if start == stop:
                 continue
-            block = sums.setdefault(int(number[start]), _BlockSum(np.zeros((size, size)), np.zeros(size)))
+            block = sums.setdefault(int(number[start]), BlockSum(np.zeros((size, size)), np.zeros(size)))
             for joint, (packed_rows, columns) in enumerate(chosen):
                 rows = solution.weights[joint] * regressor[packed_rows, start:stop]
                 block.gram[columns[:, None], columns] += rows @ rows.T

@@ -11,6 +11,7 @@ from daq.recording import Recording
 from daq.robot import RobotFile
 from drivers.errors import DataError, RobotFileError, UsageError
 from ident.base_parameters import BaseParameters, base_parameters
+from ident.joint_columns import combined
 from ident.least_squares import excited_columns
 from ident.measured import joint_positions
 from ident.model import build_model
@@ -72,16 +73,15 @@ def excited_base_columns(reduction: Reduction, base: BaseParameters, parts: Sequ
 
     There sign(q̇) is the noise of the encoder: independent of everything, and no sign of friction.
     """
-    moving = np.any(
-        [
-            np.any(np.abs(segment.velocity) >= (part.choices.rest_velocity or 0.0), axis=1)
+
+    def moves(column: int) -> bool:
+        return any(
+            bool(
+                np.any(np.abs(combined(base.motions[column], segment.velocity)) >= (part.choices.rest_velocity or 0.0))
+            )
             for part in parts
             for segment in part.segments
-        ],
-        axis=0,
-    )
-    return tuple(
-        column
-        for column in excited_columns(reduction)
-        if base.kinds[column] not in ("viscous", "coulomb") or moving[base.joints[column]]
-    )
+        )
+
+    rubbing = ("viscous", "coulomb", "coupling")
+    return tuple(column for column in excited_columns(reduction) if base.kinds[column] not in rubbing or moves(column))

@@ -13,29 +13,22 @@ from daq.robot import RobotFile
 from drivers.errors import DataError, UsageError
 from ident.base_parameters import BaseParameters, base_parameters
 from ident.comparison import TorqueSeries, compare_torques
-from ident.covariance import CorrectedCovariance, FilteredRun, block_jackknife
+from ident.covariance import CorrectedCovariance, FilteredRun
 from ident.delay import DelaySearch, search_delay
+from ident.estimator import estimable, estimator_of
 from ident.excitation import excited_base_columns
+from ident.identify_warnings import identification_warnings
 from ident.kinematics import FloatArray
-from ident.least_squares import (
-    LeastSquares,
-    LinearMethod,
-    ordinary_least_squares,
-    weighted_least_squares,
-)
+from ident.least_squares import ENERGY_METHODS, LeastSquares, Method
 from ident.measured import MeasuredMotion, measured_motion
 from ident.model import DynamicModel, build_model
-from ident.observation import Reduction, reduce_segments, stack_reductions
-from ident.plausibility import fits_opposite_gravity, indefinite_share, sign_warnings
+from ident.observation import Reduction
 from ident.preprocess import Prepared, PreprocessChoices, prepare
-from ident.pruning import SIGNIFICANT_RSD, Pruned, prune, relative_std
+from ident.pruning import SIGNIFICANT_RSD, Pruned, prune
 from ident.regressor import RegressorKernel
 from ident.validation import HELD_OUT_SHARE, FitFigures, fit_figures
 
 FrictionModel = Literal["none", "viscous", "coulomb", "coulomb-viscous"]
-
-ROWS_PER_PARAMETER = 50
-"""Fewer equations a parameter than this are warned of (SR400 §4.3 point 6)."""
 
 Progress = Callable[[str], None]
 """Told what is done next, in words."""
@@ -69,14 +62,24 @@ class IdentifyChoices:
         search_delay: find the torque's delay from the data.
         split: end of the identification part of a single recording [s from its first stamp]; None takes the first 70 %.
         significant_rsd: threshold of significance [%].
+        energy_window: mean duration of the energy method's windows [s]; None takes it from the parallel filter.
     """
 
-    method: LinearMethod = "wls"
+    method: Method = "wls"
     model: ModelChoices = field(default_factory=ModelChoices)
     preprocess: PreprocessChoices = field(default_factory=PreprocessChoices)
     search_delay: bool = True
     split: float | None = None
     significant_rsd: float = SIGNIFICANT_RSD
+    energy_window: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.energy_window is None:
+            return
+        if self.method != "energy":
+            raise UsageError("energy windows belong to the method energy", where="energy_window")
+        if not (np.isfinite(self.energy_window) and self.energy_window > 0):
+            raise UsageError(f"windows of {self.energy_window:g} s hold nothing", where="energy_window")
 
 
 @dataclass(frozen=True)
@@ -135,6 +138,14 @@ class Identification:
         deviations[list(self.solution.active)] = np.sqrt(np.diag(self.corrected.covariance))
         return deviations
 
+    @property
+    def joint_std(self) -> FloatArray:
+        """Standard deviation (n,) of each joint's filtered torque residual [N·m]."""
+        if self.choices.method not in ENERGY_METHODS:
+            return self.solution.joint_std
+        squares = sum(np.sum(part.residual**2, axis=1) for part in self.fit_series)
+        return np.asarray(np.sqrt(squares / max(1, sum(int(part.used.sum()) for part in self.fit_series))))
+
 
 def identify(
     recordings: Sequence[Recording],
@@ -177,23 +188,28 @@ def identify(
     validation_runs = tuple(_prepare_window(part, resolved) for part in held_out)
 
     progress("regression")
-    reduction = stack_reductions(
-        [reduce_segments(kernel, run.prepared.segments, run.prepared.parallel_filter) for run in runs]
+    parts_used = [run.prepared for run in runs]
+    estimator = estimator_of(choices.method, kernel, parts_used, choices.energy_window)
+    runs = tuple(
+        replace(run, prepared=replace(run.prepared, steps=(*run.prepared.steps, *estimator.notes(run.prepared))))
+        for run in runs
     )
-    active = excited_base_columns(reduction, base, [run.prepared for run in runs])
-    solution = _solve(reduction, active, choices.method)
+    reduction = estimator.reduce(parts_used)
+    estimated = estimable(choices.method, model, base)
+    active = tuple(column for column in excited_base_columns(reduction, base, parts_used) if column in estimated)
+    solution = estimator.solve(reduction, active)
     fit_series = tuple(_compare(model, base, solution.parameters, runs))
     filtered = _filtered_runs(runs, fit_series)
 
     progress("error bars")
-    corrected = block_jackknife(kernel, filtered, solution)
+    corrected = estimator.covariance(filtered, solution)
     inflation = np.ones(base.count)
     inflation[list(active)] = np.sqrt(np.diag(corrected.covariance) / np.diag(solution.covariance))
     pruned = prune(
         solution,
         inflation,
         corrected.effective_rows,
-        lambda columns: _solve(reduction, columns, choices.method),
+        lambda columns: estimator.solve(reduction, columns),
         choices.significant_rsd,
     )
 
@@ -225,7 +241,7 @@ def identify(
         warnings=(),
     )
     progress("plausibility")
-    return replace(identification, warnings=tuple(_warnings(identification, recordings)))
+    return replace(identification, warnings=tuple(identification_warnings(identification, recordings)))
 
 
 def apply_model_choices(model: DynamicModel, choices: ModelChoices) -> DynamicModel:
@@ -307,10 +323,6 @@ def _prepare_window(part: tuple[MeasuredMotion, Window], resolved: PreprocessCho
     return _prepare(motion, replace(resolved, start=window.get("start"), stop=window.get("stop")))
 
 
-def _solve(reduction: Reduction, active: Sequence[int], method: LinearMethod) -> LeastSquares:
-    return ordinary_least_squares(reduction, active) if method == "ols" else weighted_least_squares(reduction, active)
-
-
 def _compare(
     model: DynamicModel, base: BaseParameters, parameters: FloatArray, runs: Sequence[PreparedRun]
 ) -> list[TorqueSeries]:
@@ -332,56 +344,3 @@ def _filtered_runs(runs: Sequence[PreparedRun], series: Sequence[TorqueSeries]) 
         )
         position += count
     return filtered
-
-
-def _warnings(found: Identification, recordings: Sequence[Recording]) -> list[str]:
-    """What a user should know before trusting the numbers."""
-    warnings = []
-    base, solution = found.base, found.solution
-    for recording in recordings:
-        if not recording.complete:
-            warnings.append(f"{recording.label} was not closed in order: its end may be missing")
-    count = len(solution.active)
-    if solution.rows < ROWS_PER_PARAMETER * count:
-        warnings.append(
-            f"only {solution.rows} equations for {count} parameters; {ROWS_PER_PARAMETER} a parameter are advised: "
-            "record longer or decimate less"
-        )
-    silent = [base.names[i] for i in range(base.count) if i not in solution.active]
-    if silent:
-        warnings.append(
-            f"the motion does not excite {', '.join(silent)}: no values for them, and other parameters may have taken "
-            "theirs up"
-        )
-    vague = [
-        base.names[i]
-        for i in solution.active
-        if relative_std(solution.parameters, found.std)[i] >= 100.0 and i in found.pruned.dropped
-    ]
-    if len(vague) > base.count / 3:
-        warnings.append(
-            f"{len(vague)} of {base.count} base parameters are smaller than their standard deviation: "
-            "a more exciting motion would tell more"
-        )
-    warnings += sign_warnings(base, solution.parameters, found.std)
-    prepared = [(run.prepared.segments, run.prepared.parallel_filter) for run in found.runs]
-    residual_sum = ordinary_least_squares(found.reduction, solution.active).residual_sum
-    if np.any(found.model.gravity) and fits_opposite_gravity(
-        found.model, base, prepared, solution.active, residual_sum
-    ):
-        warnings.append(
-            "gravity of the opposite sign fits the data better: check `model.gravity`, how the arm is mounted, and the "
-            "signs of the drive gains"
-        )
-    share = indefinite_share(found.model, base, solution.parameters)
-    if share > 0:
-        warnings.append(
-            f"the identified inertia matrix is not positive definite at {share * 100:.0f} % of random poses: good for "
-            "predicting torque, not for forward simulation"
-        )
-    if found.validation.relative_error > 2.0 * found.fit.relative_error:
-        warnings.append(
-            f"the validation error is {found.validation.relative_error / found.fit.relative_error:.1f} times the "
-            "identification's: the model has learnt its data by heart"
-        )
-    return warnings

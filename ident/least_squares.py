@@ -14,6 +14,9 @@ from ident.observation import Reduction
 from ident.triangular import scaled_condition, triangular
 
 LinearMethod = Literal["ols", "wls"]
+Method = Literal["ols", "wls", "energy", "power"]
+ENERGY_METHODS: tuple[Method, ...] = ("energy", "power")
+"""Those that fit one scalar equation of the whole arm instead of one a joint."""
 
 EXCITATION_TOLERANCE = 1e-9
 """A base column whose part independent of the preceding ones is below this share of its length is not excited, nor one
@@ -31,13 +34,13 @@ class LeastSquares:
     """A least-squares solution.
 
     Attributes:
-        method: "ols" or "wls".
+        method: what was fitted, and how.
         active: numbers of the base columns that were estimated.
         parameters: (b,) base parameters; 0 for those that were not estimated.
         covariance: (a, a) of the active ones, residuals taken as white (SR400 eq. 14).
         inverse: (a, a) inverse of the (weighted) normal matrix.
-        weights: (n,) what each joint's rows were multiplied with.
-        joint_std: (n,) standard deviation of each joint's residual [N·m].
+        weights: (n,) what each joint's rows were multiplied with; (1,) for the energy methods.
+        joint_std: (n,) standard deviation of each joint's residual [N·m]; (1,) of the energy's [J] or power's [W].
         rows: r, the number of equations.
         condition: of the active columns as they are (weighted), SR400's criterion.
         scaled_condition: the same with columns of unit length.
@@ -45,7 +48,7 @@ class LeastSquares:
         iterations: of the weights; 1 for OLS.
     """
 
-    method: LinearMethod
+    method: Method
     active: tuple[int, ...]
     parameters: FloatArray
     covariance: FloatArray

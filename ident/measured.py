@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from daq.loops import coupling_matrix
 from daq.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot import Robot
 from drivers.errors import DataError
@@ -29,7 +30,7 @@ class MeasuredMotion:
         label: what messages call the recording.
         time: (N,) the source's clock [s].
         position: (N, n) [rad or m].
-        torque: (N, n) joint side [N·m or N].
+        torque: (N, n) of the motors, referred to the joint side [N·m or N].
         velocity: (N, n) [rad/s or m/s] where it was recorded.
         torque_source: where the torque comes from, in words.
     """
@@ -46,7 +47,8 @@ def measured_motion(recording: Recording, robot: Robot) -> MeasuredMotion:
     """Positions and torques of a recording; a motor signal is turned into torque by the robot file's gains.
 
     Γ = gain · signal (SR400 §4.3 point 1; AUBO eq. 2). Where both are there, a signal with a known gain goes before a
-    recorded torque: the gain may have been corrected since.
+    recorded torque: the gain may have been corrected since. A signal is its motor's; a recorded torque is the joint's,
+    and is referred to the motors by R⁻ᵀ where the robot file couples them.
 
     Raises:
         DataError: a stream, quantity, joint or gain is missing, or values are not finite.
@@ -107,6 +109,9 @@ def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[F
             where=recording.label,
         )
     gains = np.array([drive.gain if drive.signal == "torque" and drive.gain else 1.0 for drive in drives])
+    if robot.model.coupling:
+        coupling = coupling_matrix(robot.model.coupling, robot.joint_names)
+        return np.linalg.solve(coupling.T, (recorded * gains).T).T, "torque as recorded, referred to the coupled motors"
     return recorded * gains, "torque as recorded"
 
 

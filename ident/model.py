@@ -5,7 +5,9 @@ Column order, everywhere: ten inertial parameters a link, links in the order of 
     XX1 XY1 XZ1 YY1 YZ1 ZZ1 MX1 MY1 MZ1 M1  XX2 … M2  …
 
 then motor inertias `Ia`, viscous `Fv`, Coulomb `Fs` and offset `Fo`, each for those joints that have it. Inertias are
-about the origin of the joint's frame and in its axes, MX MY MZ are the first moments there (SR400 §3.1).
+about the origin of the joint's frame and in its axes, MX MY MZ are the first moments there (SR400 §3.1). A motor that
+several joints move has `Fvm` and `Fsm` in place of `Fv` and `Fs`; the latter two are then the joint's own friction
+(SR400 eq. 8) and stand last, after an inertia `Iac` of the joint's own where there is one.
 """
 
 from __future__ import annotations
@@ -18,16 +20,25 @@ import numpy as np
 
 from daq.robot import JointLimits, Robot, RobotFile
 from drivers.errors import RobotFileError
+from ident.joint_columns import PAIR_SYMBOLS
 from ident.kinematics import FloatArray, Joint
+from ident.loops import build_transmission, main_chain
 from ident.mdh import mdh_joints
-from ident.urdf import urdf_joints
+from ident.transmission import Transmission
+from ident.urdf import urdf_joints, urdf_order
 
 INERTIAL = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
 """The ten standard inertial parameters of a link, in column order [kg·m², kg·m, kg] (SR400 §3.1)."""
 
-Kind = Literal["inertial", "motor_inertia", "viscous", "coulomb", "offset"]
+Kind = Literal["inertial", "motor_inertia", "viscous", "coulomb", "offset", "coupling"]
 KIND_SYMBOLS: dict[Kind, str] = {"motor_inertia": "Ia", "viscous": "Fv", "coulomb": "Fs", "offset": "Fo"}
 """Symbols of the joint parameters, in column order (SR400 eq. 6-7; Fo as f_o in AUBO eq. 6)."""
+
+PAIR_FIELDS = {"Iac": "pair_inertia", "Fv": "pair_viscous", "Fs": "pair_coulomb"}
+"""Where the truth of a coupled joint's own parameters stands in the robot file, by symbol."""
+
+MOTOR_SYMBOLS = {"Fv": "Fvm", "Fs": "Fsm"}
+"""Symbols of a motor's friction where several joints move it (SR400 eq. 8)."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +46,9 @@ class StandardParameter:
     """One column of the standard regressor.
 
     Attributes:
-        name: as in the papers (`XX2`, `Fv1`); numbered from 1 in the robot file's order.
+        name: as in the papers (`XX2`, `Fv1`); numbered from 1 in the order of the tree's joints.
         kind: what it is.
-        joint: number of its joint, from 0.
+        joint: number of its joint in the tree, from 0.
         symbol: the name without the number.
     """
 
@@ -54,10 +65,11 @@ class DynamicModel:
     Attributes:
         name: of the robot.
         joints: the tree.
-        limits: of each joint.
+        limits: of each joint with a motor.
         gravity: (3,) [m/s²] in the base frame.
-        motor_inertia, viscous, coulomb, offset: whether each joint has that column.
+        motor_inertia, viscous, coulomb, offset: whether each motor has that column.
         smoothing: ε [rad/s] of tanh(q̇/ε) in the Coulomb column (ROCR6 eq. 4); 0 for sign(q̇) (SR400 eq. 7).
+        transmission: between the tree's joints, those with a motor, and the motors; None where all are the same.
     """
 
     name: str
@@ -69,35 +81,81 @@ class DynamicModel:
     coulomb: tuple[bool, ...]
     offset: tuple[bool, ...]
     smoothing: float = 0.0
+    transmission: Transmission | None = None
+
+    @property
+    def active(self) -> tuple[int, ...]:
+        """Numbers of the tree's joints that have a motor, in the order of every array."""
+        return tuple(range(len(self.joints))) if self.transmission is None else self.transmission.active
 
     @property
     def dof(self) -> int:
-        """Number of joints."""
-        return len(self.joints)
+        """Number of joints with a motor."""
+        return len(self.joints) if self.transmission is None else len(self.transmission.active)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints, in order."""
+        """Names of the joints with a motor, in order."""
+        return tuple(self.joints[number].name for number in self.active)
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """Names of all joints of the tree, in order."""
         return tuple(joint.name for joint in self.joints)
+
+    def tree_position(self, position: FloatArray) -> FloatArray:
+        """Positions (n, …) of the tree's joints for positions (dof, …) of those with a motor [rad or m]."""
+        return position if self.transmission is None else self.transmission.tree_position(position)
+
+    def tree_rate(self, rate: FloatArray) -> FloatArray:
+        """Velocities or accelerations (n, …) of the tree's joints for those (dof, …) of the joints with a motor."""
+        return rate if self.transmission is None else self.transmission.tree_rate(rate)
+
+    def active_gradient(self, gradient: FloatArray) -> FloatArray:
+        """Derivatives (…, dof, N) by the joints with a motor from those (…, n, N) by the tree's joints."""
+        if self.transmission is None:
+            return gradient
+        return np.asarray(np.einsum("na,...nt->...at", self.transmission.follow, gradient))
+
+    @property
+    def tool_link(self) -> int:
+        """Number of the link that carries the tool: the last one; behind the longest chain where loops add rods."""
+        if self.transmission is None or not self.transmission.closed:
+            return len(self.joints) - 1
+        return main_chain(self.joints)[-1]
 
     @property
     def parameters(self) -> tuple[StandardParameter, ...]:
         """The standard parameters in column order."""
         inertial = [
             StandardParameter(f"{symbol}{number + 1}", "inertial", number, symbol)
-            for number in range(self.dof)
+            for number in range(len(self.joints))
             for symbol in INERTIAL
         ]
-        of_joints = [
-            StandardParameter(f"{symbol}{number + 1}", kind, number, symbol)
-            for kind, symbol in KIND_SYMBOLS.items()
-            for number, present in enumerate(self.has(kind))
-            if present
+        coupled = (False,) * self.dof if self.transmission is None else self.transmission.coupled
+        of_joints = []
+        for kind, plain in KIND_SYMBOLS.items():
+            for number, several, present in zip(self.active, coupled, self.has(kind), strict=True):
+                symbol = MOTOR_SYMBOLS.get(plain, plain) if several else plain
+                if present:
+                    of_joints.append(StandardParameter(f"{symbol}{number + 1}", kind, number, symbol))
+        return tuple(inertial + of_joints + self._pair_parameters())
+
+    def _pair_parameters(self) -> list[StandardParameter]:
+        """Inertia and friction that turn with a coupled joint, beside its motor's."""
+        if self.transmission is None:
+            return []
+        friction, inertia = self.transmission.pair_friction, self.transmission.pair_inertia
+        present = {"motor_inertia": inertia, "viscous": friction, "coulomb": friction}
+        return [
+            StandardParameter(f"{symbol}{number + 1}", "coupling", number, symbol)
+            for symbol, quantity in PAIR_SYMBOLS.items()
+            for motor, number in enumerate(self.active)
+            if present[quantity][motor] and getattr(self, quantity)[motor]
         ]
-        return tuple(inertial + of_joints)
 
     def has(self, kind: Kind) -> tuple[bool, ...]:
-        """Whether each joint has a column of this kind."""
+        """Whether each motor has a column of this kind."""
         if kind == "inertial":
             return (True,) * self.dof
         present: tuple[bool, ...] = getattr(self, kind)
@@ -112,14 +170,17 @@ def build_model(robot_file: RobotFile) -> DynamicModel:
     """The dynamic model that a robot file describes.
 
     Raises:
-        RobotFileError: the URDF and the file's joints do not fit together.
+        RobotFileError: the URDF and the file's joints do not fit together, or a loop does not close.
     """
     robot = robot_file.robot
     if robot.model.mdh is not None:
         joints = mdh_joints(robot.model.mdh)
     else:
         where = f"{robot.name}: {robot.model.urdf}"
-        joints = urdf_joints(robot_file.urdf_text or "", robot.joint_names, robot.model.locked, where)
+        urdf, names = robot_file.urdf_text or "", robot.joint_names
+        if robot.passive_names:
+            names = urdf_order(urdf, (*names, *robot.passive_names), robot.model.locked, where)
+        joints = urdf_joints(urdf, names, robot.model.locked, where)
     return DynamicModel(
         name=robot.name,
         joints=joints,
@@ -130,6 +191,7 @@ def build_model(robot_file: RobotFile) -> DynamicModel:
         coulomb=_friction(robot, "coulomb"),
         offset=_friction(robot, "offset"),
         smoothing=robot.friction.smoothing,
+        transmission=build_transmission(robot_file, joints),
     )
 
 
@@ -151,17 +213,23 @@ def truth_vector(robot_file: RobotFile) -> FloatArray:
     """
     robot = robot_file.robot
     model = build_model(robot_file)
-    missing = [name for name in robot.joint_names if name not in robot.truth.links]
+    missing = [name for name in model.link_names if name not in robot.truth.links]
     if missing:
         raise RobotFileError(f"no true link for joint(s) {', '.join(missing)}", where=f"{robot.name}: truth.links")
     values = {}
-    for number, name in enumerate(robot.joint_names):
+    for number, name in enumerate(model.link_names):
         link = robot.truth.links[name]
         for symbol, value in zip(INERTIAL, link_parameters(link.mass, link.com, link.inertia), strict=True):
             values[f"{symbol}{number + 1}"] = value
-        joint = robot.truth.joints.get(name)
-        for kind, symbol in KIND_SYMBOLS.items():
-            values[f"{symbol}{number + 1}"] = getattr(joint, kind) if joint is not None else 0.0
+    for parameter in model.parameters:
+        joint = robot.truth.joints.get(model.link_names[parameter.joint])
+        if parameter.kind == "coupling":
+            field = PAIR_FIELDS[parameter.symbol]
+        elif parameter.kind != "inertial":
+            field = parameter.kind
+        else:
+            continue
+        values[parameter.name] = getattr(joint, field) if joint is not None else 0.0
     return np.array([values[parameter.name] for parameter in model.parameters])
 
 

@@ -53,7 +53,7 @@ class Reduction:
     """The whole system, joint by joint.
 
     Attributes:
-        joints: one factor a joint.
+        joints: one factor a joint; a single one for the whole arm where its energy is balanced.
         column_count: number of base columns b.
         torque_count: number of torques m, each reduced alike (1, but for a search of the delay: τ and its derivative).
         samples: number of filtered samples that went in.

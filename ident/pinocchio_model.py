@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ident.joint_columns import column_signal, joint_column
 from ident.kinematics import BASE_INDEX, FloatArray
 from ident.model import INERTIAL, DynamicModel
 
@@ -15,17 +16,19 @@ _TO_OURS = tuple(PINOCCHIO_ORDER.index(symbol) for symbol in INERTIAL)
 
 
 def pinocchio_model(model: DynamicModel, inertial: FloatArray | None = None) -> Any:
-    """A `pinocchio.Model` with our joints in our order; `inertial` (10·n,) sets its links (massless where None)."""
+    """A `pinocchio.Model` of the tree, joints in our order; `inertial` (10·n,) sets its links (massless where None)."""
     import pinocchio as pin
 
     result = pin.Model()
     result.name = model.name
-    for number, (joint, limits) in enumerate(zip(model.joints, model.limits, strict=True)):
+    limits_of = dict(zip(model.active, model.limits, strict=True))
+    for number, joint in enumerate(model.joints):
         kind = pin.JointModelPrismaticUnaligned if joint.prismatic else pin.JointModelRevoluteUnaligned
         parent = 0 if joint.parent == BASE_INDEX else joint.parent + 1
         placement = pin.SE3(joint.rotation, joint.translation)
         identifier = result.addJoint(parent, kind(joint.axis), placement, joint.name)
-        result.lowerPositionLimit[number], result.upperPositionLimit[number] = limits.position
+        if number in limits_of:
+            result.lowerPositionLimit[number], result.upperPositionLimit[number] = limits_of[number].position
         if inertial is not None:
             values = inertial[10 * number : 10 * number + 10]
             dynamic = np.array([values[INERTIAL.index(symbol)] for symbol in PINOCCHIO_ORDER])
@@ -42,23 +45,22 @@ def pinocchio_regressor(
 
     arm = pinocchio_model(model)
     data = arm.createData()
-    count = position.shape[1]
-    order = [10 * link + column for link in range(model.dof) for column in _TO_OURS]
+    count, links = position.shape[1], len(model.joints)
+    order = [10 * link + column for link in range(links) for column in _TO_OURS]
     parameters = model.parameters
     dense = np.zeros((model.dof, len(parameters), count))
+    tree = model.tree_position(position), model.tree_rate(velocity), model.tree_rate(acceleration)
     for sample in range(count):
-        one = pin.computeJointTorqueRegressor(
-            arm, data, position[:, sample], velocity[:, sample], acceleration[:, sample]
-        )
+        one = pin.computeJointTorqueRegressor(arm, data, *(signal[:, sample] for signal in tree))
         # Pinocchio gives a one-joint arm's regressor as a vector.
-        dense[:, : 10 * model.dof, sample] = np.reshape(one, (model.dof, -1))[:, order]
-    for column, parameter in enumerate(parameters):
-        if parameter.kind == "motor_inertia":
-            dense[parameter.joint, column] = acceleration[parameter.joint]
-        elif parameter.kind == "viscous":
-            dense[parameter.joint, column] = velocity[parameter.joint]
-        elif parameter.kind == "coulomb":
-            dense[parameter.joint, column] = model.coulomb_direction(velocity[parameter.joint])
-        elif parameter.kind == "offset":
-            dense[parameter.joint, column] = 1.0
+        ordered = np.reshape(one, (links, -1))[:, order]
+        if model.transmission is not None:
+            ordered = model.transmission.tree_to_motor @ ordered
+        dense[:, : 10 * links, sample] = ordered
+    for number, parameter in enumerate(parameters):
+        if parameter.kind != "inertial":
+            column = joint_column(model, parameter)
+            signal = column_signal(model, column, velocity, acceleration)
+            for motor, factor in column.rows:
+                dense[motor, number] = factor * signal
     return dense

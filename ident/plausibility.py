@@ -10,15 +10,18 @@ import numpy as np
 from ident.base_parameters import BaseParameters, random_states
 from ident.filters import ZeroPhaseFilter
 from ident.kinematics import FloatArray
-from ident.least_squares import excited_columns, ordinary_least_squares
+from ident.least_squares import LeastSquares, excited_columns, ordinary_least_squares
 from ident.model import DynamicModel
-from ident.observation import reduce_segments, stack_reductions
+from ident.observation import Reduction, reduce_segments, stack_reductions
 from ident.preprocess import Segment
 from ident.regressor import RegressorKernel, regressor
 
 POSES = 200
 CLEARLY_SMALLER = 0.99
 """What the opposite gravity's sum of squared residuals must fall below, relative to the file's: not by rounding."""
+
+CHANCE = 0.01
+"""Level of the test that tells a better fit from luck."""
 
 SURE_DEVIATIONS = 3.0
 """A wrong sign counts once it is this many standard deviations away from 0."""
@@ -32,13 +35,16 @@ def inertia_matrices(
     weightless = replace(model, gravity=np.zeros(3))
     still = np.zeros_like(position)
     matrices = np.empty((count, model.dof, model.dof))
+    inertial = np.array([kind in ("inertial", "motor_inertia") for kind in base.kinds])
+    inertial |= np.array([name.startswith("Iac") for name in base.names])
     for joint in range(model.dof):
         acceleration = np.zeros_like(position)
         acceleration[joint] = 1.0
         rows = regressor(weightless, position, still, acceleration, base.columns)
         # The offset column is 1 whatever moves, and no torque of inertia.
-        inertial = np.array([kind in ("inertial", "motor_inertia") for kind in base.kinds])
         matrices[:, :, joint] = np.einsum("nbN,b->Nn", rows, np.where(inertial, parameters, 0.0))
+    if model.transmission is not None:  # from the motors to the joints
+        matrices = model.transmission.coupling.T @ matrices
     return matrices
 
 
@@ -63,8 +69,23 @@ def fits_opposite_gravity(
     """
     kernel = RegressorKernel(replace(model, gravity=-model.gravity), base.columns)
     reduction = stack_reductions([reduce_segments(kernel, segments, parallel) for segments, parallel in runs])
-    excited = [column for column in excited_columns(reduction) if column in active]
-    return ordinary_least_squares(reduction, excited).residual_sum < CLEARLY_SMALLER * residual_sum
+    return refitted(reduction, active).residual_sum < CLEARLY_SMALLER * residual_sum
+
+
+def refitted(reduction: Reduction, active: Sequence[int]) -> LeastSquares:
+    """Least squares over those `active` columns that are excited in this system as well."""
+    return ordinary_least_squares(reduction, [column for column in excited_columns(reduction) if column in active])
+
+
+def share_by_chance(freedom: float) -> float:
+    """Smallest ratio of two residual variances of so many degrees of freedom that chance brings (F-test, `CHANCE`).
+
+    With few independent equations for many parameters, as the energy model has, one sign of gravity leaves a little
+    less than the other whatever the truth.
+    """
+    from scipy.stats import f as f_distribution
+
+    return float(min(CLEARLY_SMALLER, f_distribution.ppf(CHANCE, freedom, freedom))) if freedom >= 1 else 0.0
 
 
 def sign_warnings(base: BaseParameters, parameters: FloatArray, std: FloatArray) -> list[str]:

@@ -62,7 +62,7 @@ class Recursion:
     ) -> None:
         self._joints = joints
         self._gravity = gravity
-        self._turns = [_rotation_coefficients(joint) for joint in joints]
+        self._turns = [rotation_coefficients(joint) for joint in joints]
         self.frames = []
         self._stacks = []
         for number, joint in enumerate(joints):
@@ -205,7 +205,7 @@ def _add_cross(vectors: FloatArray, offset: Direction, count: int, out: FloatArr
             out[i] -= scratch
 
 
-def _rotation_coefficients(joint: Joint) -> tuple[FloatArray, FloatArray, FloatArray]:
+def rotation_coefficients(joint: Joint) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A, B, C (3, 3) with rotation parent → joint = A + B·sin q + C·cos q (Rodrigues' formula)."""
     to_joint = joint.rotation.T
     if joint.prismatic:

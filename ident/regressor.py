@@ -11,6 +11,9 @@ velocity and acceleration and a the origin's acceleration minus gravity,
 
 and the torque that joint k needs for it is v_k·f + w_k·n, where (v_k, w_k) is the motion of the link's frame that a
 unit velocity of joint k causes. So a row is built from the axes of the joints below the link, expressed in its frame.
+
+With closed loops or coupled motors, rows belong to motors: R⁻ᵀGᵀ times the tree's rows (SR400 eq. 4 and 6). A motor's
+axis in a link's frame is that combination of the joints' axes, so nothing is computed twice.
 """
 
 from __future__ import annotations
@@ -21,9 +24,10 @@ from typing import Any
 
 import numpy as np
 
+from ident.joint_columns import JointColumn, column_signal, joint_column
 from ident.kinematics import FloatArray, ancestors
 from ident.model import DynamicModel
-from ident.recursion import Direction, FrameMotion, Recursion, combine, scaled
+from ident.recursion import AxisMotion, Direction, FrameMotion, Recursion, combine, scaled
 from ident.triangular import QrAccumulator
 
 CHUNK = 4096
@@ -59,7 +63,7 @@ _MOMENT_TERMS: tuple[tuple[tuple[Any, ...], ...], ...] = (
 
 @dataclass(frozen=True)
 class JointRows:
-    """Where one joint's packed rows are.
+    """Where one motor's packed rows are.
 
     Attributes:
         rows: slice of the packed array's first axis.
@@ -76,24 +80,56 @@ class LinkRows:
 
     Attributes:
         kinds: which of the ten parameters are selected, in the rows' order.
-        joints: those that the link hangs on, the base's first, the link's own last; empty where nothing is selected.
-        starts: for each of these joints, the first of its `len(kinds)` packed rows.
+        joints: of the tree, those that the link hangs on, the base's first, the link's own last; empty where nothing is
+            selected.
+        targets: for each motor that moves the link, the first of its `len(kinds)` packed rows, and the combination
+            (index in `joints`, factor) of axes that makes up the motor's.
     """
 
     kinds: tuple[int, ...]
     joints: tuple[int, ...]
-    starts: tuple[int, ...]
+    targets: tuple[tuple[int, tuple[tuple[int, float], ...]], ...]
 
 
 @dataclass(frozen=True)
 class _LinkBlock:
-    """Packed rows that one link fills: for each joint below it, where its inertia, first-moment and mass rows start."""
+    """Packed rows that one link fills: for each motor that moves it, where its rows start and which axes act."""
 
     link: int
     inertia: tuple[int, ...]  # which of XX..ZZ
     moments: tuple[int, ...]  # which of MX MY MZ
     mass: bool
-    targets: tuple[tuple[int, int], ...]  # (joint, first packed row), ancestors first, the link's own joint last
+    targets: tuple[tuple[int, tuple[tuple[int, float], ...]], ...]  # first packed row, (index of an axis, factor)
+
+
+@dataclass(frozen=True)
+class JointParameterRow:
+    """A packed row of a column that is no link's: `factor` times the column's signal."""
+
+    row: int
+    column: JointColumn
+    factor: float
+
+
+def _motor_axes(model: DynamicModel, chain: Sequence[int]) -> list[tuple[tuple[int, float], ...]]:
+    """For each motor, (index in the chain, factor) of the axes that make up its own; empty where it moves none."""
+    if model.transmission is None:
+        return [((chain.index(joint), 1.0),) if joint in chain else () for joint in range(model.dof)]
+    shares = model.transmission.tree_to_motor[:, list(chain)]
+    return [tuple((int(index), float(row[index])) for index in np.flatnonzero(row)) for row in shares]
+
+
+def _link_block(
+    link: int, selected: Sequence[int], targets: Sequence[tuple[int, tuple[tuple[int, float], ...]]]
+) -> _LinkBlock:
+    kinds = [column - 10 * link for column in selected]
+    return _LinkBlock(
+        link=link,
+        inertia=tuple(kind for kind in kinds if kind < _INERTIA_COUNT),
+        moments=tuple(kind - _INERTIA_COUNT for kind in kinds if _INERTIA_COUNT <= kind < _MASS_INDEX),
+        mass=_MASS_INDEX in kinds,
+        targets=tuple(targets),
+    )
 
 
 class RegressorKernel:
@@ -102,9 +138,9 @@ class RegressorKernel:
     Attributes:
         model: whose regressor this is.
         columns: standard columns in the order of the caller's choice.
-        joint_rows: one entry a joint; together they cover the packed rows.
+        joint_rows: one entry a motor; together they cover the packed rows.
         row_count: number of packed rows.
-        joint_parameter_rows: packed row, kind and joint of every column that is no link's.
+        joint_parameter_rows: the packed rows of every column that is no link's.
         link_rows: where each link's rows are.
     """
 
@@ -121,36 +157,39 @@ class RegressorKernel:
         self.columns = tuple(range(len(parameters))) if columns is None else tuple(columns)
         self.chunk = chunk
         position_of = {column: position for position, column in enumerate(self.columns)}
-        self._chains = tuple(ancestors(model.joints, number) for number in range(model.dof))
-        selected = [[c for c in range(10 * link, 10 * link + 10) if c in position_of] for link in range(model.dof)]
+        links = range(len(model.joints))
+        self._chains = tuple(ancestors(model.joints, number) for number in links)
+        selected = [[c for c in range(10 * link, 10 * link + 10) if c in position_of] for link in links]
+        axes = [_motor_axes(model, (*self._chains[link], link)) for link in links]
+        of_joints = {c: joint_column(model, parameters[c]) for c in self.columns if parameters[c].kind != "inertial"}
 
-        starts: dict[tuple[int, int], int] = {}
+        targets: list[list[tuple[int, tuple[tuple[int, float], ...]]]] = [[] for _ in links]
         joint_rows = []
-        self.joint_parameter_rows: list[tuple[int, str, int]] = []
+        self.joint_parameter_rows: list[JointParameterRow] = []
         row = 0
-        for joint in range(model.dof):
+        for motor in range(model.dof):
             first = row
             row_columns: list[int] = []
-            for link in range(model.dof):
-                if selected[link] and (joint == link or joint in self._chains[link]):
-                    starts[joint, link] = row
+            for link in links:
+                if selected[link] and axes[link][motor]:
+                    targets[link].append((row, axes[link][motor]))
                     row_columns += [position_of[c] for c in selected[link]]
                     row += len(selected[link])
-            for column in self.columns:
-                parameter = parameters[column]
-                if parameter.kind != "inertial" and parameter.joint == joint:
-                    self.joint_parameter_rows.append((row, parameter.kind, joint))
-                    row_columns.append(position_of[column])
-                    row += 1
+            for standard, column in of_joints.items():
+                for acting, factor in column.rows:
+                    if acting == motor:
+                        self.joint_parameter_rows.append(JointParameterRow(row, column, factor))
+                        row_columns.append(position_of[standard])
+                        row += 1
             joint_rows.append(JointRows(slice(first, row), tuple(row_columns)))
         self.joint_rows = tuple(joint_rows)
         self.row_count = row
-        self._blocks = tuple(self._block(link, selected[link], starts) for link in range(model.dof))
+        self._blocks = tuple(_link_block(link, selected[link], targets[link]) for link in links)
         self.link_rows = tuple(
             LinkRows(
                 kinds=tuple(column - 10 * link for column in selected[link]),
-                joints=tuple(joint for joint, _ in block.targets),
-                starts=tuple(start for _, start in block.targets),
+                joints=(*self._chains[link], link) if block.targets else (),
+                targets=block.targets,
             )
             for link, block in enumerate(self._blocks)
         )
@@ -159,17 +198,7 @@ class RegressorKernel:
         self._pushing = np.empty((3, 4, chunk))
         self._products = np.empty((len(_PRODUCTS) + 2, chunk))
         self._term = np.empty((_INERTIA_COUNT, chunk))
-
-    def _block(self, link: int, selected: Sequence[int], starts: dict[tuple[int, int], int]) -> _LinkBlock:
-        kinds = [column - 10 * link for column in selected]
-        targets = tuple((joint, starts[joint, link]) for joint in (*self._chains[link], link)) if selected else ()
-        return _LinkBlock(
-            link=link,
-            inertia=tuple(kind for kind in kinds if kind < _INERTIA_COUNT),
-            moments=tuple(kind - _INERTIA_COUNT for kind in kinds if _INERTIA_COUNT <= kind < _MASS_INDEX),
-            mass=_MASS_INDEX in kinds,
-            targets=targets,
-        )
+        self._axis = np.empty((6, chunk))
 
     @property
     def frames(self) -> list[FrameMotion]:
@@ -180,25 +209,20 @@ class RegressorKernel:
         """Write the packed regressor of m ≤ `chunk` samples into `out` (row_count, m).
 
         Args:
-            position: (n, m) [rad or m].
+            position: (n, m) of the joints with a motor [rad or m].
             velocity: (n, m) [rad/s or m/s].
             acceleration: (n, m) [rad/s² or m/s²].
             out: (row_count, m), written in full.
         """
         count = position.shape[1]
-        self._recursion.run(position, velocity, acceleration)
+        model = self.model
+        self._recursion.run(model.tree_position(position), model.tree_rate(velocity), model.tree_rate(acceleration))
         for block in self._blocks:
             if block.targets:
                 self._fill_link(block, count, out)
-        for row, kind, joint in self.joint_parameter_rows:
-            if kind == "motor_inertia":
-                out[row] = acceleration[joint]
-            elif kind == "viscous":
-                out[row] = velocity[joint]
-            elif kind == "coulomb":
-                out[row] = self.model.coulomb_direction(velocity[joint])
-            else:
-                out[row] = 1.0
+        for entry in self.joint_parameter_rows:
+            signal = column_signal(model, entry.column, velocity, acceleration)
+            out[entry.row] = signal if entry.factor == 1.0 else entry.factor * signal
 
     def _fill_link(self, block: _LinkBlock, count: int, out: FloatArray) -> None:
         motion = self._recursion.frames[block.link]
@@ -207,8 +231,8 @@ class RegressorKernel:
         inertias, moments = len(block.inertia), len(block.moments)
         pushes = moments + block.mass
         acceleration = motion.linear[:, :count]
-        for index, (_, start) in enumerate(block.targets):
-            direction = motion.axes[index]
+        for start, axes in block.targets:
+            direction = self._motor_axis(motion, axes, count)
             for_inertia = out[start : start + inertias, :count]
             for_push = out[start + inertias : start + inertias + pushes, :count]
             if inertias:
@@ -217,6 +241,29 @@ class RegressorKernel:
                 combine(direction.linear, pushing[:, :pushes], count, for_push, self._term)
             if moments:
                 self._add_moment_of_first_moments(direction.angular, acceleration, block.moments, count, for_push)
+
+    def _motor_axis(self, motion: FrameMotion, axes: Sequence[tuple[int, float]], count: int) -> AxisMotion:
+        """The combination of the joints' axes, valid until the next call."""
+        if len(axes) == 1 and axes[0][1] == 1.0:
+            return motion.axes[axes[0][0]]
+        parts: list[FloatArray | float] = []
+        for number in range(6):
+            component, total = number % 3, self._axis[number]
+            constant, varies = 0.0, False
+            for index, factor in axes:
+                axis = motion.axes[index]
+                value = (axis.angular if number < 3 else axis.linear)[component]
+                if isinstance(value, float):
+                    constant += factor * value
+                elif varies:
+                    total[:count] += factor * value[:count]
+                else:
+                    np.multiply(value[:count], factor, out=total[:count])
+                    varies = True
+            if varies and constant != 0.0:
+                total[:count] += constant
+            parts.append(total if varies else constant)
+        return AxisMotion((parts[0], parts[1], parts[2]), (parts[3], parts[4], parts[5]))
 
     def _body_rows(self, motion: FrameMotion, block: _LinkBlock, count: int) -> None:
         """Moment (3, inertias) and force (3, moments + mass) that unit parameters of this link cause in its frame."""

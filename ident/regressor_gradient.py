@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ident.joint_columns import combined
 from ident.kinematics import FloatArray
 from ident.regressor import RegressorKernel
 
@@ -83,22 +84,34 @@ def pull_back_regressor(
         acceleration: (n, m).
         weights: (row_count, m), a factor for every packed entry.
     """
-    count = position.shape[1]
-    gradient = np.zeros((3, *position.shape))
+    count, model = position.shape[1], kernel.model
+    rates, rate_changes = model.tree_rate(velocity), model.tree_rate(acceleration)
+    gradient = np.zeros((3, *rates.shape))
     for link, rows in enumerate(kernel.link_rows):
         if rows.joints:
             chain = list(rows.joints)
             of_rows = np.zeros((len(chain), 10, count))
-            of_rows[:, list(rows.kinds)] = weights[np.array(rows.starts)[:, None] + np.arange(len(rows.kinds))]
-            gradient[:, chain] += _link_gradient(kernel, link, of_rows, velocity[chain], acceleration[chain])
-    smoothing = kernel.model.smoothing
-    for row, kind, joint in kernel.joint_parameter_rows:
-        if kind == "motor_inertia":
-            gradient[2, joint] += weights[row]
-        elif kind == "viscous":
-            gradient[1, joint] += weights[row]
-        elif kind == "coulomb" and smoothing > 0:
-            gradient[1, joint] += weights[row] * (1.0 - np.tanh(velocity[joint] / smoothing) ** 2) / smoothing
+            for start, axes in rows.targets:
+                of_motor = weights[start : start + len(rows.kinds)]
+                for index, factor in axes:
+                    of_rows[index, list(rows.kinds)] += of_motor if factor == 1.0 else factor * of_motor
+            gradient[:, chain] += _link_gradient(kernel, link, of_rows, rates[chain], rate_changes[chain])
+    gradient = model.active_gradient(gradient)
+    smoothing = model.smoothing
+    for entry in kernel.joint_parameter_rows:
+        column = entry.column
+        weight = weights[entry.row] if entry.factor == 1.0 else entry.factor * weights[entry.row]
+        if column.quantity == "motor_inertia":
+            derivative, by = 2, weight
+        elif column.quantity == "viscous":
+            derivative, by = 1, weight
+        elif column.quantity == "coulomb" and smoothing > 0:
+            slope = (1.0 - np.tanh(combined(column.motion, velocity) / smoothing) ** 2) / smoothing
+            derivative, by = 1, weight * slope
+        else:
+            continue
+        for joint, factor in column.motion:
+            gradient[derivative, joint] += by if factor == 1.0 else factor * by
     return gradient
 
 

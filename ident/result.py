@@ -15,11 +15,11 @@ from ident.model import Kind
 
 RESULT_SCHEMA = 1
 UNITS: dict[str, str] = {
-    **dict.fromkeys(("XX", "XY", "XZ", "YY", "YZ", "ZZ", "Ia"), "kg·m²"),
+    **dict.fromkeys(("XX", "XY", "XZ", "YY", "YZ", "ZZ", "Ia", "Iac"), "kg·m²"),
     **dict.fromkeys(("MX", "MY", "MZ"), "kg·m"),
     "M": "kg",
-    "Fv": "N·m·s/rad",
-    "Fs": "N·m",
+    **dict.fromkeys(("Fv", "Fvm"), "N·m·s/rad"),
+    **dict.fromkeys(("Fs", "Fsm"), "N·m"),
     "Fo": "N·m",
 }
 """Units by symbol, for revolute joints."""
@@ -100,9 +100,9 @@ class Essential(_Part):
 class Residuals(_Part):
     """What the residuals look like."""
 
-    rows: int
+    rows: int = Field(description="equations: torques of single joints, or energies of the whole arm")
     effective_rows: Number
-    joint_std: list[Number] = Field(description="standard deviation a joint [N·m]")
+    joint_std: list[Number] = Field(description="standard deviation a joint, of the filtered torque [N·m]")
     autocorrelation: list[Number] = Field(description="at lag one, a joint")
     block_length: int = Field(description="samples a block of the jackknife, after filtering")
     blocks: int = Field(description="number of its blocks")

@@ -39,6 +39,13 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
         result.robot_file, where="the result's robot file", folder=None, urdf_text=result.urdf or None
     )
     options = result.model_options
+    for name in ("motor_inertia", "viscous", "coulomb", "offset"):
+        if len(getattr(options, name)) != robot_file.robot.dof:
+            raise ResultFileError(
+                f"{len(getattr(options, name))} flags for {robot_file.robot.dof} joints",
+                where=f"model_options.{name}",
+                hint="identify again",
+            )
     model = replace(
         build_model(robot_file),
         motor_inertia=tuple(options.motor_inertia),

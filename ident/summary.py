@@ -95,7 +95,7 @@ def summarise(found: Identification, recordings: Sequence[Recording], validation
         residuals=Residuals(
             rows=solution.rows,
             effective_rows=found.corrected.effective_rows,
-            joint_std=solution.joint_std.tolist(),
+            joint_std=found.joint_std.tolist(),
             autocorrelation=found.corrected.autocorrelation.tolist(),
             block_length=found.corrected.block_length,
             blocks=found.corrected.blocks,
@@ -161,6 +161,7 @@ def _options(found: Identification) -> dict[str, float | int | str | bool | None
         "keep_rest": preprocess.keep_rest,
         "split": chosen.split,
         "significant_rsd": chosen.significant_rsd,
+        "energy_window": chosen.energy_window,
     }
 
 
@@ -178,7 +179,7 @@ def _base_parameters(found: Identification) -> list[BaseParameterResult]:
             name=base.names[i],
             expression=base.expressions[i],
             kind=base.kinds[i],
-            joint=found.model.joint_names[base.joints[i]],
+            joint=found.model.link_names[base.joints[i]],
             unit=UNITS[symbols[i]],
             value=float(solution.parameters[i]) if estimated else None,
             std=float(std[i]),
@@ -212,7 +213,7 @@ def _friction(found: Identification) -> list[JointFriction]:
             offset=value("offset", joint, found.solution.parameters),
             offset_std=value("offset", joint, std),
         )
-        for joint, name in enumerate(found.model.joint_names)
+        for joint, name in zip(found.model.active, found.model.joint_names, strict=True)
     ]
 
 

@@ -50,6 +50,15 @@ def urdf_joints(xml: str, names: Sequence[str], locked: Mapping[str, float], whe
     return tuple(joints)
 
 
+def urdf_order(xml: str, names: Sequence[str], locked: Mapping[str, float], where: str) -> tuple[str, ...]:
+    """The same joints in an order in which each comes after the one that carries it.
+
+    Raises:
+        RobotFileError: not a URDF; a joint is missing, or neither named nor locked.
+    """
+    return tuple(name for name in urdf_model(xml, names, locked, where).names if name in names)
+
+
 def urdf_model(xml: str, names: Sequence[str], locked: Mapping[str, float], where: str) -> Any:
     """A URDF as a `pinocchio.Model` in which just the joints of `names` move, in its own order.
 

@@ -7,12 +7,13 @@ arrays are (n,), units N·m, rad, s.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from drivers.streams import FloatArray
 from sim_drivers.friction import FrictionParameters
+from sim_drivers.rigid_arm import RigidArm
 
 DAMPING_RATIO = 1.0
 INTEGRAL_SHARE = 0.1
@@ -92,7 +93,7 @@ class Pid:
     """Independent joints: PID on the encoder, with the rigid-body torque of the target fed forward (gravity at rest).
 
     Args:
-        arm: `pinocchio.Model` of the nominal arm, motor inertias as armature.
+        arm: the nominal arm with its motors' inertias.
         inertia: (n,) J of `independent_inertia` [kg·m²].
         largest_inertia: (n,) largest that the joint may have [kg·m²]; a heavy joint bears less integral action.
         bandwidth: ω [rad/s].
@@ -102,16 +103,14 @@ class Pid:
 
     def __init__(
         self,
-        arm: Any,
+        arm: RigidArm,
         inertia: FloatArray,
         largest_inertia: FloatArray,
         bandwidth: float,
         period: float,
         torque_limit: FloatArray,
     ) -> None:
-        import pinocchio as pin
-
-        self._rnea, self._arm, self._data = pin.rnea, arm, arm.createData()
+        self._arm = arm
         self._stiffness = inertia * bandwidth**2
         self._damping = 2.0 * DAMPING_RATIO * inertia * bandwidth
         self._integral_gain = INTEGRAL_SHARE * inertia**2 / largest_inertia * bandwidth**3
@@ -124,7 +123,7 @@ class Pid:
             self._stiffness * error
             + self._damping * (target.velocity - velocity)
             + self._integral_gain * self._integral.add(error)
-            + self._rnea(self._arm, self._data, target.position, target.velocity, target.acceleration)
+            + self._arm.inverse(target.position, target.velocity, target.acceleration)
         )
 
 
@@ -132,7 +131,7 @@ class ComputedTorque:
     """Inverse dynamics of the target's acceleration corrected by PID, plus the friction of the target's motion.
 
     Args:
-        arm: `pinocchio.Model` of the nominal arm, motor inertias as armature.
+        arm: the nominal arm with its motors' inertias.
         friction: nominal Coulomb, viscous and offset friction; the other terms are left to the feedback.
         bandwidth: ω [rad/s].
         period: between two calls [s].
@@ -140,11 +139,9 @@ class ComputedTorque:
     """
 
     def __init__(
-        self, arm: Any, friction: FrictionParameters, bandwidth: float, period: float, torque_limit: FloatArray
+        self, arm: RigidArm, friction: FrictionParameters, bandwidth: float, period: float, torque_limit: FloatArray
     ) -> None:
-        import pinocchio as pin
-
-        self._rnea, self._arm, self._data = pin.rnea, arm, arm.createData()
+        self._arm = arm
         self._friction = friction
         self._stiffness = bandwidth**2
         self._damping = 2.0 * DAMPING_RATIO * bandwidth
@@ -165,7 +162,7 @@ class ComputedTorque:
             + self._friction.viscous * target.velocity
             + self._friction.offset
         )
-        return self._integral.limited(self._rnea(self._arm, self._data, position, velocity, acceleration) + friction)
+        return self._integral.limited(self._arm.inverse(position, velocity, acceleration) + friction)
 
 
 class Braking:

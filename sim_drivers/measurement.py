@@ -6,9 +6,11 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from daq.loops import coupling_matrix
 from daq.recording import JOINTS_STREAM, Channel, Recording, Stream, software_versions
 from daq.robot import RobotFile
 from daq.trajectories import FloatArray, FourierSeries
+from drivers.streams import UNITS
 from ident.model import build_model, truth_vector
 from ident.regressor import model_torque
 
@@ -56,7 +58,10 @@ def _drive_channels(robot_file: RobotFile, torque: FloatArray) -> dict[str, Chan
     robot = robot_file.robot
     gains = [robot.drive(name).gain for name in robot.joint_names]
     signals = {robot.drive(name).signal for name in robot.joint_names}
-    if signals == {"current"} and all(gain is not None for gain in gains):
-        current = torque / np.array(gains, dtype=np.float64)[:, None]
-        return {"current": Channel("current", current.T, "A", robot.joint_names, "simulated motor current")}
+    if signals in ({"current"}, {"voltage"}) and all(gain is not None for gain in gains):
+        signal = signals.pop()
+        values = torque / np.array(gains, dtype=np.float64)[:, None]
+        return {signal: Channel(signal, values.T, UNITS[signal], robot.joint_names, f"simulated motor {signal}")}
+    if robot.model.coupling:  # what a recording calls torque is the joints'
+        torque = coupling_matrix(robot.model.coupling, robot.joint_names).T @ torque
     return {"torque": Channel("torque", torque.T, "N*m", robot.joint_names, "simulated joint torque")}

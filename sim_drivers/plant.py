@@ -2,22 +2,27 @@
 
 Leapfrog (velocity Verlet) with one articulated-body evaluation a step. Position, velocity, acceleration and drive
 torque of one instant belong together: to second order in the step, the torque is the inverse dynamics of the motion.
+
+State, friction and controller are the motors', referred to the joint side. They are the joints', but where the robot
+file couples motors; there targets and measurements are taken from and to the joints by q_motor = R·q_joint.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
+from daq.loops import coupling_matrix
 from daq.robot import RobotFile, TruthJoint
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
 from ident.model import build_model, truth_vector
-from ident.pinocchio_model import pinocchio_model
 from sim_drivers.controllers import Braking, ComputedTorque, Controller, Pid, Target, independent_inertia
 from sim_drivers.friction import Friction, bristle_stiffness, friction_parameters, steepest_slope
+from sim_drivers.pair_friction import PairFriction
+from sim_drivers.rigid_arm import RigidArm, rigid_arm
 from sim_drivers.sensors import EncoderSpeed, Measurement, TorqueSensor, drive_gains, quantised
 from sim_drivers.thermal import JointHeat, copper_losses
 
@@ -70,14 +75,14 @@ class Plant:
         robot_file: with a truth.
         settings: of the simulation.
         seed: of every random number; equal seeds and equal calls give equal arms.
-        position: (n,) at the start [rad or m]; the middle of the joints' ranges where None.
+        position: (n,) of the joints at the start [rad or m]; the middle of their ranges where None.
 
     Attributes:
         robot: the robot file's content.
         settings: as given.
-        position, velocity, acceleration: (n,) the true state [rad, rad/s, rad/s²; m for prismatic joints].
+        position, velocity, acceleration: (n,) the motors' true state, joint side [rad, rad/s, rad/s² or m…].
         drive_torque: (n,) true torque of the drives, joint side [N·m].
-        friction_torque: (n,) true friction, counted positive against a positive velocity [N·m].
+        friction_torque: (n,) true friction of the motors, counted positive against a positive velocity [N·m].
         thermal: winding and housing temperatures.
 
     Raises:
@@ -94,27 +99,26 @@ class Plant:
     ) -> None:
         self.robot, self.settings = robot_file.robot, settings
         robot = self.robot
-        inertial = truth_vector(robot_file)[: 10 * robot.dof]
+        model = build_model(robot_file)
+        inertial = truth_vector(robot_file)[: 10 * len(model.joints)]
         joints = [robot.truth.joints.get(name, TruthJoint()) for name in robot.joint_names]
         self._motor_inertia = np.array([joint.motor_inertia for joint in joints])
-        self._arm = _arm(robot_file, inertial, self._motor_inertia, 1.0)
-        self._moving_arm = _arm(robot_file, inertial, self._motor_inertia, 1.0)
-        self._data = self._arm.createData()
+        pair_inertia = np.array([joint.pair_inertia for joint in joints])
+        self._arm = rigid_arm(model, inertial, self._motor_inertia, pair_inertia)
+        self._moving_arm = rigid_arm(model, inertial, self._motor_inertia, pair_inertia)
+        self._coupling = coupling_matrix(robot.model.coupling, robot.joint_names) if robot.model.coupling else None
         start = np.array([0.5 * sum(joint.position) for joint in robot.joints]) if position is None else position
-        self.position = self._vector(start, "position").copy()
+        self.position = self._to_motors(self._vector(start, "position")).copy()
         self.velocity = np.zeros(robot.dof)
         self.acceleration = np.zeros(robot.dof)
         self.drive_torque = np.zeros(robot.dof)
         self.friction_torque = np.zeros(robot.dof)
         self._steps, self._time_due = 0, 0.0
 
-        import pinocchio as pin
-
-        self._pinocchio_aba, self._pinocchio_rnea = pin.aba, pin.rnea
-        self._pinocchio_gravity = pin.computeGeneralizedGravity
-        inertia, inverse = _joint_space_inertias(robot_file, self._arm)
+        inertia, inverse = _inertias(robot_file, self._arm, self._coupling)
         parameters = friction_parameters(robot)
         self._friction = Friction(parameters, *bristle_stiffness(parameters, inverse, settings.step))
+        self._pair_friction = PairFriction(robot, model)
         slope = steepest_slope(parameters, robot.truth.thermal.ambient)
         self._half_step = 0.5 * settings.step
         self._added_inertia = self._half_step * _implicit_damping(slope, inverse, settings.step)
@@ -125,7 +129,8 @@ class Plant:
 
         period = settings.control_steps * settings.step
         limits = np.array([joint.torque or np.inf for joint in robot.joints])
-        nominal = _arm(robot_file, inertial, self._motor_inertia, settings.nominal_share)
+        share = settings.nominal_share
+        nominal = rigid_arm(model, share * inertial, share * self._motor_inertia, share * pair_inertia)
         self._controller: Controller | None = None
         if settings.controller == "pid":
             tuned, largest = independent_inertia(inertia, inverse), np.max(inertia, axis=0)
@@ -163,14 +168,14 @@ class Plant:
         """
         zeros = np.zeros(self.robot.dof)
         self._target = Target(
-            self._vector(position, "position").copy(),
-            zeros if velocity is None else self._vector(velocity, "velocity").copy(),
-            zeros if acceleration is None else self._vector(acceleration, "acceleration").copy(),
+            self._to_motors(self._vector(position, "position")).copy(),
+            zeros if velocity is None else self._to_motors(self._vector(velocity, "velocity")).copy(),
+            zeros if acceleration is None else self._to_motors(self._vector(acceleration, "acceleration")).copy(),
         )
         self._braking = None
 
     def halt(self, deceleration: float | FloatArray) -> None:
-        """Bring every joint to rest from its present velocity at this deceleration [rad/s²], then hold.
+        """Bring every motor to rest from its present velocity at this deceleration [rad/s²], then hold.
 
         Raises:
             ValueError: a deceleration that is not positive.
@@ -205,20 +210,19 @@ class Plant:
         """What the sensors say now; each call draws its own noise."""
         target = self._target
         torque = self._torque_sensor.read() - self._unseen_inertia * self.acceleration
-        motion = target.position, target.velocity, target.acceleration
-        model_torque = self._pinocchio_rnea(self._arm, self._data, *motion)
+        model_torque = self._arm.inverse(target.position, target.velocity, target.acceleration)
         return Measurement(
             time=self.time,
-            position=quantised(self.position, self._resolution).copy(),
-            velocity=self._speed.velocity.copy(),
+            position=self._to_joints(quantised(self.position, self._resolution)).copy(),
+            velocity=self._to_joints(self._speed.velocity).copy(),
             current=torque / self._gains,
-            torque=torque,
+            torque=self._torque_at_joints(torque),
             temperature=quantised(self.thermal.housing, self.robot.truth.noise.temperature_resolution).copy(),
-            target_position=target.position.copy(),
-            target_velocity=target.velocity.copy(),
-            target_acceleration=target.acceleration.copy(),
+            target_position=self._to_joints(target.position).copy(),
+            target_velocity=self._to_joints(target.velocity).copy(),
+            target_acceleration=self._to_joints(target.acceleration).copy(),
             target_current=self.drive_torque / self._gains,
-            target_torque=np.array(model_torque),
+            target_torque=self._torque_at_joints(model_torque),
         )
 
     def set_ambient(self, celsius: float) -> None:
@@ -256,7 +260,7 @@ class Plant:
             raise ValueError(f"no joint {joint}; there are {self.robot.dof}, the first is 0")
         # So much inertia that no drive moves it: the other joints then feel the jam as they would feel a rigid link.
         self._added_inertia[joint] = 0.0
-        armature = np.array(self._moving_arm.armature)
+        armature = self._moving_arm.armature.copy()
         armature[joint] = JAMMED_INERTIA
         self._moving_arm.armature = armature
         self.velocity[joint] = self.acceleration[joint] = 0.0
@@ -266,6 +270,15 @@ class Plant:
         if vector.shape != (self.robot.dof,) or not np.all(np.isfinite(vector)):
             raise ValueError(f"{what} must be {self.robot.dof} finite numbers, not {values!r}")
         return vector
+
+    def _to_motors(self, values: FloatArray) -> FloatArray:
+        return values if self._coupling is None else self._coupling @ values
+
+    def _to_joints(self, values: FloatArray) -> FloatArray:
+        return values if self._coupling is None else np.asarray(np.linalg.solve(self._coupling, values))
+
+    def _torque_at_joints(self, torque: FloatArray) -> FloatArray:
+        return torque if self._coupling is None else np.asarray(self._coupling.T @ torque)
 
     def _control(self) -> None:
         if self._braking is not None:
@@ -290,11 +303,12 @@ class Plant:
         # corrected implicitly: (M + D)·a = τ − F(prediction) + D·a_before with D = h/2·slope.
         before = self.acceleration
         friction = self._friction.torque(velocity, travel)
+        if self._pair_friction.present:
+            friction = friction + self._pair_friction.torque(velocity)
         push = self.drive_torque - friction
         if self._stiff:
             push = push + self._added_inertia * before
-        # Pinocchio hands out a view of its own memory.
-        acceleration = self._pinocchio_aba(self._moving_arm, self._data, self.position, velocity, push).copy()
+        acceleration = self._moving_arm.forward(self.position, velocity, push)
         if self._stiff:
             friction = friction + self._added_inertia * (acceleration - before)
         self.acceleration, self.friction_torque = acceleration, friction
@@ -306,30 +320,22 @@ class Plant:
         self._update_conditions()
 
     def _update_conditions(self) -> None:
-        load = self._pinocchio_gravity(self._arm, self._data, self.position) if self._friction.load_matters else 0.0
+        load = self._arm.gravity(self.position) if self._friction.load_matters else 0.0
         self._friction.set_conditions(self.thermal.housing, np.asarray(load))
 
 
-def _arm(robot_file: RobotFile, inertial: FloatArray, motor_inertia: FloatArray, share: float) -> Any:
-    arm = pinocchio_model(build_model(robot_file), share * inertial)
-    arm.armature = share * motor_inertia
-    return arm
-
-
-def _joint_space_inertias(robot_file: RobotFile, arm: Any) -> tuple[FloatArray, FloatArray]:
-    """Diagonal (K, n) of the joint-space inertia, and its inverse (K, n, n), at random postures.
+def _inertias(robot_file: RobotFile, arm: RigidArm, coupling: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Diagonal (K, n) of the inertia matrix of the motors, and its inverse (K, n, n), at random postures.
 
     Raises:
         RobotFileError: some joint moves no inertia at all.
     """
-    import pinocchio as pin
-
-    data = arm.createData()
     low, high = (np.array(limit) for limit in zip(*(j.position for j in robot_file.robot.joints), strict=True))
     # A seed of its own: the choice of postures is no part of the plant's randomness.
     postures = np.random.default_rng(0).uniform(low, high, (POSTURES, len(low)))
-    matrices = np.array([pin.crba(arm, data, posture) for posture in postures])
-    matrices = np.triu(matrices) + np.swapaxes(np.triu(matrices, 1), 1, 2)
+    if coupling is not None:
+        postures = postures @ coupling.T
+    matrices = np.array([arm.inertia(posture) for posture in postures])
     if np.min(np.linalg.eigvalsh(matrices)) <= 1e-9:
         raise RobotFileError(
             "a joint moves no inertia, so that nothing says how it accelerates",

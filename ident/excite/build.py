@@ -133,7 +133,7 @@ def excitable_columns(model: DynamicModel, family: Family, columns: Sequence[int
 def _wanted(model: DynamicModel, base: BaseParameters, choices: DesignChoices) -> tuple[int, ...]:
     if not choices.loaded:
         return base.columns
-    last = model.dof - 1
+    last = model.tool_link
     return tuple(range(10 * last, 10 * last + 10))
 
 

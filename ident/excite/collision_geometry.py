@@ -78,9 +78,9 @@ def arm_geometry(robot_file: RobotFile, model: DynamicModel) -> ArmGeometry:
     shapes = urdf_capsules(robot_file) if robot.model.urdf is not None else {}
     tubes = tube_capsules(model, robot.model.mdh, robot.workspace)
     capsules: list[Capsule] = []
-    for link in (BASE_INDEX, *range(model.dof)):
+    for link in (BASE_INDEX, *range(len(model.joints))):
         capsules += shapes.get(link) or [tube for tube in tubes if tube.link == link]
-    last = model.dof - 1
+    last = model.tool_link
     if last in shapes and any(robot.workspace.tool):
         capsules.append(_tool_tube(last, model.joints[last].name, robot.workspace))
     return ArmGeometry(tuple(capsules), tuple(link_name(model, link) for link in sorted(shapes)))
@@ -107,9 +107,9 @@ def tube_capsules(model: DynamicModel, rows: Sequence[MdhRow] | None, workspace:
             back = joint.axis * (travel[0] - travel[1])
             capsules.append(Capsule(number, np.zeros(3), back, radii[number]))
     if any(workspace.tool):
-        capsules.append(_tool_tube(model.dof - 1, model.joints[-1].name, workspace))
+        capsules.append(_tool_tube(model.tool_link, model.joints[model.tool_link].name, workspace))
     present = {capsule.link for capsule in capsules}
-    for link in (BASE_INDEX, *range(model.dof)):
+    for link in (BASE_INDEX, *range(len(model.joints))):
         if link not in present:
             capsules.append(Capsule(link, np.zeros(3), np.zeros(3), workspace.radius_of(link_name(model, link))))
     return tuple(capsules)
@@ -121,7 +121,8 @@ def _tool_tube(link: int, name: str, workspace: Workspace) -> Capsule:
 
 def _travel(model: DynamicModel, number: int) -> tuple[float, float]:
     """The ends of a prismatic joint's travel [m], first the one nearer to the link that carries it; 0 if revolute."""
-    joint, ends = model.joints[number], model.limits[number].position
+    joint = model.joints[number]
+    ends = model.limits[model.active.index(number)].position if number in model.active else (0.0, 0.0)
     if not (joint.prismatic and np.all(np.isfinite(ends))):
         return (0.0, 0.0)
     way = joint.rotation @ joint.axis

@@ -63,7 +63,7 @@ def render_page(
 
     model = build_model(robot_file)
     shown = shown_part(robot_file, motion, prior)
-    prismatic = [joint.prismatic for joint in model.joints]
+    prismatic = [model.joints[number].prismatic for number in model.active]
     return (
         _environment()
         .get_template("excitation_page.html.j2")

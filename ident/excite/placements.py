@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ident.kinematics import BASE_INDEX, FloatArray, Joint, ancestors
+from ident.model import DynamicModel
 
 IndexArray = npt.NDArray[np.intp]
 
@@ -53,6 +54,11 @@ def place(joints: tuple[Joint, ...], position: FloatArray) -> Placements:
             screw[number, :3] = axis
             screw[number, 3:] = np.cross(origin[number], axis, axis=0)
     return Placements(rotation, origin, screw)
+
+
+def place_arm(model: DynamicModel, position: FloatArray) -> Placements:
+    """The same for positions (dof, N) of the joints with a motor; the others follow."""
+    return place(model.joints, model.tree_position(position))
 
 
 def _turn(axis: FloatArray, angle: FloatArray) -> FloatArray:

@@ -65,7 +65,7 @@ def find_prior(robot_file: RobotFile, result: Path | None = None) -> Prior:
         return prior_of_result(read_result(result), robot_file.robot, base, where=str(result))
     robot = robot_file.robot
     assumed = np.array([assumed_noise(limits.torque) for limits in robot.joints])
-    if not all(name in robot.truth.links for name in robot.joint_names):
+    if not all(name in robot.truth.links for name in (*robot.joint_names, *robot.passive_names)):
         source = f"no parameters; torque noise of {_ASSUMPTION} assumed"
         return Prior(None, assumed, source, recording_rate(robot))
     known = np.array([robot.truth.noise.torque_std.get(name, 0.0) for name in robot.joint_names])

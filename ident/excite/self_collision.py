@@ -11,7 +11,7 @@ import numpy as np
 from ident.base_parameters import random_states
 from ident.excite.collision_geometry import DISTANCE_SCALE, ArmGeometry, link_name
 from ident.excite.path import Path
-from ident.excite.placements import Placements, moved_by, place, wrench
+from ident.excite.placements import Placements, moved_by, place_arm, wrench
 from ident.excite.segment_distance import Nearest, nearest_points
 from ident.excite.soft_maximum import soft_maximum
 from ident.excite.workspace import SAMPLES_AT_ONCE
@@ -50,14 +50,14 @@ def link_pairs(model: DynamicModel, geometry: ArmGeometry, ignore: Iterable[tupl
     """Sort all pairs of links; `ignore` names those that may touch."""
     ignored_names = {frozenset(names) for names in ignore}
     neighbours, ignored, others = [], [], []
-    for first, second in combinations((BASE_INDEX, *range(model.dof)), 2):
+    for first, second in combinations((BASE_INDEX, *range(len(model.joints))), 2):
         if model.joints[second].parent == first:
             neighbours.append((first, second))
         elif frozenset((link_name(model, first), link_name(model, second))) in ignored_names:
             ignored.append((first, second))
         else:
             others.append((first, second))
-    placements = place(model.joints, random_states(model, _CONFIGURATIONS)[0])
+    placements = place_arm(model, random_states(model, _CONFIGURATIONS)[0])
     distance = _PairDistances(model, geometry, others).smallest(placements)
     always_close = (distance < CLOSE).mean(axis=1) >= ALWAYS_CLOSE
     return LinkPairs(
@@ -73,7 +73,7 @@ class _PairDistances:
 
     def __init__(self, model: DynamicModel, geometry: ArmGeometry, pairs: Iterable[Pair]) -> None:
         self._geometry = geometry
-        of_link = {link: np.flatnonzero(geometry.links == link) for link in (BASE_INDEX, *range(model.dof))}
+        of_link = {link: np.flatnonzero(geometry.links == link) for link in (BASE_INDEX, *range(len(model.joints)))}
         moves = moved_by(model.joints)
         first, second, sizes, relative = [], [], [], []
         for one, other in pairs:
@@ -86,7 +86,7 @@ class _PairDistances:
         nothing = [np.zeros(0, dtype=np.intp)]
         self.first, self.second = np.concatenate(first or nothing), np.concatenate(second or nothing)
         self.starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp)
-        self.relative = np.array(relative).reshape(len(sizes), model.dof)
+        self.relative = np.array(relative).reshape(len(sizes), len(model.joints))
         self._radii = (geometry.radii[self.first] + geometry.radii[self.second])[:, None]
 
     def nearest(self, placements: Placements) -> tuple[FloatArray, Nearest]:
@@ -124,13 +124,13 @@ class SelfCollision:
         """(m,) largest use on the grid."""
         nearest = np.full(len(self.pairs.checked), np.inf)
         for start in range(0, path.time.size, SAMPLES_AT_ONCE):
-            placements = place(self._model.joints, path.position[:, start : start + SAMPLES_AT_ONCE])
+            placements = place_arm(self._model, path.position[:, start : start + SAMPLES_AT_ONCE])
             nearest = np.minimum(nearest, self._distances.smallest(placements).min(axis=1))
         return 1.0 - nearest / DISTANCE_SCALE
 
     def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
         """Smooth upper bound (m,) and its derivatives (m, 3, n, N): ∂d/∂q = nᵀ(J_1 − J_2) at the nearest points."""
-        placements = place(self._model.joints, path.position)
+        placements = place_arm(self._model, path.position)
         distance, found = self._distances.nearest(placements)
         used = 1.0 - distance / DISTANCE_SCALE
         starts = self._distances.starts
@@ -144,7 +144,6 @@ class SelfCollision:
             force = found.normal * (-weights / DISTANCE_SCALE)[:, None]
             # The normal goes through both nearest points: its moment is the same at either.
             of_pairs = np.add.reduceat(wrench(found.first, force), starts[:-1], axis=0)
-            gradient[:, 0] = self._distances.relative[:, :, None] * np.einsum(
-                "jat,mat->mjt", placements.screw, of_pairs
-            )
+            turned = np.einsum("jat,mat->mjt", placements.screw, of_pairs)
+            gradient[:, 0] = self._model.active_gradient(self._distances.relative[:, :, None] * turned)
         return bounds, gradient

@@ -6,7 +6,7 @@ import numpy as np
 
 from daq.robot import RobotFile
 from daq.trajectories import Motion
-from ident.excite.placements import place
+from ident.excite.placements import place_arm
 from ident.model import build_model
 
 _SAMPLES = 2000
@@ -19,8 +19,8 @@ def surroundings_warning(robot_file: RobotFile, motion: Motion) -> str | None:
         return None
     model = build_model(robot_file)
     position, _, _ = motion.evaluate(np.linspace(0.0, motion.duration, _SAMPLES))
-    placements = place(model.joints, position)
-    tool = placements.points(np.array([model.dof - 1]), np.array([workspace.tool]))[..., 2, :]
+    placements = place_arm(model, position)
+    tool = placements.points(np.array([model.tool_link]), np.array([workspace.tool]))[..., 2, :]
     lowest = min(float(placements.origin[:-1, 2].min()), float(tool.min()))
     return (
         f"the robot file's workspace names neither heights nor obstacles: this motion comes down to {lowest:.2f} m in "

@@ -13,7 +13,7 @@ import numpy as np
 from daq.robot import RobotFile
 from ident.excite.capsules import Capsule, box_capsules, cylinder_capsule, enclosing_capsule
 from ident.kinematics import BASE_INDEX, FloatArray
-from ident.urdf import UNIVERSE, urdf_model
+from ident.urdf import UNIVERSE, urdf_model, urdf_order
 
 _PACKAGE_PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
 """Environment variables with the folders of ROS packages, ROS 1 and ROS 2."""
@@ -33,7 +33,10 @@ def urdf_capsules(robot_file: RobotFile) -> dict[int, list[Capsule]]:
     """
     robot = robot_file.robot
     xml = robot_file.urdf_text or ""
-    model = urdf_model(xml, robot.joint_names, robot.model.locked, f"{robot.name}: {robot.model.urdf}")
+    where, names = f"{robot.name}: {robot.model.urdf}", robot.joint_names
+    if robot.passive_names:
+        names = urdf_order(xml, (*names, *robot.passive_names), robot.model.locked, where)
+    model = urdf_model(xml, names, robot.model.locked, where)
     folders = _folders(robot_file)
     found: dict[int, list[Capsule]] = {}
     unusable: set[int] = set()
@@ -43,7 +46,7 @@ def urdf_capsules(robot_file: RobotFile) -> dict[int, list[Capsule]]:
             continue
         frame = model.frames[model.getBodyId(name)]
         parent = frame.parentJoint
-        number = BASE_INDEX if parent == UNIVERSE else robot.joint_names.index(model.names[parent])
+        number = BASE_INDEX if parent == UNIVERSE else names.index(model.names[parent])
         for collision in link.findall("collision"):
             try:
                 found.setdefault(number, []).extend(_capsules(number, collision, frame.placement, folders))

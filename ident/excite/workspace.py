@@ -20,7 +20,7 @@ from drivers.errors import RobotFileError
 from ident.base_parameters import random_states
 from ident.excite.collision_geometry import DISTANCE_SCALE, ArmGeometry
 from ident.excite.path import Path
-from ident.excite.placements import IndexArray, Placements, moved_by, place, wrench
+from ident.excite.placements import IndexArray, Placements, moved_by, place_arm, wrench
 from ident.excite.soft_maximum import soft_maximum
 from ident.kinematics import BASE_INDEX, FloatArray
 from ident.model import DynamicModel
@@ -68,7 +68,7 @@ class WorkspaceLimits:
         self._moves = moved_by(model.joints)
         points, links = _moving_points(model, geometry, workspace)
         tool = np.array([workspace.tool])
-        last = np.array([model.dof - 1])
+        last = np.array([model.tool_link])
         moving = _moving_capsules(model, geometry)
         limits = []
         if workspace.radius is not None:
@@ -103,14 +103,14 @@ class WorkspaceLimits:
         """(m,) largest use on the grid."""
         nearest = np.full(len(self._limits), np.inf)
         for start in range(0, path.time.size, SAMPLES_AT_ONCE):
-            placements = place(self._model.joints, path.position[:, start : start + SAMPLES_AT_ONCE])
+            placements = place_arm(self._model, path.position[:, start : start + SAMPLES_AT_ONCE])
             found = [float(limit.distances(placements).value.min()) for limit in self._limits]
             nearest = np.minimum(nearest, found)
         return 1.0 - nearest / DISTANCE_SCALE
 
     def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
         """Smooth upper bound (m,) and its derivatives (m, 3, n, N)."""
-        placements = place(self._model.joints, path.position)
+        placements = place_arm(self._model, path.position)
         bounds = np.empty(len(self._limits))
         gradient = np.zeros((len(self._limits), 3, *path.position.shape))
         for row, limit in enumerate(self._limits):
@@ -119,14 +119,14 @@ class WorkspaceLimits:
             bounds[row], weights = soft_maximum(used.ravel(), sharpness)
             force = distances.gradient * (-weights.reshape(used.shape) / DISTANCE_SCALE)[:, None]
             turned = np.einsum("jat,kat->kjt", placements.screw, wrench(distances.point, force))
-            gradient[row, 0] = np.einsum("kj,kjt->jt", self._moves[limit.links], turned)
+            gradient[row, 0] = self._model.active_gradient(np.einsum("kj,kjt->jt", self._moves[limit.links], turned))
         return bounds, gradient
 
 
 def _moving_points(model: DynamicModel, geometry: ArmGeometry, workspace: Workspace) -> tuple[FloatArray, IndexArray]:
     """The tool point and the capsules' ends that some joint moves: places (K, 3) in their links' frames, links (K,)."""
     places = np.concatenate([np.array([workspace.tool]), geometry.starts, geometry.ends])
-    links = np.concatenate([[model.dof - 1], geometry.links, geometry.links])
+    links = np.concatenate([[model.tool_link], geometry.links, geometry.links])
     both = np.unique(np.column_stack([links, places]), axis=0)
     links, places = both[:, 0].astype(np.intp), both[:, 1:]
     moving = _reach(model, links, places) > _STILL
@@ -140,7 +140,7 @@ def _moving_capsules(model: DynamicModel, geometry: ArmGeometry) -> IndexArray:
 
 
 def _refuse_inescapable(model: DynamicModel, geometry: ArmGeometry, moving: IndexArray, workspace: Workspace) -> None:
-    at_zero = place(model.joints, np.zeros((model.dof, 1)))
+    at_zero = place_arm(model, np.zeros((model.dof, 1)))
     links, radii = geometry.links[moving], geometry.radii[moving]
     for places in (geometry.starts[moving], geometry.ends[moving]):
         points = at_zero.points(links, places)
@@ -163,7 +163,7 @@ def _refuse_inescapable(model: DynamicModel, geometry: ArmGeometry, moving: Inde
 
 def _reach(model: DynamicModel, links: IndexArray, places: FloatArray) -> FloatArray:
     """How far each point (K,) gets from where it is first, at random configurations [m]."""
-    points = place(model.joints, random_states(model, 50)[0]).points(links, places)
+    points = place_arm(model, random_states(model, 50)[0]).points(links, places)
     return np.asarray(np.abs(points - points[..., :1]).max(axis=(1, 2)) * (links != BASE_INDEX))
 
 

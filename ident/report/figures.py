@@ -23,6 +23,7 @@ KIND_STYLES: dict[str, tuple[str, str, str]] = {
     "viscous": ("viscous friction", "#009E73", "triangle-up"),
     "coulomb": ("Coulomb friction", "#D55E00", "diamond"),
     "offset": ("offset", "#7C828A", "cross"),
+    "coupling": ("coupled joint", "#E69F00", "triangle-down"),
 }
 """Words, colour and marker of each kind: after Okabe and Ito, told apart by colour-blind readers too."""
 

@@ -203,15 +203,25 @@ REFUSED: dict[str, tuple[str, str, tuple[str, ...]]] = {
         ": model",
         ("'locked' works with 'urdf' only",),
     ),
+    "unknown length": (
+        replaced("model:", "model:\n  lengths: {d2: 0.1}").replace("d: 0.1, theta0", "d: d3, theta0"),
+        ": model",
+        ("'d: d3' refers to no length of 'lengths'; there are: d2",),
+    ),
+    "length that is no number": (
+        replaced("model:", "model:\n  lengths: {d2: long}").replace("d: 0.1, theta0", "d: d2, theta0"),
+        ": model",
+        ("the length 'd2' is to be a number, found 'long'",),
+    ),
     "loops": (
         replaced("joints:", "  loops: [{}]\njoints:"),
-        ": model",
-        ("closed loops", "not supported by this version"),
+        ": model.loops[0]",
+        ("either 'joint' with its 'equation', or 'parallelogram'",),
     ),
     "coupling": (
         replaced("joints:", "  coupling: {j2: 1}\njoints:"),
-        ": model",
-        ("coupled motors", "not supported by this version"),
+        ": model.coupling.j2",
+        ("found 1", "valid dictionary"),
     ),
     "connection without driver": (
         TWO_JOINTS + "connections: {wire: {host: x}}\n",

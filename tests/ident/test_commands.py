@@ -173,7 +173,10 @@ BAD = [
     (["identify", "onejoint.h5"], ["no column for joint", "another with --robot"]),
     (["identify", "run.h5", "--robot", "panda"], ["no column for joint", "panda_joint1"]),
     # options
-    (["identify", "run.h5", "--method", "magic"], ["'magic'", "ols or wls"]),
+    (["identify", "run.h5", "--method", "magic"], ["'magic'", "ols, wls, energy or power"]),
+    (["identify", "run.h5", "--energy-window", "0.1"], ["energy_window", "belong to the method energy"]),
+    (["identify", "run.h5", "--method", "energy", "--energy-window", "nan"], ["energy_window", "nan s"]),
+    (["identify", "run.h5", "--method", "energy", "--energy-window", "50"], ["energy_window", "50 s do not fit"]),
     (["identify", "run.h5", "--friction", "sticky"], ["'sticky'", "coulomb-viscous"]),
     (["identify", "run.h5", "--delay", "soon"], ["--delay soon", "auto"]),
     (["identify", "run.h5", "--delay", "nan"], ["--delay nan"]),

@@ -98,13 +98,28 @@ def test_every_arm_with_a_truth_can_be_recorded(name, tmp_path):
     motion = random_fourier_motion(build_model(robot_file), 8.0, seed=1, candidates=2)
     recording = simulate_recording(robot_file, motion, 0.5, seed=1)
     drives = [robot_file.robot.drive(joint) for joint in robot_file.robot.joint_names]
-    from_current = all(drive.gain is not None and drive.signal == "current" for drive in drives)
+    signal = drives[0].signal if all(drive.gain is not None for drive in drives) else "torque"
     channels = joints_of(recording).channels
-    assert set(channels) == {"position", "current" if from_current else "torque"}
+    assert set(channels) == {"position", signal}
     write_recording(tmp_path / "run.h5", recording)
     again = read_recording(tmp_path / "run.h5")
     assert np.array_equal(joints_of(again).channels["position"].values, channels["position"].values)
     assert again.robot().robot == robot_file.robot
+
+
+def test_a_coupled_arm_s_torque_is_recorded_at_its_joints():
+    """As voltage with gains, as torque without: both are read back as the same motor torques."""
+    robot_file = without_noise(load_robot("sr400"))
+    text = robot_file.text
+    start, end = text.index("\ndrives:\n"), text.index("\nfriction:")
+    bare = parse_robot(text[:start] + text[end:], where="bare", folder=None)
+    motion = random_fourier_motion(build_model(robot_file), 8.0, seed=1, candidates=2)
+    at_motors = measured_motion(simulate_recording(robot_file, motion, 1.0, seed=1), robot_file.robot)
+    recording = simulate_recording(bare, motion, 1.0, seed=1)
+    from_joints = measured_motion(recording, bare.robot)
+    np.testing.assert_allclose(from_joints.torque, at_motors.torque, atol=1e-9)
+    recorded = joints_of(recording).channels["torque"].values
+    assert np.allclose(recorded[:, 3], at_motors.torque[:, 3] + at_motors.torque[:, 4], atol=1e-9)
 
 
 def test_an_arm_without_a_truth_is_refused(ur5e, motion):

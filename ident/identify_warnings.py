@@ -1,0 +1,96 @@
+"""What a user should know before trusting an identification's numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from daq.recording import Recording
+from ident.estimator import estimable, estimator_of, fits_energy_better
+from ident.least_squares import ENERGY_METHODS, ordinary_least_squares
+from ident.plausibility import fits_opposite_gravity, indefinite_share, sign_warnings
+from ident.pruning import relative_std
+from ident.regressor import RegressorKernel
+
+if TYPE_CHECKING:
+    from ident.identify import Identification
+
+ROWS_PER_PARAMETER = 50
+"""Fewer equations a parameter than this are warned of (SR400 §4.3 point 6)."""
+
+
+def identification_warnings(found: Identification, recordings: Sequence[Recording]) -> list[str]:
+    """What a user should know before trusting the numbers."""
+    warnings = []
+    base, solution = found.base, found.solution
+    for recording in recordings:
+        if not recording.complete:
+            warnings.append(f"{recording.label} was not closed in order: its end may be missing")
+    count = len(solution.active)
+    if solution.rows < ROWS_PER_PARAMETER * count:
+        more = "take shorter windows" if found.choices.method == "energy" else "decimate less"
+        warnings.append(
+            f"only {solution.rows} equations for {count} parameters; {ROWS_PER_PARAMETER} a parameter are advised: "
+            f"record longer or {more}"
+        )
+    unseen = [base.names[i] for i in range(base.count) if i not in estimable(found.choices.method, found.model, base)]
+    if unseen:
+        warnings.append(
+            f"the energy model cannot tell {', '.join(unseen)} from the others, the dynamic model can: use --method wls"
+        )
+    silent = [base.names[i] for i in range(base.count) if i not in solution.active and base.names[i] not in unseen]
+    if silent:
+        warnings.append(
+            f"the motion does not excite {', '.join(silent)}: no values for them, and other parameters may have taken "
+            "theirs up"
+        )
+    vague = [
+        base.names[i]
+        for i in solution.active
+        if relative_std(solution.parameters, found.std)[i] >= 100.0 and i in found.pruned.dropped
+    ]
+    if len(vague) > base.count / 3:
+        warnings.append(
+            f"{len(vague)} of {base.count} base parameters are smaller than their standard deviation: "
+            "a more exciting motion would tell more"
+        )
+        if found.choices.method in ENERGY_METHODS:
+            warnings.append(
+                "the energy model has one equation for all joints together: move few of them at a time, record longer, "
+                "or use --method wls"
+            )
+    warnings += sign_warnings(base, solution.parameters, found.std)
+    if np.any(found.model.gravity) and _fits_opposite_gravity(found):
+        warnings.append(
+            "gravity of the opposite sign fits the data better: check `model.gravity`, how the arm is mounted, and the "
+            "signs of the drive gains"
+        )
+    share = indefinite_share(found.model, base, solution.parameters)
+    if share > 0:
+        warnings.append(
+            f"the identified inertia matrix is not positive definite at {share * 100:.0f} % of random poses: good for "
+            "predicting torque, not for forward simulation"
+        )
+    if found.validation.relative_error > 2.0 * found.fit.relative_error:
+        warnings.append(
+            f"the validation error is {found.validation.relative_error / found.fit.relative_error:.1f} times the "
+            "identification's: the model has learnt its data by heart"
+        )
+    return warnings
+
+
+def _fits_opposite_gravity(found: Identification) -> bool:
+    """Whether the same equations with gravity of the opposite sign fit clearly better, both by OLS."""
+    active, model, method = found.solution.active, found.model, found.choices.method
+    residual_sum = ordinary_least_squares(found.reduction, active).residual_sum
+    parts = [run.prepared for run in found.runs]
+    if method not in ENERGY_METHODS:
+        prepared = [(part.segments, part.parallel_filter) for part in parts]
+        return fits_opposite_gravity(model, found.base, prepared, active, residual_sum)
+    kernel = RegressorKernel(replace(model, gravity=-model.gravity), found.base.columns)
+    turned = estimator_of(method, kernel, parts, found.choices.energy_window)
+    independent = found.corrected.effective_rows * found.corrected.repetitions
+    return fits_energy_better(turned, parts, active, residual_sum, independent)

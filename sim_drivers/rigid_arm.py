@@ -1,0 +1,133 @@
+"""Rigid-body dynamics of a simulated arm between the positions and the torques of its motors.
+
+An arm without loops and coupling is Pinocchio's. With them, the tree follows the motors by q_tree = T·q_m + b with
+T = G·R⁻¹, so that the power that motors give is the power that the tree's joints take (SR400 eq. 4 and 6):
+
+    Γ_m = Tᵀ·Γ_tree(q_tree, T·q̇_m, T·q̈_m) + (Ia + I_pair)·q̈_m        M_m = Tᵀ·M_tree·T + Ia + I_pair
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.model import DynamicModel
+from ident.pinocchio_model import pinocchio_model
+from ident.transmission import Transmission
+
+
+class RigidArm(Protocol):
+    """Links and motor inertias; arrays (n,), in the motors' coordinates, joint side.
+
+    Attributes:
+        armature: (n,) motor inertias [kg·m²]; may be changed.
+    """
+
+    armature: FloatArray
+
+    def forward(self, position: FloatArray, velocity: FloatArray, torque: FloatArray) -> FloatArray:
+        """Accelerations that torques [N·m] cause."""
+
+    def inverse(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """Torques [N·m] that a motion needs."""
+
+    def gravity(self, position: FloatArray) -> FloatArray:
+        """Torques [N·m] that hold the arm."""
+
+    def inertia(self, position: FloatArray) -> FloatArray:
+        """Inertia matrix (n, n) with the motors' inertias [kg·m²]."""
+
+
+def rigid_arm(
+    model: DynamicModel, inertial: FloatArray, armature: FloatArray, pair_inertia: FloatArray | None = None
+) -> RigidArm:
+    """The arm of a model.
+
+    Args:
+        model: kinematics and gravity.
+        inertial: (10·links,) parameters of its links.
+        armature: (n,) motor inertias [kg·m²].
+        pair_inertia: (n,) inertias that turn with a coupled joint, beside the motor's [kg·m²].
+    """
+    if model.transmission is None:
+        return _Tree(model, inertial, armature)
+    return _Constrained(model, model.transmission, inertial, armature, pair_inertia)
+
+
+class _Tree:
+    """Every joint of the tree has a motor of its own."""
+
+    def __init__(self, model: DynamicModel, inertial: FloatArray, armature: FloatArray) -> None:
+        import pinocchio as pin
+
+        self._arm: Any = pinocchio_model(model, inertial)
+        self._arm.armature = armature
+        self._data = self._arm.createData()
+        self._aba, self._rnea, self._crba = pin.aba, pin.rnea, pin.crba
+        self._gravity = pin.computeGeneralizedGravity
+
+    @property
+    def armature(self) -> FloatArray:
+        return np.array(self._arm.armature)
+
+    @armature.setter
+    def armature(self, values: FloatArray) -> None:
+        self._arm.armature = values
+
+    def forward(self, position: FloatArray, velocity: FloatArray, torque: FloatArray) -> FloatArray:
+        # Pinocchio hands out a view of its own memory.
+        acceleration: FloatArray = self._aba(self._arm, self._data, position, velocity, torque).copy()
+        return acceleration
+
+    def inverse(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        torque: FloatArray = self._rnea(self._arm, self._data, position, velocity, acceleration).copy()
+        return torque
+
+    def gravity(self, position: FloatArray) -> FloatArray:
+        return np.array(self._gravity(self._arm, self._data, position))
+
+    def inertia(self, position: FloatArray) -> FloatArray:
+        upper = np.array(self._crba(self._arm, self._data, position))
+        return np.asarray(np.triu(upper) + np.triu(upper, 1).T)
+
+
+class _Constrained:
+    """Joints follow, or motors are coupled."""
+
+    def __init__(
+        self,
+        model: DynamicModel,
+        transmission: Transmission,
+        inertial: FloatArray,
+        armature: FloatArray,
+        pair_inertia: FloatArray | None,
+    ) -> None:
+        self._tree = _Tree(model, inertial, np.zeros(len(model.joints)))
+        to_joints = np.linalg.inv(transmission.coupling)
+        self._follow = transmission.follow @ to_joints
+        self._offset = transmission.offset
+        pair = np.zeros(model.dof) if pair_inertia is None else pair_inertia
+        self._pair = to_joints.T @ np.diag(pair) @ to_joints
+        self.armature = np.array(armature)
+
+    def forward(self, position: FloatArray, velocity: FloatArray, torque: FloatArray) -> FloatArray:
+        bias = self._rigid(position, velocity, np.zeros_like(position))
+        return np.asarray(np.linalg.solve(self.inertia(position), torque - bias))
+
+    def inverse(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        rotors = self.armature * acceleration + self._pair @ acceleration
+        return np.asarray(self._rigid(position, velocity, acceleration) + rotors)
+
+    def gravity(self, position: FloatArray) -> FloatArray:
+        return np.asarray(self._follow.T @ self._tree.gravity(self._follow @ position + self._offset))
+
+    def inertia(self, position: FloatArray) -> FloatArray:
+        tree = self._tree.inertia(self._follow @ position + self._offset)
+        return np.asarray(self._follow.T @ tree @ self._follow + self._pair + np.diag(self.armature))
+
+    def _rigid(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        follow = self._follow
+        at_joints = self._tree.inverse(follow @ position + self._offset, follow @ velocity, follow @ acceleration)
+        return np.asarray(follow.T @ at_joints)
