@@ -22,6 +22,8 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from daq.realtime import may_have_realtime
+
 ROBOT = "ur5e"
 NODES = range(1, 7)
 TPDOS_A_CYCLE = 2 * len(NODES)
@@ -106,9 +108,13 @@ def measure(seconds: float, folder: Path) -> dict[str, object]:
 
     eds = Path(sim_drivers.__path__[0]) / "eds" / "dynid_drive.eds"
     dynid = str(Path(sys.executable).with_name("dynid"))
+    priority = ["--realtime"] if may_have_realtime() else []
     begun: list[subprocess.Popen[str]] = []
     sim = subprocess.Popen(
-        [dynid, "sim", ROBOT, "--wire", "canopen", "--no-ui"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [dynid, "sim", ROBOT, "--wire", "canopen", "--no-ui", *priority],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     )
     begun.append(sim)
     try:
@@ -121,7 +127,8 @@ def measure(seconds: float, folder: Path) -> dict[str, object]:
         begun += listeners.values()
         ours = folder / "run.h5"
         record = subprocess.Popen(
-            [dynid, "record", ROBOT, "--wire", "canopen", "--duration", str(seconds), "-o", str(ours), "--no-ui"],
+            [dynid, "record", ROBOT, "--wire", "canopen", "--duration", str(seconds), "-o", str(ours), "--no-ui"]
+            + priority,
             stdout=subprocess.DEVNULL,
             text=True,
         )
@@ -151,6 +158,7 @@ def measure(seconds: float, folder: Path) -> dict[str, object]:
         late = [re.match(r"(\d+) SYNC\(s\) not sent", message) for message in messages]
         result: dict[str, object] = {
             "seconds counted": end - start,
+            "real-time priority of recorder and simulator": bool(priority),
             "SYNCs due": due,
             "SYNCs seen": sent,
             "SYNCs not sent in the whole recording, the computer being late": sum(int(m[1]) for m in late if m),

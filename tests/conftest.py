@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from daq.realtime import ask_for_realtime, give_realtime_back, may_have_realtime
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -17,3 +20,19 @@ def data_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real recordings in {folder}; set DYNID_DATA")
     return folder
+
+
+@pytest.fixture
+def punctual() -> Iterator[None]:
+    """Real-time priority for this test and all that it starts, where the system allows it.
+
+    Robot and recorder share this computer with the other tests: a stall of 50 ms, rightly, stops a motion.
+    """
+    allowed = may_have_realtime()
+    if allowed:
+        ask_for_realtime()
+    try:
+        yield
+    finally:
+        if allowed:
+            give_realtime_back()

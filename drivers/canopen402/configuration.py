@@ -155,10 +155,20 @@ def _probe(drives: Sequence[Drive], deadline: float) -> None:
             raise ConnectionFailedError(f"no answer from {who}", hint=hint)
     time.sleep(SECOND_ANSWER)
     for drive in drives:
-        if drive.answers > 1:
+        if drive.answers > 1 and (count := _answers_to_one_question(drive)) > 1:
             raise ConnectionFailedError(
-                f"{drive.answers} devices answer to one node id", where=drive.where, hint="give each its own node id"
+                f"{count} devices answer to one node id", where=drive.where, hint="give each its own node id"
             )
+
+
+def _answers_to_one_question(drive: Drive) -> int:
+    """How many devices have this node id; a drive that was asked again may have answered late, and so twice."""
+    drive.ask_for(objects.DEVICE_TYPE)
+    end = time.monotonic() + ANSWER_LIMIT
+    while not drive.answers and time.monotonic() < end:
+        time.sleep(1e-3)
+    time.sleep(SECOND_ANSWER)
+    return drive.answers
 
 
 def _check_profile(drive: Drive, mode: int | None) -> None:

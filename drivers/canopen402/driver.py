@@ -133,7 +133,8 @@ class Canopen402Driver:
         layouts = [StreamLayout("joints", tuple(channels), self._settings.sync_rate)]
         if warm := self._joints_with_temperature():
             channel = ChannelLayout("temperature", warm, "", "temperature object of the drive, read by SDO")
-            layouts.append(StreamLayout("thermal", (channel,), THERMAL_RATE))
+            # A drive that answers no SDO for a second is told by the poll; it is no reason to stop a motion.
+            layouts.append(StreamLayout("thermal", (channel,), THERMAL_RATE, essential=False))
         return tuple(layouts)
 
     def start(self) -> None:

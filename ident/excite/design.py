@@ -141,4 +141,5 @@ def _use(problem: Problem, path: Path) -> FloatArray:
 def _worst(problem: Problem, variables: FloatArray) -> str:
     uses = problem.use(variables)
     worst = int(np.argmax(uses))
-    return f"uses {100.0 * uses[worst]:.4g} % of the {limit_names(problem)[worst]}"
+    share = f"{100.0 * uses[worst]:.4g} % of the {limit_names(problem)[worst]}"
+    return f"uses {share}, where the margin leaves {100.0 * problem.allowed:.3g} %"

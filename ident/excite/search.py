@@ -21,6 +21,7 @@ from ident.kinematics import FloatArray
 
 DRAWS = 20
 """Random members that a start is chosen from."""
+_ROUNDING = 1e-6
 _POLL = 0.2
 
 
@@ -53,6 +54,7 @@ class Candidate:
         cost: the criterion, exactly (a logarithm).
         condition: number of the base regressor, columns scaled.
         use: the largest use of a limit on the problem's grid.
+        allowed: whether that is within the problem's margin.
         variables: (size,).
     """
 
@@ -61,6 +63,7 @@ class Candidate:
     cost: float
     condition: float
     use: float
+    allowed: bool
     variables: FloatArray
 
 
@@ -95,7 +98,7 @@ class _Ledger:
         if self.least_use is None or (candidate.use, candidate.start) < (self.least_use.use, self.least_use.start):
             self.least_use = candidate
         # Ties go to the lower start, so that the order in which processes report does not matter.
-        if candidate.use <= 1.0 and (
+        if candidate.allowed and (
             self.best is None or (candidate.cost, candidate.start) < (self.best.cost, self.best.start)
         ):
             self.best = candidate
@@ -147,7 +150,8 @@ def candidates(problem: Problem, choices: SearchChoices, start: int, first: Floa
     for number, variables in enumerate(solve(problem, begin, choices.solver), start=1):
         use = float(problem.use(variables).max(initial=0.0))
         cost, condition = problem.cost(variables), problem.condition(variables)
-        yield Candidate(start, number == len(ROUNDS), cost, condition, use, variables)
+        allowed = use <= problem.allowed + _ROUNDING
+        yield Candidate(start, number == len(ROUNDS), cost, condition, use, allowed, variables)
 
 
 def random_start(problem: Problem, seed: Sequence[int], draws: int = DRAWS) -> FloatArray:

@@ -64,7 +64,7 @@ def tighten(problem: Problem, variables: FloatArray, solver: Solver) -> FloatArr
 
 def _round(problem: Problem, start: FloatArray, solver: Solver, step: Round) -> FloatArray:
     """What a round reaches; within a shorter reach where it ends further outside the limits than it began."""
-    before = max(1.0, float(problem.use(start).max(initial=0.0)))
+    before = max(problem.allowed, float(problem.use(start).max(initial=0.0)))
     for reach in REACHES:
         found = _SOLVERS[solver](problem, start, step, reach)
         if float(problem.use(found).max(initial=0.0)) <= before:

@@ -23,6 +23,8 @@ from daq.trajectories import FourierSeries, PointToPoint, RestToRest
 from drivers.base import Notice
 from drivers.errors import ConnectionLostError, SafetyStopError, UsageError, WorkError
 
+pytestmark = pytest.mark.usefixtures("punctual")
+
 MOTION = PointToPoint(np.array([[0.1, -0.1], [0.5, 0.3], [0.0, 0.0]]), np.array([1.2, 1.2]))
 
 

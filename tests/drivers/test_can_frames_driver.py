@@ -18,6 +18,8 @@ from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverSta
 from drivers.gains import DriveGain
 from drivers.streams import Block
 
+pytestmark = pytest.mark.usefixtures("punctual")
+
 GAINS = (DriveGain(2.0, 0.1), DriveGain(-3.0, 0.1))
 Arm = Callable[..., ScriptedCanArm]
 Make = Callable[..., CanFramesDriver]

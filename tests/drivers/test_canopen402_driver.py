@@ -16,6 +16,8 @@ from drivers.base import DRIVERS_GROUP, Driver, DriverSettings
 from drivers.canopen402.driver import Canopen402Driver
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
 
+pytestmark = pytest.mark.usefixtures("punctual")
+
 TEMPERATURE: dict[str, object] = {"index": 0x2031, "subindex": 1, "scale": 0.1, "offset": -1.0}
 
 

@@ -13,6 +13,8 @@ from scripted_drives import RAMP, ScriptedDrive
 
 from drivers.errors import ConnectionLostError, DriverStateError
 
+pytestmark = pytest.mark.usefixtures("punctual")
+
 ENABLING = ["disabled", "ready", "switched on", "enabled"]
 
 

@@ -95,6 +95,12 @@ def test_a_narrow_margin_is_made_up_for_between_the_points():
     assert found.use.max() <= 1.0
 
 
+@pytest.mark.parametrize("margin", [0.1, 0.25])
+def test_the_margin_is_left(margin):
+    found = made(UP6, margin=margin)
+    assert found.use.max() <= 1.0 - margin + 0.01  # what lies between the grid's points
+
+
 def test_an_earlier_motion_is_refined():
     earlier = made(UP6)
     again = design(UP6, find_prior(UP6), DesignChoices(), QUICK, earlier=earlier.motion)

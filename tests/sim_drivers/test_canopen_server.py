@@ -19,6 +19,8 @@ from sim_drivers.can_faults import BusOff, Drop, Freeze, Garbage, Heat, Truncate
 from sim_drivers.canopen_nodes import CanopenServer
 from sim_drivers.object_dictionary import EDS_NAME, entries
 
+pytestmark = pytest.mark.usefixtures("punctual")
+
 _channels = itertools.count()
 
 

@@ -44,7 +44,7 @@ def test_truth_is_projected_and_mostly_inside(demo):
     error = np.abs(demo.found.solution.parameters - demo.truth)
     assert demo.inside == np.sum(error <= INTERVAL * demo.found.std)
     assert demo.inside > 0.7 * len(demo.truth)
-    assert demo.found.validation.relative_error < 0.05
+    assert demo.found.validation.relative_error < 0.1
 
 
 @pytest.mark.slow

@@ -29,6 +29,8 @@ from sim_drivers.plant import Plant
 from sim_drivers.proprietary_can import ProprietaryCanServer
 from sim_drivers.table_arm import FAULT_COMMAND, TableArm
 
+pytestmark = pytest.mark.usefixtures("punctual")
+
 ROBOT_FILE = load_robot("aubo_i5")
 ROBOT = ROBOT_FILE.robot
 JOINTS = ROBOT.joint_names
