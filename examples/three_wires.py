@@ -1,9 +1,10 @@
 """One simulated arm, three wires: the same model? `python examples/three_wires.py` takes some minutes.
 
 Designs a motion of 10 s that uses about a third of every velocity and acceleration limit, and serves a UR5e three
-times: with RTDE, as CiA 402 drives on CANopen, and with CAN frames of its own. `dynid record` plays the same motion on each, `dynid identify`
-identifies each recording by itself. Prints, for each pair of wires, how far the base parameters are apart in combined
-standard deviations: the share within 1.96, the largest; and the same of each wire against the true values.
+times: with RTDE, as CiA 402 drives on CANopen, and with CAN frames of its own. `dynid record` plays the same motion on
+each, `dynid identify` identifies each recording by itself. Prints, for each pair of wires, how far the base parameters
+are apart in combined standard deviations: the share within 1.96, the largest; and the same of each wire against the
+true values.
 """
 
 from __future__ import annotations
