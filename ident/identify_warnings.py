@@ -77,7 +77,8 @@ def identification_warnings(found: Identification, recordings: Sequence[Recordin
     if found.validation.relative_error > 2.0 * found.fit.relative_error:
         warnings.append(
             f"the validation error is {found.validation.relative_error / found.fit.relative_error:.1f} times the "
-            "identification's: the model has learnt its data by heart"
+            "identification's: the model has learnt its data by heart, or the other motion shows what this one hides "
+            "(slow motion: ripple, friction near standstill)"
         )
     return warnings
 
