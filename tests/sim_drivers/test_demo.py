@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
 from daq.recording import read_recording
-from drivers.errors import ConnectionFailedError, RobotFileError, UsageError
+from drivers.errors import ConnectionFailedError, RobotFileError, UsageError, WorkError
 from ident.model import build_model, truth_vector
 from ident.result import read_result
 from sim_drivers.demo import INTERVAL, print_demo, run_demo
@@ -17,6 +18,9 @@ from sim_drivers.simulated_arm import simulated_arm
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
+    for _ in range(2):  # other tests keep both processors busy: a recording that they stalled is repeated
+        with suppress(WorkError):
+            return run_demo(tmp_path_factory.mktemp("demo") / "new" / "folder", "ur5e", 8.0, seed=1)
     return run_demo(tmp_path_factory.mktemp("demo") / "new" / "folder", "ur5e", 8.0, seed=1)
 
 
