@@ -21,20 +21,25 @@ from pathlib import Path
 import h5py
 import numpy as np
 import numpy.typing as npt
+import yaml
 
 from daq.realtime import may_have_realtime
+from daq.robot import load_robot
 
 ROBOT = "ur5e"
+SYNC_RATE = 400
 NODES = range(1, 7)
 TPDOS_A_CYCLE = 2 * len(NODES)
-INTERFACE, CHANNEL = "udp_multicast", "239.74.163.2"
+INTERFACE, CHANNEL = "udp_multicast", f"239.76.{os.getpid() // 250 % 250 + 1}.{os.getpid() % 250 + 1}"
+PORT = 20000 + os.getpid() % 30000
+"""Of this run alone: python-can's own listeners hear every group of a port."""
 MARGIN = 2.0
 """Seconds at both ends of the recording that are not counted."""
 LISTEN = """
 import json, signal, socket, struct, sys, time
 import can
 stamps, syncs = [], []
-bus = can.Bus(interface="{interface}", channel="{channel}", hop_limit=0)
+bus = can.Bus(interface="{interface}", channel="{channel}", port={port}, hop_limit=0)
 ended = []
 signal.signal(signal.SIGTERM, lambda *_: ended.append(1))
 {body}
@@ -81,6 +86,20 @@ network.notifier = can.Notifier(bus, network.listeners, 1)
 """
 
 
+def own_bus(folder: Path) -> Path:
+    """The robot file with its drives on a bus of this run's own."""
+    arm = yaml.safe_load(load_robot(ROBOT).text)
+    arm["connections"]["canopen"] |= {
+        "interface": INTERFACE,
+        "channel": CHANNEL,
+        "options": {"hop_limit": 0, "port": PORT},
+        "sync_rate": SYNC_RATE,
+    }
+    path = folder / "arm.yaml"
+    path.write_text(yaml.safe_dump(arm, sort_keys=False), encoding="utf-8")
+    return path
+
+
 def cpu_seconds(process: int) -> float:
     """What a process has used of the processors so far [s] (Linux)."""
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
@@ -89,7 +108,7 @@ def cpu_seconds(process: int) -> float:
 
 def listener(body: str, out: Path, eds: Path) -> subprocess.Popen[str]:
     """A process that listens in one of the usual ways, ready."""
-    names = {"interface": INTERFACE, "channel": CHANNEL, "out": out, "eds": eds}
+    names = {"interface": INTERFACE, "channel": CHANNEL, "port": PORT, "out": out, "eds": eds}
     code = LISTEN.format(body=body.replace("{eds}", str(eds)), **names)
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
@@ -108,10 +127,11 @@ def measure(seconds: float, folder: Path) -> dict[str, object]:
 
     eds = Path(sim_drivers.__path__[0]) / "eds" / "dynid_drive.eds"
     dynid = str(Path(sys.executable).with_name("dynid"))
+    arm = str(own_bus(folder))
     priority = ["--realtime"] if may_have_realtime() else []
     begun: list[subprocess.Popen[str]] = []
     sim = subprocess.Popen(
-        [dynid, "sim", ROBOT, "--wire", "canopen", "--no-ui", *priority],
+        [dynid, "sim", arm, "--wire", "canopen", "--no-ui", *priority],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -127,7 +147,7 @@ def measure(seconds: float, folder: Path) -> dict[str, object]:
         begun += listeners.values()
         ours = folder / "run.h5"
         record = subprocess.Popen(
-            [dynid, "record", ROBOT, "--wire", "canopen", "--duration", str(seconds), "-o", str(ours), "--no-ui"]
+            [dynid, "record", arm, "--wire", "canopen", "--duration", str(seconds), "-o", str(ours), "--no-ui"]
             + priority,
             stdout=subprocess.DEVNULL,
             text=True,
@@ -152,7 +172,7 @@ def measure(seconds: float, folder: Path) -> dict[str, object]:
             messages = [entry["message"].decode() for entry in file["events"][:]]
         start, end = received[0] + MARGIN, received[-1] - MARGIN
         inside = (received >= start) & (received < end)
-        ticks = np.rint(stamps[inside] * 400.0).astype(np.int64)
+        ticks = np.rint(stamps[inside] * SYNC_RATE).astype(np.int64)
         due = int(ticks[-1] - ticks[0] + 1)
         sent = between(heard["Notifier + struct"]["syncs"], start, end)
         late = [re.match(r"(\d+) SYNC\(s\) not sent", message) for message in messages]
@@ -163,7 +183,7 @@ def measure(seconds: float, folder: Path) -> dict[str, object]:
             "SYNCs seen": sent,
             "SYNCs not sent in the whole recording, the computer being late": sum(int(m[1]) for m in late if m),
             "TPDOs that the SYNCs seen ask for": sent * TPDOS_A_CYCLE,
-            "dynid record": {"rows": len(ticks), "exit_status": record.returncode},
+            "dynid record": {"rows": len(ticks), "missing": sent - len(ticks), "exit_status": record.returncode},
         }
         for name, found in heard.items():
             frames = between(found["frames"], start, end)
