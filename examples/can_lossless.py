@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
 import tempfile
@@ -199,7 +198,7 @@ def measure(seconds: float, folder: Path) -> dict[str, object]:
     finally:
         for process in reversed(begun):
             if process.poll() is None:
-                process.send_signal(signal.SIGINT)
+                process.terminate()
                 process.wait(20.0)
 
 
