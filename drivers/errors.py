@@ -13,6 +13,7 @@
         ├── ConnectionFailedError  nobody answers at the other end, or somebody else does
         ├── ConnectionLostError    the connection broke or went silent while recording
         ├── DriverStateError       a driver was asked for something that its state does not allow
+        ├── DiskError              the recording cannot be written any more
         └── SafetyStopError        a limit was passed and the arm was stopped
 
 A message names what was wrong; `where` the file, key, joint or sample; `hint` what to do. `ValueError` and `TypeError`
@@ -93,6 +94,10 @@ class ConnectionLostError(WorkError):
 
 class DriverStateError(WorkError):
     """A driver was asked for something that its state does not allow."""
+
+
+class DiskError(WorkError):
+    """The recording cannot be written any more."""
 
 
 class SafetyStopError(WorkError):

@@ -17,9 +17,7 @@ import numpy as np
 
 from daq.robot import Robot, TruthJoint
 from drivers.streams import FloatArray
-
-ZERO_CELSIUS = 273.15
-"""0 °C in kelvin."""
+from drivers.units import ZERO_CELSIUS
 
 BRISTLE_DAMPING = 0.5
 """Damping ratio of a joint that stands on its bristle."""

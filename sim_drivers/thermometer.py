@@ -25,6 +25,7 @@ from drivers.errors import UsageError
 from drivers.serial_thermometer.port import BITS_A_CHARACTER
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
 from drivers.streams import FloatArray
+from drivers.units import ZERO_CELSIUS
 from sim_drivers.plant import Plant
 
 SLICE = 0.002
@@ -59,7 +60,7 @@ class SimulatedThermometer:
         convert: Mapping[str, Callable[[float], float]] = {
             "degC": lambda value: value,
             "degF": lambda value: 1.8 * value + 32.0,
-            "K": lambda value: value + 273.15,
+            "K": lambda value: value + ZERO_CELSIUS,
         }
         values = [
             self.template.format(channel=channel, value=convert[self.unit](float(value)))

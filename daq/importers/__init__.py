@@ -23,9 +23,10 @@ from daq.importers.npz import read_npz
 from daq.importers.plausibility import check_units
 from daq.importers.rosbag import bag_files, read_rosbag
 from daq.importers.table import Table, parsing, printable
-from daq.recording import JOINTS_STREAM, UNITS, Channel, Event, Recording, Stream, software_versions
+from daq.recording import JOINTS_STREAM, Channel, Event, Recording, Stream, software_versions
 from daq.robot import RobotFile
 from drivers.errors import ImportFileError
+from drivers.streams import UNITS
 
 __all__ = ["REPAIRS", "SUPPORTED", "ImportChoices", "import_file"]
 

@@ -11,10 +11,11 @@ import numpy.typing as npt
 from daq.importers.choices import ImportChoices
 from daq.importers.matching import match_joints
 from daq.importers.table import Block, Note, Table, listed, printable
-from daq.importers.units import allowed_units, normalised, to_si
-from daq.recording import FloatArray
+from daq.importers.units import allowed_units, to_si
 from daq.robot import RobotFile
 from drivers.errors import ImportFileError
+from drivers.streams import FloatArray
+from drivers.units import normalised
 
 EPOCH = 1e8
 """[s]; stamps beyond it count from 1970, not from the start of a measurement (it is March 1973)."""

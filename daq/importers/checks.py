@@ -11,8 +11,8 @@ from daq.importers.assembly import Samples, rows
 from daq.importers.choices import DROP_DUPLICATES, DROP_NAN, SORT, TIME_UNITS, ImportChoices
 from daq.importers.table import Note, printable
 from daq.importers.units import REVOLUTE
-from daq.recording import FloatArray
 from drivers.errors import ImportFileError
+from drivers.streams import FloatArray
 
 SLOWEST, FASTEST = 1.0, 20_000.0
 """Plausible sampling rates of a robot arm [Hz]; beyond them the stamps are hardly in seconds."""

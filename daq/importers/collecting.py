@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from daq.importers.naming import Role
 from daq.importers.table import Block, Note, Table, listed, printable
-from daq.recording import FloatArray
 from drivers.errors import ImportFileError
+from drivers.streams import FloatArray
 
 _FLOAT_INTEGERS = 2**53
 """Integers up to here are exact in float64."""

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from daq.importers.choices import ImportChoices
 from daq.importers.collecting import collect
 from daq.importers.naming import assign_roles
 from daq.importers.table import Note, Table, listed, printable
-from daq.recording import FloatArray
 from drivers.errors import ImportFileError
+from drivers.streams import FloatArray
 
 _SEPARATORS = (";", "\t", ",")
 _SEPARATOR_NAMES = {";": "semicolon", "\t": "tab", ",": "comma", None: "blanks"}
@@ -169,7 +168,7 @@ def _values(
 ) -> FloatArray:
     """(N, used) numbers; NumPy's parser first, ours where it stumbles, to name the place or to take missing values."""
     try:
-        fast: npt.NDArray[np.float64] = np.loadtxt(
+        fast: FloatArray = np.loadtxt(
             lines, delimiter=separator, usecols=used, ndmin=2, comments=None, quotechar='"', dtype=np.float64
         )
         if fast.shape == (len(lines), len(used)):

@@ -56,10 +56,7 @@ def _add_variable(name: str, value: Any, arrays: dict[str, npt.NDArray[Any]], op
                 _add_variable(f"{name}.{field}", inner, arrays, opaque)
             else:
                 opaque.append(f"{name}.{field}")
-    elif value.dtype.kind == "O" and all(
-        isinstance(cell, np.ndarray) and cell.dtype.kind == "U" for cell in value.flat
-    ):
-        # A cell array of texts: the joint names.
+    elif _is_cell_of_texts(value):  # the joint names
         arrays[name] = np.array(["".join(cell.flat) for cell in value.flat], dtype=np.str_)
     elif value.dtype.kind in "OV":
         opaque.append(name)

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 
 from daq.closest import did_you_mean
 from daq.importers.table import listed, printable
-from daq.importers.units import REVOLUTE, SUFFIXES, normalised
+from daq.importers.units import REVOLUTE, SUFFIXES
 from drivers.errors import ImportFileError, UsageError
+from drivers.units import normalised
 
 ALIASES: Mapping[str, tuple[str, ...]] = {
     "time": ("t", "time", "timestamp", "timestamps", "stamp", "__time"),

@@ -11,9 +11,9 @@ from daq.importers.assembly import Quantity, Samples
 from daq.importers.checks import sample_place
 from daq.importers.choices import ImportChoices
 from daq.importers.table import Note, listed
-from daq.recording import FloatArray
 from daq.robot import Robot
 from drivers.errors import ImportFileError
+from drivers.streams import FloatArray
 
 DEGREES = 180 / math.pi
 CORRELATED = 0.9

@@ -14,8 +14,8 @@ from daq.closest import did_you_mean
 from daq.importers.choices import ImportChoices
 from daq.importers.matching import JointMatch, match_joints, shares_joints
 from daq.importers.table import Block, Note, Table, listed, parsing, printable
-from daq.recording import FloatArray
 from drivers.errors import ImportFileError, UsageError
+from drivers.streams import FloatArray
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 METADATA = "metadata.yaml"

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from daq.recording import FloatArray, Level
+from daq.recording import Level
 from drivers.errors import DynidError, ImportFileError
+from drivers.streams import FloatArray
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any
 
 from drivers.can_bus import EXTENDED
 from drivers.can_frames.table import Signal
+from drivers.connection_keys import is_number, is_whole
 from drivers.errors import UsageError
 
 Section = Mapping[str, object]
@@ -60,7 +61,7 @@ def number(
     """
     value = section.get(key, default)
     allowed = f"a number from {low:g} to {high:g}{f' {unit}' if unit else ''}"
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+    if not is_number(value, low, high):
         raise wrong(key, value, allowed, where)
     return float(value)
 
@@ -72,7 +73,7 @@ def whole(section: Section, key: str, where: str, low: int, high: int, default: 
         UsageError: it is something else.
     """
     value = section.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+    if not is_whole(value, low, high):
         raise wrong(key, value, f"a whole number from {low} to {high}", where)
     return value
 
@@ -124,7 +125,7 @@ def identifier(section: Section, key: str, where: str, *, allow_extended: bool) 
     """
     value = section.get(key)
     limit = EXTENDED_LIMIT if allow_extended else STANDARD_LIMIT
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= limit:
+    if not is_whole(value, 0, limit):
         more = "" if allow_extended else f"; with 'extended: true' up to 0x{EXTENDED_LIMIT:X}"
         raise wrong(key, value, f"0x0 to 0x{limit:X}, not in quotes{more}", where)
     return value | EXTENDED if value > STANDARD_LIMIT else value

@@ -2,53 +2,35 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
-_TURN = 2.0 * math.pi
-_ANGLE = {
-    "rad": 1.0,
-    "mrad": 1e-3,
-    "urad": 1e-6,
-    "deg": _TURN / 360.0,
-    "mdeg": _TURN / 360e3,
-    "rev": _TURN,
-}
-_VELOCITY = {f"{unit}/s": factor for unit, factor in _ANGLE.items()} | {"rpm": _TURN / 60.0, "1/min": _TURN / 60.0}
-_ACCELERATION = {f"{unit}/s^2": factor for unit, factor in _ANGLE.items()} | {"rpm/s": _TURN / 60.0}
-_CURRENT = {"a": 1.0, "ma": 1e-3}
-_TORQUE = {"nm": 1.0, "mnm": 1e-3, "cnm": 1e-2, "knm": 1e3}
-_NONE = {"1": 1.0, "": 1.0}
+from drivers.units import conversion, factors, normalised
+
+_ANGLE = factors("rad", "mrad", "urad", "deg", "mdeg", "rev")
+_VELOCITY = factors(*(f"{unit}/s" for unit in _ANGLE), "rpm", "1/min")
+_ACCELERATION = factors(*(f"{unit}/s^2" for unit in _ANGLE), "rpm/s")
+_CURRENT = factors("a", "ma")
+_TORQUE = factors("nm", "mnm", "cnm", "knm")
+_NONE = factors("1", "")
 
 FACTORS: Mapping[str, Mapping[str, float]] = {
     "position": _ANGLE,
     "velocity": _VELOCITY,
     "acceleration": _ACCELERATION,
     "current": _CURRENT,
-    "voltage": {"v": 1.0, "mv": 1e-3},
+    "voltage": factors("v", "mv"),
     "torque": _TORQUE,
-    "temperature": {"degc": 1.0, "c": 1.0, "k": 1.0, "degf": 5.0 / 9.0, "f": 5.0 / 9.0},
+    "temperature": factors("degc", "c", "k", "degf", "f"),
     "target_position": _ANGLE,
     "target_velocity": _VELOCITY,
     "target_acceleration": _ACCELERATION,
     "target_current": _CURRENT,
     "target_torque": _TORQUE,
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "time": factors("s", "ms", "us", "ns"),
     "counter": _NONE,
     "fault": _NONE,
 }
-"""Quantity → unit (as `normalised` spells it) → factor; a temperature's unit also has an offset, see `to_si`."""
-
-_CELSIUS_AT_ZERO = {"k": -273.15, "degf": -32.0 * 5.0 / 9.0, "f": -32.0 * 5.0 / 9.0}
-
-
-def normalised(unit: str) -> str:
-    """One spelling a unit: `N·m`, `N*m` and `Nm` are `nm`; `°/s` is `deg/s`; `rad/s²` is `rad/s^2`."""
-    text = unit.strip().replace("²", "^2").replace("**2", "^2")
-    text = text.replace("°", "deg").replace("µ", "u").replace("μ", "u").casefold()
-    for character in "·*. ⋅":
-        text = text.replace(character, "")
-    return text
+"""Quantity → unit, as `normalised` spells it → factor; a temperature's unit may have an offset too, see `to_si`."""
 
 
 def to_si(quantity: str, unit: str) -> tuple[float, float]:
@@ -62,4 +44,4 @@ def to_si(quantity: str, unit: str) -> tuple[float, float]:
     if spelled not in allowed:
         found = f"unit '{unit}'" if unit else "no unit"
         raise ValueError(f"{found} of {quantity} cannot be converted; allowed: {', '.join(filter(None, allowed))}")
-    return allowed[spelled], _CELSIUS_AT_ZERO.get(spelled, 0.0) if quantity == "temperature" else 0.0
+    return conversion(spelled)

@@ -7,10 +7,10 @@ from collections import Counter
 from dataclasses import dataclass
 
 from drivers.serial_thermometer.settings import ThermometerSettings
+from drivers.units import ZERO_CELSIUS
 
 LONGEST_LINE = 1024
 """Bytes; beyond, something else than lines is coming, and waiting for an end would fill the memory."""
-ZERO_CELSIUS = 273.15
 MOST_UNKNOWN = 100
 """Channels that are remembered though the robot file does not name them."""
 SHOWN = 40

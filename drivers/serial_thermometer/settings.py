@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
+from drivers.connection_keys import ConnectionKeys
 from drivers.errors import UsageError
 
 UNITS = ("degC", "degF", "K")
@@ -16,6 +16,7 @@ OPEN_PERIODS = 3.0
 """How many periods an opening waits for a first temperature where no `timeout` is given."""
 LEAST_TIMEOUT = 5.0
 """[s]; some adapters restart their board when the port is opened, which takes seconds."""
+_KEYS = ConnectionKeys("the serial thermometer")
 
 
 @dataclass(frozen=True)
@@ -57,18 +58,19 @@ def parse_settings(connection: Mapping[str, object], joints: Sequence[str]) -> T
             raise UsageError(f"a serial thermometer has no key '{key}'", hint=f"allowed: {', '.join(known)}")
     url = connection.get("url")
     if not isinstance(url, str) or not url.strip():
-        raise _wrong("url", url, "a device such as /dev/ttyUSB0 or COM3, or a pyserial URL such as socket://host:port")
-    rate = _number("rate", connection.get("rate"), 1e-3, 1e4, "how often each channel comes, 0.001 to 10000 Hz")
-    baudrate = connection.get("baudrate", 9600)
-    if not isinstance(baudrate, int) or isinstance(baudrate, bool) or not 50 <= baudrate <= 4_000_000:
-        raise _wrong("baudrate", baudrate, "a whole number from 50 to 4000000 bit/s, such as 9600 or 115200")
+        raise _KEYS.wrong(
+            "url", url, "a device such as /dev/ttyUSB0 or COM3, or a pyserial URL such as socket://host:port"
+        )
+    rate = _KEYS.number("rate", connection.get("rate"), 1e-3, 1e4, "how often each channel comes, 0.001 to 10000 Hz")
+    allowed_baudrate = "a whole number from 50 to 4000000 bit/s, such as 9600 or 115200"
+    baudrate = _KEYS.whole("baudrate", connection.get("baudrate", 9600), 50, 4_000_000, allowed_baudrate)
     unit = connection.get("unit", "degC")
     if unit not in UNITS:
-        raise _wrong("unit", unit, ", ".join(UNITS))
+        raise _KEYS.wrong("unit", unit, ", ".join(UNITS))
     required = connection.get("required", False)
     if not isinstance(required, bool):
-        raise _wrong("required", required, "true or false")
-    timeout = _number(
+        raise _KEYS.wrong("required", required, "true or false")
+    timeout = _KEYS.number(
         "timeout",
         connection.get("timeout", max(LEAST_TIMEOUT, OPEN_PERIODS / rate)),
         0.1,
@@ -91,7 +93,7 @@ def parse_settings(connection: Mapping[str, object], joints: Sequence[str]) -> T
 def _pattern(text: object) -> re.Pattern[str]:
     allowed = r"a regular expression such as 'T(?P<channel>\d+)=(?P<value>[-+.\d]+)'"
     if not isinstance(text, str) or not text:
-        raise _wrong("pattern", text, allowed)
+        raise _KEYS.wrong("pattern", text, allowed)
     try:
         pattern = re.compile(text)
     except (re.error, RecursionError, OverflowError) as error:
@@ -104,7 +106,7 @@ def _pattern(text: object) -> re.Pattern[str]:
 
 def _channels(mapping: object, joints: Sequence[str]) -> dict[str, str]:
     if not isinstance(mapping, Mapping) or not mapping:
-        raise _wrong("channels", mapping, f"a mapping channel → joint, such as {{1: {joints[0]}}}")
+        raise _KEYS.wrong("channels", mapping, f"a mapping channel → joint, such as {{1: {joints[0]}}}")
     found: dict[str, str] = {}
     for channel, joint in mapping.items():
         if isinstance(channel, bool) or not isinstance(channel, (str, int)):
@@ -125,20 +127,8 @@ def _channels(mapping: object, joints: Sequence[str]) -> dict[str, str]:
 def _range(limits: object) -> tuple[float, float]:
     allowed = "[lowest, highest] in °C, in rising order, from -273.15 to 3000"
     if not isinstance(limits, Sequence) or isinstance(limits, str) or len(limits) != 2:
-        raise _wrong("range", limits, allowed)
-    low, high = (_number("range", value, -273.15, 3000.0, allowed) for value in limits)
+        raise _KEYS.wrong("range", limits, allowed)
+    low, high = (_KEYS.number("range", value, -273.15, 3000.0, allowed) for value in limits)
     if low >= high:
-        raise _wrong("range", list(limits), allowed)
+        raise _KEYS.wrong("range", list(limits), allowed)
     return low, high
-
-
-def _number(key: str, value: object, low: float, high: float, allowed: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise _wrong(key, value, allowed)
-    assert math.isfinite(value)  # what is not a number is in no range
-    return float(value)
-
-
-def _wrong(key: str, value: object, allowed: str) -> UsageError:
-    found = "is missing" if value is None else f"is {value!r}"
-    return UsageError(f"key '{key}' of the serial thermometer {found}", hint=f"allowed: {allowed}")

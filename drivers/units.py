@@ -1,0 +1,61 @@
+"""Units as people write them, and what they are in SI (temperature in °C)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+ZERO_CELSIUS = 273.15
+"""0 °C in kelvin."""
+
+_TURN = 2.0 * math.pi
+_DEGREE = _TURN / 360.0
+_ANGLE = {
+    "rad": 1.0,
+    "radian": 1.0,
+    "radians": 1.0,
+    "mrad": 1e-3,
+    "urad": 1e-6,
+    "deg": _DEGREE,
+    "degree": _DEGREE,
+    "degrees": _DEGREE,
+    "mdeg": _TURN / 360e3,
+    "rev": _TURN,
+}
+_LENGTH = {"m": 1.0, "mm": 1e-3}
+_FAHRENHEIT = 5.0 / 9.0
+
+FACTORS: Mapping[str, float] = (
+    _ANGLE
+    | _LENGTH
+    | {f"{unit}/s": factor for unit, factor in (_ANGLE | _LENGTH).items()}
+    | {f"{unit}/s^2": factor for unit, factor in _ANGLE.items()}
+    | {"rpm": _TURN / 60.0, "1/min": _TURN / 60.0, "rpm/s": _TURN / 60.0}
+    | {"a": 1.0, "ma": 1e-3, "v": 1.0, "mv": 1e-3}
+    | {"nm": 1.0, "mnm": 1e-3, "cnm": 1e-2, "knm": 1e3, "n": 1.0, "kn": 1e3}
+    | {"degc": 1.0, "c": 1.0, "k": 1.0, "degf": _FAHRENHEIT, "f": _FAHRENHEIT}
+    | {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+    | {"1": 1.0, "": 1.0}
+)
+"""Unit, as `normalised` spells it → factor; some units of temperature also have an offset, see `conversion`."""
+
+_OFFSETS = {"k": -ZERO_CELSIUS, "degf": -32.0 * _FAHRENHEIT, "f": -32.0 * _FAHRENHEIT}
+
+
+def normalised(unit: str) -> str:
+    """One spelling a unit: `N·m`, `N*m` and `Nm` are `nm`; `°/s` is `deg/s`; `rad/s²` is `rad/s^2`; `µs` is `us`."""
+    text = unit.strip().replace("²", "^2").replace("**2", "^2")
+    text = text.replace("°", "deg").replace("º", "deg").replace("µ", "u").replace("μ", "u").casefold()
+    for character in "·*. ⋅":
+        text = text.replace(character, "")
+    return text
+
+
+def factors(*units: str) -> Mapping[str, float]:
+    """Those of the units that a quantity may have → factor, in this order."""
+    return {unit: FACTORS[unit] for unit in units}
+
+
+def conversion(unit: str) -> tuple[float, float]:
+    """Factor and offset so that SI = factor · value + offset, for a unit as `normalised` spells it."""
+    return FACTORS[unit], _OFFSETS.get(unit, 0.0)

@@ -1,0 +1,41 @@
+"""The keys of a connection over RTDE."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.errors import UsageError
+from drivers.rtde.settings import parse_settings
+
+
+@pytest.mark.parametrize(
+    ("connection", "key"),
+    [
+        ({}, "host"),
+        ({"host": ""}, "host"),
+        ({"host": 7}, "host"),
+        ({"host": "h", "port": 0}, "port"),
+        ({"host": "h", "port": 70000}, "port"),
+        ({"host": "h", "port": "30004"}, "port"),
+        ({"host": "h", "port": True}, "port"),
+        ({"host": "h", "rate": 0}, "rate"),
+        ({"host": "h", "rate": 501}, "rate"),
+        ({"host": "h", "rate": "fast"}, "rate"),
+        ({"host": "h", "rate": float("nan")}, "rate"),
+        ({"host": "h", "rate": True}, "rate"),
+        ({"host": "h", "timeout": -1}, "timeout"),
+        ({"host": "h", "timeout": float("inf")}, "timeout"),
+        ({"host": "h", "hots": "x"}, "hots"),
+    ],
+)
+def test_wrong_keys_are_named_with_what_is_allowed(connection: dict[str, object], key: str) -> None:
+    with pytest.raises(UsageError, match=f"'{key}'") as caught:
+        parse_settings(connection)
+    assert caught.value.hint.startswith("allowed:")
+    if key in connection and key != "hots":
+        assert repr(connection[key]) in caught.value.message
+
+
+def test_settings_have_defaults() -> None:
+    settings = parse_settings({"host": " arm "})
+    assert (settings.host, settings.port, settings.rate, settings.timeout) == ("arm", 30004, None, 5.0)
