@@ -113,8 +113,10 @@ def record_command(
 
     Example: dynid record ur5e --trajectory traj.yaml -o run.h5
     """
+    import math
     import sys
 
+    from daq.bus_room import session_warnings
     from daq.live_view import live_view
     from daq.realtime import ask_for_realtime
     from daq.recorder import Recorder, require_room
@@ -133,10 +135,13 @@ def record_command(
     robot_file = load_robot(robot)
     played = load_trajectory(trajectory, robot_file.robot) if trajectory is not None else None
     driver, rate = load_driver(robot_file.robot, wire, host, robot_file.folder)
+    warnings = session_warnings(robot_file, wire)
     require_writable(out, overwrite=force)
     require_room(out)
     if realtime:
         ask_for_realtime()
+    for warning in warnings:
+        print(f"dynid: warning: {warning}", file=sys.stderr)
     try:  # only now is the wire touched
         driver.open()
         layouts = driver.streams()
@@ -151,6 +156,8 @@ def record_command(
             comment=comment,
             overwrite=force,
         )
+        for warning in warnings:
+            recorder.event(math.nan, "warning", "session", warning)
         limits = Limits.of_robot(robot_file.robot)
         supervisor = Supervisor(limits, layouts)
         play = Play(played.motion, robot_file.robot, rate) if played is not None else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -34,6 +34,7 @@ class Breach:
         value, limit: in `unit`.
         time: of the source's clock [s]; nan where there is none.
         unit: of both.
+        cause: why, in words; empty where nobody can tell.
     """
 
     what: str
@@ -42,9 +43,11 @@ class Breach:
     limit: float
     time: float
     unit: str
+    cause: str = ""
 
     def __str__(self) -> str:
-        return f"{self.what} of {self.joint}: {self.value:.4g} {self.unit} passes {self.limit:.4g} {self.unit}"
+        said = f"{self.what} of {self.joint}: {self.value:.4g} {self.unit} passes {self.limit:.4g} {self.unit}"
+        return f"{said} ({self.cause})" if self.cause else said
 
 
 @dataclass(frozen=True)
@@ -149,12 +152,18 @@ class Supervisor:
             self._add(found, block, "temperature", "°C", part, within, limits.temperature)
         return min(found, key=lambda entry: entry[0])[1] if found else None
 
-    def check_ages(self, now: float) -> Breach | None:
-        """The stream that has been silent for too long at `now` [s, host clock], once it has begun."""
+    def check_ages(self, now: float, explain: Callable[[str, float], str] | None = None) -> Breach | None:
+        """The stream that has been silent for too long, once it has begun.
+
+        Args:
+            now: [s, host clock].
+            explain: asked why a stream has been silent for longer than a limit [s]; in words, empty if unknown.
+        """
         for stream, arrival in self._last_arrival.items():
             allowed = self._stale_after.get(stream, np.inf)
             if now - arrival > allowed:
-                return Breach("stale data", f"stream {stream}", now - arrival, allowed, float("nan"), "s")
+                cause = "" if explain is None else explain(stream, allowed)
+                return Breach("stale data", f"stream {stream}", now - arrival, allowed, float("nan"), "s", cause)
         return None
 
     def restart_ages(self, now: float) -> None:

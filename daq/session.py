@@ -25,10 +25,10 @@ from daq.robot import Robot
 from daq.safety import Supervisor
 from daq.sources import Sources
 from daq.streams import JOINTS_STREAM
-from daq.trajectories import FloatArray, Motion, check_limits, slow_move
-from drivers.base import DRIVERS_GROUP, Driver, DriverSettings, Notice
+from daq.trajectories import Motion, check_limits, slow_move
+from drivers.base import DRIVERS_GROUP, Attributing, Driver, DriverSettings, Notice
 from drivers.errors import ConnectionLostError, DynidError, SafetyStopError, UsageError, WorkError
-from drivers.streams import Block
+from drivers.streams import Block, FloatArray
 
 READ_TIMEOUT = 0.01
 FIRST_SAMPLE_LIMIT = 5.0
@@ -327,7 +327,8 @@ def _cycle(
         raise recorder.failure
     for message in course.clocks.due():
         recorder.event(course.source_time(), "info", "clocks", message)
-    if (breach := supervisor.check_ages(now)) is not None:
+    explain = driver.silence if isinstance(driver, Attributing) else None
+    if (breach := supervisor.check_ages(now, explain)) is not None:
         if now - before > 2.0 * READ_TIMEOUT and not looked_twice:
             # This process may have been stalled itself: what came meanwhile is in the next read, if anything came.
             _cycle(driver, recorder, supervisor, course, looked_twice=True)

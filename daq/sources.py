@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
-from drivers.base import Driver, Notice
+from drivers.base import Attributing, Driver, Notice
 from drivers.errors import DynidError
 from drivers.streams import Block, FloatArray, StreamLayout
 
@@ -122,6 +122,14 @@ class Sources:
                 shift = 0.0 if source is self._main else source.host_ahead - self._main.host_ahead
                 found.append(Notice(notice.time + shift, notice.level, f"{source.name}: {notice.message}"))
         return found
+
+    def silence(self, stream: str, limit: float) -> str:
+        """Who keeps a stream from coming, in its source's words; empty where it cannot tell (see `drivers.base`)."""
+        for source in self._all:
+            names = [own for own, name in source.streams.items() if name == stream]
+            if names and isinstance(source.driver, Attributing):
+                return source.driver.silence(names[0], limit)
+        return ""
 
     def command(self, position: FloatArray) -> None:
         """Send a joint position to the main one.

@@ -113,6 +113,19 @@ class Identifying(Protocol):
         """
 
 
+@runtime_checkable
+class Attributing(Protocol):
+    """A driver of several devices that can tell which of them keeps a stream from coming."""
+
+    def silence(self, stream: str, limit: float) -> str:
+        """Who is silent, and for how long, in words; empty where nobody is, or nobody can tell.
+
+        Args:
+            stream: name of the stream.
+            limit: how long it has been silent for, at least [s].
+        """
+
+
 def require_state(actual: State, allowed: State, action: str) -> None:
     """Raise DriverStateError unless the driver is in the state that an action needs."""
     if actual != allowed:

@@ -116,7 +116,12 @@ def _canopen_budget(settings: DriverSettings) -> Budget:
     nodes = len(bus.nodes)
     tpdos = [sum(entry.size for entry in carried) for carried in objects.TPDO_OBJECTS]
     rpdos = [] if bus.mode == "none" else [sum(entry.size for entry in objects.RPDO_OBJECTS)]
-    beside = [(FrameGroup("heartbeats", nodes, 1), 1.0 / bus.heartbeat)]
+    if bus.guarding is not None:
+        rate = 1.0 / bus.guarding.period
+        beside = [(FrameGroup("guarding requests", nodes, 0), rate), (FrameGroup("guarding answers", nodes, 1), rate)]
+    else:
+        own = 0 if bus.mode == "none" else 1  # where nothing moves, nobody need know of dynid
+        beside = [(FrameGroup("heartbeats", nodes + own, 1), 1.0 / bus.heartbeat)]
     if warm := sum(node.temperature is not None for node in bus.nodes):
         beside.append((FrameGroup("temperatures by SDO", 2 * warm, FRAME_BYTES), RATE))  # request and answer
     return Budget(bus.bitrate, bus.sync_rate, synchronous_cycle(nodes, tpdos, rpdos), tuple(beside))

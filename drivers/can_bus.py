@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-import errno
 import logging
 import math
 import os
@@ -23,6 +22,8 @@ from typing import Any
 import can
 
 from drivers.base import Level, Notice
+from drivers.can_adapter_errors import error_frame_words, is_bus_off, is_unreadable, reason, why_not_opened
+from drivers.can_arrival import ArrivalClock
 from drivers.errors import ConnectionFailedError, ConnectionLostError
 
 RECEIVE_BUFFER_BYTES = 4 * 2**20
@@ -39,26 +40,13 @@ FAULTY_LIMIT = 1000
 """Unreadable frames without a sound one in between, after which the adapter counts as lost."""
 EXTENDED = 0x80000000
 """Added to a 29-bit identifier, as socketcan and DBC files do; an 11-bit one stands as it is."""
+REMOTE = 0x40000000
+"""Added to the identifier of a remote frame (a request for so many bytes as are given), as socketcan does."""
 
 Frame = tuple[float, int, bytes]
 """Arrival [s, the host's monotonic clock], identifier, data."""
 
-# Interfaces whose time stamps are the kernel's or the sender's clock of day, so that an age can be told from them.
-_STAMPED_BY_CLOCK = frozenset({"SocketcanBus", "UdpMulticastBus", "VirtualBus"})
 _IP_MULTICAST_ALL, _IPV6_MULTICAST_ALL = 49, 29  # Linux's numbers, which the socket module lacks
-_CLOCK_CHECK = 0.1
-_OLDEST = 1.0
-
-# Error frames as Linux delivers them (include/uapi/linux/can/error.h): bit of the identifier → meaning.
-_BUS_OFF, _CONTROLLER, _NO_ACKNOWLEDGE, _BUS_ERROR = 0x40, 0x04, 0x20, 0x80
-_CONTROLLER_TROUBLES: Mapping[int, str] = {
-    0x01: "receive overflow",
-    0x02: "send overflow",
-    0x04: "receive error warning",
-    0x08: "send error warning",
-    0x10: "error passive (receiving)",
-    0x20: "error passive (sending)",
-}
 
 
 def open_bus(interface: str, channel: str | int, bitrate: int, options: Mapping[str, object]) -> can.BusABC:
@@ -89,7 +77,7 @@ def open_bus(interface: str, channel: str | int, bitrate: int, options: Mapping[
     try:
         bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **arguments)
     except Exception as error:  # python-can's interfaces raise whatever their makers' libraries do
-        message, hint = _why_not(error, interface, channel)
+        message, hint = why_not_opened(error, interface, channel)
         raise ConnectionFailedError(message, where=where, hint=hint) from error
     _prepare_socket(bus)
     return bus
@@ -109,7 +97,7 @@ class Sender:
         self._limit = SEND_LIMIT if type(bus).__name__ in {"SocketcanBus", "slcanBus"} else None
 
     def send(self, identifier: int, data: bytes) -> float:
-        """Send a frame with an 11-bit identifier; when that was [s, the host's monotonic clock, before sending].
+        """Send a frame, see `EXTENDED` and `REMOTE`; when that was [s, the host's monotonic clock, before sending].
 
         Raises:
             ConnectionLostError: the adapter is gone, or does not take it.
@@ -124,9 +112,11 @@ class Sender:
         """
         messages = [
             can.Message(
-                arbitration_id=identifier & ~EXTENDED,
-                data=data,
+                arbitration_id=identifier & ~(EXTENDED | REMOTE),
+                data=None if identifier & REMOTE else data,
+                dlc=len(data),
                 is_extended_id=bool(identifier & EXTENDED),
+                is_remote_frame=bool(identifier & REMOTE),
                 check=False,
             )
             for identifier, data in frames
@@ -138,7 +128,7 @@ class Sender:
                     self._bus.send(message, self._limit)
             except (can.CanError, OSError, ValueError) as error:
                 raise ConnectionLostError(
-                    f"the CAN adapter does not take frames: {_reason(error)}",
+                    f"the CAN adapter does not take frames: {reason(error)}",
                     where=str(self._bus.channel_info),
                     hint="is another device on the bus, at this bit rate, and the bus terminated?",
                 ) from error
@@ -167,8 +157,7 @@ class Receiver:
         self._bus = bus
         self._stored = stored
         self._other = other
-        self._stamped = type(bus).__name__ in _STAMPED_BY_CLOCK
-        self._clock_offset, self._clock_checked = 0.0, -math.inf
+        self._clock = ArrivalClock(bus)
         self._ring: deque[Frame] = deque()
         self._arrival = threading.Condition()
         self._wanted = 1
@@ -232,8 +221,8 @@ class Receiver:
             except (can.CanError, OSError) as error:
                 if self._ending.is_set():
                     return
-                if not _is_unreadable(error):
-                    self._fail(f"the CAN adapter is gone: {_reason(error)}", "is it plugged in, and the interface up?")
+                if not is_unreadable(error):
+                    self._fail(f"the CAN adapter is gone: {reason(error)}", "is it plugged in, and the interface up?")
                     return
                 faulty = self._skip_unreadable(faulty)
             except (ValueError, IndexError, KeyError, TypeError) as error:  # what slcan makes of a garbled line
@@ -253,7 +242,7 @@ class Receiver:
                 return
 
     def _keep(self, message: can.Message) -> bool:
-        arrived = self._arrived(message)
+        arrived = self._clock.arrived(message)
         if message.is_error_frame:
             return self._note_error(message, arrived)
         if message.is_remote_frame:
@@ -286,36 +275,18 @@ class Receiver:
             if len(self._ring) >= self._wanted:
                 self._arrival.notify_all()
 
-    def _arrived(self, message: can.Message) -> float:
-        """Arrival in the host's monotonic clock, from the frame's own stamp where it is the clock of day."""
-        now = time.monotonic()
-        if not self._stamped:
-            return now
-        if now - self._clock_checked > _CLOCK_CHECK:
-            self._clock_offset, self._clock_checked = _clock_offset(), now
-        arrived = message.timestamp - self._clock_offset
-        return arrived if now - _OLDEST < arrived <= now else now
-
     def _note_error(self, message: can.Message, arrived: float) -> bool:
         if type(self._bus).__name__ != "SocketcanBus":
             self._trouble("error frame(s)", arrived)
             return True
-        kind, data = message.arbitration_id, bytes(message.data)
-        if kind & _BUS_OFF:
+        if is_bus_off(message):
             self._fail(
                 "the adapter is off the bus (bus-off)",
                 "check wiring, termination and bit rate; then take the interface down and up again",
             )
             return False
-        if kind & _CONTROLLER and len(data) > 1:
-            words = [text for bit, text in _CONTROLLER_TROUBLES.items() if data[1] & bit]
-            self._trouble(f"error frame(s): {', '.join(words) or 'controller'}", arrived)
-        elif kind & _NO_ACKNOWLEDGE:
-            self._trouble("error frame(s): nobody acknowledges", arrived)
-        elif kind & _BUS_ERROR:
-            self._trouble("error frame(s): bus error", arrived)
-        else:
-            self._trouble("error frame(s)", arrived)
+        words = error_frame_words(message)
+        self._trouble(f"error frame(s): {words}" if words else "error frame(s)", arrived)
         return True
 
     def _skip_unreadable(self, faulty: int) -> int:
@@ -350,20 +321,6 @@ def close_bus(bus: can.BusABC) -> None:
         bus.shutdown()
 
 
-def _clock_offset() -> float:
-    """Clock of day minus monotonic clock [s]; the least disturbed of three readings."""
-    best = (math.inf, 0.0)
-    for _ in range(3):
-        before, day, after = time.monotonic(), time.time(), time.monotonic()
-        best = min(best, (after - before, day - 0.5 * (before + after)))
-    return best[1]
-
-
-def _is_unreadable(error: Exception) -> bool:
-    """Whether an adapter met a frame that it does not understand, as opposed to being gone itself."""
-    return isinstance(error, can.CanOperationError) and not isinstance(error.__cause__, OSError | type(None))
-
-
 def _prepare_socket(bus: can.BusABC) -> None:
     """Enlarge the receive buffer; of multicast groups, hear the bus's own only."""
     if type(bus).__name__ not in {"SocketcanBus", "UdpMulticastBus"}:
@@ -385,40 +342,3 @@ def _keep_quiet() -> None:
         logger = logging.getLogger(name)
         if not logger.handlers:
             logger.addHandler(logging.NullHandler())
-
-
-def _reason(error: BaseException) -> str:
-    cause = error.__cause__ or error.__context__
-    system = error if isinstance(error, OSError) else cause if isinstance(cause, OSError) else None
-    if system is not None and system.strerror:
-        return system.strerror
-    return str(error) or type(error).__name__
-
-
-def _why_not(error: Exception, interface: str, channel: str | int) -> tuple[str, str]:
-    cause = error if isinstance(error, OSError) else error.__cause__ or error.__context__
-    number = cause.errno if isinstance(cause, OSError) else None
-    if isinstance(error, can.CanInterfaceNotImplementedError | ImportError):
-        return f"interface '{interface}' cannot be used here: {error}", "is its maker's driver installed?"
-    if isinstance(error, TypeError):
-        return f"interface '{interface}' does not take these options: {error}", "see 'options' of the connection"
-    if number in (errno.EACCES, errno.EPERM) or "ermission denied" in str(error):
-        return (
-            f"no permission to open {channel}",
-            "a serial adapter needs membership of the group that owns it (dialout)",
-        )
-    if number == errno.EBUSY or "exclusively lock" in str(error):
-        return f"{channel} is in use by another program", "close that program"
-    if interface == "udp_multicast" and number in (errno.ENODEV, errno.ENETUNREACH):
-        return "no route for multicast", "sudo ip route add 239.0.0.0/8 dev lo"
-    if number in (errno.ENODEV, errno.ENOENT, errno.ENXIO):
-        hint = f"sudo ip link set {channel} up type can bitrate …" if interface == "socketcan" else "is it plugged in?"
-        return f"there is no channel '{channel}'", hint
-    if number == errno.ENETDOWN:
-        return f"{channel} is down", f"sudo ip link set {channel} up type can bitrate …"
-    if number == errno.EAFNOSUPPORT:
-        return "this computer knows no CAN sockets", "socketcan needs Linux with its CAN modules"
-    return (
-        f"cannot be opened: {_reason(error)}",
-        "see 'interface', 'channel', 'bitrate' and 'options' of the connection",
-    )

@@ -33,6 +33,7 @@ def build_app() -> typer.Typer:
         no_args_is_help=True,
         add_completion=False,
         pretty_exceptions_enable=False,
+        rich_markup_mode=None,  # or units in brackets are taken for markup and vanish from the help
     )
     app.callback()(_root)
     for entry in sorted(entry_points(group=COMMANDS_GROUP), key=lambda entry: entry.name):

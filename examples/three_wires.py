@@ -52,9 +52,6 @@ def three_wire_arm(folder: Path) -> Path:
     arm = yaml.safe_load(load_robot("ur5e").text)
     other = yaml.safe_load(load_robot("aubo_i5").text)
     names = {theirs["name"]: ours["name"] for theirs, ours in zip(other["joints"], arm["joints"], strict=True)}
-    for joint in arm["joints"]:
-        # A SYNC that a busy computer leaves out jerks the drives: a torque that stops a session, and hurts nobody here.
-        joint["torque"] = None
     connections = arm["connections"]
     connections["can"] = renamed(other["connections"]["can"], names)
     for wire in ("canopen", "can"):
@@ -78,8 +75,7 @@ def renamed(content: Any, names: Mapping[str, str]) -> Any:
 def gentle(arm: Path) -> Path:
     """The same arm with a share of its limits, for the design of the motion; the robot file."""
     content = yaml.safe_load(arm.read_text(encoding="utf-8"))
-    for joint, ours in zip(content["joints"], load_robot("ur5e").robot.joints, strict=True):
-        joint["torque"] = ours.torque
+    for joint in content["joints"]:
         joint |= {key: share * joint[key] for key, share in SHARES.items()}
     path = arm.with_name("gentle.yaml")
     path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")

@@ -7,12 +7,12 @@ from importlib.metadata import entry_points
 
 import numpy as np
 
-from daq.connections import connection_keys, driver_settings
+from daq.bus_room import bus_budget, tight_bus
 from daq.robot import RobotFile
 from daq.session import load_driver
 from drivers.base import DRIVERS_GROUP
-from drivers.can_budget import TIGHT_SHARE, Budget, connection_budget
-from drivers.errors import RobotFileError, UsageError
+from drivers.can_budget import TIGHT_SHARE, Budget
+from drivers.errors import UsageError
 from ident.base_parameters import base_parameters
 from ident.model import build_model
 
@@ -56,11 +56,8 @@ def check_robot(robot_file: RobotFile) -> list[str]:
             error.where = error.where or f"{robot.name}: connections.{name}"
             raise
     for name, budget in bus_budgets(robot_file).items():
-        if budget.load > TIGHT_SHARE:
-            warnings.append(
-                f"connection '{name}' fills its bus to {100 * budget.load:.1f} % at worst; "
-                f"at {budget.highest_rate(TIGHT_SHARE):.0f} Hz it would be {100 * TIGHT_SHARE:.0f} %"
-            )
+        if (warning := tight_bus(name, budget)) is not None:
+            warnings.append(warning)
     return warnings
 
 
@@ -71,26 +68,8 @@ def bus_budgets(robot_file: RobotFile) -> dict[str, Budget]:
         UsageError: a connection's keys are wrong.
         RobotFileError: a connection asks more of its bus than fits.
     """
-    robot = robot_file.robot
-    found: dict[str, Budget] = {}
-    for name, connection in robot.connections.items():
-        where = f"{robot.name}: connections.{name}"
-        keys = connection_keys(robot, name)
-        try:
-            budget = connection_budget(connection.driver, driver_settings(robot, keys, robot_file.folder))
-        except UsageError as error:
-            error.where = f"{where}: {error.where}" if error.where else where
-            raise
-        if budget is None:
-            continue
-        if budget.load > 1.0:
-            raise RobotFileError(
-                f"{budget.rate:g} Hz do not fit on a bus of {budget.bitrate:g} bit/s: {100 * budget.load:.0f} % of it",
-                where=where,
-                hint=f"at most {budget.highest_rate():.0f} Hz, better {budget.highest_rate(TIGHT_SHARE):.0f} Hz",
-            )
-        found[name] = budget
-    return found
+    budgets = {name: bus_budget(robot_file, name) for name in robot_file.robot.connections}
+    return {name: budget for name, budget in budgets.items() if budget is not None}
 
 
 def _needs_gain(robot_file: RobotFile, joint: str) -> bool:

@@ -142,12 +142,14 @@ class Sent:
         own: whether a simulated node sent it.
         time: when its last bit was over [s].
         bits: its length.
+        ready: when it was handed over [s].
     """
 
     frame: Frame
     own: bool
     time: float
     bits: int
+    ready: float
 
 
 @dataclass(frozen=True)
@@ -240,7 +242,7 @@ class BusModel:
             for ready, waiting in later:
                 self._place(waiting, ready)
         self.bits += won.bits
-        return Sent(won.frame, won.own, end, won.bits)
+        return Sent(won.frame, won.own, end, won.bits, won.ready)
 
     def _place(self, key: int, ready: float) -> None:
         if ready <= self._free:

@@ -20,7 +20,7 @@ import numpy as np
 
 from daq.robot import Robot
 from drivers.can_bus import close_bus, open_bus
-from drivers.canopen402.objects import TPDO1
+from drivers.canopen402.objects import STATE_OPERATIONAL, TPDO1
 from drivers.canopen402.settings import CanopenSettings
 from drivers.errors import ConnectionLostError
 from drivers.punctual import set_timer_slack
@@ -36,7 +36,7 @@ from sim_drivers.can_faults import (
     Unplug,
     parse_can_fault,
 )
-from sim_drivers.canopen_drive import OPERATIONAL, OVER_TEMPERATURE
+from sim_drivers.drive_axis import OVER_TEMPERATURE
 from sim_drivers.drive_network import DrivenArm, DriveNetwork, NetworkCounts
 from sim_drivers.faults import Block, Drop, Freeze, Heat
 from sim_drivers.slcan_adapter import SlcanAdapter
@@ -171,7 +171,7 @@ class CanopenServer:
         return CanopenStatus(
             counts,
             (counts.bits - bits) / self.settings.bitrate / max(now - begun, 1e-6),
-            sum(drive.nmt == OPERATIONAL for drive in drives),
+            sum(drive.nmt == STATE_OPERATIONAL for drive in drives),
             sum(drive.enabled for drive in drives),
             self._faulted,
         )
@@ -237,13 +237,17 @@ class CanopenServer:
 
     def _take(self, message: can.Message) -> None:
         identifier = message.arbitration_id
-        if identifier in self.network.own_identifiers and not message.is_extended_id:
+        remote = message.is_remote_frame
+        if identifier in self.network.own_identifiers and not message.is_extended_id and not remote:
             return  # udp_multicast gives a sender its own frames back
-        if message.is_error_frame or message.is_fd or message.dlc > 8 or message.dlc != len(message.data):
+        if message.is_error_frame or message.is_fd or message.dlc > 8:
+            return
+        content = bytes(message.dlc) if remote else bytes(message.data)
+        if message.dlc != len(content):
             return
         if time.monotonic() < self._deaf_until:
             return
-        frame = Frame(identifier, bytes(message.data), message.is_extended_id, message.is_remote_frame)
+        frame = Frame(identifier, content, message.is_extended_id, remote)
         self.network.arrive(frame, self._arrival(message.timestamp))
 
     def _arrival(self, stamp: float) -> float:
@@ -299,7 +303,7 @@ class CanopenServer:
             case PowerCycle(joint):
                 self.network.power_cycle(joint)
             case HeartbeatStop(joint):
-                self.network.drives[joint].heartbeat_muted = True
+                self.network.drives[joint].error_control.muted = True
             case OverTemperature(joint):
                 self.network.drives[joint].fault(OVER_TEMPERATURE)
             case Truncate(frames) if self.adapter is not None:

@@ -10,17 +10,27 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
 
-SMOOTHING = 400.0
-"""Bandwidth [rad/s] of the filter behind cyclic set-points; a ramp follows 2/400 s late."""
 LONGEST_CYCLE = 0.05
-"""Set-points further apart than this [s] are steps, not a motion."""
-LOCK_RANGE = 4.0
-"""A SYNC further away than so many cycles from where it was expected starts the drives' clock anew."""
+"""SYNCs, or commands, further apart than this [s] begin a new series of unknown rate."""
+NEXT_SHARE = 0.9
+"""A SYNC is still the next one where it is late by up to this share of a cycle; later ones come after others were left
+out."""
 PHASE_GAIN = 0.05
 """Share of a SYNC's lateness that the drives' clock takes over."""
-KEPT_SETPOINTS = 8
-EXTRAPOLATED_CYCLES = 3.0
-"""Cycles that a motion goes on by itself where set-points are late."""
+ASTRAY, ASTRAY_MEMORY = 0.2, 10.0
+"""SYNCs that are early or late by more than this share of a cycle on average, over so many: the rate has changed."""
+LAG_CYCLES = 2.0
+"""So many cycles after its SYNC the reference passes a set-point: the curve needs the next two."""
+EXTRAPOLATED_CYCLES = 3
+"""Cycles that a motion goes on with its velocity where set-points are left out."""
+COAST_DECELERATION = 20.0
+"""Of the way to standstill where none comes even then [rad/s²]: an assumption."""
+LARGEST_ACCELERATION = 30.0
+"""Set-points that ask for more [rad/s²] are no motion but a jump: an assumption."""
+RESUME_TIME = 0.03
+"""Time constant [s] of the way to set-points that jump, or that come again after an interruption: an assumption."""
+LONGEST_COAST = 1000
+"""Cycles after which a joint without set-points certainly stands."""
 ARRIVED = 1e-6
 """[rad]: as good as there."""
 
@@ -76,88 +86,157 @@ class Standstill:
 class SyncClock:
     """The drives' own clock, locked to SYNC: its jitter must not become a jitter of the motion.
 
-    A second-order phase-locked loop; SYNC that pauses or jumps starts it anew.
+    A second-order phase-locked loop. SYNCs left out are counted; a long pause, or another rate, starts it anew.
+
+    Args:
+        cycle: distance of two SYNCs [s] where it is known beforehand, else 0.
+
+    Attributes:
+        cycle: smoothed; 0 where unknown.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, cycle: float = 0.0) -> None:
         self._time = -math.inf
-        self.cycle = 0.0
+        self._known = cycle
+        self.cycle = cycle
+        self._first, self._cycles, self._astray = 0.0, 0.0, 0.0
 
     def age(self, time: float) -> float:
         """How long ago the last SYNC was [s]."""
         return time - self._time
 
-    def tick(self, time: float) -> float:
-        """The smoothed time [s] of a SYNC that came at `time`; `cycle` is then the smoothed distance of two."""
-        late = time - self._time - self.cycle
-        if self.cycle > 0.0 and abs(late) <= LOCK_RANGE * self.cycle:
-            self._time += self.cycle + PHASE_GAIN * late
-            self.cycle += 0.25 * PHASE_GAIN**2 * late
+    def passed(self, time: float) -> int:
+        """How many cycles a SYNC that comes at `time` is behind the last one, as far as time tells; at least 1."""
+        cycles = (time - self._time) / self.cycle + 1.0 - NEXT_SHARE if self.cycle > 0.0 else 1.0
+        return int(min(max(cycles, 1.0), LONGEST_COAST))
+
+    def tick(self, time: float, passed: int | None = None) -> float:
+        """The smoothed time [s] of a SYNC that came at `time`; `passed` cycles behind the last where that is known."""
+        distance = time - self._time
+        astray = self._astray > ASTRAY and not self._known
+        if astray or abs(distance) > LONGEST_CYCLE:
+            self.cycle = 0.0 if astray else self.cycle
+            self._time = self._first = time
+            self._cycles = self._astray = 0.0
+            return time
+        if self.cycle <= 0.0:
+            self.cycle = max(distance, 0.0)
+        passed = self.passed(time) if passed is None else passed
+        self._cycles += passed
+        late = distance - passed * self.cycle
+        self._astray += (abs(late) / self.cycle - self._astray) / ASTRAY_MEMORY if self.cycle else 0.0
+        # While it locks, averages; then a loop of fixed bandwidth.
+        self._time += passed * self.cycle + max(PHASE_GAIN, 1.0 / (self._cycles + 1.0)) * late
+        if self._cycles * PHASE_GAIN < 1.0 and not self._known:
+            self.cycle = (time - self._first) / self._cycles
         else:
-            distance = time - self._time
-            self.cycle = distance if 0.0 < distance <= LONGEST_CYCLE else 0.0
-            self._time = time
+            self.cycle += 0.25 * PHASE_GAIN**2 * late / passed
         return self._time
 
 
 class CyclicPosition:
-    """Cyclic synchronous position: straight lines between set-points, one cycle late, then a critically damped filter.
+    """Cyclic synchronous position: a uniform cubic B-spline over the set-points, two cycles late.
 
-    The last line is prolonged by some cycles where set-points are late; then the reference stands at the last one.
+    Its acceleration is continuous. Straight lines have a step of velocity at every SYNC: the torque, which is measured
+    at every SYNC too, would always differ from its mean by the same share of the inertial torque.
+
+    Where set-points are left out, the motion goes on with its velocity for some cycles, then comes to rest. When they
+    come again, or jump, it goes to them softly.
 
     Args:
-        start: where it begins.
+        start: where it begins; from a motion it goes on with zero velocity.
         time: when, in the clock of `aim` [s].
     """
 
     def __init__(self, start: AxisReference, time: float) -> None:
         self._reference, self._time = start, time
-        self._setpoints: deque[tuple[float, float]] = deque([(time, start.position)], maxlen=KEPT_SETPOINTS)
-        self._cycle = 0.0
+        self._points = deque([start.position] * 4, maxlen=8)
+        self._newest, self._cycle = time, LONGEST_CYCLE
+        self._coasted: list[float] = []
+        self._target, self._speed = start.position, 0.0
+        # How far, and how fast, from where the set-points would have the joint, after a jump of theirs.
+        self._distance = self._approach = 0.0
+        self._jumped = False
 
     @property
     def finished(self) -> bool:
         """Whether it follows no set-point any more."""
-        time, position = self._setpoints[-1]
-        late = self._time - time > (2.0 + EXTRAPOLATED_CYCLES) * self._cycle
-        return late and abs(self._reference.velocity) < ARRIVED and abs(self._reference.position - position) < ARRIVED
+        late = self._time - self._newest > (LAG_CYCLES + EXTRAPOLATED_CYCLES) * self._cycle
+        return late and abs(self._reference.velocity) < ARRIVED
 
     def aim(self, target: float, time: float, cycle: float) -> None:
         """A new set-point of a SYNC at a time [s]; `cycle` [s] apart from its neighbours, 0 where that is unknown."""
-        last, position = self._setpoints[-1]
-        if cycle <= 0.0 or not 0.5 * cycle < time - last < (1.5 + LOCK_RANGE) * cycle:
-            # After a pause the motion goes on from where it stands.
-            self._setpoints.clear()
-            self._setpoints.append((time - cycle, position))
-        self._setpoints.append((time, target))
-        self._cycle = cycle
+        elapsed = time - self._newest
+        left_out = min(round(elapsed / self._cycle) - 1, LONGEST_COAST)
+        if left_out < 0:  # a second one in the same cycle, or an earlier one
+            replaced = self._points.pop()
+            if abs(target - self._target) > abs(self._speed) * self._cycle + LARGEST_ACCELERATION * self._cycle**2:
+                self._distance, self._jumped = replaced - target, True
+            time = max(time, self._newest)
+        else:
+            self._coast(left_out + 1)
+            *played, following = self._coasted[: left_out + 1]
+            self._points.extend(played)  # what went in the place of those left out stays
+            speed, self._speed = self._speed, (target - self._target) / elapsed
+            # What a steady acceleration makes of a line through the last two, by differences.
+            largest = 0.5 * LARGEST_ACCELERATION * self._cycle**2 * (left_out + 1) * (left_out + 2)
+            if left_out > EXTRAPOLATED_CYCLES or abs(target - self._target - speed * elapsed) > largest:
+                self._distance, self._jumped = following - target, True
+            elif self._jumped:
+                # Only the second set-point shows how fast they go.
+                self._approach = (following - self._points[-1]) / self._cycle - self._speed
+                self._distance, self._jumped = following - target, False
+            else:
+                self._come_closer((left_out + 1) * self._cycle)
+        self._coasted.clear()
+        self._points.append(target + self._distance)
+        self._target, self._newest = target, time
+        self._cycle = cycle if cycle > 0.0 else LONGEST_CYCLE
+
+    def _come_closer(self, duration: float) -> None:
+        """Critically damped, exactly."""
+        rate = 1.0 / RESUME_TIME
+        mixed = self._approach + rate * self._distance
+        decay = math.exp(-rate * duration)
+        self._distance = (self._distance + mixed * duration) * decay
+        self._approach = (self._approach - rate * mixed * duration) * decay
 
     def step(self, duration: float) -> AxisReference:
         """The reference `duration` [s] later."""
         self._time += duration
-        line, slope = self._line(self._time - self._cycle)
-        before = self._reference
-        # Both poles at −SMOOTHING, integrated exactly for an input that moves straight on: no lag behind a ramp.
-        lag = before.position - (line - slope * duration)
-        speed = before.velocity - slope
-        mixed = speed + SMOOTHING * lag
-        decay = math.exp(-SMOOTHING * duration)
-        position = line + (lag + mixed * duration) * decay
-        velocity = slope + (speed - SMOOTHING * mixed * duration) * decay
-        self._reference = AxisReference(position, velocity)
+        # Set-points are numbered from the newest, which is 0, into the past, and coasted ones into the future.
+        place = (self._time - self._newest) / self._cycle - LAG_CYCLES
+        first = max(math.floor(place), 2 - len(self._points))
+        share = min(max(place - first, 0.0), 1.0)
+        before, start, end, after = (self._point(first + offset) for offset in (-1, 0, 1, 2))
+        rest = 1.0 - share
+        position = (
+            rest**3 * before
+            + (4.0 - 6.0 * share**2 + 3.0 * share**3) * start
+            + (4.0 - 6.0 * rest**2 + 3.0 * rest**3) * end
+            + share**3 * after
+        ) / 6.0
+        slope = (rest**2 * (start - before) + (1.0 + 2.0 * share * rest) * (end - start) + share**2 * (after - end)) / (
+            2.0 * self._cycle
+        )
+        self._reference = AxisReference(position, slope)
         return self._reference
 
-    def _line(self, time: float) -> tuple[float, float]:
-        """Position and velocity on the line through the set-points."""
-        end, last = self._setpoints[-1]
-        if self._cycle <= 0.0 or time > end + EXTRAPOLATED_CYCLES * self._cycle:
-            return last, 0.0
-        place = len(self._setpoints) - 1
-        while place > 1 and time < self._setpoints[place - 1][0]:
-            place -= 1
-        (begin, start), (end, last) = self._setpoints[place - 1], self._setpoints[place]
-        slope = (last - start) / (end - begin)
-        return last + slope * max(time - end, begin - end), slope if time >= begin else 0.0
+    def _point(self, number: int) -> float:
+        if number <= 0:
+            return self._points[number - 1]
+        number = min(number, LONGEST_COAST)
+        self._coast(number)
+        return self._coasted[number - 1]
+
+    def _coast(self, count: int) -> None:
+        """Set-points in the place of those that do not come."""
+        while len(self._coasted) < count:
+            before, last = [*self._points, *self._coasted][-2:]
+            way = last - before
+            if len(self._coasted) >= EXTRAPOLATED_CYCLES:
+                way = math.copysign(max(abs(way) - COAST_DECELERATION * self._cycle**2, 0.0), way)
+            self._coasted += [last + way] * (1 if way else count - len(self._coasted))
 
 
 class Profile:

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from daq.robot import Robot
-from drivers.canopen402.objects import EMCY, HEARTBEAT, NMT, SDO_ANSWER, SYNC
+from drivers.canopen402.objects import EMCY, HEARTBEAT, NMT, SDO_ANSWER, SDO_REQUEST, SYNC
 from drivers.canopen402.settings import CanopenSettings
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
@@ -23,6 +23,7 @@ from sim_drivers.canopen_drive import Drive
 from sim_drivers.controller import MeasurementLike
 from sim_drivers.drive_motion import SyncClock
 from sim_drivers.drive_setup import DriveSetup, Feedback
+from sim_drivers.error_control import HIGHEST_NODE
 
 LOOP_PERIOD = 1e-3
 """Of the drives' control loops [s]."""
@@ -32,6 +33,7 @@ LONGEST_LAG = 0.25
 """A stall of more than this [s] is not made up for: the arm's time stands still meanwhile."""
 PDO_IDENTIFIERS = range(0x181, 0x580)
 """Of the predefined connection set (CiA 301, 7.3.5)."""
+HEARTBEAT_IDENTIFIERS = range(HEARTBEAT + 1, HEARTBEAT + HIGHEST_NODE + 1)
 LONGEST_QUEUE = 100_000
 """Frames of the master that may wait to be taken."""
 PEAK_FACTOR = 3.0
@@ -152,7 +154,8 @@ class DriveNetwork:
             Drive(node, setup, feedback, self._send)
             for node, setup, feedback in zip(nodes, drive_setups(robot, settings), self._feedback(0.0), strict=True)
         )
-        self._by_request = {0x600 + drive.node: drive for drive in self.drives}
+        self._by_request = {SDO_REQUEST + drive.node: drive for drive in self.drives}
+        self._by_heartbeat = {HEARTBEAT + drive.node: drive for drive in self.drives}
         self.own_identifiers = self._identifiers()
         self._sync_clock = SyncClock()
         self._now = self._tick_time = start
@@ -166,7 +169,7 @@ class DriveNetwork:
 
     def arrive(self, frame: Frame, time: float) -> None:
         """A frame of the master, or of anybody else, that came at a time [s]; times must not fall."""
-        self._arrivals.append((max(time, self._now), frame))
+        self._arrivals.append((time, frame))  # earlier than now where this computer was late to hear it
 
     def next_end(self) -> float:
         """When the frame that is on the bus will be over [s]; infinity where there is none."""
@@ -195,9 +198,9 @@ class DriveNetwork:
             if first == tick:
                 self._tick()
             elif first == arrival:
-                frame = self._arrivals.popleft()[1]
+                _, frame = self._arrivals.popleft()
                 cyclic = not frame.extended and frame.id in PDO_IDENTIFIERS
-                self._bus.submit(frame, self._now, own=False, newest_wins=cyclic)
+                self._bus.submit(frame, arrival, own=False, newest_wins=cyclic)
             else:
                 sent = self._bus.pop()
                 if sent.own:
@@ -215,9 +218,12 @@ class DriveNetwork:
         self._bus.submit(Frame(identifier, content), self._now, own=True, newest_wins=newest_wins)
 
     def _deliver(self, frame: Frame, time: float) -> None:
-        if frame.extended or frame.remote:
+        if frame.extended:
             return
-        if frame.id == SYNC:
+        if frame.remote:
+            if (guarded := self._by_heartbeat.get(frame.id)) is not None:
+                guarded.guard_request(time)
+        elif frame.id == SYNC:
             self._syncs += 1
             self._latch(time)
             smoothed = self._sync_clock.tick(time) - self._clock_shift
@@ -229,6 +235,9 @@ class DriveNetwork:
         elif (asked := self._by_request.get(frame.id)) is not None:
             asked.receive(frame.id, frame.data)
             self.own_identifiers = self._identifiers()
+        elif frame.id in HEARTBEAT_IDENTIFIERS:
+            for drive in self.drives:
+                drive.heartbeat(frame.id - HEARTBEAT, time)
         else:
             for drive in self.drives:
                 drive.receive(frame.id, frame.data)
@@ -253,7 +262,7 @@ class DriveNetwork:
     def _latch(self, time: float) -> None:
         """Let every drive measure."""
         for drive, feedback in zip(self.drives, self._feedback(time - self._tick_time), strict=True):
-            drive.feedback = feedback
+            drive.axis.feedback = feedback
 
     def _feedback(self, ahead: float) -> list[Feedback]:
         """What the drives measure `ahead` [s] of the plant's last step."""

@@ -22,23 +22,19 @@ import numpy as np
 from daq.robot import Robot
 from drivers.can_bus import EXTENDED, Receiver, close_bus, open_bus
 from drivers.can_frames.settings import parse_settings
-from drivers.errors import ConnectionLostError, UsageError
+from drivers.errors import ConnectionLostError
 from drivers.punctual import set_timer_slack
-from sim_drivers.bus_load import BusModel, Frame
-from sim_drivers.can_faults import Garbage, OverTemperature, Truncate, parse_can_fault
+from sim_drivers.bus_load import BusModel, Frame, Sent, exact_bits
+from sim_drivers.can_faults import BusOff, Garbage, OverTemperature, Truncate
+from sim_drivers.canopen_nodes import BUS_OFF_ERROR
 from sim_drivers.controller import SimulatedArm
 from sim_drivers.faults import Block, Drop, Freeze, Heat
 from sim_drivers.table_arm import TableArm
+from sim_drivers.table_faults import Mute, TableFault, parse_table_fault
 
 LONGEST_LAG = 0.25
 """A stall of more than this [s] is not made up for: the arm's time stands still meanwhile."""
 STOP_TIMEOUT = 5.0
-USAGE = (
-    "drop FRAMES | freeze SECONDS | garbage FRAMES | truncate FRAMES | over-temperature JOINT | heat JOINT CELSIUS | "
-    "block JOINT"
-)
-
-TableFault = Drop | Freeze | Garbage | Truncate | OverTemperature | Heat | Block
 
 
 @dataclass(frozen=True)
@@ -98,6 +94,7 @@ class ProprietaryCanServer:
         self._thread: threading.Thread | None = None
         self._drop = self._truncate = 0
         self._frozen_until = -math.inf
+        self._muted: dict[int, float] = {}
         self._generator = np.random.default_rng(0)
         self._begun = self._arm_time = self._due = 0.0
         self._status = TableStatus(arm.time)
@@ -142,13 +139,7 @@ class ProprietaryCanServer:
         Raises:
             UsageError: not a fault of this arm.
         """
-        try:
-            fault = parse_can_fault(line, self._joints)
-        except UsageError as error:
-            raise UsageError(error.message, hint=USAGE) from error
-        if not isinstance(fault, TableFault):
-            raise UsageError(f"'{line.strip()}' is not a fault of this arm", hint=USAGE)
-        self.cause(fault)
+        self.cause(parse_table_fault(line, self._joints))
 
     def ready(self) -> dict[str, object]:
         """What a client must know to reach it."""
@@ -184,7 +175,11 @@ class ProprietaryCanServer:
                     # Everything in the order of its own time, however late this thread is.
                     self._run_until(bus, arrived)
                     frame = Frame(identifier & ~EXTENDED, data, bool(identifier & EXTENDED))
-                    self._model.submit(frame, arrived, own=False)
+                    if arrived < self._arm_time:
+                        # Heard late, by a thread that stalled: it was on the bus already, before all that waits there.
+                        self._take(Sent(frame, False, arrived, exact_bits(frame), arrived))
+                    else:
+                        self._model.submit(frame, arrived, own=False)
                 now = time.monotonic()
                 if now - self._due > LONGEST_LAG:
                     self._due = self._arm_time = now
@@ -202,7 +197,7 @@ class ProprietaryCanServer:
         """Everything that is due by a time: periods of the controller, and frames that are over on the bus."""
         while (due := self._due) <= moment:
             self._carry_until(bus, due)
-            self._period(due)
+            self._period(bus, due)
             self._due += 1.0 / self.settings.rate
         self._carry_until(bus, moment)
 
@@ -211,11 +206,11 @@ class ProprietaryCanServer:
             sent = self._model.pop()
             if sent.own:
                 self._transmit(bus, sent.frame)
-            elif sent.time >= self._frozen_until:
-                self._take(sent.frame, sent.time)
+            else:
+                self._take(sent)
 
-    def _period(self, now: float) -> None:
-        self._obey_faults(now)
+    def _period(self, bus: can.BusABC, now: float) -> None:
+        self._obey_faults(bus, now)
         self._advance_to(now)
         if self.settings.poll is None:
             self._speak(now)
@@ -227,13 +222,17 @@ class ProprietaryCanServer:
             load=self._model.bits / self.settings.bitrate / max(now - self._begun, 1e-9),
         )
 
-    def _take(self, frame: Frame, now: float) -> None:
+    def _take(self, sent: Sent) -> None:
+        if sent.time < self._frozen_until:
+            return
+        frame = sent.frame
         identifier = frame.id | (EXTENDED if frame.extended else 0)
+        self._advance_to(sent.time)
         if self._arm.is_poll(identifier, frame.data):
-            self._advance_to(now)
-            self._speak(now)
+            self._speak(sent.time)
         else:
-            self._arm.obey(identifier, frame.data)
+            # A computer that stalls hears frames after the arm's time has gone on; they came when they came.
+            self._arm.obey(identifier, frame.data, max(0.0, self._arm_time - sent.ready))
 
     def _advance_to(self, now: float) -> None:
         if now > self._arm_time:
@@ -250,7 +249,8 @@ class ProprietaryCanServer:
 
     def _transmit(self, bus: can.BusABC, frame: Frame) -> None:
         data = frame.data
-        if time.monotonic() < self._frozen_until or self._drop:
+        now = time.monotonic()
+        if now < max(self._frozen_until, self._muted.get(frame.id, -math.inf)) or self._drop:
             self._drop = max(0, self._drop - 1)
             self._status = replace(self._status, withheld=self._status.withheld + 1)
             return
@@ -261,7 +261,7 @@ class ProprietaryCanServer:
         bus.send(message)
         self._status = replace(self._status, frames=self._status.frames + 1)
 
-    def _obey_faults(self, now: float) -> None:
+    def _obey_faults(self, bus: can.BusABC, now: float) -> None:
         while True:
             try:
                 fault = self._faults.get_nowait()
@@ -274,6 +274,11 @@ class ProprietaryCanServer:
                     self._truncate += frames
                 case Freeze(duration):
                     self._frozen_until = now + duration
+                case BusOff(duration):
+                    bus.send(can.Message(arbitration_id=BUS_OFF_ERROR, is_error_frame=True, dlc=8, data=bytes(8)))
+                    self._frozen_until = now + duration
+                case Mute(identifier, duration):
+                    self._muted[identifier] = now + duration
                 case Garbage(frames):
                     for _ in range(frames):
                         content = self._generator.bytes(int(self._generator.integers(0, 9)))

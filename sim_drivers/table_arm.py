@@ -21,7 +21,7 @@ from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from sim_drivers.bus_load import Frame
 from sim_drivers.controller import MeasurementLike, SimulatedArm
-from sim_drivers.joint_motion import Reference, ServoJ
+from sim_drivers.drive_motion import EXTRAPOLATED_CYCLES, AxisReference, CyclicPosition, SyncClock
 
 MEASURED = (
     "position",
@@ -38,14 +38,12 @@ MEASURED = (
 """Quantities that a plant gives one a joint."""
 SLOW = ("temperature",)
 """Quantities whose frames, where they hold nothing else, take turns: one a cycle."""
-SUBSTEP = 0.002
+SUBSTEP = 1e-3
 """How often the reference of the joint controllers is renewed [s]."""
-FOLLOW_PERIODS = 1.5
-"""The way to a commanded position takes so many periods, so that it goes on where the next command comes late."""
-LOOKAHEAD = 0.03
-"""Of the smoothing behind that [s]: steps of velocity between two commands would be steps of torque."""
 SPEED_MARGIN = 1.2
 """A command that asks for more than this share of a joint's velocity limit is a fault."""
+LEAST_STEADY = 5.0
+"""Speed over a period [rad/s²] from which two commands tell how far the third should be."""
 HALT_DECELERATION = 10.0
 """Of a stop [rad/s²]: an assumption."""
 FAULT_COMMAND, FAULT_REQUESTED = 1, 2
@@ -88,23 +86,27 @@ class TableArm:
         self._cycles = 0
         self._commanded: dict[int, FloatArray] = {}
         self._starting = 0
-        self._left = 0.0
+        self._clock = SyncClock(1.0 / settings.rate)
+        self._time = self._commanded_at = 0.0
+        self._ahead = 0.0
         self._goal: FloatArray = np.zeros(len(joints))
-        self._velocity: FloatArray = np.zeros(len(joints))
-        self._servo = ServoJ(Reference.at_rest(self._goal))
+        self._step: FloatArray = np.zeros(len(joints))  # of the commands, a period
+        self._axes: tuple[CyclicPosition, ...] = ()
+        # How many periods of full speed the next command may go, one a joint.
+        self._periods_left: FloatArray = np.zeros(len(joints))
         self._hold()
 
     def advance(self, duration: float) -> None:
-        """Let time pass [s]."""
-        while duration > 1e-9:
-            step = min(SUBSTEP, duration)
-            duration -= step
+        """Let time pass [s]; the plant follows in whole steps of `SUBSTEP`."""
+        self._time += duration
+        self._ahead += duration
+        while self._ahead >= SUBSTEP - 1e-9:
+            self._ahead -= SUBSTEP
             if self.enabled:
-                self._left = max(0.0, self._left - step)
-                self._servo.retarget(self._goal - self._left * self._velocity, LOOKAHEAD)
-                reference = self._servo.step(step)
-                self.arm.set_target(reference.position, reference.velocity, reference.acceleration)
-            self.arm.advance(step)
+                references = [axis.step(SUBSTEP) for axis in self._axes]
+                position, velocity = np.array([(one.position, one.velocity) for one in references]).T
+                self.arm.set_target(position, velocity)
+            self.arm.advance(SUBSTEP)
 
     def cycle(self) -> list[Frame]:
         """The frames of the next cycle, with what the sensors say now."""
@@ -126,8 +128,11 @@ class TableArm:
         poll = self._settings.poll
         return poll is not None and poll.frames[-1] == FixedFrame(identifier, data)
 
-    def obey(self, identifier: int, data: bytes) -> None:
-        """Take a frame of the master: start, stop, or a command."""
+    def obey(self, identifier: int, data: bytes, late: float = 0.0) -> None:
+        """Take a frame of the master: start, stop, or a command.
+
+        `late` [s]: how long ago it arrived, where the arm's time has gone on already.
+        """
         settings, given = self._settings, FixedFrame(identifier, data)
         if given in settings.stop:
             if self.enabled:
@@ -152,7 +157,7 @@ class TableArm:
             if len(values):
                 self._commanded[number] = values[0]
         if len(self._commanded) == len(table.parts):
-            self._follow(table.parts)
+            self._follow(table.parts, late)
 
     def fail(self, joint: int, reason: int = FAULT_REQUESTED) -> None:
         """Let a joint fall into fault: the arm halts and is enabled no more until it is started anew."""
@@ -169,11 +174,11 @@ class TableArm:
 
     def _hold(self) -> None:
         self._goal = np.asarray(self.arm.measure().target_position, dtype=np.float64).copy()
-        self._velocity = np.zeros_like(self._goal)
-        self._left = 0.0
-        self._servo = ServoJ(Reference.at_rest(self._goal))
+        self._step = np.zeros_like(self._goal)
+        self._periods_left = np.full(len(self._goal), 1.0 + EXTRAPOLATED_CYCLES)
+        self._axes = tuple(CyclicPosition(AxisReference(start), self._time - self._ahead) for start in self._goal)
 
-    def _follow(self, parts: Sequence[Part]) -> None:
+    def _follow(self, parts: Sequence[Part], late: float) -> None:
         goal = np.full(len(self._names), np.nan)
         for number, part in enumerate(parts):
             for signal, value in zip(part.signals, self._commanded[number], strict=True):
@@ -185,14 +190,26 @@ class TableArm:
             self.enabled = True
         if not self.enabled:
             return
-        allowed = SPEED_MARGIN * self._speed / self._settings.rate
-        outside = ~((goal >= self._lower) & (goal <= self._upper) & (np.abs(goal - self._goal) <= allowed))
+        # Commands that were left out or come late in a bunch may go their way at one stroke, no more.
+        periods = (self._time - self._commanded_at) * self._settings.rate
+        self._periods_left = np.minimum(self._periods_left + periods, 1.0 + EXTRAPOLATED_CYCLES)
+        self._periods_left -= np.abs(goal - self._goal) / (SPEED_MARGIN * self._speed / self._settings.rate)
+        outside = ~((goal >= self._lower) & (goal <= self._upper) & (self._periods_left >= 0.0))
         if np.any(outside):
             self.fail(int(np.argmax(outside)), FAULT_COMMAND)
             return
-        period = FOLLOW_PERIODS / self._settings.rate
-        reached = self._goal - self._left * self._velocity
-        self._goal, self._left, self._velocity = goal, period, (goal - reached) / period
+        # Commands are late, all of them, or left out: how far the motion has gone tells, and time where it stands.
+        way, arrival = goal - self._goal, self._time - late
+        passed, steady = self._clock.passed(arrival), float(np.linalg.norm(self._step))
+        if passed <= 1 + EXTRAPOLATED_CYCLES and steady * self._settings.rate**2 > LEAST_STEADY:
+            most = max(round(self._clock.age(arrival) * self._settings.rate), 1)
+            passed = min(max(round(float(way @ self._step) / steady**2), 1), most)
+        # A longer pause may have moved the motion itself: it tells no speed.
+        self._step = way / passed if passed <= 1 + EXTRAPOLATED_CYCLES else np.zeros_like(way)
+        moment = self._clock.tick(arrival, passed)
+        for axis, target in zip(self._axes, goal.tolist(), strict=True):
+            axis.aim(target, moment, self._clock.cycle)
+        self._goal, self._commanded_at = goal, self._time
 
     def _value(self, signal: Signal, measured: MeasurementLike) -> float:
         low, high = signal.limits
@@ -206,6 +223,8 @@ class TableArm:
             return float(low + signal.gain * counts)
         joint = self._names.index(signal.joint)
         value = float(self._faults[joint] if signal.quantity == "fault" else getattr(measured, signal.quantity)[joint])
+        if signal.quantity == "position":
+            value += self._ahead * float(measured.velocity[joint])  # between two steps of the plant
         return min(max(value, low), high)
 
 

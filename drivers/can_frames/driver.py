@@ -13,20 +13,15 @@ import can
 import numpy as np
 
 from drivers.base import DriverSettings, Notice, State, require_state
-from drivers.can_bus import Frame, Receiver, Sender, close_bus, open_bus
-from drivers.can_frames.clock import SourceClock
+from drivers.can_bus import Receiver, Sender, close_bus, open_bus
 from drivers.can_frames.commanding import Commander
-from drivers.can_frames.order import CycleOrder
-from drivers.can_frames.polling import PollAnswers, Poller
+from drivers.can_frames.frame_streams import FrameStreams
+from drivers.can_frames.hearing import hear_all
+from drivers.can_frames.polling import Poller
 from drivers.can_frames.rest import REST_LIMIT, comes_to_rest
-from drivers.can_frames.rows import Assembler, Rows
 from drivers.can_frames.settings import FixedFrame, parse_settings
-from drivers.can_frames.signal_keys import WHOLE_ARM
-from drivers.can_frames.table import batches, identifier_text
-from drivers.can_frames.watch import FaultWatch, RateWatch, Troubles
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
-from drivers.gains import joint_torque
-from drivers.streams import Block, ChannelLayout, FloatArray, StreamLayout
+from drivers.streams import Block, FloatArray, StreamLayout
 
 SILENCE_LIMIT = 0.5
 """Without a row for so long [s], or for `SILENT_PERIODS`, the connection counts as lost."""
@@ -51,7 +46,6 @@ class CanFramesDriver:
 
     def __init__(self, settings: DriverSettings) -> None:
         self._joints = settings.joints
-        self._gains = settings.gains
         self._settings = parse_settings(settings.connection, settings.joints, settings.folder)
         self._state: State = "closed"
         self._bus: can.BusABC | None = None
@@ -61,19 +55,8 @@ class CanFramesDriver:
         self._commander: Commander | None = None
         self._command_lock = threading.Lock()
         self._halted = False
-        rate = self._settings.rate
-        self._assemblers = {
-            name: Assembler(self._settings.parts(name), self._settings.cycle if name == "joints" else None, 0.5 / rate)
-            for name in self._settings.streams
-        }
-        clock = next((signal for signal in self._settings.signals if signal.quantity in WHOLE_ARM), None)
-        self._clock_signal = clock
-        self._clock = SourceClock(clock, rate) if clock is not None else None
         self._notices: deque[Notice] = deque()
-        self._troubles = Troubles(self._notices)
-        self._faults = FaultWatch(self._notices)
-        self._rate_watch = RateWatch(self._notices, rate)
-        self._forget()
+        self._streams = FrameStreams(self._settings, self._joints, settings.gains, self._notices)
 
     def open(self) -> None:
         """Open the bus and hear every frame of the joints once, within the connection's `timeout`.
@@ -93,7 +76,12 @@ class CanFramesDriver:
             if settings.poll is not None:
                 self._poller = Poller(self._sender, settings.poll)
                 self._poller.start()
-            self._hear_all(self._receiver)
+            told = hear_all(settings, self._receiver)
+            self._streams.joints.expect(told, 1.0 / settings.rate, self._streams.clock)
+            if told.first and settings.cycle is None:
+                label = settings.parts("joints")[told.first].label
+                said = f"a cycle begins with {label}: before it is the longest pause"
+                self._notices.append(Notice(math.nan, "info", said))
         except ConnectionLostError as error:
             self._let_go()
             raise ConnectionFailedError(error.message, where=error.where, hint=error.hint) from error
@@ -110,17 +98,7 @@ class CanFramesDriver:
         """
         if self._state == "closed":
             require_state(self._state, "open", "list its streams")
-        layouts = []
-        for name, assembler in self._assemblers.items():
-            channels = []
-            for quantity, members in self._columns(assembler).items():
-                unit = "1" if quantity == "fault" else ""
-                columns = tuple(assembler.signals[index].joint for index in members)
-                channels.append(ChannelLayout(quantity, columns, unit, self._description(name, quantity)))
-            if name == "joints" and self._knows_torque:
-                channels.append(ChannelLayout("torque", self._joints, "", "current times the robot file's drive gains"))
-            layouts.append(StreamLayout(name, tuple(channels), self._settings.rate if name == "joints" else 0.0))
-        return tuple(layouts)
+        return self._streams.layouts()
 
     def start(self) -> None:
         """Make samples flow.
@@ -131,7 +109,7 @@ class CanFramesDriver:
         """
         require_state(self._state, "open", "start")
         self._opened_receiver().take()
-        self._forget()
+        self._streams.forget()
         self._halted = False
         self._state = "running"
 
@@ -150,7 +128,8 @@ class CanFramesDriver:
             if self._poller is not None and self._poller.failure is not None:
                 raise self._poller.failure
             left = max(0.0, end - time.monotonic())
-            blocks = self._blocks(receiver.take(left, at_least=len(self._settings.parts("joints"))))
+            frames = receiver.take(left, at_least=len(self._settings.parts("joints")))
+            blocks = self._streams.take(frames, self._poller)
             now = time.monotonic()
             if blocks or now >= end:
                 self._require_sound(now)
@@ -207,7 +186,7 @@ class CanFramesDriver:
             if not sent:
                 said = "the stop frames could not be sent; the arm may still move"
                 self._notices.append(Notice(math.nan, "error", said))
-            elif not comes_to_rest(self._receiver, self._assemblers["joints"]):
+            elif not comes_to_rest(self._receiver, self._streams.joints):
                 said = f"the arm did not show within {REST_LIMIT:g} s of the stop frames that it stands still"
                 self._notices.append(Notice(math.nan, "error", said))
         if self._state == "running":
@@ -221,146 +200,16 @@ class CanFramesDriver:
         self._let_go()
         self._state = "closed"
 
-    @property
-    def _knows_torque(self) -> bool:
-        quantities = self._columns(self._assemblers["joints"])
-        return (
-            "current" in quantities
-            and "torque" not in quantities
-            and len(self._gains) == len(self._joints)
-            and all(gain.gain is not None and gain.signal == "current" for gain in self._gains)
-        )
-
-    def _columns(self, assembler: Assembler) -> dict[str, list[int]]:
-        """Quantity → columns of the assembler's values in the joints' order."""
-        found: dict[str, list[int]] = {}
-        for index, signal in enumerate(assembler.signals):
-            if signal.quantity not in WHOLE_ARM:
-                found.setdefault(signal.quantity, []).append(index)
-        order = {joint: number for number, joint in enumerate(self._joints)}
-        for members in found.values():
-            members.sort(key=lambda index: order[assembler.signals[index].joint])
-        return found
-
-    def _description(self, stream: str, quantity: str) -> str:
-        what = f"{quantity} as the arm's CAN frames say it"
-        if self._clock_signal is None:
-            return f"{what}; time is the arrival of the cycle's first frame at this computer"
-        if stream == "joints":
-            return f"{what}; time is the arm's own {self._clock_signal.quantity}"
-        return f"{what}; time is the arrival of its first frame, brought to the clock of the joints"
-
-    def _forget(self) -> None:
-        for assembler in self._assemblers.values():
-            assembler.forget()
-        if self._clock is not None:
-            self._clock.forget()
-        self._offset = 0.0
-        self._lost = 0
-        self._latest_position: FloatArray | None = None
-        self._latest_time: dict[str, float] = {}
-        self._last_row = time.monotonic()
-        self._answers = PollAnswers()
-        self._rate_watch.forget()
-        self._faults.forget()
-
     def _opened_receiver(self) -> Receiver:
         if self._receiver is None:
             raise DriverStateError("cannot receive while closed", hint="open the driver first")
         return self._receiver
 
-    def _hear_all(self, receiver: Receiver) -> None:
-        """Wait until every part of the joints has come, and see which begins a cycle.
-
-        Raises:
-            ConnectionFailedError: names what did not come.
-            ConnectionLostError: the adapter is gone.
-        """
-        parts, marker = self._settings.parts("joints"), self._settings.cycle
-        order = CycleOrder(parts)
-        end = time.monotonic() + self._settings.timeout
-        heard: set[int] = set()
-        while not order.enough or (marker is not None and marker not in heard):
-            if (left := end - time.monotonic()) <= 0:
-                break
-            frames = receiver.take(left, at_least=len(parts))
-            heard.update(identifier for _, identifier, _ in frames)
-            order.take(frames)
-        missing = [part.label for part in order.never_seen()]
-        if marker is not None and marker not in heard:
-            missing.append(f"frame {identifier_text(marker)} that begins a cycle")
-        if missing:
-            only = (
-                ", ".join(identifier_text(identifier) for identifier in sorted(heard)) or "none of the table's frames"
-            )
-            more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-            raise ConnectionFailedError(
-                f"no {missing[0]}{more} within {self._settings.timeout:g} s; heard: {only}",
-                where=f"{self._settings.interface} {self._settings.channel}",
-                hint="is the arm on, and are bit rate, identifiers, lengths and 'poll' right?",
-            )
-        told = order.told()
-        self._assemblers["joints"].expect(told, 1.0 / self._settings.rate, self._clock)
-        if told.first and marker is None:
-            said = f"a cycle begins with {parts[told.first].label}: before it is the longest pause"
-            self._notices.append(Notice(math.nan, "info", said))
-
-    def _blocks(self, frames: Sequence[Frame]) -> list[Block]:
-        grouped = dict(batches(frames))
-        blocks = []
-        for name, assembler in self._assemblers.items():
-            rows = assembler.take(frames, grouped)
-            self._troubles.note(rows)
-            self._faults.note(assembler.signals, rows, self._offset)
-            block = (
-                self._joints_block(rows, assembler) if name == "joints" else self._other_block(name, rows, assembler)
-            )
-            if len(block.time):
-                blocks.append(block)
-        return blocks
-
-    def _joints_block(self, rows: Rows, assembler: Assembler) -> Block:
-        self._lost += rows.incomplete if self._clock is None else 0
-        values, host_time, times = rows.values, rows.host_time, rows.host_time
-        if self._clock is not None and self._clock_signal is not None:
-            told = self._clock.take(values[:, assembler.signals.index(self._clock_signal)], host_time)
-            values, host_time, times = values[told.kept], host_time[told.kept], told.time
-            self._lost += told.lost
-            self._troubles.note_clock(int(np.sum(~told.kept)), told.restarted)
-        elif self._poller is not None:
-            self._lost += self._answers.unanswered(self._poller, rows)
-        if not len(times):
-            return Block("joints", times, host_time)
-        self._offset = float(times[-1] - host_time[-1])
-        self._last_row = time.monotonic()
-        self._rate_watch.note(host_time, self._lost)
-        values_of = self._values(values, assembler)
-        if self._knows_torque:
-            values_of["torque"] = joint_torque(values_of["current"], self._gains)
-        self._latest_position = values_of["position"][-1]
-        lost, self._lost = self._lost, 0
-        return Block("joints", times, host_time, values_of, lost)
-
-    def _other_block(self, name: str, rows: Rows, assembler: Assembler) -> Block:
-        if not len(rows.host_time):
-            return Block(name, rows.host_time, rows.host_time)
-        # Arrivals jitter, and so does the way from one clock to the other; the stream's own time must not run back.
-        times = np.maximum.accumulate(rows.host_time + self._offset)
-        before = self._latest_time.get(name, -math.inf)
-        times = np.maximum(times, before + 1e-6 * np.arange(1, len(times) + 1)) if math.isfinite(before) else times
-        self._latest_time[name] = float(times[-1])
-        return Block(name, times, rows.host_time, self._values(rows.values, assembler), rows.incomplete)
-
-    def _values(self, values: FloatArray, assembler: Assembler) -> dict[str, FloatArray]:
-        return {
-            quantity: np.ascontiguousarray(values[:, members]) for quantity, members in self._columns(assembler).items()
-        }
-
     def _require_sound(self, now: float) -> None:
         limit = max(SILENCE_LIMIT, SILENT_PERIODS / self._settings.rate)
-        if now - self._last_row <= limit:
+        if now - self._streams.last_row <= limit:
             return
-        missing = self._troubles.missing
+        missing = self._streams.missing
         what = f": {missing} is missing" if missing else ""
         raise ConnectionLostError(
             f"no complete row of the joints for {limit:g} s{what}",
@@ -368,9 +217,10 @@ class CanFramesDriver:
         )
 
     def _check_first(self, target: FloatArray) -> None:
-        if self._latest_position is None:
+        stands = self._streams.latest_position
+        if stands is None:
             raise DriverStateError("nobody knows where the arm stands", hint="read samples before the first command")
-        away = np.abs(target - self._latest_position)
+        away = np.abs(target - stands)
         if not np.all(away <= FIRST_STEP_LIMIT):
             worst = int(np.argmax(np.where(np.isnan(away), np.inf, away)))
             raise DriverStateError(

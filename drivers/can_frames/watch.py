@@ -17,6 +17,8 @@ from drivers.streams import FloatArray
 
 RATE_TIME = 2.0
 """How long [s] rows are counted before their rate is judged."""
+RATE_TIMES = 2
+"""So often in a row the rate must be wrong: a computer that stalls makes arrivals late once, not twice."""
 RATE_TOLERANCE = 0.05
 
 
@@ -113,6 +115,7 @@ class RateWatch:
         """Begin anew."""
         self._begun: float | None = None
         self._count = 0
+        self._wrong = 0
         self._judged = False
 
     def note(self, host_time: FloatArray, lost: int) -> None:
@@ -125,8 +128,13 @@ class RateWatch:
         elapsed = float(host_time[-1]) - self._begun
         if elapsed < RATE_TIME or self._count < RATE_TIME:
             return
-        self._judged = True
         found = self._count / elapsed
-        if abs(found / self._rate - 1.0) > RATE_TOLERANCE:
+        self._begun, self._count = float(host_time[-1]), 0
+        if abs(found / self._rate - 1.0) <= RATE_TOLERANCE:
+            self._judged = True
+            return
+        self._wrong += 1
+        if self._wrong == RATE_TIMES:
+            self._judged = True
             message = f"cycles come at {found:.4g} Hz, but the robot file says {self._rate:g} Hz; correct its 'rate'"
             self._notices.append(Notice(math.nan, "warning", message))

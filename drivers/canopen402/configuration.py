@@ -14,6 +14,7 @@ from drivers.can_bus import Sender
 from drivers.canopen402 import objects
 from drivers.canopen402.decode import Scaling
 from drivers.canopen402.emcy import describe_error
+from drivers.canopen402.error_control import ErrorControl, configure_error_control, warnings_of
 from drivers.canopen402.pdo_mapping import configure_pdos
 from drivers.canopen402.sdo import ANSWER_LIMIT, Drive
 from drivers.canopen402.settings import MODES, CanopenSettings, NodeSettings
@@ -74,18 +75,18 @@ class Configured:
     Attributes:
         identities: one a joint.
         scaling: of their numbers.
-        heartbeats: whether each drive sends its heartbeat.
+        controls: how each drive is watched, and watches.
         notices: what there is to tell.
     """
 
     identities: tuple[Identity, ...]
     scaling: Scaling
-    heartbeats: tuple[bool, ...]
+    controls: tuple[ErrorControl, ...]
     notices: tuple[Notice, ...]
 
 
 def configure(drives: Sequence[Drive], settings: CanopenSettings, sender: Sender, deadline: float) -> Configured:
-    """Put drives into pre-operational, check them, and configure their PDOs.
+    """Put drives into pre-operational, check them, and configure their error control and their PDOs.
 
     Args:
         drives: one a joint.
@@ -110,7 +111,7 @@ def configure(drives: Sequence[Drive], settings: CanopenSettings, sender: Sender
     for drive, node in zip(drives, settings.nodes, strict=True):
         _check_profile(drive, mode)
         _check_serial(drive, node, serials, drives)
-    identities, heartbeats = [], []
+    identities, controls = [], []
     for drive, node in zip(drives, settings.nodes, strict=True):
         if mode is not None:
             for message in _bring_to_rest(drive):
@@ -119,13 +120,13 @@ def configure(drives: Sequence[Drive], settings: CanopenSettings, sender: Sender
         for message in contradictions:
             tell("warning", message)
         identities.append(identity)
-        heartbeats.append(drive.write_optional(objects.HEARTBEAT_TIME, round(1e3 * settings.heartbeat)))
-        if not heartbeats[-1]:
-            tell("warning", f"{drive.where} has no heartbeat; only its silence will tell that it is gone")
+        controls.append(configure_error_control(drive, settings))
         configure_pdos(drive, commanded=mode is not None)
         if mode is not None:
             drive.write(objects.MODE, mode)
             _configure_mode(drive, node, identity, settings)
+    for message in warnings_of([(drive.where, one) for drive, one in zip(drives, controls, strict=True)], settings):
+        tell("warning", message)
     scaling = Scaling(
         counts_per_turn=np.array([one.counts_per_turn for one in identities]),
         direction=np.array([float(node.direction) for node in settings.nodes]),
@@ -133,7 +134,7 @@ def configure(drives: Sequence[Drive], settings: CanopenSettings, sender: Sender
         rated_current=np.array([one.rated_current for one in identities]),
         rated_torque=np.array([one.rated_torque for one in identities]),
     )
-    return Configured(tuple(identities), scaling, tuple(heartbeats), tuple(notices))
+    return Configured(tuple(identities), scaling, tuple(controls), tuple(notices))
 
 
 def _probe(drives: Sequence[Drive], deadline: float) -> None:

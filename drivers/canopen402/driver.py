@@ -20,15 +20,20 @@ from drivers.can_bus import Receiver, Sender, close_bus, open_bus
 from drivers.canopen402 import objects
 from drivers.canopen402.configuration import Configured, Identity, configure
 from drivers.canopen402.decode import Aligned, Aligner
+from drivers.canopen402.error_control import check_own_id, release
+from drivers.canopen402.layout import stream_layouts
+from drivers.canopen402.life_signs import LifeSigns, guard_requests, heartbeat
 from drivers.canopen402.motion import Motion
+from drivers.canopen402.presence import Heartbeats, NodeGuarding, Presence
 from drivers.canopen402.sdo import CanopenNetwork, Drive
+from drivers.canopen402.sdo_stop import SdoStop
 from drivers.canopen402.settings import MODES, parse_settings
+from drivers.canopen402.silence import Silence
 from drivers.canopen402.sync import SyncProducer
-from drivers.canopen402.temperature import RATE as THERMAL_RATE
 from drivers.canopen402.temperature import TemperaturePoll, read_temperature
 from drivers.canopen402.watch import DriveWatch
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
-from drivers.streams import Block, ChannelLayout, FloatArray, StreamLayout
+from drivers.streams import Block, FloatArray, StreamLayout
 
 SILENCE_LIMIT = 0.5
 """Without a complete row for this long [s], or ten periods, the connection counts as lost."""
@@ -39,15 +44,6 @@ FIRST_STEP_LIMIT = 0.1
 """How far [rad] a first command may be from where the arm stands; it would be reached within one period."""
 STANDSTILL = 0.01
 """Speed [rad/s] below which a stopped joint is at rest."""
-
-_DESCRIPTIONS = {
-    "position": "actual position (object 0x6064)",
-    "velocity": "actual velocity, as the drive derives it (object 0x606C)",
-    "current": "actual current, raw, in the joint's direction (object 0x6078 times the rated current)",
-    "torque": "actual torque, as the drive derives it (object 0x6077 times the rated torque)",
-}
-_LATENESS_DESCRIPTION = "how much later than 'time' SYNC was sent; the drives measure at SYNC"
-_STATUS_DESCRIPTION = "statusword of the drive (object 0x6041, CiA 402)"
 
 
 class Canopen402Driver:
@@ -72,10 +68,11 @@ class Canopen402Driver:
         self._halted = False
         self._bus: can.BusABC | None = None
         self._poll: TemperaturePoll | None = None
+        self._life: LifeSigns | None = None
         self._last_row = 0.0
         self._last_slot: int | None = None
         self._latest_position: FloatArray | None = None
-        self._skipped = 0
+        self._skipped = self._asked = 0
 
     def open(self) -> None:
         """Open the bus, check the drives and configure them, within the connection's `timeout`.
@@ -97,15 +94,18 @@ class Canopen402Driver:
             self._receiver = Receiver(self._bus, stored, network.take)
             self._receiver.start()
             self._drives = [Drive(network, joint, node) for joint, node in zip(self._joints, self._ids, strict=True)]
-            self._configured = self._configure(deadline)
+            self._configured = self._configure(deadline, network)
             self._sync = SyncProducer(self._sender, settings.sync_rate, self._outputs)
-            self._watch = DriveWatch(
-                self._joints, self._ids, self._configured.heartbeats, settings.heartbeat, self._sync.clock
-            )
+            self._watch = self._make_watch()
+            self._sdo_stop = SdoStop(self._sender, self._ids)
+            self._silence = Silence(self._joints, self._ids, self._receiver.latest)
             for node in self._ids:
                 network.subscribe(objects.EMCY + node, self._watch.on_emergency)
-                network.subscribe(objects.HEARTBEAT + node, self._watch.on_heartbeat)
+                network.subscribe(objects.HEARTBEAT + node, self._watch.on_error_control)
+                network.subscribe(objects.SDO_ANSWER + node, self._sdo_stop.on_answer)
             self._poll = self._make_poll()
+            if self._life is not None:
+                self._life.start()
         except BaseException:
             self._disconnect()
             raise
@@ -127,15 +127,7 @@ class Canopen402Driver:
             DriverStateError: it is closed.
         """
         self._require_not_closed("list its streams")
-        channels = [ChannelLayout(name, self._joints, "", words) for name, words in _DESCRIPTIONS.items()]
-        channels.append(ChannelLayout("statusword", self._joints, "1", _STATUS_DESCRIPTION))
-        channels.append(ChannelLayout("sync_lateness", ("sync",), "s", _LATENESS_DESCRIPTION))
-        layouts = [StreamLayout("joints", tuple(channels), self._settings.sync_rate)]
-        if warm := self._joints_with_temperature():
-            channel = ChannelLayout("temperature", warm, "", "temperature object of the drive, read by SDO")
-            # A drive that answers no SDO for a second is told by the poll; it is no reason to stop a motion.
-            layouts.append(StreamLayout("thermal", (channel,), THERMAL_RATE, essential=False))
-        return tuple(layouts)
+        return stream_layouts(self._joints, self._joints_with_temperature(), self._settings.sync_rate)
 
     def start(self) -> None:
         """Set the drives operational and send SYNC: samples flow. Nothing is enabled.
@@ -153,7 +145,7 @@ class Canopen402Driver:
         self._halted = False
         for node in self._ids:
             self._sender.send(objects.NMT, bytes([objects.NMT_START, node]))
-        self._last_row = time.monotonic()
+        self._last_row, self._asked = time.monotonic(), self._sync.count
         self._sync.start()
         self._watch.start(self._last_row)
         if self._poll is not None:
@@ -179,7 +171,7 @@ class Canopen402Driver:
             blocks = [*self._joints_block(aligned), *self._thermal_blocks()]
             if time.monotonic() >= deadline:
                 break
-        self._watch.check_heartbeats(self._receiver.drained)
+        self._watch.check_presence(self._receiver.drained)
         self._check_silence()
         return blocks
 
@@ -242,6 +234,8 @@ class Canopen402Driver:
         motion = self._motion
         if motion is not None:
             motion.halt()
+        if self._poll is not None:
+            self._poll.finish()  # drives may have to be stopped by SDO
         with self._motion_lock:
             if motion is not None and self._state == "running":
                 for joint in motion.stop(lambda: self._sync.running):
@@ -258,14 +252,25 @@ class Canopen402Driver:
                         self._sender.send(objects.NMT, bytes([objects.NMT_PRE_OPERATIONAL, node]))
                 self._state = "open"
 
+    def silence(self, stream: str, limit: float) -> str:
+        """Which drives do not answer SYNC, in words; empty where all do, or of another stream (see `drivers.base`)."""
+        if stream != "joints" or self._state != "running":
+            return ""
+        return self._silence.explain(self._receiver.drained, time.monotonic() - self._sync.latest, limit)
+
     def close(self) -> None:
         """Let go of the bus; safe in every state."""
         self.stop()
+        if self._life is not None:
+            release(self._drives, self._configured.controls)  # while they still hear from us
         self._disconnect()
         self._state = "closed"
 
-    def _configure(self, deadline: float) -> Configured:
+    def _configure(self, deadline: float, network: CanopenNetwork) -> Configured:
+        settings = self._settings
         try:
+            if settings.mode != "none" and settings.guarding is None:
+                check_own_id(Drive(network, "dynid", settings.own_id))
             configured = configure(self._drives, self._settings, self._sender, deadline)
             for drive, node in zip(self._drives, self._settings.nodes, strict=True):
                 if node.temperature is not None:
@@ -280,7 +285,22 @@ class Canopen402Driver:
     def _make_motion(self, mode: int) -> Motion:
         standstill = STANDSTILL / np.abs(self._configured.scaling.radians_per_count)
         period = 1.0 / self._settings.sync_rate
-        return Motion(self._joints, self._ids, mode, period, list(standstill), self._receiver.latest, self._sender)
+        latest, sender, beside = self._receiver.latest, self._sender, self._sdo_stop
+        return Motion(self._joints, self._ids, mode, period, list(standstill), latest, sender, beside)
+
+    def _make_watch(self) -> DriveWatch:
+        settings, ids, count = self._settings, self._ids, len(self._ids)
+        presence: Presence
+        if (guarding := settings.guarding) is not None:
+            presence = NodeGuarding(count, guarding.period, guarding.factor)
+            self._life = guard_requests(self._sender, ids, guarding.period, presence.ask)
+        else:
+            presence = Heartbeats(count, settings.heartbeat)
+            moved = settings.mode != "none"
+            self._life = heartbeat(self._sender, settings.own_id, settings.heartbeat) if moved else None
+        controls = self._configured.controls
+        expected, watching = [one.present for one in controls], [one.watching is not None for one in controls]
+        return DriveWatch(self._joints, ids, expected, presence, watching, self._sync.clock)
 
     def _make_poll(self) -> TemperaturePoll | None:
         sources = [node.temperature for node in self._settings.nodes]
@@ -310,7 +330,7 @@ class Canopen402Driver:
         values = self._configured.scaling.values(rows)
         values["sync_lateness"] = (self._sync.clock(rows.sent) - time_)[:, np.newaxis]
         self._latest_position = values["position"][-1].copy()
-        self._last_row = float(rows.host_time[-1])
+        self._last_row, self._asked = float(rows.host_time[-1]), self._sync.count
         motion = self._motion
         moving = motion is not None and (motion.moving or motion.ended_by is not None)
         self._watch.check_status(time_, rows.statusword, moving=moving)
@@ -332,15 +352,10 @@ class Canopen402Driver:
         if self._last_slot is None:
             limit = max(FIRST_ROW_LIMIT, limit)
         silent_for = self._receiver.drained - self._last_row
-        if silent_for <= limit:
+        asked_for = (self._sync.count - self._asked) * period  # a computer that was late itself has not asked
+        if silent_for <= limit or asked_for <= 0.5 * limit:
             return
-        since = self._receiver.drained - limit
-        mute = []
-        for joint, node in zip(self._joints, self._ids, strict=True):
-            heard = [self._receiver.latest.get(base + node, (-math.inf,))[0] for base in objects.TPDO_BASES]
-            if min(heard) < since:
-                mute.append(f"{joint} (node {node})")
-        who = "any drive" if len(mute) == len(self._ids) > 1 else ", ".join(mute) or "some drive to every SYNC"
+        who = self._silence.who(self._receiver.drained - limit)[0] or "some drive to every SYNC"
         raise ConnectionLostError(
             f"no complete sample for {silent_for:.1f} s: no answer of {who}",
             where=f"{self._settings.interface} {self._settings.channel}",
@@ -367,6 +382,9 @@ class Canopen402Driver:
             require_state(self._state, "open", action)
 
     def _disconnect(self) -> None:
+        life, self._life = self._life, None
+        if life is not None:
+            life.stop()
         bus, self._bus = self._bus, None
         if bus is not None:
             receiver = getattr(self, "_receiver", None)

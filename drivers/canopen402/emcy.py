@@ -8,6 +8,9 @@ from dataclasses import dataclass
 
 _EMCY = struct.Struct("<HB5s")
 
+MASTER_MISSED = 0x8130
+"""Error code of a node that misses the heartbeat or the guarding that it watches."""
+
 # The most specific entry counts: whole code, then its upper three digits, two, one.
 _ERROR_CODES: Mapping[int, str] = {
     0x0000: "error cleared",
@@ -69,7 +72,7 @@ _ERROR_CODES: Mapping[int, str] = {
     0x8100: "communication",
     0x8110: "CAN overrun: frames lost",
     0x8120: "CAN error passive",
-    0x8130: "heartbeat or life guarding missed",
+    MASTER_MISSED: "heartbeat or life guarding missed",
     0x8140: "recovered from bus-off",
     0x8150: "two devices send one identifier",
     0x8200: "protocol error",
@@ -174,6 +177,8 @@ _ABORT_CODES: Mapping[int, tuple[str, str]] = {
 }
 NOT_THERE = frozenset({0x06010000, 0x06010001, 0x06010002, 0x06020000, 0x06090011})
 """Abort codes of an object that is missing or fixed: no harm where it is optional."""
+VALUE_REFUSED = frozenset({0x06090030, 0x06090031, 0x06090032})
+"""Abort codes of an object that does not take this value."""
 
 
 def describe_abort(code: int) -> tuple[str, str]:

@@ -19,6 +19,7 @@ import numpy as np
 from drivers.can_bus import Frame, Sender
 from drivers.canopen402.decode import IntArray
 from drivers.canopen402.objects import MODE_NAMES, MODE_PROFILE_POSITION, RPDO1, SYNC, TPDO1, TPDO2
+from drivers.canopen402.sdo_stop import SdoStop
 from drivers.canopen402.state_machine import (
     CHANGE_AT_ONCE,
     DISABLE_VOLTAGE,
@@ -81,6 +82,7 @@ class Motion:
         standstill: (n,) speed below which a joint is at rest [counts/s].
         latest: identifier → the newest frame; written by the receiving thread.
         sender: of the bus.
+        beside: reaches drives that no longer answer SYNC.
     """
 
     def __init__(
@@ -92,12 +94,14 @@ class Motion:
         standstill: Sequence[float],
         latest: Mapping[int, Frame],
         sender: Sender,
+        beside: SdoStop,
     ) -> None:
         self._joints, self._ids, self._mode = tuple(joints), tuple(ids), mode
         self._period = period
         self._standstill = tuple(standstill)
         self._latest = latest
         self._sender = sender
+        self._beside = beside
         self._phase: Phase = "idle"
         self._halted = threading.Event()
         self._controlword = DISABLE_VOLTAGE
@@ -225,7 +229,7 @@ class Motion:
     def _at_rest(self, index: int, asked: float) -> bool:
         heard = self.heard(index)
         if heard is None or heard.time <= asked:
-            return False
+            return self._beside.is_off(index, asked, QUICK_STOP)
         if heard.state is not DriveState.QUICK_STOP:
             return heard.state not in POWERED and heard.state is not DriveState.UNKNOWN
         frame = self._latest.get(TPDO2 + self._ids[index])
@@ -236,7 +240,9 @@ class Motion:
 
     def _is_off(self, index: int, asked: float) -> bool:
         heard = self.heard(index)
-        return heard is not None and heard.time > asked and heard.state not in POWERED
+        if heard is None or heard.time <= asked:
+            return self._beside.is_off(index, asked, DISABLE_VOLTAGE)
+        return heard.state not in POWERED
 
     def _output(self, index: int, wanted: int) -> tuple[int, bytes]:
         heard = self.heard(index)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 
 @dataclass(frozen=True)
@@ -48,12 +49,18 @@ DEVICE_TYPE = DriveObject(0x1000, 0, 4, False, "device type")
 CYCLE_PERIOD = DriveObject(0x1006, 0, 4, False, "communication cycle period")
 DEVICE_NAME = DriveObject(0x1008, 0, 0, False, "device name")
 FIRMWARE = DriveObject(0x100A, 0, 0, False, "software version")
+GUARD_TIME = DriveObject(0x100C, 0, 2, False, "guard time")
+LIFE_TIME_FACTOR = DriveObject(0x100D, 0, 1, False, "life time factor")
+CONSUMER_HEARTBEAT = DriveObject(0x1016, 0, 1, False, "consumer heartbeat time")
+"""Its number of entries; each entry, from subindex 1 on, has 4 bytes: node id · 2¹⁶ + time [ms]."""
 HEARTBEAT_TIME = DriveObject(0x1017, 0, 2, False, "producer heartbeat time")
 VENDOR = DriveObject(0x1018, 1, 4, False, "vendor")
 PRODUCT = DriveObject(0x1018, 2, 4, False, "product code")
 REVISION = DriveObject(0x1018, 3, 4, False, "revision")
 SERIAL = DriveObject(0x1018, 4, 4, False, "serial number")
+ERROR_BEHAVIOUR = DriveObject(0x1029, 1, 1, False, "error behaviour after communication errors")
 
+ABORT_OPTION = DriveObject(0x6007, 0, 2, True, "abort connection option")
 ERROR_CODE = DriveObject(0x603F, 0, 2, False, "error code")
 CONTROLWORD = DriveObject(0x6040, 0, 2, False, "controlword")
 STATUSWORD = DriveObject(0x6041, 0, 2, False, "statusword")
@@ -78,6 +85,16 @@ INTERPOLATION_PERIOD = DriveObject(0x60C2, 1, 1, False, "interpolation time peri
 INTERPOLATION_INDEX = DriveObject(0x60C2, 2, 1, True, "interpolation time index")
 SUPPORTED_MODES = DriveObject(0x6502, 0, 4, False, "supported drive modes")
 
+
+class AbortOption(IntEnum):
+    """What a drive does that loses its connection: object 0x6007 (CiA 402-2)."""
+
+    NOTHING = 0
+    FAULT = 1
+    DISABLE_VOLTAGE = 2
+    QUICK_STOP = 3
+
+
 PROFILE_402 = 402
 """Low half of the device type of a drive (CiA 402-2)."""
 
@@ -98,9 +115,14 @@ HEARTBEAT = 0x700
 
 NMT_START = 0x01
 NMT_PRE_OPERATIONAL = 0x80
-STATE_BOOT_UP = 0x00
-STATE_OPERATIONAL = 0x05
-NMT_STATES = {STATE_BOOT_UP: "boot-up", 0x04: "stopped", STATE_OPERATIONAL: "operational", 0x7F: "pre-operational"}
+STATE_BOOT_UP, STATE_STOPPED, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
+"""NMT states (CiA 301, 7.2.8.3.2.2)."""
+NMT_STATES = {
+    STATE_BOOT_UP: "boot-up",
+    STATE_STOPPED: "stopped",
+    STATE_OPERATIONAL: "operational",
+    STATE_PRE_OPERATIONAL: "pre-operational",
+}
 
 TPDO_BASES = (TPDO1, TPDO2)
 TPDO_OBJECTS = ((STATUSWORD, MODE_DISPLAY, POSITION), (VELOCITY, TORQUE, CURRENT))

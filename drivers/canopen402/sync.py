@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import time
@@ -17,6 +18,8 @@ from drivers.streams import FloatArray
 
 LATEST = 0.5
 """Of a period: a SYNC that would come later than this is left out, or the next one would come too soon after it."""
+TARGET_ROOM = 0.35
+"""Of a period: targets need so long on the bus before the SYNC that applies them."""
 PATIENCE = 0.1
 """How long [s] an adapter may refuse frames before it counts as lost."""
 
@@ -33,12 +36,16 @@ class SyncProducer:
         sender: of the bus.
         rate: [Hz].
         outputs: called once a period in this thread with the moment of the SYNC in the schedule [s, host's monotonic
-            clock]; the frames to send after the SYNC.
+            clock]; the frames to send after the SYNC. Where SYNCs were left out, they are sent for the last of these.
     """
 
     def __init__(self, sender: Sender, rate: float, outputs: Callable[[float], Sequence[tuple[int, bytes]]]) -> None:
         self.skipped = 0
         """SYNCs that were not sent, since this computer was late or the adapter refused them."""
+        self.count = 0
+        """SYNCs that were sent."""
+        self.latest = -math.inf
+        """When the newest SYNC was sent [s, host's monotonic clock]."""
         self._sender = sender
         self._rate = rate
         self._outputs = outputs
@@ -97,13 +104,15 @@ class SyncProducer:
             if self._ending.is_set():
                 return
             if late * self._rate > LATEST:
-                following = self._next()
+                following = self._renewed(self._next())
                 self.skipped += following - slot
                 slot = following
                 continue
             sent = False
             try:
-                self._sent.append((slot, self._sender.send(SYNC, b"")))
+                self.latest = self._sender.send(SYNC, b"")
+                self.count += 1
+                self._sent.append((slot, self.latest))
                 sent = True
                 self._sender.send_all(self._outputs(due))
                 refused_since = None
@@ -115,6 +124,19 @@ class SyncProducer:
                     self._failure = error
                     return
             slot += 1
+
+    def _renewed(self, slot: int) -> int:
+        """Send targets for the SYNC of a slot after some left out; the slot, or a later one where that is too near.
+
+        The drives still hold targets for the SYNC that was left out. The next one must not apply them.
+        """
+        with contextlib.suppress(ConnectionLostError):
+            targets = self._outputs(self._begin + (slot - 1) / self._rate)
+            if targets and self._begin + slot / self._rate - time.monotonic() < TARGET_ROOM / self._rate:
+                slot = max(slot + 1, self._next())
+                targets = self._outputs(self._begin + (slot - 1) / self._rate)
+            self._sender.send_all(targets)
+        return slot
 
     def _next(self) -> int:
         """The first slot that is still to come."""

@@ -7,10 +7,13 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 
-DELAY = 2
+BRIDGED = 3
+"""SYNCs, or commands, left out in a row without a trace: drives bridge so many by going on with their velocity. After
+them the target is that of the present moment; one of an earlier moment would throw the drives back."""
+DELAY = 1 + BRIDGED
 """Periods by which targets follow the commands: so late a command may be, and the drives still move evenly."""
-CATCH_UP = 1.1
-"""Periods of the commands played at most in one of SYNC: after a SYNC that was left out, the drives catch up gently."""
+CATCH_UP = 0.1
+"""Further periods of the commands played in one of SYNC after a longer pause, so that the drives catch up gently."""
 
 
 class TargetPath:
@@ -28,7 +31,7 @@ class TargetPath:
     def __init__(self, start: Sequence[int], period: float) -> None:
         self._period = period
         self._begin = math.nan
-        self._played = math.nan
+        self._played = self._asked = math.nan
         self._points: deque[tuple[int, tuple[int, ...]]] = deque([(-DELAY, tuple(start))])
         self._lock = threading.Lock()
 
@@ -47,8 +50,10 @@ class TargetPath:
     def at(self, moment: float) -> tuple[int, ...]:
         """The targets (n,) [counts] at a moment [s, host's monotonic clock]; the last command where none follows."""
         with self._lock:
+            passed, self._asked = moment - self._asked, moment
             if not math.isnan(self._played):
-                moment = min(moment, self._played + CATCH_UP * self._period)
+                bridged = min(passed, (1 + BRIDGED) * self._period)
+                moment = min(moment, self._played + bridged + CATCH_UP * self._period)
             self._played = moment
             if math.isnan(self._begin):
                 return self._points[0][1]

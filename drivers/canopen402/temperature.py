@@ -62,9 +62,13 @@ class TemperaturePoll:
         self._thread = threading.Thread(target=self._run, name="temperatures", daemon=True)
         self._thread.start()
 
+    def finish(self) -> None:
+        """Ask no more, without waiting for an answer that is still to come; safe at any time."""
+        self._ending.set()
+
     def stop(self) -> None:
         """Ask no more; safe at any time."""
-        self._ending.set()
+        self.finish()
         thread, self._thread = self._thread, None
         if thread is not None:
             thread.join()

@@ -11,7 +11,8 @@ import numpy as np
 from drivers.base import Level, Notice
 from drivers.canopen402 import objects
 from drivers.canopen402.decode import Aligned, IntArray
-from drivers.canopen402.emcy import Emergency, decode_emergency
+from drivers.canopen402.emcy import MASTER_MISSED, Emergency, decode_emergency
+from drivers.canopen402.presence import Presence
 from drivers.canopen402.state_machine import (
     FAULTY,
     FOLLOWING_ERROR,
@@ -22,8 +23,6 @@ from drivers.canopen402.state_machine import (
 )
 from drivers.streams import FloatArray
 
-HEARTBEATS_MISSED = 3
-"""Periods without a heartbeat after which a drive counts as gone."""
 ALIGNMENT_PERIOD = 1.0
 """Missing and extra frames are told at most once in so many seconds."""
 _MARKS = (
@@ -39,8 +38,9 @@ class DriveWatch:
     Args:
         joints: names.
         ids: node ids, in the joints' order.
-        heartbeats: whether each drive sends its heartbeat.
-        period: of the heartbeat [s].
+        expected: whether each drive tells that it is there.
+        presence: judges what they tell.
+        watching: whether each drive watches dynid.
         clock: a host's monotonic time [s] in the source's clock [s].
     """
 
@@ -48,18 +48,20 @@ class DriveWatch:
         self,
         joints: Sequence[str],
         ids: Sequence[int],
-        heartbeats: Sequence[bool],
-        period: float,
+        expected: Sequence[bool],
+        presence: Presence,
+        watching: Sequence[bool],
         clock: Callable[[float], float],
     ) -> None:
         self._joints, self._ids = tuple(joints), tuple(ids)
         self._index = {node: index for index, node in enumerate(ids)}
-        self._expected = tuple(heartbeats)
-        self._limit = HEARTBEATS_MISSED * period
+        self._expected = tuple(expected)
+        self._presence = presence
+        self._watching = tuple(watching)
         self._clock = clock
         self._notices: deque[Notice] = deque()
         self._emergency: list[Emergency | None] = [None] * len(self._ids)
-        self._beat = [math.nan] * len(self._ids)
+        self._heard = [math.nan] * len(self._ids)
         self._nmt: list[int | None] = [None] * len(self._ids)
         self._gone = [False] * len(self._ids)
         self._not_operational = [False] * len(self._ids)
@@ -70,9 +72,10 @@ class DriveWatch:
         self._troubles_told = -math.inf
 
     def start(self, now: float) -> None:
-        """Begin anew; heartbeats are due from `now` [s, host's monotonic clock]."""
+        """Begin anew; drives are to be heard from `now` [s, host's monotonic clock] on."""
         self._begin = now
-        self._beat = [now] * len(self._ids)
+        self._presence.start(now)
+        self._heard = [now] * len(self._ids)
         self._nmt = [None] * len(self._ids)
         self._gone = [False] * len(self._ids)
         self._not_operational = [False] * len(self._ids)
@@ -99,35 +102,40 @@ class DriveWatch:
             self._tell(arrived, "warning", f"{self._joints[index]}: an EMCY frame of {len(data)} bytes")
             return
         self._emergency[index] = None if emergency.cleared else emergency
+        if emergency.code == MASTER_MISSED and self._watching[index] and math.isfinite(self._begin):
+            # It stops now, and may take part in PDOs no longer: nothing else would say why.
+            why = "it no longer heard dynid; was this computer stalled, or the wire off?"
+            self._tell(arrived, "error", f"{self._joints[index]}: {emergency}: {why}")
+            return
         # That the drive falls into fault, where it does, its statusword says: that stops the session.
         self._tell(arrived, "info" if emergency.cleared else "warning", f"{self._joints[index]}: {emergency}")
 
-    def on_heartbeat(self, identifier: int, data: bytearray, arrived: float) -> None:
-        """Take a heartbeat or boot-up frame; called by the receiving thread."""
+    def on_error_control(self, identifier: int, data: bytearray, arrived: float) -> None:
+        """Take a heartbeat, an answer to guarding or a boot-up message; called by the receiving thread."""
         index = self._index[identifier - objects.HEARTBEAT]
         if not data:
             return
         state = data[0] & 0x7F
-        self._beat[index], self._nmt[index] = arrived, state
+        self._presence.take(index, data[0], arrived)
+        self._heard[index], self._nmt[index] = arrived, state
         if state == objects.STATE_BOOT_UP and math.isfinite(self._begin):
             self._tell(arrived, "error", f"{self._joints[index]}: the drive restarted, and has lost its configuration")
 
-    def check_heartbeats(self, drained: float) -> None:
+    def check_presence(self, drained: float) -> None:
         """Tell drives that fell silent; all that arrived before `drained` [s, host's monotonic clock] is known."""
         for index, joint in enumerate(self._joints):
             if not self._expected[index] or math.isinf(self._begin):
                 continue
-            age = drained - self._beat[index]
-            if age > self._limit and not self._gone[index]:
+            missing = self._presence.missing(index, drained)
+            if missing and not self._gone[index]:
                 self._gone[index] = True
-                where = f"{joint} (node {self._ids[index]})"
-                self._tell(drained, "error", f"{where}: no heartbeat for {age:.2f} s; is its power on?")
-            elif age <= self._limit and self._gone[index]:
+                self._tell(drained, "error", f"{joint} (node {self._ids[index]}): {missing}; is its power on?")
+            elif not missing and self._gone[index]:
                 self._gone[index] = False
-                self._tell(drained, "info", f"{joint}: its heartbeat is back")
+                self._tell(drained, "info", f"{joint}: {self._presence.back}")
             nmt = self._nmt[index]
             if nmt not in (None, objects.STATE_OPERATIONAL, objects.STATE_BOOT_UP):
-                if self._beat[index] - self._begin > self._limit and not self._not_operational[index]:
+                if self._heard[index] - self._begin > self._presence.limit and not self._not_operational[index]:
                     self._not_operational[index] = True
                     state = objects.NMT_STATES.get(nmt or 0, f"unknown state {nmt}")
                     self._tell(drained, "error", f"{joint}: the drive is no longer operational, but {state}")

@@ -108,6 +108,45 @@ def test_without_json_a_person_is_told(bench, dynid):
     assert bench.made[0][0].connection["host"] == "192.0.2.7"
 
 
+CANOPEN = """
+connections:
+  arm:
+    driver: canopen402
+    interface: virtual
+    channel: nowhere
+    bitrate: {bitrate}
+    sync_rate: 200
+    nodes: {{shoulder: {{id: 1}}, elbow: {{id: 2}}}}
+"""
+
+
+def on_canopen(bench, bitrate):
+    """The robot file with a CANopen connection, and that driver in place of the real one."""
+    content = yaml.safe_load(ROBOT_FILE.text) | yaml.safe_load(CANOPEN.format(bitrate=bitrate))
+    (bench.folder / "robot.yaml").write_text(yaml.safe_dump(content))
+    bench.install(name="canopen402")
+
+
+def test_a_bus_that_is_too_slow_is_refused_before_it_is_touched(bench, dynid):
+    on_canopen(bench, 150000)
+    status, out, err = dynid("record", "robot.yaml", "--duration", "0.3", "-o", "run.h5")
+    assert status == 2
+    assert out == ""
+    (line,) = err.splitlines()
+    assert "connections.arm: 200 Hz do not fit on a bus of 150000 bit/s" in line
+    assert not (bench.folder / "run.h5").exists()
+    assert not any(arm.opened for _, arm in bench.made)
+
+
+def test_a_bus_with_little_room_is_a_warning_on_stderr_and_in_the_file(bench, dynid):
+    on_canopen(bench, 200000)
+    status, _, err = dynid("record", "robot.yaml", "--duration", "0.3", "-o", "run.h5")
+    assert status == 0
+    assert "dynid: warning: connection 'arm' fills its bus to 8" in err
+    (event,) = [event for event in read_recording(bench.folder / "run.h5").events if "fills its bus" in event.message]
+    assert event.level == "warning"
+
+
 def test_no_display_is_started_for_programs(bench, dynid, monkeypatch):
     displays = []
 

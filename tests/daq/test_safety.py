@@ -82,6 +82,15 @@ def test_a_silent_stream_is_stale():
     breach = supervisor.check_ages(50.0 + 1.1 * stale_after(500.0))
     assert breach is not None
     assert breach.what == "stale data"
+    assert str(breach).endswith("passes 0.05 s")
+    asked: list[tuple[str, float]] = []
+
+    def explain(stream: str, limit: float) -> str:
+        asked.append((stream, limit))
+        return "no answer of the elbow"
+
+    assert str(supervisor.check_ages(51.0, explain)).endswith("passes 0.05 s (no answer of the elbow)")
+    assert asked == [("joints", stale_after(500.0))]
     assert stale_after(20.0) == pytest.approx(5 / 20.0)
     assert stale_after(0.0) == np.inf
 

@@ -98,6 +98,17 @@ def test_a_driver_that_waits_too_long_cannot_hide_its_silence(tmp_path):
     assert_closed(path, arm, "stale data")
 
 
+def test_a_driver_that_knows_who_is_silent_is_asked(tmp_path):
+    class Attributed(KinematicArm):
+        def silence(self, stream, limit):
+            return f"{stream} for {limit:g} s: no answer of elbow"
+
+    path, arm = tmp_path / "run.h5", Attributed("stale data")
+    report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, RATE), duration=5.0)
+    assert (report.stopped_by or "").endswith("passes 0.05 s (joints for 0.05 s: no answer of elbow)")
+    assert_closed(path, arm, "no answer of elbow")
+
+
 def test_silence_without_a_motion_is_an_event_and_no_end(tmp_path):
     """Nobody is in danger while the arm is only watched; the driver itself gives up a connection that stays silent."""
     path, arm = tmp_path / "run.h5", KinematicArm("stale data")

@@ -166,6 +166,18 @@ def test_a_silent_thermometer_does_not_stop_the_arm_unless_it_is_required(tmp_pa
         assert ("stale data of stream oven" in (report.stopped_by or "")) == essential
 
 
+def test_the_source_of_a_silent_stream_is_asked_who_is_silent():
+    class Attributed(Thermometer):
+        def silence(self, stream, limit):
+            return f"{stream} {limit:g}"
+
+    sources = Sources("arm", SafeArm(), {"oven": Attributed()})
+    sources.open()
+    assert sources.silence("oven", 0.25) == "thermometer 0.25"  # under the source's own name of it
+    assert sources.silence("joints", 0.05) == ""
+    sources.close()
+
+
 def test_its_temperature_stops_the_arm(tmp_path):
     arm, thermometer = SafeArm(), Thermometer(heat=71.0)
     report = run(tmp_path / "run.h5", Sources("arm", arm, {"oven": thermometer}), motion())

@@ -77,12 +77,18 @@ def test_a_canopen_connection_is_counted_frame_by_frame() -> None:
     # TPDO1 carries 7 bytes, TPDO2 8, RPDO1 7.
     assert recording.cycle_bits == 55 + 6 * (125 + 135)
     assert moving.cycle_bits == 55 + 6 * (125 + 135 + 125)
-    assert moving.beside_rate == pytest.approx(6 * 65 / 0.1)  # heartbeats of one byte
-    assert moving.load == pytest.approx((2365 * 300 + 3900) / 1e6)
+    # Heartbeats of one byte; where the arm is moved, drives watch dynid's, too.
+    assert recording.beside_rate == pytest.approx(6 * 65 / 0.1)
+    assert moving.beside_rate == pytest.approx(7 * 65 / 0.1)
+    assert moving.load == pytest.approx((2365 * 300 + 4550) / 1e6)
+    guarded = connection_budget("canopen402", settings({**CANOPEN, "guarding": {"period": 0.2}}))
+    assert guarded is not None
+    # A remote frame has no data, however many bytes it asks for.
+    assert guarded.beside_rate == pytest.approx(6 * (55 + 65) / 0.2)
     nodes = {joint: {"id": number, "temperature": {"index": 0x2031}} for number, joint in enumerate(JOINTS, start=1)}
     warm = connection_budget("canopen402", settings({**CANOPEN, "nodes": nodes}))
     assert warm is not None
-    assert warm.beside_rate == pytest.approx(3900 + 5 * 6 * 2 * 135)
+    assert warm.beside_rate == pytest.approx(4550 + 5 * 6 * 2 * 135)
 
 
 def test_frames_of_a_table_are_counted() -> None:

@@ -242,7 +242,7 @@ def test_a_fault_of_the_arm_is_an_error(arm: Arm, make_driver: Make) -> None:
 
 def test_another_rate_than_the_files_is_said(arm: Arm, make_driver: Make) -> None:
     driver = started(make_driver(connection(arm().channel, rate=150)))
-    read_for(driver, 2.4)
+    read_for(driver, 4.6)
     assert "but the robot file says 150 Hz" in said(list(driver.notices()), "warning")
 
 

@@ -215,6 +215,23 @@ def test_stop_with_a_drive_that_is_gone_stops_the_others(monkeypatch: pytest.Mon
         assert not any("pan" in text for text in one.said("error"))
 
 
+@pytest.mark.parametrize("by_itself", [True, False])
+def test_drives_that_left_operational_are_stopped_and_asked_by_sdo(by_itself: bool) -> None:
+    with bench() as one:
+        one.enable()
+        gone = one.drives[1]
+        gone.nmt = 0x7F  # no RPDO, no TPDO
+        if by_itself:
+            gone.control(0x02)
+        begun = time.monotonic()
+        one.driver.stop()
+        assert time.monotonic() - begun < 1.5
+        assert all(drive.states[-2:] == ["quick stop", "disabled"] for drive in one.drives)
+        assert (0x602, bytes.fromhex("40 41 60 00 00 00 00 00")) in one.bus.seen
+        assert ((0x602, bytes.fromhex("2b 40 60 00 02 00 00 00")) in one.bus.seen) != by_itself
+        assert not [text for text in one.said("error") if "did not confirm" in text]
+
+
 def test_stop_with_the_whole_bus_gone_neither_raises_nor_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.canopen402.motion.STOP_LIMIT", 0.2)
     with bench() as one:

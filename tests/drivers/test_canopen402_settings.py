@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen402.settings import TemperatureSource, parse_settings
+from drivers.canopen402.settings import Guarding, TemperatureSource, parse_settings
 from drivers.errors import UsageError
 
 JOINTS = ("j1", "j2")
@@ -21,6 +21,7 @@ GOOD: dict[str, Any] = {
 def changed(path: str, value: object) -> dict[str, Any]:
     connection = copy.deepcopy(GOOD)
     *way, last = path.split(".")
+    connection |= {"guarding": {}} if way == ["guarding"] else {}
     place = connection
     for key in way:
         place = place[key]
@@ -65,6 +66,15 @@ def test_a_temperature_object() -> None:
         ("mode", 8),
         ("timeout", float("inf")),
         ("heartbeat", 0),
+        ("guarding", 0.1),
+        ("guarding.period", 0.001),
+        ("guarding.factor", 2),
+        ("guarding.factor", 256),
+        ("guarding.factor", 2.5),
+        ("guarding.life", 3),
+        ("own_id", 0),
+        ("own_id", 128),
+        ("own_id", 2),
         ("nodes", ...),
         ("nodes", [1, 2]),
         ("nodes.j1", 1),
@@ -103,6 +113,25 @@ def test_wrong_keys_are_named_with_what_is_allowed(path: str, value: object) -> 
     assert "\n" not in str(caught.value)
 
 
+def test_guarding_takes_the_place_of_heartbeats() -> None:
+    assert parse_settings(GOOD, JOINTS).guarding is None
+    assert parse_settings({**GOOD, "guarding": {}}, JOINTS).guarding == Guarding(0.1, 3)
+    assert parse_settings({**GOOD, "guarding": {"period": 1, "factor": 5}}, JOINTS).guarding == Guarding(1.0, 5)
+    with pytest.raises(UsageError, match=r"'heartbeat' and 'guarding'.*exclude each other"):
+        parse_settings({**GOOD, "guarding": {}, "heartbeat": 0.1}, JOINTS)
+
+
+def test_dynids_own_id_is_one_that_no_drive_has() -> None:
+    assert parse_settings(GOOD, JOINTS).own_id == 127
+    assert parse_settings(GOOD | {"nodes": {"j1": {"id": 127}, "j2": {"id": 126}}}, JOINTS).own_id == 125
+    assert parse_settings({**GOOD, "own_id": 64}, JOINTS).own_id == 64
+    with pytest.raises(UsageError, match=r"'own_id'.* is 1, which is the node id of j1's drive"):
+        parse_settings({**GOOD, "own_id": 1}, JOINTS)
+    many = tuple(f"j{number}" for number in range(1, 128))
+    with pytest.raises(UsageError, match="127 drives"):
+        parse_settings({**GOOD, "nodes": {name: {"id": n} for n, name in enumerate(many, start=1)}}, many)
+
+
 def test_two_joints_with_one_node_id_are_both_named() -> None:
     with pytest.raises(UsageError, match=r"nodes\.j2\.id.*1.*j1"):
         parse_settings(changed("nodes.j2.id", 1), JOINTS)
@@ -113,7 +142,19 @@ anything = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text() | st.integers(), inner, max_size=3),
     max_leaves=6,
 )
-PATHS = ("interface", "channel", "options", "sync_rate", "mode", "nodes", "nodes.j1", "nodes.j1.id", "nodes.j1.zero")
+PATHS = (
+    "guarding",
+    "own_id",
+    "interface",
+    "channel",
+    "options",
+    "sync_rate",
+    "mode",
+    "nodes",
+    "nodes.j1",
+    "nodes.j1.id",
+    "nodes.j1.zero",
+)
 
 
 @given(st.sampled_from((*PATHS, "nodes.j1.temperature", "nodes.j1.serial")), anything)

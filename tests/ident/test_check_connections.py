@@ -132,9 +132,9 @@ def test_a_bus_with_room_is_no_warning_a_tight_one_is_and_a_full_one_is_refused(
     assert budget.cycle_bits == 55 + 3 * (125 + 135 + 125)
     tight = with_connections(three_joint, CANOPEN.format(bitrate=1000000, rate=750, third=3))
     (warning,) = check_robot(tight)
-    assert "connection 'bus' fills its bus to 90.9 % at worst; at 660 Hz it would be 80 %" in warning
+    assert "connection 'bus' fills its bus to 91.0 % at worst; at 659 Hz it would be 80 %" in warning
     full = with_connections(three_joint, CANOPEN.format(bitrate=500000, rate=750, third=3))
-    with pytest.raises(RobotFileError, match=r"750 Hz do not fit on a bus of 500000 bit/s: 182 % .*at most 412 Hz"):
+    with pytest.raises(RobotFileError, match=r"750 Hz do not fit on a bus of 500000 bit/s: 182 % .*at most 411 Hz"):
         check_robot(full)
 
 
@@ -146,11 +146,11 @@ def test_wrong_keys_are_refused_with_the_connections_name(three_joint, drivers):
 def test_the_command_prints_the_budget(monkeypatch, capsys):
     status, out, _ = run(monkeypatch, capsys, "check", "ur5e")
     assert status == 0
-    assert "connection canopen: its bus (1000 kbit/s) is 95.8 % full at 400 Hz" in out
+    assert "connection canopen: its bus (1000 kbit/s) is 95.9 % full at 400 Hz" in out
     assert "6 × TPDO2 (8 bytes)" in out
     status, out, _ = run(monkeypatch, capsys, "check", "ur5e", "--json")
     budget = json.loads(out)["budgets"]["canopen"]
-    assert budget["load_percent"] == pytest.approx(95.8)
+    assert budget["load_percent"] == pytest.approx(95.865)
     assert budget["highest_rate_at_80_percent_hz"] == pytest.approx(333, abs=1)
 
 

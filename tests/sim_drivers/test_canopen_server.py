@@ -112,6 +112,34 @@ def test_heartbeat_and_emergency_reach_the_client() -> None:
         node.nmt.wait_for_bootup(3.0)
 
 
+def test_the_librarys_node_guarding_is_answered_and_its_end_noticed() -> None:
+    with serving() as (_, network, listening):
+        node = node_of(network, 4)
+        node.sdo[0x100C].raw, node.sdo[0x100D].raw = 50, 3
+        node.nmt.start_node_guarding(0.05)
+        answers = [heard(listening, 0x704) for _ in range(8)]
+        node.nmt.stop_node_guarding()
+        # The virtual bus hands out the requests as well.
+        bits = [answer.data[0] for answer in answers if answer is not None and not answer.is_remote_frame]
+        assert len(bits) >= 3
+        assert all(one ^ other == 0x80 for one, other in itertools.pairwise(bits))
+        assert {bit & 0x7F for bit in bits} == {0x7F}
+        assert node.emcy.wait(0x8130, 2.0).register == 0x11
+
+
+def test_a_heartbeat_of_the_librarys_network_is_awaited() -> None:
+    with serving() as (_, network, _listening):
+        node = node_of(network, 5)
+        node.sdo[0x1016][1].raw = 100 << 16 | 150
+        for _ in range(4):
+            network.send_message(0x700 + 100, b"\x05")
+            time.sleep(0.05)
+        assert not node.emcy.log
+        assert node.emcy.wait(0x8130, 2.0) is not None
+        network.send_message(0x700 + 100, b"\x05")
+        assert node.emcy.wait(0, 2.0) is not None
+
+
 def test_faults_of_the_bus_are_seen() -> None:
     with serving() as (server, network, listening):
         for number in range(1, 7):

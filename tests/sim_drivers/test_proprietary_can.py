@@ -28,6 +28,7 @@ from sim_drivers.can_faults import Drop, Freeze, Garbage, OverTemperature, Trunc
 from sim_drivers.plant import Plant
 from sim_drivers.proprietary_can import ProprietaryCanServer
 from sim_drivers.table_arm import FAULT_COMMAND, TableArm
+from sim_drivers.table_faults import Mute
 
 pytestmark = pytest.mark.usefixtures("punctual")
 
@@ -122,14 +123,76 @@ def test_commands_are_followed_once_enabled(talker: TableArm) -> None:
     assert np.allclose(talker.arm.measure().target_position, start)  # not enabled
     talker.obey(0x200, b"\1\1")
     assert talker.enabled
-    for tick in range(200):
-        command(talker, start + 0.1 * (1 - np.cos(np.pi * (tick + 1) / 200)) / 2)
+    for tick in range(240):
+        command(talker, start + 0.1 * (1 - np.cos(np.pi * min((tick + 1) / 200, 1.0))) / 2)
         talker.advance(PERIOD)
-    talker.advance(0.2)
     measured = talker.arm.measure()
     assert np.allclose(measured.target_position, start + 0.1, atol=STEP)
     assert np.allclose(measured.position, start + 0.1, atol=2e-3)
     assert not np.any(talker._faults)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.4])
+def test_acceleration_at_the_samples_is_that_of_the_motion(talker: TableArm, phase: float) -> None:
+    """Samples and commands come at one rate: a ripple of the reference between two commands, always sampled at the
+    same place, would give every torque an error in proportion to velocity or acceleration."""
+    start = talker.arm.position.copy()  # type: ignore[attr-defined]
+    talker.obey(0x200, b"\1\1")
+    samples = []
+    for tick in range(800):
+        talker.advance(phase * PERIOD)
+        pace = min(tick / 200, 1.0)
+        command(talker, start + 0.15 * pace * np.sin(2 * np.pi * tick * PERIOD + np.arange(6)) - 0.15 * pace)
+        talker.advance((1.0 - phase) * PERIOD)
+        plant = talker.arm
+        samples.append((plant.position, plant.velocity, plant.acceleration))  # type: ignore[attr-defined]
+    position, velocity, acceleration = np.array(samples)[300:].transpose(1, 0, 2)
+    smooth = np.gradient(np.gradient(position, PERIOD, axis=0), PERIOD, axis=0)
+    error = acceleration - smooth
+    assert np.max(np.abs(np.sum(error * velocity, 0) / np.sum(velocity**2, 0))) < 0.05  # 1.0 to 1.4 /s once
+    assert np.max(np.abs(np.sum(error * smooth, 0) / np.sum(smooth**2, 0))) < 0.02
+
+
+def test_commands_left_out_are_bridged(talker: TableArm) -> None:
+    start = talker.arm.measure().target_position
+    talker.obey(0x200, b"\1\1")
+    speeds = []
+    for tick in range(200):
+        if tick not in (100, 140, 141, 142):
+            command(talker, start + 0.5 * PERIOD * tick)
+        talker.advance(PERIOD)
+        speeds.append(talker.arm.measure().target_velocity)
+    assert talker.enabled
+    assert np.allclose(speeds[60:], 0.5, atol=0.01)
+
+
+def test_commands_that_come_late_and_in_a_bunch_do_not_throw_the_arm(talker: TableArm) -> None:
+    start = talker.arm.measure().target_position
+    talker.obey(0x200, b"\1\1")
+    speeds = []
+    for tick in range(200):
+        late = {100: 1.3, 101: 0.3, 140: 2.6, 141: 1.6, 142: 0.6}.get(tick, 0.0)  # in periods
+        due = (tick + late) * PERIOD - talker._time + 0.001
+        talker.advance(max(due, 0.0))
+        command(talker, start + 0.5 * PERIOD * tick)
+        speeds.append(talker.arm.measure().target_velocity)
+    assert np.allclose(speeds[60:], 0.5, atol=0.06)
+
+
+@pytest.mark.parametrize("stall", [5, 8, 30])
+def test_a_motion_that_is_resumed_after_a_stall_where_it_was_goes_on_softly(talker: TableArm, stall: int) -> None:
+    start = talker.arm.measure().target_position
+    talker.obey(0x200, b"\1\1")
+    speeds = []
+    for tick in range(300):
+        command(talker, start + 0.5 * PERIOD * tick)
+        for _ in range(1 + stall if tick == 150 else 1):
+            talker.advance(PERIOD)
+            speeds.append(talker.arm.measure().target_velocity)
+    steps = np.diff(np.array(speeds)[60:], axis=0)
+    assert np.max(np.abs(steps)) < 0.35  # [rad/s] a period
+    assert np.max(np.abs(speeds[60:])) < 0.75
+    assert np.allclose(speeds[-40:], 0.5, atol=0.01)
 
 
 def test_a_stop_halts_a_moving_arm(talker: TableArm) -> None:
@@ -159,6 +222,25 @@ def test_commands_outside_the_limits_are_a_fault(talker: TableArm, jump: float) 
     assert [found["fault", joint] for joint in JOINTS] == [0, 0, FAULT_COMMAND, 0, 0, 0]
     talker.obey(0x200, b"\1\1")
     assert decoded(talker.cycle())["fault", JOINTS[2]] == 0
+
+
+def test_a_steady_motion_above_the_speed_limit_is_a_fault_and_a_bunch_of_late_commands_is_none(
+    talker: TableArm,
+) -> None:
+    def run(share: float) -> bool:
+        talker.obey(0x200, b"\1\1")
+        position = talker.arm.measure().target_position
+        for tick in range(100):
+            position = position + share * talker._speed * PERIOD
+            command(talker, position)
+            if tick % 4 == 3:  # four at once
+                talker.advance(4 * PERIOD)
+        return talker.enabled
+
+    assert run(0.2)
+    talker.obey(0x200, b"\0\0")
+    talker.advance(1.0)
+    assert not run(-1.3)
 
 
 def test_a_table_that_no_plant_can_fill_is_refused() -> None:
@@ -297,7 +379,25 @@ def test_typed_faults() -> None:
     server = ProprietaryCanServer(Plant(ROBOT_FILE), ROBOT, keys())
     server.obey("drop 3")
     server.obey(f"over-temperature {JOINTS[0]}")
-    for line in ("unplug", "power-cycle 1", "nonsense"):
+    server.obey("mute 0x182 0.5")
+    server.obey("bus-off 0.5")
+    for line in ("unplug", "power-cycle 1", "nonsense", "mute 0x182", "mute 0x182 -1"):
         with pytest.raises(UsageError) as caught:
             server.obey(line)
         assert "garbage FRAMES" in caught.value.hint
+    with pytest.raises(UsageError, match="'elbow' is no identifier"):
+        server.obey("mute elbow 1")
+
+
+def test_a_frame_that_stays_away_costs_rows_and_is_named(server: ProprietaryCanServer) -> None:
+    driver = driver_of(connection_of(server))
+    driver.open()
+    driver.start()
+    threading.Timer(0.3, lambda: server.cause(Mute(0x182, 0.2))).start()
+    lost, end = 0, time.monotonic() + 1.3
+    while time.monotonic() < end:
+        lost += sum(block.lost for block in driver.read(0.02) if block.stream == "joints")
+    warned = " ".join(notice.message for notice in driver.notices() if notice.level == "warning")
+    driver.close()
+    assert lost == pytest.approx(40, abs=4)
+    assert f"the last lacked frame 0x182 (position of {JOINTS[2]}, position of {JOINTS[3]})" in warned

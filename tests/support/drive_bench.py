@@ -67,6 +67,13 @@ class Bench:
     def send(self, identifier: int, data: bytes = b"") -> None:
         self.network.arrive(Frame(identifier, data), self.time)
 
+    def guard(self, node: int) -> bytes | None:
+        """What a node answers to a request of node guarding; None where it does not."""
+        self.network.arrive(Frame(0x700 + node, b"\0", remote=True), self.time)
+        answers = [sent.frame.data for sent in self.pass_time(0.003) if sent.frame.id == 0x700 + node]
+        assert len(answers) <= 1
+        return answers[0] if answers else None
+
     def ask(self, node: int, request: bytes) -> bytes:
         self.send(0x600 + node, request)
         answers = [sent.frame.data for sent in self.pass_time(0.003) if sent.frame.id == 0x580 + node]

@@ -15,8 +15,11 @@ import can
 _channels = itertools.count()
 SIZES = {
     0x1000: 4,
+    0x100C: 2,
+    0x100D: 1,
     0x1017: 2,
     0x1018: 4,
+    0x6007: 2,
     0x603F: 2,
     0x6040: 2,
     0x6041: 2,
@@ -40,7 +43,7 @@ SIZES = {
     0x1006: 4,
     0x60C2: 1,
 }
-SIGNED = {0x6060, 0x6061, 0x6064, 0x606C, 0x6077, 0x6078, 0x607A, 0x2031}
+SIGNED = {0x6007, 0x6060, 0x6061, 0x6064, 0x606C, 0x6077, 0x6078, 0x607A, 0x2031}
 STATUS = {
     "not ready": 0x0000,
     "disabled": 0x0240,
@@ -83,6 +86,9 @@ class ScriptedDrive:
     aborts: dict[tuple[int, int], int] = field(default_factory=dict)
     """(index, subindex) → abort code of any access."""
     beats: bool = True
+    """Whether it sends heartbeats and answers guarding."""
+    alternates: bool = True
+    """Whether the toggle bit of its answers to guarding alternates."""
     short_tpdo: bool = False
     nmt: int = 0x7F
     controlwords: list[int] = field(default_factory=list)
@@ -97,11 +103,17 @@ class ScriptedDrive:
             (0x1000, 0): 0x00020192,
             (0x1008, 0): b"scripted drive",
             (0x100A, 0): b"test 1.0",
+            (0x100C, 0): 0,
+            (0x100D, 0): 0,
+            (0x1016, 0): 2,
+            (0x1016, 1): 0,
+            (0x1016, 2): 0,
             (0x1017, 0): 0,
             (0x1018, 1): 0xABC,
             (0x1018, 2): 402,
             (0x1018, 3): 7,
             (0x1018, 4): 1000 + self.node,
+            (0x6007, 0): 1,
             (0x603F, 0): 0,
             (0x6060, 0): 0,
             (0x6064, 0): 1000 * self.node,
@@ -133,6 +145,7 @@ class ScriptedDrive:
         self._acknowledged = False
         self._ramp_until = 0.0
         self._next_beat = 0.0
+        self._toggle = 0
 
     def number(self, index: int, subindex: int = 0) -> int:
         value = self.objects[index, subindex]
@@ -182,6 +195,11 @@ class ScriptedDrive:
             self.enter("enabled")
         if self.mode_accepted:
             self.objects[0x6061, 0] = self.number(0x6060)
+
+    def guard_answer(self) -> bytes:
+        answer = bytes([self.nmt | self._toggle])
+        self._toggle ^= 0x80 if self.alternates else 0
+        return answer
 
     def tick(self) -> None:
         """What happens by itself."""
@@ -249,7 +267,7 @@ class ScriptedDrive:
             if isinstance(value, bytes):
                 self._pending = (0, value)
                 return b"\x41" + head + struct.pack("<L", len(value))
-            size = SIZES.get(index, 1 if (index < 0x1A00 and subindex == 2) or subindex == 0 else 4)
+            size = SIZES.get(index, 1 if (0x1400 <= index < 0x1A00 and subindex == 2) or subindex == 0 else 4)
             data = value.to_bytes(size, "little", signed=index in SIGNED)
             return bytes([0x43 | (4 - size) << 2]) + head + data.ljust(4, b"\0")
         size = 4 - (command >> 2 & 3)
@@ -273,7 +291,9 @@ class ScriptedBus:
         self.channel = name or channel()
         self.syncs = 0
         self.seen: deque[tuple[int, bytes]] = deque(maxlen=20000)
-        """Every frame of the master: identifier, data."""
+        """Every data frame of the master: identifier, data."""
+        self.requests: deque[tuple[float, int]] = deque(maxlen=20000)
+        """Every remote frame: time, node that is asked."""
         self.bus = can.Bus(interface="virtual", channel=self.channel, ignore_config=True)
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._serve, daemon=True)
@@ -308,8 +328,18 @@ class ScriptedBus:
                 if drive.present and drive.beats and period and now >= drive._next_beat:
                     drive._next_beat = now + 1e-3 * period
                     self.send(0x700 + drive.node, bytes([drive.nmt]))
-            if message is not None and not message.is_extended_id:
+            if message is not None and message.is_remote_frame:
+                self._take_request(message)
+            elif message is not None and not message.is_extended_id:
                 self._take(message.arbitration_id, bytes(message.data))
+
+    def _take_request(self, message: can.Message) -> None:
+        assert message.dlc == 1
+        self.requests.append((time.monotonic(), message.arbitration_id - 0x700))
+        for drive in self.drives:
+            if drive.present and drive.beats and message.arbitration_id == 0x700 + drive.node:
+                assert not drive.number(0x1017)
+                self.send(message.arbitration_id, drive.guard_answer())
 
     def _take(self, identifier: int, data: bytes) -> None:
         self.seen.append((identifier, data))

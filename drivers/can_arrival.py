@@ -1,0 +1,44 @@
+"""When a CAN frame arrived: from the stamp that the kernel, or its sender, gave it where that can be told."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import can
+
+# Interfaces whose time stamps are the kernel's or the sender's clock of day, so that an age can be told from them.
+_STAMPED_BY_CLOCK = frozenset({"SocketcanBus", "UdpMulticastBus", "VirtualBus"})
+_CLOCK_CHECK = 0.1
+_OLDEST = 1.0
+
+
+class ArrivalClock:
+    """Takes stamps of frames to the host's monotonic clock.
+
+    Args:
+        bus: whose frames they are.
+    """
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self._stamped = type(bus).__name__ in _STAMPED_BY_CLOCK
+        self._offset, self._checked = 0.0, -math.inf
+
+    def arrived(self, message: can.Message) -> float:
+        """Arrival [s, the host's monotonic clock], from the frame's own stamp where it is the clock of day."""
+        now = time.monotonic()
+        if not self._stamped:
+            return now
+        if now - self._checked > _CLOCK_CHECK:
+            self._offset, self._checked = _clock_offset(), now
+        arrived = message.timestamp - self._offset
+        return arrived if now - _OLDEST < arrived <= now else now
+
+
+def _clock_offset() -> float:
+    """Clock of day minus monotonic clock [s]; the least disturbed of three readings."""
+    best = (math.inf, 0.0)
+    for _ in range(3):
+        before, day, after = time.monotonic(), time.time(), time.monotonic()
+        best = min(best, (after - before, day - 0.5 * (before + after)))
+    return best[1]

@@ -1,0 +1,145 @@
+"""Whether the drives are still there: their heartbeats, or node guarding (CiA 301, 7.2.8.3.2)."""
+
+from __future__ import annotations
+
+import math
+import threading
+from typing import Protocol
+
+from drivers.canopen402.objects import STATE_BOOT_UP
+
+HEARTBEATS_MISSED = 3
+"""Periods without a heartbeat after which its producer, a drive or dynid, counts as gone."""
+_TOGGLE, _STATE = 0x80, 0x7F
+
+
+class Presence(Protocol):
+    """Judges what drives say of themselves in frames of the identifier 0x700 + node id; drives go by their index."""
+
+    @property
+    def limit(self) -> float:
+        """How long [s] a drive may be silent, about."""
+
+    @property
+    def back(self) -> str:
+        """What there is to say of a drive that is heard again."""
+
+    def start(self, now: float) -> None:
+        """Begin anew at a time [s, host's monotonic clock]."""
+
+    def take(self, index: int, content: int, arrived: float) -> None:
+        """A drive's frame, whose first byte is `content`; arrival [s, host's monotonic clock]."""
+
+    def missing(self, index: int, drained: float) -> str:
+        """Why a drive counts as gone, in words; empty where it does not.
+
+        Args:
+            index: of the drive.
+            drained: all that arrived before this time [s, host's monotonic clock] has been taken.
+        """
+
+
+class Heartbeats:
+    """Drives that send their heartbeat by themselves.
+
+    Args:
+        count: of drives.
+        period: of the heartbeat [s].
+    """
+
+    def __init__(self, count: int, period: float) -> None:
+        self._last = [math.nan] * count
+        self._limit = HEARTBEATS_MISSED * period
+
+    @property
+    def limit(self) -> float:
+        """How long [s] a drive may be silent."""
+        return self._limit
+
+    @property
+    def back(self) -> str:
+        """What there is to say of a drive that is heard again."""
+        return "its heartbeat is back"
+
+    def start(self, now: float) -> None:
+        """Heartbeats are due from `now` [s] on."""
+        self._last = [now] * len(self._last)
+
+    def take(self, index: int, content: int, arrived: float) -> None:
+        """A heartbeat, or a boot-up message."""
+        del content
+        self._last[index] = arrived
+
+    def missing(self, index: int, drained: float) -> str:
+        """Why a drive counts as gone; empty where it does not."""
+        age = drained - self._last[index]
+        return f"no heartbeat for {age:.2f} s" if age > self._limit else ""
+
+
+class NodeGuarding:
+    """Drives that are asked for their state, and answer with a bit that alternates.
+
+    An answer whose bit does not alternate counts as none, as the standard has it: one that is lost makes the next one
+    invalid, too.
+
+    Args:
+        count: of drives.
+        period: how often each is asked [s].
+        factor: requests in a row that may stay without a valid answer.
+    """
+
+    def __init__(self, count: int, period: float, factor: int) -> None:
+        self._count, self._period, self._factor = count, period, factor
+        self._lock = threading.Lock()
+        self.start(0.0)
+
+    @property
+    def limit(self) -> float:
+        """How long [s] a drive may be silent."""
+        return self._period * self._factor
+
+    @property
+    def back(self) -> str:
+        """What there is to say of a drive that is heard again."""
+        return "it answers node guarding again"
+
+    def start(self, now: float) -> None:
+        """Forget what was asked and answered."""
+        del now
+        with self._lock:
+            self._unanswered: list[list[float]] = [[] for _ in range(self._count)]
+            self._toggle: list[int | None] = [None] * self._count
+            self._invalid = [0] * self._count
+
+    def ask(self, index: int, time: float) -> None:
+        """A drive is about to be asked at a time [s, host's monotonic clock]."""
+        with self._lock:
+            self._unanswered[index] = [*self._unanswered[index], time][: self._factor]
+
+    def take(self, index: int, content: int, arrived: float) -> None:
+        """An answer, or a boot-up message."""
+        del arrived
+        with self._lock:
+            if content & _STATE == STATE_BOOT_UP:
+                self._toggle[index] = None
+                return
+            if content & _TOGGLE == self._toggle[index]:
+                self._invalid[index] += 1
+                return
+            self._toggle[index] = content & _TOGGLE
+            self._unanswered[index] = []
+            self._invalid[index] = 0
+
+    def missing(self, index: int, drained: float) -> str:
+        """Why a drive counts as gone; empty where it does not."""
+        with self._lock:
+            overdue = sum(asked <= drained - self._period for asked in self._unanswered[index])
+            invalid = self._invalid[index]
+        if overdue < self._factor:
+            return ""
+        if invalid:
+            return (
+                f"{invalid} answer(s) to node guarding in a row without a toggle bit that alternates "
+                "(does another master guard it, too?)"
+            )
+        return f"no answer to {self._factor} requests of node guarding"
