@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.arm import PERIOD, arm, true_parameters
+from drivers.streams import FloatArray
 from ident.base_parameters import base_parameters
 from ident.filters import no_filter
-from ident.kinematics import FloatArray
 from ident.least_squares import ordinary_least_squares
 from ident.model import DynamicModel
 from ident.observation import JointFactor, Reduction, estimate_condition, reduce_segments

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.robot import load_robot
-from ident.kinematics import FloatArray
+from drivers.streams import FloatArray
 from ident.model import INERTIAL, DynamicModel, build_model, truth_vector
 from ident.pinocchio_model import PINOCCHIO_ORDER
 from ident.prepared import Segment

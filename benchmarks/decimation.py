@@ -11,8 +11,8 @@ from benchmarks.agreement import check
 from benchmarks.arm import arm, data
 from benchmarks.regressor import fill_rows, unpacked
 from benchmarks.timing import medians
+from drivers.streams import FloatArray
 from ident.filters import chebyshev_decimation
-from ident.kinematics import FloatArray
 from ident.regressor import RegressorKernel
 
 FACTOR = 10

@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks.agreement import check
 from benchmarks.peers import PinocchioLoop
 from daq.robot import RobotFile, load_robot
+from drivers.streams import FloatArray
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.criteria import Criterion, RegressorCriterion
@@ -28,7 +29,6 @@ from ident.excite.prior import Prior
 from ident.excite.problem import Problem
 from ident.excite.search import SearchChoices
 from ident.excite.solve import ROUNDS, solve
-from ident.kinematics import FloatArray
 from ident.model import INERTIAL, build_model
 from ident.pinocchio_model import PINOCCHIO_ORDER
 

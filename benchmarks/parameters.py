@@ -10,10 +10,10 @@ from benchmarks.agreement import check
 from benchmarks.arm import Data, arm, data, pinocchio_columns
 from benchmarks.peers import Motion, PinocchioLoop, figaroh_regressor, figaroh_robot
 from benchmarks.timing import medians
+from drivers.streams import FloatArray
 from ident import base_parameters as base_module
 from ident.base_parameters import base_parameters
 from ident.filters import no_filter
-from ident.kinematics import FloatArray
 from ident.least_squares import ordinary_least_squares
 from ident.model import DynamicModel
 from ident.observation import Reduction, reduce_segments

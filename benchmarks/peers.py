@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ident.kinematics import FloatArray
+from drivers.streams import FloatArray
 from ident.model import DynamicModel
 from ident.pinocchio_model import pinocchio_model
 

@@ -15,8 +15,7 @@ from benchmarks.agreement import check
 from daq.recorder import Recorder
 from daq.robot import load_robot
 from daq.streams import JOINTS_STREAM
-from drivers.streams import Block, ChannelLayout, StreamLayout
-from ident.kinematics import FloatArray
+from drivers.streams import Block, ChannelLayout, FloatArray, StreamLayout
 
 ROWS, DOUBLES = 60_000, 32
 RATE = 500.0

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.trajectories import FloatArray, FourierSeries
+from daq.trajectories import FourierSeries
+from drivers.streams import FloatArray
 
 
 @dataclass(frozen=True)

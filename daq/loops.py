@@ -1,18 +1,22 @@
 """Sections `model.loops` and `model.coupling` of a robot file: joints without a motor, motors of several joints.
 
 SR400 §2-3: a closed loop is opened at one joint, which leaves a tree; the joints without a motor follow the others by
-q_passive = A·q_active + b. Where motors move several joints, q_motor = R·q_joint.
+q_passive = A·q_active + b, or, where they do not follow linearly, so that the opened joint's two frames meet. Where
+motors move several joints, q_motor = R·q_joint.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from daq.section import Angle, Finite, Section
+
+BASE = "base"
+"""What an `antecedent` calls the link that does not move."""
 
 SINGULAR_CONDITION = 1e10
 """Condition number of R from which on the motors do not determine the joints."""
@@ -21,7 +25,7 @@ SINGULAR_CONDITION = 1e10
 class ClosingFrame(Section):
     """A frame that is fixed on a link, in the notation of an `mdh` row (SR400 §2: two frames on each opened joint)."""
 
-    antecedent: str = Field(description="joint behind which the link lies")
+    antecedent: str = Field(description="joint behind which the link lies; of loops with `passive` also 'base'")
     gamma: Angle = Field(default=0.0, description="[rad]")
     b: Finite = Field(default=0.0, description="[m]")
     alpha: Angle = Field(default=0.0, description="[rad]")
@@ -31,42 +35,70 @@ class ClosingFrame(Section):
 
 
 class Loop(Section):
-    """How joints without a motor follow the others: an equation of one joint, or a parallelogram of four.
+    """How joints without a motor follow the others: an equation of one joint, a parallelogram of four, or by closing.
 
     `joint` = Σ factor · joint + `offset`; or `parallelogram` [a, b, c, d]: links behind a and d stay parallel, and so
-    do those behind c and b, where b hangs on a and d on c. The `closing` frames, on the two links that the opened
-    joint connected, lie on each other at every position.
+    do those behind c and b, where b hangs on a and d on c; or `passive`, the joints that follow as the loop closes. The
+    `closing` frames, on the two links that the opened joint connected, lie on each other at every position.
     """
 
     joint: str | None = Field(default=None, description="the joint that follows")
     equation: dict[str, Finite] | None = Field(default=None, description="joint → factor")
     offset: Angle = Field(default=0.0, description="[rad or m]")
     parallelogram: tuple[str, str, str, str] | None = None
+    passive: dict[str, Angle] | None = Field(
+        default=None, description="joint that follows → its position [rad or m] near the start, which tells the branch"
+    )
+    at: dict[str, Angle] = Field(
+        default_factory=dict,
+        description="joint with a motor → its position at the start; else the middle of its limits",
+    )
+    opened: Literal["revolute", "spherical"] | None = Field(default=None, description="the opened joint; revolute")
     closing: tuple[ClosingFrame, ClosingFrame] | None = Field(default=None, description="of the opened joint")
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
-        if (self.joint is None) == (self.parallelogram is None):
-            raise ValueError("a loop is either 'joint' with its 'equation', or 'parallelogram'")
+        kinds = [kind for kind in (self.joint, self.parallelogram, self.passive) if kind is not None]
+        if len(kinds) != 1:
+            raise ValueError("a loop is either 'joint' with its 'equation', or 'parallelogram', or 'passive'")
         if self.joint is not None:
             if self.equation is None:
                 raise ValueError(f"joint '{self.joint}' needs its 'equation'; {{}} keeps it at 'offset'")
             if self.joint in self.equation:
                 raise ValueError(f"the equation of joint '{self.joint}' names that joint itself")
-        else:
-            if self.equation is not None or self.offset != 0.0:
-                raise ValueError("a parallelogram's equations are derived: leave 'equation' and 'offset' out")
-            if self.parallelogram is not None and len(set(self.parallelogram)) < 4:
-                raise ValueError("a parallelogram has four different joints")
-            if self.closing is None:
-                raise ValueError("a parallelogram needs 'closing', the two frames that meet where it was opened")
+        elif self.equation is not None or self.offset != 0.0:
+            what = "a parallelogram's" if self.parallelogram is not None else "the closing"
+            raise ValueError(f"{what} equations are derived: leave 'equation' and 'offset' out")
+        if self.parallelogram is not None and len(set(self.parallelogram)) < 4:
+            raise ValueError("a parallelogram has four different joints")
+        if self.joint is None and self.closing is None:
+            what = "a parallelogram" if self.parallelogram is not None else "a loop with 'passive' joints"
+            raise ValueError(f"{what} needs 'closing', the two frames that meet where it was opened")
+        self._check_passive()
         return self
+
+    def _check_passive(self) -> None:
+        if self.passive is None:
+            if self.at or self.opened is not None:
+                raise ValueError("'at' and 'opened' are for loops with 'passive' joints")
+            return
+        if not self.passive:
+            raise ValueError("'passive' names no joint; name those that follow, each with its position at the start")
+        if self.closing is not None and self.closing[0].antecedent == self.closing[1].antecedent:
+            raise ValueError("the closing frames lie on one link: between them is no joint to close")
+
+    @property
+    def following(self) -> tuple[str, ...]:
+        """The joints that the loop names as following, none of a parallelogram."""
+        return (self.joint,) if self.joint is not None else tuple(self.passive or ())
 
     @property
     def named(self) -> tuple[str, ...]:
         """Every joint that the loop names."""
-        joints = self.parallelogram if self.parallelogram is not None else (self.joint or "", *(self.equation or {}))
-        return (*joints, *(frame.antecedent for frame in self.closing or ()))
+        frames = [frame.antecedent for frame in self.closing or ()]
+        if self.passive is not None:
+            frames = [name for name in frames if name != BASE]
+        return (*(self.parallelogram or ()), *self.following, *(self.equation or ()), *self.at, *frames)
 
 
 def passive_joints(loops: Iterable[Loop], active: tuple[str, ...]) -> tuple[str, ...]:
@@ -79,14 +111,14 @@ def passive_joints(loops: Iterable[Loop], active: tuple[str, ...]) -> tuple[str,
     passive: list[str] = []
     loops = tuple(loops)
     for loop in loops:
-        if loop.joint is not None:
-            if loop.joint in active:
+        following = list(loop.following)
+        for name in following:
+            if name in active:
                 raise ValueError(
-                    f"'joints' names '{loop.joint}', but by 'model.loops' it is passive: it has no motor, leave it out"
+                    f"'joints' names '{name}', but by 'model.loops' it is passive: it has no motor, leave it out"
                 )
-            following = [loop.joint]
-        else:
-            four = loop.parallelogram or ()
+        if loop.parallelogram is not None:
+            four = loop.parallelogram
             following = [name for name in four if name not in active]
             if len(following) != 2:
                 moved = ", ".join(name for name in four if name in active) or "none"
@@ -103,6 +135,9 @@ def passive_joints(loops: Iterable[Loop], active: tuple[str, ...]) -> tuple[str,
         for name in loop.named:
             if name not in known:
                 raise ValueError(f"'model.loops' names joint '{name}', but there are only: {', '.join(known)}")
+        for name in loop.at:
+            if name not in active:
+                raise ValueError(f"'at' of a loop names joint '{name}', but that one has no motor")
     return tuple(passive)
 
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.trajectories import FloatArray, Motion
+from daq.trajectories import Motion
 from drivers.errors import DynidError, WorkError
 from drivers.punctual import set_timer_slack, sleep_until
+from drivers.streams import FloatArray
 
 SKIP_LIMIT = 3
 """Overdue positions that are skipped; where a stall left more, the motion goes on where it was, that much later.

@@ -17,19 +17,15 @@ import numpy as np
 
 from daq.recording_writer import CHUNK_SECONDS, RecordingWriter, chunk_rows
 from daq.robot import RobotFile
-from daq.streams import Level, StreamLayout
-from drivers.errors import RecordingError, WorkError
-from drivers.streams import Block
+from daq.streams import Level
+from drivers.errors import DiskError, RecordingError
+from drivers.streams import Block, StreamLayout
 
 MEMORY_LIMIT = 64 * 2**20
 """Bytes of samples that may wait for the disk before blocks are dropped, and counted."""
 RESERVE = 16 * 2**20
 """Bytes of free disk space [B] at which recording ends in order: a full disk leaves HDF5 no way to close a file."""
 _WAIT = 0.1
-
-
-class DiskError(WorkError):
-    """The recording cannot be written any more."""
 
 
 def require_room(path: Path) -> None:

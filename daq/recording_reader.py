@@ -10,8 +10,9 @@ import h5py
 import numpy as np
 
 from daq.hdf5_reason import hdf5_reason
-from daq.streams import SCHEMA_VERSION, Channel, Event, FloatArray, Recording, Stream
+from daq.streams import SCHEMA_VERSION, Channel, Event, Recording, Stream
 from drivers.errors import RecordingError
+from drivers.streams import FloatArray
 
 
 def read_recording(path: str | Path) -> Recording:

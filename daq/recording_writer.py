@@ -18,16 +18,9 @@ import numpy as np
 
 from daq.hdf5_reason import hdf5_reason
 from daq.robot import RobotFile
-from daq.streams import (
-    SCHEMA_VERSION,
-    ChannelLayout,
-    FloatArray,
-    Level,
-    Recording,
-    StreamLayout,
-    software_versions,
-)
+from daq.streams import SCHEMA_VERSION, Level, Recording, software_versions
 from drivers.errors import RecordingError
+from drivers.streams import ChannelLayout, FloatArray, StreamLayout
 
 CHUNK_SECONDS = 0.5
 """What one chunk holds, and so the longest stretch that a crash can cost a recorder that flushes whole chunks."""

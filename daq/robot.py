@@ -9,18 +9,16 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from daq.closest import did_you_mean
 from daq.lengths import with_lengths
+from daq.loops import BASE as BASE
 from daq.loops import Loop, check_coupling, check_drives, check_pairs, passive_joints
 from daq.section import Angle, Finite, NonNegative, NotTruthValue, Positive, Section, Vector3
 from daq.workspace import Workspace
-from daq.yaml_file import UniqueKeyLoader, describe, first_problem
+from daq.yaml_file import read_mapping, validated
 from drivers.errors import RobotFileError
-
-BASE = "base"
 
 
 class MdhRow(Section):
@@ -219,7 +217,7 @@ class Connection(BaseModel):
 
 
 class Robot(Section):
-    """A robot file, validated; `origin` says where it was read."""
+    """A robot file, validated."""
 
     name: str = Field(min_length=1)
     description: str = ""
@@ -352,27 +350,9 @@ def parse_robot(text: str, *, where: str, folder: Path | None, urdf_text: str | 
     Raises:
         RobotFileError: names the key path, what was found and what is allowed.
     """
-    try:
-        content = yaml.load(text, Loader=UniqueKeyLoader)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"{where}, line {mark.line + 1}, column {mark.column + 1}" if mark is not None else where
-        reason = getattr(error, "problem", None) or str(error)
-        raise RobotFileError(f"not valid YAML: {reason}", where=place) from error
-    except RecursionError as error:
-        raise RobotFileError("nested too deeply to be a robot file", where=where) from error
-    if not isinstance(content, dict):
-        raise RobotFileError(
-            f"a robot file is a mapping of keys, but this is {describe(content)}",
-            where=where,
-            hint="see a built-in one: dynid robot show ur5e --yaml",
-        )
-    try:
-        robot = Robot.model_validate(content)
-    except ValidationError as error:
-        problem = first_problem(error, Robot)
-        place = f"{where}: {problem.key_path}" if problem.key_path else where
-        raise RobotFileError(problem.message, where=place, hint=problem.hint) from error
+    hint = "see a built-in one: dynid robot show ur5e --yaml"
+    content = read_mapping(text, kind="a robot file", where=where, refusal=RobotFileError, hint=hint)
+    robot = validated(content, Robot, where=where, refusal=RobotFileError)
     if robot.model.urdf is not None and urdf_text is None:
         urdf_text = _read_urdf(robot.model.urdf, folder, where)
     return RobotFile(robot=robot, text=text, folder=folder, urdf_text=urdf_text)

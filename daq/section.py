@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 _PI_MULTIPLE = re.compile(r"^\s*([+-]?)\s*(?:(\d+(?:\.\d*)?)\s*\*\s*)?pi\s*(?:/\s*(\d+(?:\.\d*)?))?\s*$")
-_PI = 3.141592653589793
 
 
 def _refuse_truth_value(value: Any) -> Any:
@@ -32,7 +32,7 @@ def _parse_angle(value: Any) -> Any:
     if match is None:
         return value
     sign, factor, divisor = match.groups()
-    angle = _PI * float(factor or 1)
+    angle = math.pi * float(factor or 1)
     if divisor is not None:
         if float(divisor) == 0:
             raise ValueError("division by zero")

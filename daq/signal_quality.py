@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from daq.streams import Channel, FloatArray
+from daq.streams import Channel
+from drivers.streams import FloatArray
 
 CLIPPED_RUN = 5
 """Equal extreme values in a row, at least this many, are taken for a signal at its limit."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
+
+from drivers.streams import FloatArray
 
 LOST_FROM = 1.5
 """An interval longer than this many periods means that samples are missing."""
@@ -54,7 +55,7 @@ class StreamQuality:
     gaps: tuple[Gap, ...]
 
 
-def stream_quality(time: npt.NDArray[np.float64]) -> StreamQuality:
+def stream_quality(time: FloatArray) -> StreamQuality:
     """Figures for the stamps (N,) [s] of a stream."""
     nan = float("nan")
     samples, time = len(time), time[np.isfinite(time)]

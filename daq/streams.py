@@ -11,22 +11,7 @@ from typing import Literal
 
 from daq.robot import RobotFile, parse_robot
 from drivers.errors import RecordingError, RobotFileError
-from drivers.streams import UNITS, ChannelLayout, FloatArray, StreamLayout
-
-__all__ = [
-    "JOINTS_STREAM",
-    "SCHEMA_VERSION",
-    "UNITS",
-    "Channel",
-    "ChannelLayout",
-    "Event",
-    "FloatArray",
-    "Level",
-    "Recording",
-    "Stream",
-    "StreamLayout",
-    "software_versions",
-]
+from drivers.streams import FloatArray
 
 SCHEMA_VERSION = 1
 JOINTS_STREAM = "joints"

@@ -8,16 +8,18 @@ from functools import cached_property
 from typing import Protocol, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from daq.robot import JointLimits
 from drivers.errors import UsageError
-
-FloatArray = npt.NDArray[np.float64]
+from drivers.streams import FloatArray
 
 GRID_RATE = 1000.0
 """Limits are checked on a grid of at least this many points a second [Hz], and where the extremes lie."""
 LIMIT_TOLERANCE = 1e-9
+QUINTIC_VELOCITY = 15.0 / 8.0
+"""Largest velocity of a fifth-order move of length 1 in time 1."""
+QUINTIC_ACCELERATION = 10.0 / np.sqrt(3.0)
+"""Its largest acceleration."""
 _NEGLIGIBLE = 1e-14
 """Share of the largest coefficient below which a harmonic does not move a zero, but would be divided by."""
 _MAX_GRID = 2_000_000
@@ -139,7 +141,7 @@ class SumOfSines:
 
 @dataclass(frozen=True)
 class PointToPoint:
-    """From point to point by fifth-order polynomials, at rest in each (SR400 §4.2).
+    """From point to point by fifth-order polynomials, at rest in each (SR400 §4.3).
 
     Between points a and b, with u = t/T: q = a + (b − a)(10u³ − 15u⁴ + 6u⁵); then it waits for `dwell`.
 
@@ -340,12 +342,12 @@ def check_rest(motion: Motion, limits: Sequence[JointLimits], where: str) -> Non
 def slow_move(start: FloatArray, end: FloatArray, limits: Sequence[JointLimits], share: float = 0.1) -> PointToPoint:
     """A quintic from `start` to `end` (n,) that uses at most `share` of every velocity and acceleration limit.
 
-    The extremes of the quintic over time T are 15/8 · D/T and 10/√3 · D/T².
+    The extremes of the quintic over time T are `QUINTIC_VELOCITY`·D/T and `QUINTIC_ACCELERATION`·D/T².
     """
     way = np.abs(end - start)
     velocity = share * np.array([limit.velocity for limit in limits])
     acceleration = share * np.array([limit.acceleration for limit in limits])
-    duration = max(
-        float(np.max(1.875 * way / velocity)), float(np.max(np.sqrt(10.0 / np.sqrt(3.0) * way / acceleration))), 0.1
-    )
+    by_velocity = float(np.max(QUINTIC_VELOCITY * way / velocity))
+    by_acceleration = float(np.max(np.sqrt(QUINTIC_ACCELERATION * way / acceleration)))
+    duration = max(by_velocity, by_acceleration, 0.1)
     return PointToPoint(np.array([start, end]), np.array([duration]))

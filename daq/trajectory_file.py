@@ -26,13 +26,12 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from daq.fourier_quintic import FourierQuintic
 from daq.robot import Robot
 from daq.section import Finite, NonNegative, Positive
 from daq.trajectories import (
-    FloatArray,
     FourierSeries,
     Motion,
     PointToPoint,
@@ -42,8 +41,9 @@ from daq.trajectories import (
     check_limits,
     check_rest,
 )
-from daq.yaml_file import UniqueKeyLoader, describe, first_problem
+from daq.yaml_file import describe, read_mapping, validated
 from drivers.errors import UsageError
+from drivers.streams import FloatArray
 
 _LARGEST = 1e9
 """No arm gets near it, whatever the unit."""
@@ -226,16 +226,7 @@ def load_trajectory(path: Path, robot: Robot) -> TrajectoryFile:
 
 def parse_trajectory(text: str, robot: Robot, *, where: str, folder: Path | None) -> TrajectoryFile:
     """Validate a trajectory's text; as `load_trajectory`."""
-    try:
-        content = yaml.load(text, Loader=UniqueKeyLoader)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"{where}, line {mark.line + 1}, column {mark.column + 1}" if mark is not None else where
-        raise UsageError(f"not valid YAML: {getattr(error, 'problem', None) or error}", where=place) from error
-    except RecursionError as error:
-        raise UsageError("nested too deeply to be a trajectory", where=where) from error
-    if not isinstance(content, dict):
-        raise UsageError(f"a trajectory is a mapping of keys, but this is {describe(content)}", where=where)
+    content = read_mapping(text, kind="a trajectory", where=where, refusal=UsageError)
     kind = content.get("kind")
     schema = _KINDS.get(kind) if isinstance(kind, str) else None
     if schema is None:
@@ -244,12 +235,7 @@ def parse_trajectory(text: str, robot: Robot, *, where: str, folder: Path | None
     if kind == "samples" and "csv" in content:
         content = _with_samples(content, robot, where, folder)
         text = yaml.safe_dump(content, allow_unicode=True, sort_keys=False)
-    try:
-        trajectory = schema.model_validate(content)
-    except ValidationError as error:
-        problem = first_problem(error, schema)
-        place = f"{where}: {problem.key_path}" if problem.key_path else where
-        raise UsageError(problem.message, where=place, hint=problem.hint) from error
+    trajectory = validated(content, schema, where=where, refusal=UsageError)
     if Path(trajectory.robot).stem != robot.name and trajectory.robot != robot.name:
         raise UsageError(
             f"was made for '{trajectory.robot}', not for '{robot.name}'",

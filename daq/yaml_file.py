@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import reprlib
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
 
 from daq.closest import did_you_mean
+from drivers.errors import InputError
+
+Schema = TypeVar("Schema", bound=BaseModel)
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
@@ -54,6 +58,46 @@ class Problem:
     key_path: str
     message: str
     hint: str
+
+
+def read_mapping(text: str, *, kind: str, where: str, refusal: type[InputError], hint: str = "") -> dict[Any, Any]:
+    """The keys of a file's text, not yet validated.
+
+    Args:
+        text: the YAML.
+        kind: of the file, in words with their article (`a robot file`).
+        where: what an error message calls it.
+        refusal: what is raised.
+        hint: what to do where it is no mapping at all.
+
+    Raises:
+        InputError: `refusal`, where it is not YAML (with line and column), or not a mapping.
+    """
+    try:
+        content = yaml.load(text, Loader=UniqueKeyLoader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f"{where}, line {mark.line + 1}, column {mark.column + 1}" if mark is not None else where
+        raise refusal(f"not valid YAML: {getattr(error, 'problem', None) or error}", where=place) from error
+    except RecursionError as error:
+        raise refusal(f"nested too deeply to be {kind}", where=where) from error
+    if not isinstance(content, dict):
+        raise refusal(f"{kind} is a mapping of keys, but this is {describe(content)}", where=where, hint=hint)
+    return content
+
+
+def validated(content: Mapping[Any, Any], schema: type[Schema], *, where: str, refusal: type[InputError]) -> Schema:
+    """A file's keys as its schema has them.
+
+    Raises:
+        InputError: `refusal`, with the path of the key that is wrong first, what was found and what is allowed.
+    """
+    try:
+        return schema.model_validate(content)
+    except ValidationError as error:
+        problem = first_problem(error, schema)
+        place = f"{where}: {problem.key_path}" if problem.key_path else where
+        raise refusal(problem.message, where=place, hint=problem.hint) from error
 
 
 def first_problem(error: ValidationError, root: type[BaseModel]) -> Problem:

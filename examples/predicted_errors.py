@@ -22,9 +22,10 @@ from daq.trajectories import RestToRest
 from ident.base_parameters import base_parameters
 from ident.excite.figures import excitation_figures
 from ident.excite.prior import Prior, find_prior
-from ident.excite.sufficiency import recording_sufficiency
+from ident.excite.sufficiency import motion_sufficiency
 from ident.identify import IdentifyChoices, identify
 from ident.model import build_model, truth_vector
+from ident.recorded_motion import recorded_motion
 from ident.result import write_result
 from ident.summary import summarise
 from sim_drivers.measurement import simulate_recording
@@ -71,7 +72,7 @@ def compare(label: str, robot_file: RobotFile, count: int) -> None:
         found = identify([recording], [earlier], IdentifyChoices(), robot_file=robot_file)
         errors.append(found.solution.parameters - truth)
         if seed < ASKED:
-            forecast = recording_sufficiency(recording, robot_file).forecast
+            forecast = motion_sufficiency(recorded_motion(recording, robot_file)).forecast
             told.append([parameter.std for parameter in forecast.parameters])
     true = np.sqrt(np.mean(np.square(errors), axis=0))
     for source, deviations in {**predicted, "dynid info": np.median(told, axis=0)}.items():

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from drivers.streams import FloatArray
 from ident.comparison import TorqueSeries
-from ident.kinematics import FloatArray
 
 
 def residual_autocorrelation(series: Sequence[TorqueSeries]) -> FloatArray:

@@ -6,8 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ident.kinematics import FloatArray
+from drivers.streams import FloatArray
 from ident.load import INDEPENDENT
+
+WITHIN_95_PERCENT = 1.96
+"""95 % of a normal distribution lie within so many standard deviations of its mean."""
 
 LEVEL = 0.01
 """A test rejects where chance alone would give so large a difference less often than this."""

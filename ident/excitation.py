@@ -7,17 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.recording import Recording
-from daq.robot import RobotFile
-from drivers.errors import DataError, RobotFileError, UsageError
-from ident.base_parameters import BaseParameters, base_parameters
+from ident.base_parameters import BaseParameters
 from ident.joint_columns import combined
 from ident.least_squares import excited_columns
-from ident.measured import joint_positions
-from ident.model import build_model
-from ident.observation import Reduction, reduce_segments
-from ident.preprocess import Prepared, PreprocessChoices, prepare
-from ident.regressor import RegressorKernel
+from ident.observation import Reduction
+from ident.preprocess import Prepared
+from ident.recorded_motion import RecordedMotion
 from ident.triangular import scaled_condition
 
 
@@ -42,27 +37,19 @@ class ExcitationReached:
     velocity_share_percent: list[float]
 
 
-def excitation_reached(recording: Recording, robot_file: RobotFile) -> ExcitationReached | None:
-    """Figures of the recorded motion; None where the recording holds no motion that could be analysed."""
-    try:
-        motion = joint_positions(recording, robot_file.robot)
-        prepared = prepare(motion.time, motion.position, np.zeros_like(motion.position), PreprocessChoices())
-        model = build_model(robot_file)
-    except (DataError, UsageError, RobotFileError):
-        return None
-    base = base_parameters(model)
-    kernel = RegressorKernel(model, base.columns)
-    reduction = reduce_segments(kernel, prepared.segments, prepared.parallel_filter)
-    active = list(excited_base_columns(reduction, base, [prepared]))
-    factor = reduction.stacked()[:, active]
+def excitation_reached(motion: RecordedMotion) -> ExcitationReached:
+    """Figures of a recorded motion."""
+    base = motion.base
+    active = list(excited_base_columns(motion.reduction, base, [motion.prepared]))
+    factor = motion.reduction.stacked()[:, active]
     singular = np.linalg.svd(factor, compute_uv=False)
-    speed = np.max([np.max(np.abs(segment.velocity), axis=1) for segment in prepared.segments], axis=0)
-    limits = np.array([joint.velocity for joint in robot_file.robot.joints])
+    speed = np.max([np.max(np.abs(segment.velocity), axis=1) for segment in motion.prepared.segments], axis=0)
+    limits = np.array([joint.velocity for joint in motion.robot_file.robot.joints])
     return ExcitationReached(
         condition=float(singular[0] / singular[-1]) if len(active) else float("inf"),
         scaled_condition=scaled_condition(factor) if len(active) else float("inf"),
         unexcited=[base.names[i] for i in range(base.count) if i not in active],
-        position_range=np.ptp(motion.position, axis=0).tolist(),
+        position_range=np.ptp(motion.positions.position, axis=0).tolist(),
         velocity_reached=speed.tolist(),
         velocity_share_percent=(100.0 * speed / limits).tolist(),
     )

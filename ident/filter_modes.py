@@ -9,7 +9,8 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from drivers.streams import FloatArray
+
 ComplexArray = npt.NDArray[np.complex128]
 
 

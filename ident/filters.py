@@ -22,7 +22,8 @@ from functools import cached_property
 import numpy as np
 
 from drivers.errors import UsageError
-from ident.filter_modes import Block, ComplexArray, FloatArray, Modes, block_of, modes_of
+from drivers.streams import FloatArray
+from ident.filter_modes import Block, ComplexArray, Modes, block_of, modes_of
 
 DECIMATION_RIPPLE_DB = 0.05
 """Passband ripple of the decimation filter [dB], one direction (scipy.signal.decimate)."""

@@ -14,21 +14,17 @@ from daq.robot import RobotFile
 from daq.signal_quality import ColumnQuality, channel_quality
 from daq.stream_quality import StreamQuality, stream_quality
 from drivers.errors import DynidError
-from ident.base_parameters import base_parameters
 from ident.delay import DelaySearch, search_delay
 from ident.excitation import ExcitationReached, excitation_reached
 from ident.excite.sufficiency import (
     Sufficiency,
     TimesNeeded,
     check_wanted_rsd,
-    recording_sufficiency,
+    motion_sufficiency,
     times_needed,
 )
-from ident.measured import measured_motion
-from ident.model import build_model
-from ident.preprocess import PreprocessChoices, prepare
 from ident.pruning import SIGNIFICANT_RSD
-from ident.regressor import RegressorKernel
+from ident.recorded_motion import RecordedMotion, recorded_motion
 
 MOTOR_SIGNALS = ("current", "voltage", "torque")
 
@@ -88,10 +84,12 @@ def recording_info(
         for name, stream in recording.streams.items()
         for quantity, channel in stream.channels.items()
     }
-    excitation = excitation_reached(recording, robot_file)
-    delay = _delay(recording, robot_file)
-    sufficiency = recording_sufficiency(recording, robot_file, delay.used if delay is not None else 0.0)
-    times = None
+    excitation = delay = sufficiency = times = None
+    motion = recorded_motion(recording, robot_file)
+    if motion is not None:
+        excitation = excitation_reached(motion)
+        delay = _delay(motion)
+        sufficiency = motion_sufficiency(motion, delay.used if delay is not None else 0.0)
     if sufficiency is not None and wanted_rsd_percent is not None:
         times = times_needed(sufficiency, wanted_rsd_percent)
     findings = tuple(_findings(recording, streams, columns, excitation))
@@ -100,14 +98,12 @@ def recording_info(
     )
 
 
-def _delay(recording: Recording, robot_file: RobotFile) -> DelaySearch | None:
+def _delay(motion: RecordedMotion) -> DelaySearch | None:
+    if motion.measured is None:  # `identify` says why
+        return None
     try:
-        motion = measured_motion(recording, robot_file.robot)
-        prepared = prepare(motion.time, motion.position, motion.torque, PreprocessChoices())
-        model = build_model(robot_file)
-        kernel = RegressorKernel(model, base_parameters(model).columns)
-        return search_delay(kernel, prepared.segments, prepared.parallel_filter)
-    except DynidError:  # no torque, no gain, no motion: `findings` and `identify` say which
+        return search_delay(motion.kernel, motion.prepared.segments, motion.prepared.parallel_filter)
+    except DynidError:  # too short to tell
         return None
 
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
+from drivers.streams import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 BASE_INDEX = -1
 
 

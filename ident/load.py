@@ -17,8 +17,9 @@ import numpy as np
 
 from daq.robot import Robot
 from drivers.errors import UsageError
+from drivers.streams import FloatArray
 from ident.base_parameters import BaseParameters
-from ident.kinematics import FloatArray
+from ident.independent_columns import independent_columns
 from ident.model import INERTIAL, DynamicModel, link_parameters
 
 MASS = INERTIAL.index("M")
@@ -140,17 +141,8 @@ def load_columns(effect: FloatArray, without: Sequence[int] = ()) -> LoadColumns
     present = [i for i in range(10) if i not in without]
     acting = [i for i in present if lengths[i] > INDEPENDENT * max(float(lengths.max()), np.finfo(float).tiny)]
     order = sorted(acting, key=lambda i: _KEEP_ORDER.index(INERTIAL[i]))
-    basis = np.empty((effect.shape[0], 0))
-    kept = []
-    for i in order:
-        column = effect[:, i] / lengths[i]
-        for _ in range(2):
-            column = column - basis @ (basis.T @ column)
-        length = float(np.linalg.norm(column))
-        if length > INDEPENDENT:
-            basis = np.column_stack([basis, column / length])
-            kept.append(i)
-    kept.sort()
+    scaled = effect / np.where(lengths > 0.0, lengths, 1.0)
+    kept = sorted(independent_columns(scaled, order, INDEPENDENT))
     projection = np.zeros((len(kept), 10))
     if kept:
         coefficients, *_ = np.linalg.lstsq(effect[:, kept], effect[:, acting], rcond=None)

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.robot import BASE, MdhRow
-from ident.kinematics import FloatArray, Joint
+from drivers.streams import FloatArray
+from ident.kinematics import Joint
 
 Z_AXIS = np.array([0.0, 0.0, 1.0])
 

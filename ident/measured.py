@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,8 @@ from daq.loops import coupling_matrix
 from daq.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot import Robot
 from drivers.errors import DataError
-from ident.kinematics import FloatArray
+from drivers.streams import FloatArray
+from ident.finite import check_finite
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,9 @@ def measured_motion(recording: Recording, robot: Robot) -> MeasuredMotion:
         velocity=_joint_values(stream, "velocity", robot, recording),
         torque_source=source,
     )
-    _check_finite(motion.label, {"torque": motion.torque, "velocity": motion.velocity}, robot)
+    check_finite("torque", motion.torque, robot.joint_names, motion.label)
+    if motion.velocity is not None:
+        check_finite("velocity", motion.velocity, robot.joint_names, motion.label)
     return motion
 
 
@@ -81,7 +83,7 @@ def joint_positions(recording: Recording, robot: Robot) -> JointPositions:
     position = _joint_values(stream, "position", robot, recording)
     if position is None:
         raise DataError("records no position", where=f"{recording.label}: {JOINTS_STREAM}")
-    _check_finite(recording.label, {"position": position}, robot)
+    check_finite("position", position, robot.joint_names, recording.label)
     return JointPositions(stream.time, position)
 
 
@@ -129,17 +131,3 @@ def _joint_values(stream: Stream, quantity: str, robot: Robot, recording: Record
         )
     order = [channel.columns.index(name) for name in robot.joint_names]
     return channel.values[:, order]
-
-
-def _check_finite(label: str, quantities: Mapping[str, FloatArray | None], robot: Robot) -> None:
-    for quantity, values in quantities.items():
-        if values is None:
-            continue
-        bad = np.argwhere(~np.isfinite(values))
-        if len(bad):
-            sample, joint = bad[0]
-            raise DataError(
-                f"{len(bad)} value(s) are not numbers, the first at sample {sample}",
-                where=f"{label}: {quantity} of {robot.joint_names[joint]}",
-                hint="import the source again with --repair drop-nan",
-            )

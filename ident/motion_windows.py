@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from drivers.streams import FloatArray
 
 BAND_POWER = 0.999
 """Part of a joint's velocity power that lies within the motion's band."""

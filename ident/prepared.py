@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from drivers.streams import FloatArray
 from ident.filters import ZeroPhaseFilter
 from ident.preprocess_choices import PreprocessChoices
 from ident.resampling import Irregularity
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from drivers.errors import DataError, UsageError
+from drivers.streams import FloatArray
 from ident.filters import ZeroPhaseFilter, butterworth, chebyshev_decimation, unit_gain
+from ident.finite import check_finite
 from ident.motion_windows import BAND_POWER, motion_band
 from ident.prepared import Prepared, Segment, Step, describe
 from ident.preprocess_choices import (
@@ -37,8 +38,6 @@ from ident.resampling import (
     uniform_grid,
 )
 from ident.segments import SHORTEST_SEGMENT, Stretch, central_difference, with_motion_windows, without_ends
-
-FloatArray = npt.NDArray[np.float64]
 
 __all__ = [
     "Cutoffs",
@@ -83,8 +82,9 @@ def prepare(
     if choices.measured_velocity and velocity is None:
         raise UsageError("the recording holds no velocity", hint="leave the measured velocity out; it is derived then")
     check_stamps(time)
+    joints = [f"joint {number + 1}" for number in range(position.shape[1])]
     for name, values in signals.items():
-        check_finite(name, values)
+        check_finite(name, values, joints)
     steps: list[Step] = []
     window = window_of(time, choices.start, choices.stop)
     if window != slice(0, len(time)):
@@ -109,22 +109,6 @@ def prepare(
     )
     resolved = resolve(choices, cutoffs, rest_velocity)
     return Prepared(segments, tuple(steps), parallel, irregularity, resolved, difference)
-
-
-def check_finite(name: str, values: FloatArray) -> None:
-    """Refuse a signal `values` (N, n) with something that is not a number.
-
-    Raises:
-        DataError: naming the first bad sample and its joint.
-    """
-    bad = np.argwhere(~np.isfinite(values))
-    if len(bad):
-        sample, joint = bad[0]
-        raise DataError(
-            f"{values[sample, joint]} is not a number that can be used; {len(bad)} values are bad in all",
-            where=f"{name}, joint {joint + 1}, sample {sample}",
-            hint="leave these samples out of the recording; short holes are interpolated",
-        )
 
 
 def window_of(time: FloatArray, start: float | None, stop: float | None) -> slice:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ident.kinematics import FloatArray
+from drivers.streams import FloatArray
 from ident.least_squares import LeastSquares
 
 SIGNIFICANT_RSD = 15.0

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ident.kinematics import FloatArray
+from drivers.streams import FloatArray
 
 SAME_MOTION = 0.01
 """Mean square difference of two velocities, relative to the sum of their mean squares, below which they are the same

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from drivers.errors import DataError
-
-FloatArray = npt.NDArray[np.float64]
+from drivers.streams import FloatArray
 
 GAP_PERIODS = 10.0
 GAP_SECONDS = 0.05

@@ -6,14 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from drivers.errors import DataError
+from drivers.streams import FloatArray
 from ident.motion_windows import SHORTEST_REST, default_rest_velocity, moving_mask
 from ident.prepared import Segment, Step
 from ident.preprocess_choices import Cutoffs, PreprocessChoices
-
-FloatArray = npt.NDArray[np.float64]
 
 END_PERIODS = 2.0
 """Periods of the positions' cut-off that are left out at both ends of a stretch. A low-pass cannot know how the motion
@@ -50,7 +48,11 @@ def central_difference(rows: FloatArray, rate: float) -> FloatArray:
 def with_motion_windows(
     stretches: tuple[Stretch, ...], velocities: list[FloatArray], choices: PreprocessChoices, steps: list[Step]
 ) -> tuple[tuple[Segment, ...], float]:
-    """Step 'motion windows': the finished segments, those without any motion left out, and the rest velocity."""
+    """Step 'motion windows': the finished segments, those without any motion left out, and the rest velocity.
+
+    Raises:
+        DataError: nothing moves.
+    """
     threshold = choices.rest_velocity
     if threshold is None:
         threshold = max(default_rest_velocity(velocity) for velocity in velocities)

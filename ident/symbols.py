@@ -17,8 +17,8 @@ import yaml
 from daq.robot import Robot, RobotFile
 from daq.yaml_file import UniqueKeyLoader
 from drivers.errors import DynidError
+from drivers.streams import FloatArray
 from ident.base_parameters import BaseParameters, base_parameters
-from ident.kinematics import FloatArray
 from ident.model import DynamicModel, StandardParameter, build_model
 
 ARMS_BESIDE = 10

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.errors import IdentificationError
-from ident.kinematics import FloatArray
+from drivers.streams import FloatArray
 from ident.least_squares import ROUNDING
 from ident.triangular import triangular
 

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ident.kinematics import FloatArray
+from drivers.streams import FloatArray
 
 GRAM_CONDITION_LIMIT = 1e4
 """Up to this condition (columns scaled) the plain Gram matrix keeps enough digits."""

@@ -13,14 +13,15 @@ from daq.recording import JOINTS_STREAM, read_recording
 from daq.robot import RobotFile, load_robot
 from daq.trajectory_file import dump_trajectory, load_trajectory
 from drivers.errors import UsageError
+from drivers.streams import FloatArray
 from ident.base_parameters import base_parameters
+from ident.chance import WITHIN_95_PERCENT
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
 from ident.excite.search import SearchChoices, random_start
 from ident.identify import Identification, IdentifyChoices, identify
-from ident.kinematics import FloatArray
 from ident.model import build_model, truth_vector
 from ident.report import TruthTable, write_report
 from ident.result import Result, write_result
@@ -41,9 +42,6 @@ STARTS = 1
 
 DRAWS = 1000
 """Random motions that are tried until one keeps all limits."""
-
-INTERVAL = 1.96
-"""Half width of a 95 % interval in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class Demo:
     def inside(self) -> int:
         """Number of true base parameters within their 95 % interval."""
         error = np.abs(self.found.solution.parameters - self.truth)
-        return int(np.count_nonzero(error <= INTERVAL * self.found.std))
+        return int(np.count_nonzero(error <= WITHIN_95_PERCENT * self.found.std))
 
 
 def run_demo(

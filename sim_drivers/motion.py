@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from daq.trajectories import FloatArray, FourierSeries
+from daq.trajectories import FourierSeries
+from drivers.streams import FloatArray
 from ident.base_parameters import base_parameters
 from ident.model import DynamicModel
 from ident.regressor import RegressorKernel, motion_factor

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.kinematics import FloatArray
+from drivers.streams import FloatArray
 
 _INMOST = 1.0 - 1e-4
 

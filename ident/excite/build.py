@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.closest import did_you_mean
-from daq.robot import JointLimits, RobotFile
+from daq.robot import RobotFile
 from drivers.errors import UsageError
+from drivers.streams import FloatArray
 from ident.base_parameters import BaseParameters, base_parameters
 from ident.excite.choices import DesignChoices
 from ident.excite.constraints import constraints_of
@@ -24,10 +25,12 @@ from ident.excite.measures import (
     moments_apart,
     plain_condition,
 )
+from ident.excite.moving_joints import middle_of_range
 from ident.excite.path import Family
 from ident.excite.prior import Prior
 from ident.excite.problem import Problem
-from ident.kinematics import FloatArray
+from ident.excite.within_limits import constraints_within_limits, criterion_within_limits
+from ident.independent_columns import independent_columns
 from ident.least_squares import EXCITATION_TOLERANCE
 from ident.model import INERTIAL, DynamicModel, build_model
 from ident.regressor import RegressorKernel, motion_factor
@@ -50,17 +53,19 @@ def build_problem(robot_file: RobotFile, prior: Prior, choices: DesignChoices) -
     model = build_model(robot_file)
     family = build_family(model, choices)
     time = family.grid(POINTS_PER_WAVE * _waves(choices))
-    constraints = constraints_of(robot_file, model, prior.parameters, self_collision=choices.self_collision)
+    constraints = constraints_within_limits(
+        model, constraints_of(robot_file, model, prior.parameters, self_collision=choices.self_collision)
+    )
     columns = excitable_columns(model, family, _wanted(model, base_parameters(model), choices))
-    criterion = build_criterion(model, columns, prior, choices)
-    conditioning = RegressorCriterion(model, columns, condition)
+    criterion = criterion_within_limits(model, build_criterion(model, columns, prior, choices))
+    conditioning = criterion_within_limits(model, RegressorCriterion(model, columns, condition))
     return Problem(family, criterion, conditioning, constraints, time, 1.0 - choices.margin)
 
 
 def build_family(model: DynamicModel, choices: DesignChoices) -> Family:
     """The family of motions of a design."""
     moving = _moving(model, choices.moving)
-    rest = np.array([_middle(limits) for limits in model.limits])
+    rest = np.array([middle_of_range(*limits.position) for limits in model.limits])
     common = (model.limits, choices.period)
     if choices.kind == "fourier":
         return FourierFamily(*common, choices.harmonics, moving, rest, choices.periods, choices.ramp)
@@ -105,7 +110,11 @@ _MEASURES: dict[str, Measure] = {
 
 
 def excitable_columns(model: DynamicModel, family: Family, columns: Sequence[int]) -> tuple[int, ...]:
-    """Those of the standard columns that random motions of the family excite, each independently of those before."""
+    """Those of the standard columns that random motions of the family excite, each independently of those before.
+
+    Raises:
+        UsageError: it excites none of them.
+    """
     generator = np.random.default_rng(0)
     kernel = RegressorKernel(model, columns)
     parts = []
@@ -114,17 +123,8 @@ def excitable_columns(model: DynamicModel, family: Family, columns: Sequence[int
         path = family.path(variables, family.grid(10 * len(columns)))
         parts.append(motion_factor(kernel, path.position, path.velocity, path.acceleration))
     stacked = np.concatenate(parts)
-    lengths = np.linalg.norm(stacked, axis=0)
-    kept: list[int] = []
-    basis = np.empty((len(stacked), 0))
-    for number in range(len(columns)):
-        column = stacked[:, number]
-        for _ in range(2):
-            column = column - basis @ (basis.T @ column)
-        length = float(np.linalg.norm(column))
-        if length > EXCITATION_TOLERANCE * lengths.max():
-            basis = np.column_stack([basis, column / length])
-            kept.append(number)
+    longest = float(np.linalg.norm(stacked, axis=0).max(initial=0.0))
+    kept = independent_columns(stacked, range(len(columns)), EXCITATION_TOLERANCE * longest)
     if not kept:
         raise UsageError("the joints that move excite no parameter at all", where=model.name)
     return tuple(columns[number] for number in kept)
@@ -167,11 +167,6 @@ def _moving(model: DynamicModel, names: tuple[str, ...] | None) -> tuple[int, ..
                 f"no joint is called '{name}'", where=model.name, hint=did_you_mean(name, model.joint_names) or known
             )
     return tuple(number for number, name in enumerate(model.joint_names) if name in names)
-
-
-def _middle(limits: JointLimits) -> float:
-    low, high = limits.position
-    return min(max(0.0, low), high) if not np.isfinite(high - low) else 0.5 * (low + high)
 
 
 def _waves(choices: DesignChoices) -> int:

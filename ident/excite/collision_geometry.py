@@ -17,10 +17,11 @@ import numpy as np
 
 from daq.robot import BASE, MdhRow, RobotFile
 from daq.workspace import Workspace
+from drivers.streams import FloatArray
 from ident.excite.capsules import Capsule
 from ident.excite.placements import IndexArray
 from ident.excite.urdf_shapes import urdf_capsules
-from ident.kinematics import BASE_INDEX, FloatArray, Joint
+from ident.kinematics import BASE_INDEX, Joint
 from ident.model import DynamicModel
 
 DISTANCE_SCALE = 0.1

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from ident.excite.choices import DesignChoices
+
 if TYPE_CHECKING:
     from daq.robot import Robot
-    from ident.excite.choices import DesignChoices
     from ident.excite.design import Design
     from ident.excite.figures import ExcitationFigures
     from ident.excite.search import Found
@@ -24,17 +25,19 @@ DEFAULT_SECONDS = 20.0
 def excite(
     robot: str = typer.Argument(help="Built-in robot or robot file."),
     out: Path = typer.Option(..., "-o", "--out", help="Trajectory file to write (.yaml)."),
-    kind: str = typer.Option("fourier", "--kind", help="fourier, fourier-quintic, sines or points."),
+    kind: str = typer.Option(DesignChoices.kind, "--kind", help="fourier, fourier-quintic, sines or points."),
     criterion: str = typer.Option(
-        "d-optimal",
+        DesignChoices.criterion,
         "--criterion",
         help="d-optimal, e-optimal, deviations, condition, plain-condition, moments, hadamard or motion-size.",
     ),
-    harmonics: int = typer.Option(5, "--harmonics", help="Harmonics of the series, or number of sines."),
-    points: int = typer.Option(12, "--points", help="Points of a point-to-point motion."),
-    period: float = typer.Option(10.0, "--period", help="Seconds of one repetition."),
-    periods: int = typer.Option(1, "--periods", help="Repetitions."),
-    ramp: float = typer.Option(2.0, "--ramp", help="Seconds from rest to full pace, and back."),
+    harmonics: int = typer.Option(
+        DesignChoices.harmonics, "--harmonics", help="Harmonics of the series, or number of sines."
+    ),
+    points: int = typer.Option(DesignChoices.points, "--points", help="Points of a point-to-point motion."),
+    period: float = typer.Option(DesignChoices.period, "--period", help="Seconds of one repetition."),
+    periods: int = typer.Option(DesignChoices.periods, "--periods", help="Repetitions."),
+    ramp: float = typer.Option(DesignChoices.ramp, "--ramp", help="Seconds from rest to full pace, and back."),
     seed: int = typer.Option(0, "--seed", help="Of the random starts."),
     seconds: float = typer.Option(None, "--time", help=f"Search for SECONDS; {DEFAULT_SECONDS:g} without --starts."),
     starts: int = typer.Option(None, "--starts", help="Search from this many starts, whatever the machine's speed."),
@@ -42,7 +45,7 @@ def excite(
     loaded: bool = typer.Option(False, "--loaded", help="Design for the last link, which a payload changes."),
     joints: str = typer.Option(None, "--joints", help="Joints that move, separated by commas; the others rest."),
     prior: Path = typer.Option(None, "--prior", help="result.json that tells parameters and noise."),
-    margin: float = typer.Option(0.1, "--margin", help="Share of every limit that is not used."),
+    margin: float = typer.Option(DesignChoices.margin, "--margin", help="Share of every limit that is not used."),
     self_collision: bool = typer.Option(True, "--self-collision/--no-self-collision", help="Keep links apart."),
     solver: str = typer.Option("slsqp", "--solver", help="slsqp, trust-constr or ipopt."),
     page: Path = typer.Option(None, "--page", help="Page to write (.html): figures, plots, the arm in motion."),
@@ -57,13 +60,13 @@ def excite(
     from daq.robot import load_robot
     from daq.trajectory_file import load_trajectory
     from drivers.errors import UsageError
-    from ident.excite.choices import DesignChoices
     from ident.excite.design import design
     from ident.excite.figures import excitation_figures
     from ident.excite.page import write_page
     from ident.excite.prior import find_prior
     from ident.excite.search import SearchChoices
     from ident.excite.surroundings import surroundings_warning
+    from ident.option_text import joints_option
 
     _check_choices(kind, criterion, solver, seed)
     _check_search(seconds, starts)
@@ -81,7 +84,7 @@ def excite(
         period=period,
         periods=periods,
         ramp=ramp,
-        moving=_names(joints),
+        moving=joints_option(joints, "--joints"),
         loaded=loaded,
         margin=margin,
         self_collision=self_collision,
@@ -158,17 +161,6 @@ def _check_file(path: Path | None, force: bool) -> None:
         raise UsageError("exists already", where=str(path), hint="overwrite it with --force")
     if not path.parent.is_dir():
         raise UsageError(f"there is no folder {path.parent}", where=str(path))
-
-
-def _names(joints: str | None) -> tuple[str, ...] | None:
-    from drivers.errors import UsageError
-
-    if joints is None:
-        return None
-    names = tuple(name.strip() for name in joints.split(",") if name.strip())
-    if not names:
-        raise UsageError(f"--joints '{joints}' names no joint")
-    return names
 
 
 def _state(found: Found) -> str:

@@ -6,6 +6,7 @@ import numpy as np
 
 from daq.robot import RobotFile
 from drivers.errors import UsageError
+from drivers.streams import FloatArray
 from ident.base_parameters import base_parameters
 from ident.excite.collision_geometry import arm_geometry
 from ident.excite.joint_limits import JointMotionLimits
@@ -13,7 +14,6 @@ from ident.excite.path import Constraint
 from ident.excite.self_collision import SelfCollision, link_pairs
 from ident.excite.torque_limits import TorqueLimits
 from ident.excite.workspace import WorkspaceLimits
-from ident.kinematics import FloatArray
 from ident.model import DynamicModel
 
 

@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
+from drivers.streams import FloatArray
 from ident.excite.measures import Measure
 from ident.excite.path import Path
-from ident.kinematics import FloatArray
 from ident.model import DynamicModel
 from ident.regressor import RegressorKernel
 from ident.regressor_gradient import pull_back_regressor

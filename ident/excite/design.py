@@ -11,6 +11,7 @@ import numpy as np
 from daq.robot import RobotFile
 from daq.trajectories import Motion
 from drivers.errors import IdentificationError, UsageError
+from drivers.streams import FloatArray
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.path import Family, Path
@@ -18,7 +19,6 @@ from ident.excite.prior import Prior
 from ident.excite.problem import Problem
 from ident.excite.search import Found, SearchChoices, search
 from ident.excite.solve import Solver, tighten
-from ident.kinematics import FloatArray
 
 DENSER = 10
 """The last check's grid is this many times denser than the one of the design."""
@@ -77,9 +77,11 @@ def design(
         IdentificationError: the best motion passes a limit between the grid's points, however it is narrowed.
         KeyboardInterrupt: Ctrl-C before any motion was found that keeps every limit.
     """
-    problem = build_problem(robot_file, prior, choices)  # here too: what is wrong is said before processes start
+    problem = build_problem(robot_file, prior, choices)  # here first: what is wrong is said before processes start
     first = problem.family.encode(earlier) if earlier is not None else None
-    found = search(partial(build_problem, robot_file, prior, choices), search_choices, first, progress)
+    alone = search_choices.processes <= 1
+    make = (lambda: problem) if alone else partial(build_problem, robot_file, prior, choices)
+    found = search(make, search_choices, first, progress)
     if found.best is None:
         if found.least_use is None:
             if found.interrupted:
@@ -93,18 +95,13 @@ def design(
     return _settled(problem, found, found.best.variables, search_choices.solver)
 
 
-def limit_names(problem: Problem) -> tuple[str, ...]:
-    """What each use of a problem is."""
-    return tuple(name for constraint in problem.constraints for name in constraint.names)
-
-
 def _settled(problem: Problem, found: Found, variables: FloatArray, solver: Solver) -> Design:
     """Check the best candidate between the grid's points, and narrow its limits until it keeps them there."""
     family = problem.family
     dense = family.grid(DENSER * len(problem.time))
     narrowed = problem
     for _ in range(_TIGHTENINGS):
-        worst = float(_use(problem, family.path(variables, dense)).max(initial=0.0))
+        worst = float(problem.use_along(family.path(variables, dense)).max(initial=0.0))
         if worst <= 1.0:
             break
         narrowed = replace(narrowed, allowed=narrowed.allowed / worst - 1e-3)
@@ -118,7 +115,7 @@ def _settled(problem: Problem, found: Found, variables: FloatArray, solver: Solv
         motion = family.motion(variables)
         count = DENSER * len(problem.time) * max(1, round(motion.duration / float(np.ptp(problem.time))))
         time = np.linspace(0.0, motion.duration, count)
-        use = _use(problem, Path(time, *motion.evaluate(time)))
+        use = problem.use_along(Path(time, *motion.evaluate(time)))
         if use.max(initial=0.0) <= 1.0:
             return Design(
                 motion,
@@ -127,19 +124,15 @@ def _settled(problem: Problem, found: Found, variables: FloatArray, solver: Solv
                 float(np.exp(problem.cost(variables))),
                 problem.condition(variables),
                 use,
-                limit_names(problem),
+                problem.limits,
                 found,
             )
         family = family.with_longer_ramp(_RAMP_GROWTH)
     raise IdentificationError("the way from rest to full pace passes a limit", hint="give a longer --ramp")
 
 
-def _use(problem: Problem, path: Path) -> FloatArray:
-    return np.concatenate([np.zeros(0), *(constraint.use(path) for constraint in problem.constraints)])
-
-
 def _worst(problem: Problem, variables: FloatArray) -> str:
     uses = problem.use(variables)
     worst = int(np.argmax(uses))
-    share = f"{100.0 * uses[worst]:.4g} % of the {limit_names(problem)[worst]}"
+    share = f"{100.0 * uses[worst]:.4g} % of the {problem.limits[worst]}"
     return f"uses {share}, where the margin leaves {100.0 * problem.allowed:.3g} %"

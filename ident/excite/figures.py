@@ -14,10 +14,10 @@ import numpy as np
 
 from daq.robot import RobotFile
 from daq.trajectories import Extremes, Motion, motion_extremes
+from drivers.streams import FloatArray
 from ident.base_parameters import BaseParameters, base_parameters
 from ident.excite.prior import Prior, recording_rate
 from ident.filters import no_filter
-from ident.kinematics import FloatArray
 from ident.least_squares import excited_columns
 from ident.model import DynamicModel, Kind, build_model
 from ident.observation import Reduction, reduce_segments

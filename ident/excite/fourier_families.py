@@ -13,9 +13,9 @@ from daq.robot import JointLimits
 from daq.trajectories import FourierSeries, Motion, RestToRest
 from daq.trajectory_file import FourierQuinticTrajectory, FourierTrajectory, Trajectory
 from drivers.errors import UsageError
+from drivers.streams import FloatArray
 from ident.excite.moving_joints import MovingJoints, check_count, check_positive, unwrapped
 from ident.excite.path import Path
-from ident.kinematics import FloatArray
 
 _SCALE_POINTS = 40
 """Points in the shortest wave on which a coefficient's scale and a random motion's use of the limits are looked up."""

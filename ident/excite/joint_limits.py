@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.robot import JointLimits
+from drivers.streams import FloatArray
 from ident.excite.path import Path
 from ident.excite.soft_maximum import soft_maximum
-from ident.kinematics import FloatArray
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import numpy as np
 from daq.robot import JointLimits
 from daq.trajectories import Motion, RestToRest
 from drivers.errors import UsageError
+from drivers.streams import FloatArray
 from ident.excite.path import Path
-from ident.kinematics import FloatArray
 
 ONE_TURN = 2.0 * np.pi
 """Random motions and the variables' scales use no more of a joint's range than this [rad, or m of a slide]."""
@@ -70,8 +70,8 @@ class MovingJoints:
 
     @cached_property
     def middle(self) -> FloatArray:
-        """Middle (m,) of the ranges; where one has no end, the place nearest to 0 with half a turn to both sides."""
-        return np.array([_middle(*self.limits[joint].position) for joint in self.moving])
+        """Middle (m,) of the ranges [rad or m]."""
+        return np.array([middle_of_range(*self.limits[joint].position) for joint in self.moving])
 
     @cached_property
     def half(self) -> FloatArray:
@@ -132,7 +132,8 @@ class MovingJoints:
                 )
 
 
-def _middle(low: float, high: float) -> float:
+def middle_of_range(low: float, high: float) -> float:
+    """Middle of a joint's range; where it has no end, the place nearest to 0 with half a turn to both sides."""
     if np.isfinite(high - low):
         return 0.5 * (low + high)
     return float(np.clip(0.0, low + 0.5 * ONE_TURN, high - 0.5 * ONE_TURN))

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from daq.robot import RobotFile
 from daq.trajectories import Motion
-from drivers.errors import UsageError
 from ident.excite.figures import ExcitationFigures
 from ident.excite.page_figures import arm_figure, joints_figure, shown_part, tool_figure
 from ident.excite.prior import Prior
@@ -16,12 +14,9 @@ from ident.model import build_model
 from ident.pruning import SIGNIFICANT_RSD
 from ident.report import number_text
 from ident.report.figures import KIND_STYLES
+from ident.report.html_file import page_templates, write_html
 from ident.report.number_text import number, percent
 from ident.report.section import Tile
-from ident.result import replace_file
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
 
 
 def write_page(
@@ -45,27 +40,18 @@ def write_page(
     Raises:
         UsageError: the file cannot be written.
     """
-    text = render_page(robot_file, motion, prior, figures, notes)
-    try:
-        replace_file(path, text)
-    except OSError as error:
-        raise UsageError(
-            f"cannot be written: {error.strerror}", where=str(path), hint="name a folder that exists and is yours"
-        ) from error
+    write_html(path, render_page(robot_file, motion, prior, figures, notes))
 
 
 def render_page(
     robot_file: RobotFile, motion: Motion, prior: Prior, figures: ExcitationFigures, notes: Sequence[tuple[str, str]]
 ) -> str:
     """The page as text."""
-    from markupsafe import Markup
-    from plotly.offline import get_plotlyjs
-
     model = build_model(robot_file)
     shown = shown_part(robot_file, motion, prior)
     prismatic = [model.joints[number].prismatic for number in model.active]
     return (
-        _environment()
+        page_templates("ident.excite")
         .get_template("excitation_page.html.j2")
         .render(
             robot=robot_file.robot.name,
@@ -79,7 +65,6 @@ def render_page(
                 "joints": joints_figure(robot_file.robot.joints, prismatic, shown),
                 "tool": tool_figure(robot_file, shown),
             },
-            plotlyjs=Markup(get_plotlyjs()),
         )
     )
 
@@ -107,18 +92,3 @@ def _significance(known: Sequence[float], count: int) -> str:
     if not known:
         return "without prior parameters no relative standard deviation can be predicted"
     return f"of {count}: predicted RSD below {SIGNIFICANT_RSD:g} %"
-
-
-def _environment() -> Environment:
-    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=ChoiceLoader([PackageLoader("ident.excite"), PackageLoader("ident.report")]),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    for name in ("number", "percent"):
-        environment.filters[name] = getattr(number_text, name)
-    return environment

@@ -12,12 +12,13 @@ from markupsafe import Markup
 
 from daq.robot import JointLimits, RobotFile
 from daq.trajectories import Motion, RestToRest
+from drivers.streams import FloatArray
 from ident.base_parameters import base_parameters
 from ident.excite.path import Path
-from ident.excite.placements import Placements, place_arm
+from ident.excite.placements import place_arm, tool_point
 from ident.excite.prior import Prior
-from ident.kinematics import BASE_INDEX, FloatArray, Joint
-from ident.model import DynamicModel, build_model
+from ident.kinematics import BASE_INDEX, Joint
+from ident.model import build_model
 from ident.regressor import model_torque
 from ident.report.figures import (
     BOTTOM,
@@ -172,17 +173,11 @@ def _invisible(x: str, y: str, time: float, values: Sequence[float]) -> dict[str
     }  # fmt: skip
 
 
-def tool_points(robot_file: RobotFile, model: DynamicModel, placements: Placements) -> FloatArray:
-    """The tool point (3, N) [m] in the base frame."""
-    local = np.array([robot_file.robot.workspace.tool])
-    return np.asarray(placements.points(np.array([model.tool_link]), local)[0])
-
-
 def tool_figure(robot_file: RobotFile, shown: Shown) -> Figure:
     """Distance of the tool point from the base frame's z axis, and its height, with the workspace's limits."""
     model = build_model(robot_file)
-    tool = tool_points(robot_file, model, place_arm(model, shown.path.position))
     workspace = robot_file.robot.workspace
+    tool = tool_point(model, place_arm(model, shown.path.position), workspace.tool)
     panels = (
         ("distance from the base's z axis [m]", np.hypot(tool[0], tool[1]), workspace.radius),
         ("height [m]", tool[2], workspace.height),
@@ -225,8 +220,9 @@ def arm_figure(robot_file: RobotFile, motion: Motion, shown: Shown) -> AnimatedF
     count = FRAMES
     moments = _path(motion, end, count)
     placements = place_arm(model, moments.position)
-    tools = tool_points(robot_file, model, placements)
-    path = tool_points(robot_file, model, place_arm(model, shown.path.position))
+    tool = robot_file.robot.workspace.tool
+    tools = tool_point(model, placements, tool)
+    path = tool_point(model, place_arm(model, shown.path.position), tool)
     lines = [_arm_line(model.joints, placements.origin[:, :, k], tools[:, k]) for k in range(count)]
     frames = [{"name": str(k), "data": [line], "traces": [1]} for k, line in enumerate(lines)]
     low, high = _bounds(placements.origin, path)

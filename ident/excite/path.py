@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.trajectories import Motion
 from daq.trajectory_file import Trajectory
-from ident.kinematics import FloatArray
+from drivers.streams import FloatArray
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from ident.kinematics import BASE_INDEX, FloatArray, Joint, ancestors
+from drivers.streams import FloatArray
+from ident.kinematics import BASE_INDEX, Joint, ancestors
 from ident.model import DynamicModel
 
 IndexArray = npt.NDArray[np.intp]
@@ -59,6 +61,11 @@ def place(joints: tuple[Joint, ...], position: FloatArray) -> Placements:
 def place_arm(model: DynamicModel, position: FloatArray) -> Placements:
     """The same for positions (dof, N) of the joints with a motor; the others follow."""
     return place(model.joints, model.tree_position(position))
+
+
+def tool_point(model: DynamicModel, placements: Placements, tool: Sequence[float]) -> FloatArray:
+    """Where the tool point, given in the last joint's frame (3,) [m], is along a path: (3, N) [m] in the base frame."""
+    return np.asarray(placements.points(np.array([model.tool_link]), np.array([tool]))[0])
 
 
 def _turn(axis: FloatArray, angle: FloatArray) -> FloatArray:

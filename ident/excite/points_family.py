@@ -8,18 +8,14 @@ from functools import cached_property
 import numpy as np
 
 from daq.robot import JointLimits
-from daq.trajectories import Motion, PointToPoint
+from daq.trajectories import QUINTIC_ACCELERATION, QUINTIC_VELOCITY, Motion, PointToPoint
 from daq.trajectory_file import PointsTrajectory, Trajectory
 from drivers.errors import UsageError
+from drivers.streams import FloatArray
 from ident.excite.bounded import from_share, to_share
 from ident.excite.moving_joints import LARGEST_SHARE, LEAST_SHARE, MovingJoints, check_count, check_positive
 from ident.excite.path import Path
-from ident.kinematics import FloatArray
 
-SPEED = 15.0 / 8.0
-"""Largest speed of a fifth-order move of length 1 in time 1."""
-CHANGE = 10.0 / np.sqrt(3.0)
-"""Its largest acceleration."""
 _ORDER = 8
 """Of the power mean that stands for the longest of the times that the joints need; even, and half of it too."""
 _SHORTEST = 0.2
@@ -236,8 +232,8 @@ class PointsFamily:
         # Whole powers of the ways, so that there is no kink where a joint stays.
         half_order = _ORDER // 2
         mean = self._available / (self.points - 1)
-        by_speed = (SPEED / self.joints.velocity / mean) ** _ORDER
-        by_change = (CHANGE / self.joints.acceleration / mean**2) ** half_order
+        by_speed = (QUINTIC_VELOCITY / self.joints.velocity / mean) ** _ORDER
+        by_change = (QUINTIC_ACCELERATION / self.joints.acceleration / mean**2) ** half_order
         total = (by_speed * ways**_ORDER + by_change * ways**half_order).sum(axis=1) + _SHORTEST**_ORDER
         need = total ** (1.0 / _ORDER)
         slope = by_speed * ways ** (_ORDER - 1) + 0.5 * by_change * ways ** (half_order - 1)
@@ -265,8 +261,8 @@ class PointsFamily:
         uses = np.max(
             [
                 np.ptp(points, axis=0) / (2.0 * self.joints.half),
-                (SPEED * ways / times).max(axis=0) / self.joints.velocity,
-                (CHANGE * ways / times**2).max(axis=0) / self.joints.acceleration,
+                (QUINTIC_VELOCITY * ways / times).max(axis=0) / self.joints.velocity,
+                (QUINTIC_ACCELERATION * ways / times**2).max(axis=0) / self.joints.acceleration,
             ],
             axis=0,
         )

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from daq.robot import Robot, RobotFile
+from daq.robot import JointLimits, Robot, RobotFile
 from drivers.errors import ResultFileError, UsageError
+from drivers.streams import FloatArray
 from ident.base_parameters import BaseParameters, base_parameters
-from ident.kinematics import FloatArray
 from ident.model import build_model, truth_vector
 from ident.result import Result, read_result
 
@@ -85,6 +86,11 @@ def assumed_noise(torque_limit: float | None) -> float:
     return ASSUMED_NOISE if torque_limit is None else ASSUMED_NOISE_SHARE * torque_limit
 
 
+def least_noise(joints: Sequence[JointLimits]) -> FloatArray:
+    """(n,) torque noise [N·m or N] below which none is believed: residuals of noise-free simulations are rounding."""
+    return np.array([1e-6 * assumed_noise(limits.torque) for limits in joints])
+
+
 def prior_of_result(result: Result, robot: Robot, base: BaseParameters, where: str) -> Prior:
     """Parameters and noise of an identification.
 
@@ -112,9 +118,10 @@ def prior_of_result(result: Result, robot: Robot, base: BaseParameters, where: s
         if p.std is not None and p.classical_std is not None and p.classical_std > 0
     ]
     noise = deviations * (float(np.median(ratios)) if ratios else 1.0)
-    floor = np.array([1e-6 * assumed_noise(limits.torque) for limits in robot.joints])  # noise-free simulations
     parameters = np.array([stored[name].value or 0.0 for name in base.names])
-    return Prior(parameters, np.maximum(noise, floor), f"identified: {where}", _filtered_rate(result, where))
+    return Prior(
+        parameters, np.maximum(noise, least_noise(robot.joints)), f"identified: {where}", _filtered_rate(result, where)
+    )
 
 
 _AGAIN = "identify again with this dynid"

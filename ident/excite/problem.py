@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.streams import FloatArray
 from ident.excite.criteria import Criterion
 from ident.excite.path import Constraint, Family, Path
-from ident.kinematics import FloatArray
 
 PENALTY = 100.0
 """What a population method pays for a limit that is exceeded by its whole size; costs are logarithms."""
@@ -52,9 +52,17 @@ class Problem:
         cost, gradient = self.criterion.smooth_cost(self.path(variables), sharpness)
         return cost, self.family.pull_back(variables, self.time, gradient)
 
+    @property
+    def limits(self) -> tuple[str, ...]:
+        """What each of the m uses is a use of."""
+        return tuple(name for constraint in self.constraints for name in constraint.names)
+
     def use(self, variables: FloatArray) -> FloatArray:
         """Use (m,) of every limit at x, on the grid."""
-        path = self.path(variables)
+        return self.use_along(self.path(variables))
+
+    def use_along(self, path: Path) -> FloatArray:
+        """Use (m,) of every limit along any motion."""
         return np.concatenate([np.zeros(0), *(constraint.use(path) for constraint in self.constraints)])
 
     def smooth_use(self, variables: FloatArray, sharpness: float) -> tuple[FloatArray, FloatArray]:

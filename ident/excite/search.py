@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import DynidError, IdentificationError
+from drivers.streams import FloatArray
 from ident.excite.problem import Problem
 from ident.excite.solve import ROUNDS, Solver, solve
-from ident.kinematics import FloatArray
 
 DRAWS = 20
 """Random members that a start is chosen from."""
@@ -42,6 +42,12 @@ class SearchChoices:
     seconds: float | None = None
     workers: int | None = None
     solver: Solver = "slsqp"
+
+    @property
+    def processes(self) -> int:
+        """How many processes search: never more than there are starts."""
+        workers = self.workers if self.workers is not None else os.cpu_count() or 1
+        return workers if self.starts is None else min(workers, self.starts)
 
 
 @dataclass(frozen=True)
@@ -116,7 +122,7 @@ def search(
     """Search from `choices.starts` random starts, or for `choices.seconds`; Ctrl-C ends it with the best so far.
 
     Args:
-        make: builds the problem; called once in every process, so it must be picklable.
+        make: builds the problem; called once in every process that searches, so it must be picklable for several.
         choices: see there. One of `starts` and `seconds` must be given.
         first: variables of start 0, in place of random ones.
         progress: told whenever a start has finished a round.
@@ -128,10 +134,7 @@ def search(
     if choices.starts is None and choices.seconds is None:
         raise ValueError("a search needs a number of starts or a time limit")
     ledger = _Ledger(time.monotonic())
-    workers = choices.workers if choices.workers is not None else os.cpu_count() or 1
-    if choices.starts is not None:
-        workers = min(workers, choices.starts)
-    source = _own_candidates(make, choices, first) if workers <= 1 else _their_candidates(make, choices, first, workers)
+    source = (_own_candidates if choices.processes <= 1 else _their_candidates)(make, choices, first)
     interrupted = False
     try:
         for candidate in source:
@@ -186,9 +189,7 @@ def _own_candidates(
         start += 1
 
 
-def _their_candidates(
-    make: Callable[[], Problem], choices: SearchChoices, first: FloatArray | None, workers: int
-) -> Any:
+def _their_candidates(make: Callable[[], Problem], choices: SearchChoices, first: FloatArray | None) -> Any:
     end = np.inf if choices.seconds is None else time.monotonic() + choices.seconds
     # spawn: a forked child would inherit the threads' locks of whatever this process has been doing.
     context = multiprocessing.get_context("spawn")
@@ -196,12 +197,12 @@ def _their_candidates(
     counter = context.Value("q", 0)
     processes = [
         context.Process(target=_work, args=(make, choices, first, counter, results), daemon=True)
-        for _ in range(workers)
+        for _ in range(choices.processes)
     ]
     for process in processes:
         process.start()
     try:
-        running = workers
+        running = len(processes)
         while running and time.monotonic() < end:
             try:
                 message = results.get(timeout=min(_POLL, max(end - time.monotonic(), 0.0)))

@@ -8,6 +8,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
+from drivers.streams import FloatArray
 from ident.base_parameters import random_states
 from ident.excite.collision_geometry import DISTANCE_SCALE, ArmGeometry, link_name
 from ident.excite.path import Path
@@ -15,7 +16,7 @@ from ident.excite.placements import Placements, moved_by, place_arm, wrench
 from ident.excite.segment_distance import Nearest, nearest_points
 from ident.excite.soft_maximum import soft_maximum
 from ident.excite.workspace import SAMPLES_AT_ONCE
-from ident.kinematics import BASE_INDEX, FloatArray
+from ident.kinematics import BASE_INDEX
 from ident.model import DynamicModel
 
 ALWAYS_CLOSE = 0.95
@@ -114,7 +115,7 @@ class SelfCollision:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """As in `distance of forearm from base`, links named by the joints that move them."""
+        """As in `distance of link forearm from base`, links named by the joints that move them."""
         named = [
             (link_name(self._model, first), link_name(self._model, second)) for first, second in self.pairs.checked
         ]
@@ -145,5 +146,6 @@ class SelfCollision:
             # The normal goes through both nearest points: its moment is the same at either.
             of_pairs = np.add.reduceat(wrench(found.first, force), starts[:-1], axis=0)
             turned = np.einsum("jat,mat->mjt", placements.screw, of_pairs)
-            gradient[:, 0] = self._model.active_gradient(self._distances.relative[:, :, None] * turned)
+            of_tree = self._distances.relative[:, :, None] * turned
+            gradient[:, 0] = self._model.active_gradient(path.position, of_tree)
         return bounds, gradient

@@ -11,10 +11,10 @@ from daq.robot import JointLimits
 from daq.trajectories import Motion, RestToRest, SumOfSines
 from daq.trajectory_file import SinesTrajectory, Trajectory
 from drivers.errors import UsageError
+from drivers.streams import FloatArray
 from ident.excite.bounded import from_share, to_share
 from ident.excite.moving_joints import MovingJoints, check_count, check_positive, unwrapped
 from ident.excite.path import Path
-from ident.kinematics import FloatArray
 
 _POINTS_A_WAVE = 40
 _TOLERANCE = 1e-9

@@ -15,8 +15,8 @@ from typing import Any, Literal
 import numpy as np
 
 from drivers.errors import UsageError
+from drivers.streams import FloatArray
 from ident.excite.problem import Problem
-from ident.kinematics import FloatArray
 
 Solver = Literal["slsqp", "trust-constr", "ipopt"]
 

@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.recording import Recording
-from daq.robot import RobotFile
 from drivers.errors import DynidError, UsageError
-from ident.base_parameters import BaseParameters, base_parameters
 from ident.comparison import compare_torques
 from ident.covariance import FilteredRun, block_jackknife
 from ident.excitation import excited_base_columns
 from ident.excite.figures import Forecast, forecast
-from ident.excite.prior import Prior, assumed_noise, find_prior
+from ident.excite.prior import Prior, find_prior, least_noise
 from ident.least_squares import weighted_least_squares
-from ident.measured import joint_positions, measured_motion
-from ident.model import DynamicModel, build_model
-from ident.observation import Reduction, reduce_segments
-from ident.preprocess import Prepared, PreprocessChoices, prepare
+from ident.measured import MeasuredMotion
+from ident.preprocess import PreprocessChoices, prepare
 from ident.pruning import SIGNIFICANT_RSD
-from ident.regressor import RegressorKernel
+from ident.recorded_motion import RecordedMotion
 
 OWN_TORQUE = "a quick identification of this recording"
 """Source of parameters and noise where the recording holds torque."""
@@ -78,79 +74,61 @@ class TimesNeeded:
     sentence: str
 
 
-def recording_sufficiency(recording: Recording, robot_file: RobotFile, delay: float = 0.0) -> Sufficiency | None:
-    """What a recording's motion lets expect; None where nothing could be analysed.
+def motion_sufficiency(motion: RecordedMotion, delay: float = 0.0) -> Sufficiency | None:
+    """What a recorded motion lets expect; None where nothing is known of parameters and noise.
 
-    Parameters and noise come from a quick identification of all of it, or from the robot file where it holds no torque.
+    Both come from a quick identification of all of it, or from the robot file where no torque is known.
 
     Args:
-        recording: as read.
-        robot_file: of its arm.
+        motion: of a recording.
         delay: of the torque [s].
     """
+    if motion.measured is not None:
+        with suppress(DynidError):  # too short to identify anything from
+            return _from_torque(motion if delay == 0.0 else _shifted(motion, motion.measured, delay))
     try:
-        model = build_model(robot_file)
-        base = base_parameters(model)
+        prior = find_prior(motion.robot_file)
     except DynidError:
         return None
-    try:
-        motion = measured_motion(recording, robot_file.robot)
-        prepared = prepare(motion.time, motion.position, motion.torque, PreprocessChoices(delay=delay))
-        return _from_torque(model, base, prepared)
-    except DynidError:  # no torque or no gain, or too short to identify anything from
-        pass
-    try:
-        positions = joint_positions(recording, robot_file.robot)
-        still = np.zeros_like(positions.position)
-        prepared = prepare(positions.time, positions.position, still, PreprocessChoices())
-        prior = find_prior(robot_file)
-    except DynidError:  # no motion: `dynid info` says so
-        return None
-    return _summary(model, base, prepared, _reduce(model, base, prepared), prior)
+    return _summary(motion, prior)
 
 
-def _reduce(model: DynamicModel, base: BaseParameters, prepared: Prepared) -> Reduction:
-    return reduce_segments(RegressorKernel(model, base.columns), prepared.segments, prepared.parallel_filter)
+def _shifted(motion: RecordedMotion, measured: MeasuredMotion, delay: float) -> RecordedMotion:
+    choices = PreprocessChoices(delay=delay)
+    return replace(motion, prepared=prepare(measured.time, measured.position, measured.torque, choices))
 
 
-def _summary(
-    model: DynamicModel,
-    base: BaseParameters,
-    prepared: Prepared,
-    reduction: Reduction,
-    prior: Prior,
-    repetitions: float = 1.0,
-) -> Sufficiency:
+def _summary(motion: RecordedMotion, prior: Prior, repetitions: float = 1.0) -> Sufficiency:
+    prepared = motion.prepared
     rate = prepared.segments[0].rate
-    active = excited_base_columns(reduction, base, [prepared])
+    active = excited_base_columns(motion.reduction, motion.base, [prepared])
+    rows = (motion.reduction, rate / prepared.parallel_filter.factor)
     return Sufficiency(
         seconds=sum(int(segment.used.sum()) for segment in prepared.segments) / rate,
         source=prior.source,
         repetitions=repetitions,
-        forecast=forecast(base, model, (reduction, rate / prepared.parallel_filter.factor), prior, active),
+        forecast=forecast(motion.base, motion.model, rows, prior, active),
     )
 
 
-def _from_torque(model: DynamicModel, base: BaseParameters, prepared: Prepared) -> Sufficiency:
+def _from_torque(motion: RecordedMotion) -> Sufficiency:
     """With the values of weighted least squares and its residuals as noise.
 
     They are no white noise and count for more, by the ratio of jackknife to classical standard deviations (median).
     """
-    kernel = RegressorKernel(model, base.columns)
-    segments, parallel_filter = prepared.segments, prepared.parallel_filter
-    reduction = reduce_segments(kernel, segments, parallel_filter)
-    solution = weighted_least_squares(reduction, excited_base_columns(reduction, base, [prepared]))
-    series = compare_torques(model, base.columns, solution.parameters, segments, parallel_filter)
-    corrected = block_jackknife(kernel, [FilteredRun(segments, parallel_filter, series)], solution)
+    segments, parallel_filter = motion.prepared.segments, motion.prepared.parallel_filter
+    active = excited_base_columns(motion.reduction, motion.base, [motion.prepared])
+    solution = weighted_least_squares(motion.reduction, active)
+    series = compare_torques(motion.model, motion.base.columns, solution.parameters, segments, parallel_filter)
+    corrected = block_jackknife(motion.kernel, [FilteredRun(segments, parallel_filter, series)], solution)
     ratio = float(np.median(np.sqrt(np.diag(corrected.covariance) / np.diag(solution.covariance))))
-    floor = [1e-6 * assumed_noise(limits.torque) for limits in model.limits]  # noise-free simulations
     prior = Prior(
         parameters=solution.parameters,
-        noise=np.maximum(solution.joint_std * ratio, floor),
+        noise=np.maximum(solution.joint_std * ratio, least_noise(motion.model.limits)),
         source=OWN_TORQUE,
         rate=segments[0].rate / parallel_filter.factor,
     )
-    return _summary(model, base, prepared, reduction, prior, corrected.repetitions)
+    return _summary(motion, prior, corrected.repetitions)
 
 
 def check_wanted_rsd(percent: float) -> None:

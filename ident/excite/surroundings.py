@@ -6,7 +6,7 @@ import numpy as np
 
 from daq.robot import RobotFile
 from daq.trajectories import Motion
-from ident.excite.placements import place_arm
+from ident.excite.placements import place_arm, tool_point
 from ident.model import build_model
 
 _SAMPLES = 2000
@@ -20,8 +20,8 @@ def surroundings_warning(robot_file: RobotFile, motion: Motion) -> str | None:
     model = build_model(robot_file)
     position, _, _ = motion.evaluate(np.linspace(0.0, motion.duration, _SAMPLES))
     placements = place_arm(model, position)
-    tool = placements.points(np.array([model.tool_link]), np.array([workspace.tool]))[..., 2, :]
-    lowest = min(float(placements.origin[:-1, 2].min()), float(tool.min()))
+    tool = tool_point(model, placements, workspace.tool)
+    lowest = min(float(placements.origin[:-1, 2].min()), float(tool[2].min()))
     return (
         f"the robot file's workspace names neither heights nor obstacles: this motion comes down to {lowest:.2f} m in "
         "the base frame. Say what stands around the arm ('workspace': height, keep_out)"

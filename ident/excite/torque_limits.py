@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from drivers.streams import FloatArray
 from ident.excite.path import Path
 from ident.excite.soft_maximum import soft_maximum
-from ident.kinematics import FloatArray
 from ident.model import DynamicModel
 from ident.regressor import CHUNK, RegressorKernel, model_torque
 from ident.regressor_gradient import pull_back_regressor

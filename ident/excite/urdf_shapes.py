@@ -11,8 +11,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from daq.robot import RobotFile
+from drivers.streams import FloatArray
 from ident.excite.capsules import Capsule, box_capsules, cylinder_capsule, enclosing_capsule
-from ident.kinematics import BASE_INDEX, FloatArray
+from ident.kinematics import BASE_INDEX
 from ident.urdf import UNIVERSE, urdf_model, urdf_order
 
 _PACKAGE_PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")

@@ -17,12 +17,13 @@ import numpy as np
 
 from daq.workspace import Box, HalfSpace, Workspace
 from drivers.errors import RobotFileError
+from drivers.streams import FloatArray
 from ident.base_parameters import random_states
 from ident.excite.collision_geometry import DISTANCE_SCALE, ArmGeometry
 from ident.excite.path import Path
 from ident.excite.placements import IndexArray, Placements, moved_by, place_arm, wrench
 from ident.excite.soft_maximum import soft_maximum
-from ident.kinematics import BASE_INDEX, FloatArray
+from ident.kinematics import BASE_INDEX
 from ident.model import DynamicModel
 
 SAMPLES_AT_ONCE = 2000
@@ -119,7 +120,8 @@ class WorkspaceLimits:
             bounds[row], weights = soft_maximum(used.ravel(), sharpness)
             force = distances.gradient * (-weights.reshape(used.shape) / DISTANCE_SCALE)[:, None]
             turned = np.einsum("jat,kat->kjt", placements.screw, wrench(distances.point, force))
-            gradient[row, 0] = self._model.active_gradient(np.einsum("kj,kjt->jt", self._moves[limit.links], turned))
+            of_tree = np.einsum("kj,kjt->jt", self._moves[limit.links], turned)
+            gradient[row, 0] = self._model.active_gradient(path.position, of_tree)
         return bounds, gradient
 
 

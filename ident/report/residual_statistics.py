@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.streams import FloatArray
+from ident.chance import WITHIN_95_PERCENT
 from ident.comparison import TorqueSeries
-from ident.kinematics import FloatArray
-
-BAND = 1.96
-"""Half width of the band that 95 % of a white sequence's autocorrelations lie in, times √N."""
 
 HISTOGRAM_EDGES = np.linspace(-5.0, 5.0, 51)
 """In standard deviations; what lies beyond counts for the first and the last bin."""
@@ -60,7 +58,7 @@ def joint_residual(series: Sequence[TorqueSeries], joint: int, lags: int) -> Joi
         mean = 0.0
     centred = [np.where(mask, part - mean, 0.0) for part, mask in zip(parts, used, strict=True)]
     correlation = _autocorrelation(centred, min(lags, max(1, samples - 1))) if samples and std > 0 else np.empty(0)
-    band = BAND / np.sqrt(samples) if samples else float("nan")
+    band = WITHIN_95_PERCENT / np.sqrt(samples) if samples else float("nan")
     scaled = (residual - mean) / std if samples and std > 0 else np.empty(0)
     counts, _ = np.histogram(np.clip(scaled, -4.999, 4.999), HISTOGRAM_EDGES)
     nothing = float("nan")

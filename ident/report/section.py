@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from drivers.streams import FloatArray
 from ident.comparison import TorqueSeries
-from ident.kinematics import FloatArray
 from ident.result import Result
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from drivers.streams import FloatArray
 from ident.comparison import TorqueSeries
-from ident.kinematics import FloatArray
 
 POINTS_PER_TRACE = 4000
 """A trace holds about this many points at most."""

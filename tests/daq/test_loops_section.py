@@ -88,6 +88,49 @@ REFUSED = {
         "",
         "'j1' is none of 'model.coupling'",
     ),
+    "following without closing": (
+        replaced(PARALLELOGRAM, "passive: {j3: 0.5, j8: 1.3}").replace(CLOSING, "").replace("closing:  # frames", "#"),
+        ": model.loops[0]",
+        "a loop with 'passive' joints needs 'closing'",
+    ),
+    "nothing follows": (replaced(PARALLELOGRAM, "passive: {}"), ": model.loops[0]", "'passive' names no joint"),
+    "a motor follows": (
+        replaced(PARALLELOGRAM, "passive: {j2: 0.5, j8: 1.3}"),
+        "",
+        "'joints' names 'j2', but by 'model.loops' it is passive",
+    ),
+    "a start of a joint that follows": (
+        replaced(PARALLELOGRAM, "passive: {j3: 0.5, j8: 1.3}\n      at: {j3: 1}"),
+        "",
+        "'at' of a loop names joint 'j3', but that one has no motor",
+    ),
+    "a start of a parallelogram": (
+        replaced(PARALLELOGRAM, f"{PARALLELOGRAM}\n      at: {{j2: 1}}"),
+        ": model.loops[0]",
+        "'at' and 'opened' are for loops with 'passive' joints",
+    ),
+    "a joint that nobody opens": (
+        replaced(PARALLELOGRAM, "passive: {j3: 0.5, j8: 1.3}\n      opened: welded"),
+        ": model.loops[0].opened",
+        "spherical",
+    ),
+    "a start without a number": (
+        replaced(PARALLELOGRAM, "passive: {j3: .nan, j8: 1.3}"),
+        ": model.loops[0].passive.j3",
+        "finite number",
+    ),
+    "closing on one link": (
+        replaced(PARALLELOGRAM, "passive: {j3: 0.5, j8: 1.3}").replace(
+            "antecedent: j3, gamma", "antecedent: j8, gamma"
+        ),
+        ": model.loops[0]",
+        "the closing frames lie on one link",
+    ),
+    "parallelogram on the base": (
+        replaced("{antecedent: j8, d: d3}", "{antecedent: base, d: d3}"),
+        "",
+        "'model.loops' names joint 'base'",
+    ),
     "unknown length": (replaced("{antecedent: j8, d: d3}", "{antecedent: j8, d: d7}"), ": model", "'d: d7' refers"),
 }
 
@@ -127,7 +170,22 @@ anything = st.recursive(
     lambda inner: (
         st.lists(inner, max_size=4)
         | st.dictionaries(
-            st.sampled_from(["joint", "equation", "parallelogram", "closing", "antecedent", "d", "j2", "j3"]), inner
+            st.sampled_from(
+                [
+                    "joint",
+                    "equation",
+                    "parallelogram",
+                    "passive",
+                    "at",
+                    "opened",
+                    "closing",
+                    "antecedent",
+                    "d",
+                    "j2",
+                    "j3",
+                ]
+            ),
+            inner,
         )
     ),
     max_leaves=8,

@@ -42,7 +42,8 @@ FULL_DISK = """
     sys.path[:0] = [{root!r}, {support!r}]
     import numpy as np
     from kinematic_arm import ROBOT_FILE, NAMES
-    from daq.recorder import DiskError, Recorder
+    from daq.recorder import Recorder
+    from drivers.errors import DiskError
     from drivers.streams import Block, ChannelLayout, StreamLayout
     layout = StreamLayout("joints", (ChannelLayout("position", NAMES),), 100.0)
     recorder = Recorder({path!r}, ROBOT_FILE, (layout,))

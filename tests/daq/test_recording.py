@@ -18,17 +18,16 @@ from daq.recording import (
     JOINTS_STREAM,
     SCHEMA_VERSION,
     Channel,
-    ChannelLayout,
     Event,
     Recording,
     RecordingWriter,
     Stream,
-    StreamLayout,
     read_recording,
     write_recording,
 )
 from daq.robot import RobotFile, parse_robot
 from drivers.errors import RecordingError
+from drivers.streams import ChannelLayout, StreamLayout
 
 NAMES = ("shoulder", "elbow")
 ROBOT_TEXT = """

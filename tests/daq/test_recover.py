@@ -14,10 +14,11 @@ import pytest
 from kinematic_arm import NAMES, ROBOT_FILE
 
 from daq.commands import recover_command
-from daq.recording import ChannelLayout, RecordingWriter, StreamLayout, read_recording
+from daq.recording import RecordingWriter, read_recording
 from daq.recording_writer import CHUNK_SECONDS
 from daq.recover import recover
 from drivers.errors import RecordingError
+from drivers.streams import ChannelLayout, StreamLayout
 
 RATE = 500
 WRITER = """

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from daq.robot import JointLimits, RobotFile, parse_robot
-from ident.kinematics import FloatArray, Joint
+from drivers.streams import FloatArray
+from ident.kinematics import Joint
 from ident.model import DynamicModel
 from ident.observation import JointFactor, Reduction
 from ident.preprocess import Segment

@@ -89,6 +89,18 @@ def test_the_same_seed_gives_the_same_trajectory():
     assert np.array_equal(first.variables, second.variables)
 
 
+def test_one_process_builds_the_problem_once(monkeypatch):
+    built = []
+
+    def counted(*arguments):
+        built.append(build_problem(*arguments))
+        return built[-1]
+
+    monkeypatch.setattr("ident.excite.design.build_problem", counted)
+    made(UP6, kind="sines", harmonics=2)
+    assert len(built) == 1
+
+
 def test_a_narrow_margin_is_made_up_for_between_the_points():
     coarse = dataclasses.replace(DesignChoices(), margin=0.0)
     found = design(UP6, find_prior(UP6), coarse, QUICK)

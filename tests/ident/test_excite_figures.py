@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from daq.trajectories import RestToRest, motion_extremes
+from drivers.streams import FloatArray
 from ident.base_parameters import base_parameters
 from ident.excite import figures as module
 from ident.excite.figures import excitation_figures
 from ident.excite.prior import find_prior
-from ident.kinematics import FloatArray
 from ident.model import build_model
 from ident.regressor import model_torque, regressor
 from sim_drivers.motion import random_fourier_motion

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
-from typing import Any
 
 import numpy as np
 import pytest
+from html_page import Page
 
 from daq.robot import RobotFile, parse_robot
 from daq.trajectories import RestToRest
@@ -24,39 +22,6 @@ from sim_drivers.motion import random_fourier_motion
 
 NOTES = [("Kind", "fourier"), ("Criterion", "condition: 4.2")]
 WORKSPACE = "workspace:\n  tool: [0.4, 0, 0.1]\n  radius: [0.05, 2]\n  height: [-1, 2]\n"
-
-
-class Page(HTMLParser):
-    """Elements with their attributes, the text between them, figures and frames."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.figures: dict[str, Any] = {}
-        self.frames: dict[str, Any] = {}
-        self.words = ""
-        self._open: tuple[str, dict[str, str | None]] = ("", {})
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self._open = (tag, dict(attrs))
-        self.elements.append(self._open)
-
-    def handle_endtag(self, tag: str) -> None:
-        self._open = ("", {})
-
-    def handle_data(self, data: str) -> None:
-        tag, attributes = self._open
-        if tag == "script":
-            for store, key in ((self.figures, "data-figure"), (self.frames, "data-frames")):
-                if key in attributes:
-                    store[str(attributes[key])] = json.loads(data, parse_constant=lambda name: pytest.fail(name))
-        elif tag != "style":
-            self.words += data
-
-    def ids(self) -> list[str]:
-        return [str(attributes["id"]) for _, attributes in self.elements if "id" in attributes]
 
 
 def motion_of(robot_file: RobotFile, periods: int = 2) -> RestToRest:

@@ -53,6 +53,11 @@ def test_the_best_of_the_starts_is_kept_and_progress_is_told():
     assert len(seen) == 6 * 3
 
 
+@pytest.mark.parametrize(("workers", "starts", "processes"), [(1, 8, 1), (4, 3, 3), (4, None, 4), (None, 1, 1)])
+def test_no_more_processes_than_starts(workers, starts, processes):
+    assert SearchChoices(workers=workers, starts=starts).processes == processes
+
+
 def test_the_first_start_can_be_given():
     found = search(maker(), SearchChoices(seed=0, starts=1, workers=1), first=np.array([0.49, 0.97]))
     assert found.best is not None

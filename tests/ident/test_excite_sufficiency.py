@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from daq.recording import JOINTS_STREAM, Recording, write_recording
-from daq.robot import RobotFile, load_robot, parse_robot
+from daq.robot import RobotFile, parse_robot
 from drivers import command
 from drivers.errors import UsageError
-from ident.excite.sufficiency import OWN_TORQUE, check_wanted_rsd, recording_sufficiency, times_needed
+from ident.excite.sufficiency import OWN_TORQUE, Sufficiency, check_wanted_rsd, motion_sufficiency, times_needed
 from ident.model import build_model
 from ident.pruning import SIGNIFICANT_RSD
+from ident.recorded_motion import recorded_motion
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion
 
@@ -24,6 +25,14 @@ from sim_drivers.motion import random_fourier_motion
 def recording_of(robot_file: RobotFile, seconds: float, seed: int = 1) -> Recording:
     motion = random_fourier_motion(build_model(robot_file), 10.0, seed=1)
     return simulate_recording(robot_file, motion, seconds, seed=seed)
+
+
+def sufficiency_of(recording: Recording, robot_file: RobotFile) -> Sufficiency:
+    motion = recorded_motion(recording, robot_file)
+    assert motion is not None
+    found = motion_sufficiency(motion)
+    assert found is not None
+    return found
 
 
 def without_torque(recording: Recording) -> Recording:
@@ -40,8 +49,7 @@ def deviations(found) -> np.ndarray:
 def test_twice_the_duration_gives_one_over_root_two(three_joint, torque):
     recordings = [recording_of(three_joint, seconds) for seconds in (21.0, 41.0)]
     found = [
-        recording_sufficiency(recording if torque else without_torque(recording), three_joint)
-        for recording in recordings
+        sufficiency_of(recording if torque else without_torque(recording), three_joint) for recording in recordings
     ]
     assert found[0].source == (OWN_TORQUE if torque else "the robot file's truth")
     ratio = np.sqrt(found[0].seconds / found[1].seconds)
@@ -53,7 +61,7 @@ def test_twice_the_duration_gives_one_over_root_two(three_joint, torque):
 
 
 def test_predicted_from_torque_is_what_repeated_recordings_show(three_joint):
-    found = [recording_sufficiency(recording_of(three_joint, 21.0, seed), three_joint) for seed in range(20)]
+    found = [sufficiency_of(recording_of(three_joint, 21.0, seed), three_joint) for seed in range(20)]
     values = np.array([[parameter.value for parameter in each.forecast.parameters] for each in found])
     spread = values.std(axis=0, ddof=1)
     predicted = np.median([deviations(each) for each in found], axis=0)
@@ -61,7 +69,7 @@ def test_predicted_from_torque_is_what_repeated_recordings_show(three_joint):
 
 
 def test_time_grows_with_the_square_of_what_is_wanted(three_joint):
-    found = recording_sufficiency(recording_of(three_joint, 21.0), three_joint)
+    found = sufficiency_of(recording_of(three_joint, 21.0), three_joint)
     coarse, fine = times_needed(found, 4.0), times_needed(found, 2.0)
     assert [entry.name for entry in coarse.parameters] == [entry.name for entry in fine.parameters]
     for one, four in zip(coarse.parameters, fine.parameters, strict=True):
@@ -82,7 +90,7 @@ def test_time_grows_with_the_square_of_what_is_wanted(three_joint):
 def test_without_values_nothing_can_be_told(three_joint):
     text = three_joint.text.split("truth:")[0]
     unknown = parse_robot(text, where="unknown", folder=None)
-    found = recording_sufficiency(without_torque(recording_of(three_joint, 12.0)), unknown)
+    found = sufficiency_of(without_torque(recording_of(three_joint, 12.0)), unknown)
     assert "assumed" in found.source
     assert np.all(deviations(found) > 0)
     times = times_needed(found, 5.0)
@@ -91,22 +99,10 @@ def test_without_values_nothing_can_be_told(three_joint):
 
 
 def test_nothing_significant_is_said(three_joint):
-    found = recording_sufficiency(recording_of(three_joint, 12.0), three_joint)
+    found = sufficiency_of(recording_of(three_joint, 12.0), three_joint)
     vague = tuple(replace(parameter, rsd_percent=80.0) for parameter in found.forecast.parameters)
     found = replace(found, forecast=replace(found.forecast, parameters=vague))
     assert "None of 25 base parameters is significant" in times_needed(found, 5.0).sentence
-
-
-def test_nothing_to_analyse_is_none(three_joint):
-    recording = recording_of(three_joint, 12.0)
-    assert recording_sufficiency(recording, load_robot("ur5e")) is None
-    assert recording_sufficiency(recording_of(three_joint, 0.05), three_joint) is None
-    assert recording_sufficiency(replace(recording, streams={}), three_joint) is None
-    stream = recording.streams[JOINTS_STREAM]
-    position = stream.channels["position"]
-    still = replace(position, values=np.zeros_like(position.values))
-    streams = {JOINTS_STREAM: replace(stream, channels={**stream.channels, "position": still})}
-    assert recording_sufficiency(replace(recording, streams=streams), three_joint) is None
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, 100.1, float("nan"), float("inf")])

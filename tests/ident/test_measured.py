@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.recording import JOINTS_STREAM, UNITS, Channel, Recording, Stream
+from daq.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot import RobotFile, parse_robot
 from drivers.errors import DataError
+from drivers.streams import UNITS
 from ident.measured import joint_positions, measured_motion
 
 ROBOT = """

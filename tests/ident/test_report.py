@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import base64
-import json
 import re
 from collections.abc import Callable
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from html_page import Page
 
 from drivers.errors import UsageError
 from ident.comparison import TorqueSeries
@@ -44,40 +43,6 @@ ANCHORS = [
     "data-quality",
     "provenance",
 ]
-
-
-class Page(HTMLParser):
-    """Elements with their attributes, the text between them, and the figures."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.figures: dict[str, Any] = {}
-        self.words = ""
-        self._open: tuple[str, dict[str, str | None]] = ("", {})
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self._open = (tag, dict(attrs))
-        self.elements.append(self._open)
-
-    def handle_endtag(self, tag: str) -> None:
-        self._open = ("", {})
-
-    def handle_data(self, data: str) -> None:
-        tag, attributes = self._open
-        if tag == "script" and (name := attributes.get("data-figure")):
-            # JSON.parse in a browser knows no NaN, either.
-            self.figures[name] = json.loads(data, parse_constant=pytest.fail)
-        elif tag not in ("script", "style"):
-            self.words += data
-
-    def ids(self) -> list[str]:
-        return [name for _, attributes in self.elements if (name := attributes.get("id"))]
-
-    def traces(self, figure: str, name: str) -> list[dict[str, Any]]:
-        return [trace for trace in self.figures[figure]["data"] if trace["name"] == name]
 
 
 def values(packed: dict[str, str]) -> np.ndarray[Any, np.dtype[np.float32]]:

@@ -11,9 +11,10 @@ import pytest
 from daq.realtime import may_have_realtime
 from daq.recording import read_recording
 from drivers.errors import ConnectionFailedError, RobotFileError, UsageError, WorkError
+from ident.chance import WITHIN_95_PERCENT
 from ident.model import build_model, truth_vector
 from ident.result import read_result
-from sim_drivers.demo import INTERVAL, print_demo, run_demo
+from sim_drivers.demo import print_demo, run_demo
 from sim_drivers.simulated_arm import simulated_arm
 
 
@@ -48,7 +49,7 @@ def test_truth_is_projected_and_mostly_inside(demo):
     assert np.allclose(demo.truth, demo.found.base.projection @ truth_vector(robot_file))
     assert build_model(robot_file).dof == 6
     error = np.abs(demo.found.solution.parameters - demo.truth)
-    assert demo.inside == np.sum(error <= INTERVAL * demo.found.std)
+    assert demo.inside == np.sum(error <= WITHIN_95_PERCENT * demo.found.std)
     assert demo.inside > 0.7 * len(demo.truth)
     assert demo.found.validation.relative_error < 0.1
 

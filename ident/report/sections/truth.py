@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from ident.chance import WITHIN_95_PERCENT
 from ident.report.figures import BOTTOM, REFERENCE, TOP, Figure, base_layout, kind_markers, vertical_line
 from ident.report.number_text import DASH, number, percent
 from ident.report.section import ReportData, Section, Tile
 from ident.result import BaseParameterResult
 
-INTERVAL = 1.96
 ROW = 15
 
 
@@ -27,7 +27,7 @@ class Comparison:
     @property
     def inside(self) -> bool | None:
         """Whether the 95 % interval holds the truth."""
-        return None if self.ratio is None else abs(self.ratio) <= INTERVAL
+        return None if self.ratio is None else abs(self.ratio) <= WITHIN_95_PERCENT
 
 
 def section(data: ReportData) -> Section | None:
@@ -57,7 +57,7 @@ def _tiles(rows: list[Comparison]) -> list[Tile]:
     ratios = [row.ratio for row in rows if row.ratio is not None]
     if not ratios:
         return [Tile("Inside the 95 % interval", DASH, "no parameter has both an estimate and a truth")]
-    inside = sum(abs(ratio) <= INTERVAL for ratio in ratios)
+    inside = sum(abs(ratio) <= WITHIN_95_PERCENT for ratio in ratios)
     rms = math.sqrt(sum(ratio**2 for ratio in ratios) / len(ratios))
     return [
         Tile(
@@ -72,7 +72,7 @@ def _figure(rows: list[Comparison]) -> Figure | None:
     shown = [(row.parameter, row.ratio) for row in rows if row.ratio is not None]
     if not shown:
         return None
-    interval = {"type": "constant", "value": INTERVAL, "thickness": 1, "width": 0}
+    interval = {"type": "constant", "value": WITHIN_95_PERCENT, "thickness": 1, "width": 0}
     data, names = kind_markers(shown, "%{y}: error = %{x:.3g} σ<extra></extra>", interval)
     height = TOP + BOTTOM + ROW * len(shown)
     layout = base_layout(

@@ -1,0 +1,49 @@
+"""How the templates of a page are filled, and how the page comes into one file that needs nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from drivers.errors import UsageError
+from ident.report import number_text
+from ident.result import replace_file
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+
+def page_templates(*packages: str) -> Environment:
+    """The templates of these packages and, behind them, those of the report: its style, script and macros.
+
+    They know the number filters, `dash`, and `plotlyjs`, the plotting library as text. What they are given is escaped.
+    """
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+    from plotly.offline import get_plotlyjs
+
+    environment = Environment(
+        loader=ChoiceLoader([PackageLoader(package) for package in (*packages, "ident.report")]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.globals |= {"dash": number_text.DASH, "plotlyjs": Markup(get_plotlyjs())}
+    for name in ("number", "percent", "whole", "with_error", "setting"):
+        environment.filters[name] = getattr(number_text, name)
+    return environment
+
+
+def write_html(path: Path, text: str) -> None:
+    """Write a page.
+
+    Raises:
+        UsageError: the file cannot be written.
+    """
+    try:
+        replace_file(path, text)
+    except OSError as error:
+        raise UsageError(
+            f"cannot be written: {error.strerror}", where=str(path), hint="name a folder that exists and is yours"
+        ) from error
