@@ -22,9 +22,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from drivers.streams import FloatArray
 from ident.base_parameters import RANDOM_SEED, BaseParameters, ModelKey, base_parameters_of, random_states
 from ident.joint_columns import JointColumn, combined, joint_column
-from ident.kinematics import BASE_INDEX, FloatArray, Joint
+from ident.kinematics import BASE_INDEX, Joint
 from ident.model import DynamicModel
 from ident.recursion import rotation_coefficients
 from ident.triangular import triangular
@@ -102,7 +103,7 @@ class EnergyKernel:
 
     def _fill(self, position: FloatArray, velocity: FloatArray, out: FloatArray) -> None:
         states: list[_LinkState] = []
-        tree_position, tree_rate = self.model.tree_position(position), self.model.tree_rate(velocity)
+        tree_position, tree_rate = self.model.tree_velocity(position, velocity)
         for number, joint in enumerate(self.model.joints):
             states.append(self._state(number, joint, tree_position[number], tree_rate[number], states))
             if number in self._inertial:

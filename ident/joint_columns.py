@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from ident.kinematics import FloatArray
+from drivers.streams import FloatArray
 
 if TYPE_CHECKING:
     from ident.model import DynamicModel, StandardParameter

@@ -7,7 +7,8 @@ the one behind c, and the link behind d parallel to the one behind a. With the a
 
 where σ is 1 for an axis along that direction and −1 for one against it, and φ the direction of each side at position
 zero: of the side behind a to the origin of b, behind b to the closing frame, and so on. Solved for the two joints
-without a motor, and tried at random positions: the closing frames must meet.
+without a motor, and tried at random positions: the closing frames must meet. Loops with `passive` joints have no such
+equations; module `build_closed_loops` closes them numerically, together with the linear equations of the others.
 """
 
 from __future__ import annotations
@@ -16,12 +17,15 @@ import math
 
 import numpy as np
 
-from daq.loops import ClosingFrame, Loop, coupling_matrix
-from daq.robot import MdhRow, RobotFile
+from daq.loops import BASE, ClosingFrame, Loop, coupling_matrix
+from daq.robot import MdhRow, Robot, RobotFile
 from drivers.errors import RobotFileError
-from ident.kinematics import BASE_INDEX, FloatArray, Joint, ancestors
+from drivers.streams import FloatArray
+from ident.build_closed_loops import build_closed_loops, length, loop_name
+from ident.closing_chain import Placement
+from ident.kinematics import BASE_INDEX, Joint, ancestors
 from ident.mdh import mdh_placement
-from ident.transmission import Transmission
+from ident.transmission import LinearTransmission, Transmission
 
 CLOSING_TOLERANCE = 1e-6
 """How far [m] the closing frames may lie apart at any position; files print lengths to this."""
@@ -32,9 +36,6 @@ CLOSING_ANGLE = 1e-6
 TRIED_POSITIONS = 50
 PARALLEL = 1e-9
 SINGULAR = 1e-9
-
-Placement = tuple[FloatArray, FloatArray]
-"""Rotation (3, 3) and translation (3,) [m]."""
 
 
 def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Transmission | None:
@@ -53,11 +54,30 @@ def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Tran
     where = f"{robot.name}: model.loops"
     numbers = {joint.name: number for number, joint in enumerate(joints)}
     active = tuple(numbers[name] for name in robot.joint_names)
-    follow, offset = _solved_equations(robot.model.loops, joints, numbers, active, where)
+    equations, right = _linear_equations(robot.model.loops, joints, numbers, where)
+    general = [loop for loop in robot.model.loops if loop.passive is not None]
+    if general:
+        nothing = np.zeros((len(joints), len(active))), np.zeros(len(joints))
+        ends = [loop_ends(loop, numbers) for loop in general]
+        transmission: Transmission = build_closed_loops(
+            robot, joints, (equations, right), [(one, other) for one, other in ends], _linear(robot, active, *nothing)
+        )
+    else:
+        transmission = _linear(robot, active, *_solved_equations(equations, right, joints, active, where))
+    low, high = (np.array(limit) for limit in zip(*(limits.position for limits in robot.joints), strict=True))
+    positions = np.random.default_rng(0).uniform(low[:, None], high[:, None], (len(active), TRIED_POSITIONS))
+    for loop in robot.model.loops:
+        if loop.closing is not None:
+            _check_closed(loop, joints, numbers, transmission.tree_position(positions), where)
+    return transmission
+
+
+def _linear(robot: Robot, active: tuple[int, ...], follow: FloatArray, offset: FloatArray) -> LinearTransmission:
+    """Motors and pairs as the robot file says, with this G (n, a) and b (n,)."""
     coupling = coupling_matrix(robot.model.coupling, robot.joint_names)
     coupled = np.count_nonzero(coupling, axis=1) > 1
     exceptions = [robot.friction.joints.get(name) for name in robot.joint_names]
-    transmission = Transmission(
+    return LinearTransmission(
         active=active,
         follow=follow,
         offset=offset,
@@ -68,23 +88,12 @@ def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Tran
         ),
         pair_inertia=tuple(robot.drive(name).pair_inertia for name in robot.joint_names),
     )
-    low, high = (np.array(limit) for limit in zip(*(limits.position for limits in robot.joints), strict=True))
-    positions = np.random.default_rng(0).uniform(low[:, None], high[:, None], (len(active), TRIED_POSITIONS))
-    for loop in robot.model.loops:
-        if loop.closing is not None:
-            _check_closed(loop, joints, numbers, transmission.tree_position(positions), where)
-    return transmission
 
 
-def _solved_equations(
-    loops: tuple[Loop, ...],
-    joints: tuple[Joint, ...],
-    numbers: dict[str, int],
-    active: tuple[int, ...],
-    where: str,
+def _linear_equations(
+    loops: tuple[Loop, ...], joints: tuple[Joint, ...], numbers: dict[str, int], where: str
 ) -> tuple[FloatArray, FloatArray]:
-    """G (n, a) and b (n,) from all equations E·q_tree = e, solved for the joints without a motor."""
-    passive = [number for number in range(len(joints)) if number not in active]
+    """E (l, n) and e (l,) of the equations and parallelograms, E·q_tree = e."""
     rows, right = [], []
     for loop in loops:
         if loop.joint is not None:
@@ -94,22 +103,29 @@ def _solved_equations(
                 row[numbers[name]] -= factor
             rows.append(row)
             right.append(loop.offset)
-        else:
+        elif loop.parallelogram is not None:
             for row, value in _parallelogram_equations(loop, joints, numbers, where):
                 rows.append(row)
                 right.append(value)
+    return np.array(rows).reshape(-1, len(joints)), np.array(right)
+
+
+def _solved_equations(
+    equations: FloatArray, right: FloatArray, joints: tuple[Joint, ...], active: tuple[int, ...], where: str
+) -> tuple[FloatArray, FloatArray]:
+    """G (n, a) and b (n,) from all equations E·q_tree = e, solved for the joints without a motor."""
+    passive = [number for number in range(len(joints)) if number not in active]
     follow, offset = np.zeros((len(joints), len(active))), np.zeros(len(joints))
     follow[list(active), range(len(active))] = 1.0
     if not passive:
         return follow, offset
-    equations = np.array(rows)
     of_passive = equations[:, passive]
     if np.linalg.svd(of_passive, compute_uv=False)[-1] < SINGULAR:
         names = ", ".join(joints[number].name for number in passive)
         raise RobotFileError(f"the equations do not determine the positions of {names}", where=where)
     solved = np.linalg.solve(of_passive, equations[:, list(active)])
     follow[passive] = _exact(np.asarray(-solved, dtype=np.float64))
-    offset[passive] = np.linalg.solve(of_passive, np.array(right))
+    offset[passive] = np.linalg.solve(of_passive, right)
     for number in passive:
         if not joints[number].prismatic:
             offset[number] = _principal(offset[number])
@@ -168,27 +184,28 @@ def _parallelogram_equations(
 
 def loop_ends(loop: Loop, numbers: dict[str, int]) -> list[tuple[int, Placement]]:
     """The closing frames: number of the joint behind which each is fixed, and its placement in that joint's frame."""
-    return [(numbers[frame.antecedent], _placement(frame)) for frame in loop.closing or ()]
+    known = {**numbers, BASE: BASE_INDEX}
+    return [(known[frame.antecedent], _placement(frame)) for frame in loop.closing or ()]
 
 
 def _check_closed(
     loop: Loop, joints: tuple[Joint, ...], numbers: dict[str, int], positions: FloatArray, where: str
 ) -> None:
     """Refuse a loop whose closing frames do not meet at tree positions (n, N)."""
-    name = f"parallelogram {', '.join(loop.parallelogram)}" if loop.parallelogram else f"loop of {loop.joint}"
+    name = loop_name(loop)
     apart = turned = 0.0
     for position in positions.T:
-        frames = place_tree(joints, position)
+        frames = [*place_tree(joints, position), (np.eye(3), np.zeros(3))]  # the base's is number BASE_INDEX
         (one, other) = (_compose(frames[number], placement) for number, placement in loop_ends(loop, numbers))
         apart = max(apart, float(np.linalg.norm(one[1] - other[1])))
         turned = max(turned, float(np.linalg.norm(np.cross(one[0][:, 2], other[0][:, 2]))))
     if apart > CLOSING_TOLERANCE:
         raise RobotFileError(
-            f"{name} does not close: its closing frames come to lie up to {_length(apart)} apart",
+            f"{name} does not close: its closing frames come to lie up to {length(apart)} apart",
             where=where,
             hint="opposite sides must be equally long: check the lengths in 'model.mdh' and in 'closing'",
         )
-    if turned > CLOSING_ANGLE:
+    if turned > CLOSING_ANGLE and loop.opened != "spherical":
         raise RobotFileError(
             f"{name} does not close: its closing frames' axes are up to {math.degrees(turned):.3g}° from parallel",
             where=where,
@@ -208,10 +225,13 @@ def place_tree(joints: tuple[Joint, ...], position: FloatArray) -> list[Placemen
     return frames
 
 
-def main_chain(joints: tuple[Joint, ...]) -> tuple[int, ...]:
-    """Numbers of the joints from the base to the link that is the most joints away: the arm without its rods."""
+def main_chain(joints: tuple[Joint, ...], active: tuple[int, ...]) -> tuple[int, ...]:
+    """Numbers of the joints from the base to the link that is the most joints away: the arm without its rods.
+
+    Of several such links it is the first one behind an `active` joint, else the first.
+    """
     chains = [(*ancestors(joints, number), number) for number in range(len(joints))]
-    return max(chains, key=len)
+    return max(chains, key=lambda chain: (len(chain), chain[-1] in active))
 
 
 def _placement(frame: ClosingFrame) -> Placement:
@@ -237,7 +257,3 @@ def _exact(matrix: FloatArray) -> FloatArray:
     """Whole numbers without the rounding of the solution."""
     nearest = np.round(matrix)
     return np.where(np.abs(matrix - nearest) < 1e-12, nearest, matrix)
-
-
-def _length(metres: float) -> str:
-    return f"{metres * 1e3:.3g} mm" if metres < 1.0 else f"{metres:.3g} m"

@@ -20,11 +20,12 @@ import numpy as np
 
 from daq.robot import JointLimits, Robot, RobotFile
 from drivers.errors import RobotFileError
+from drivers.streams import FloatArray
 from ident.joint_columns import PAIR_SYMBOLS
-from ident.kinematics import FloatArray, Joint
+from ident.kinematics import Joint
 from ident.loops import build_transmission, main_chain
 from ident.mdh import mdh_joints
-from ident.transmission import Transmission
+from ident.transmission import Transmission, TreeMotion
 from ident.urdf import urdf_joints, urdf_order
 
 INERTIAL = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
@@ -107,22 +108,33 @@ class DynamicModel:
         """Positions (n, …) of the tree's joints for positions (dof, …) of those with a motor [rad or m]."""
         return position if self.transmission is None else self.transmission.tree_position(position)
 
-    def tree_rate(self, rate: FloatArray) -> FloatArray:
-        """Velocities or accelerations (n, …) of the tree's joints for those (dof, …) of the joints with a motor."""
-        return rate if self.transmission is None else self.transmission.tree_rate(rate)
-
-    def active_gradient(self, gradient: FloatArray) -> FloatArray:
-        """Derivatives (…, dof, N) by the joints with a motor from those (…, n, N) by the tree's joints."""
+    def tree_velocity(self, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Positions and velocities (n, N) of the tree's joints for those (dof, N) of the joints with a motor."""
         if self.transmission is None:
-            return gradient
-        return np.asarray(np.einsum("na,...nt->...at", self.transmission.follow, gradient))
+            return position, velocity
+        return self.transmission.tree_velocity(position, velocity)
+
+    def tree_motion(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> TreeMotion:
+        """The tree's motion for positions, velocities and accelerations (dof, N) of the joints with a motor."""
+        if self.transmission is None:
+            return TreeMotion(position, velocity, acceleration, np.eye(len(self.joints)))
+        return self.transmission.tree_motion(position, velocity, acceleration)
+
+    def active_gradient(self, position: FloatArray, gradient: FloatArray) -> FloatArray:
+        """Derivatives (…, dof, N) by the positions of the joints with a motor, from those (…, n, N) by the tree's.
+
+        Args:
+            position: (dof, N) of the joints with a motor, where the derivatives are taken.
+            gradient: (…, n, N).
+        """
+        return gradient if self.transmission is None else self.transmission.active_gradient(position, gradient)
 
     @property
     def tool_link(self) -> int:
         """Number of the link that carries the tool: the last one; behind the longest chain where loops add rods."""
         if self.transmission is None or not self.transmission.closed:
             return len(self.joints) - 1
-        return main_chain(self.joints)[-1]
+        return main_chain(self.joints, self.active)[-1]
 
     @property
     def parameters(self) -> tuple[StandardParameter, ...]:

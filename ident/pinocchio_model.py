@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from drivers.streams import FloatArray
 from ident.joint_columns import column_signal, joint_column
-from ident.kinematics import BASE_INDEX, FloatArray
+from ident.kinematics import BASE_INDEX
 from ident.model import INERTIAL, DynamicModel
 
 # Pinocchio's dynamic parameters of a link, in its order (pinocchio::InertiaTpl::toDynamicParameters).
@@ -49,13 +50,15 @@ def pinocchio_regressor(
     order = [10 * link + column for link in range(links) for column in _TO_OURS]
     parameters = model.parameters
     dense = np.zeros((model.dof, len(parameters), count))
-    tree = model.tree_position(position), model.tree_rate(velocity), model.tree_rate(acceleration)
+    motion = model.tree_motion(position, velocity, acceleration)
+    tree = motion.position, motion.velocity, motion.acceleration
+    shares = None if model.transmission is None else model.transmission.to_motors(motion.follow)
     for sample in range(count):
         one = pin.computeJointTorqueRegressor(arm, data, *(signal[:, sample] for signal in tree))
         # Pinocchio gives a one-joint arm's regressor as a vector.
         ordered = np.reshape(one, (links, -1))[:, order]
-        if model.transmission is not None:
-            ordered = model.transmission.tree_to_motor @ ordered
+        if shares is not None:
+            ordered = (shares if shares.ndim == 2 else shares[..., sample]) @ ordered
         dense[:, : 10 * links, sample] = ordered
     for number, parameter in enumerate(parameters):
         if parameter.kind != "inertial":

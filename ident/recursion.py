@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ident.kinematics import BASE_INDEX, FloatArray, Joint
+from drivers.streams import FloatArray
+from ident.kinematics import BASE_INDEX, Joint
 
 Direction = tuple["FloatArray | float", "FloatArray | float", "FloatArray | float"]
 """Three components, each a number where it is constant or an array (chunk,)."""

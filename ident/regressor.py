@@ -13,7 +13,8 @@ and the torque that joint k needs for it is v_k·f + w_k·n, where (v_k, w_k) is
 unit velocity of joint k causes. So a row is built from the axes of the joints below the link, expressed in its frame.
 
 With closed loops or coupled motors, rows belong to motors: R⁻ᵀGᵀ times the tree's rows (SR400 eq. 4 and 6). A motor's
-axis in a link's frame is that combination of the joints' axes, so nothing is computed twice.
+axis in a link's frame is that combination of the joints' axes, so nothing is computed twice. General loops make some
+factors of the combination vary with the position.
 """
 
 from __future__ import annotations
@@ -24,10 +25,12 @@ from typing import Any
 
 import numpy as np
 
+from drivers.streams import FloatArray
 from ident.joint_columns import JointColumn, column_signal, joint_column
-from ident.kinematics import FloatArray, ancestors
+from ident.kinematics import ancestors
 from ident.model import DynamicModel
 from ident.recursion import AxisMotion, Direction, FrameMotion, Recursion, combine, scaled
+from ident.transmission import TreeMotion
 from ident.triangular import QrAccumulator
 
 CHUNK = 4096
@@ -39,6 +42,9 @@ PINOCCHIO_BELOW = 500
 _INERTIA_COUNT = 6  # XX XY XZ YY YZ ZZ
 _MASS_INDEX = 9
 
+
+Share = float | tuple[int, int]
+"""Factor of a joint's axis in a motor's: a number, or where (motor, joint) it stands in R⁻ᵀGᵀ if it varies."""
 
 _PRODUCTS = (("xx", 0, 0), ("yy", 1, 1), ("zz", 2, 2), ("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
 """Products of the angular velocity's components, by name."""
@@ -88,7 +94,7 @@ class LinkRows:
 
     kinds: tuple[int, ...]
     joints: tuple[int, ...]
-    targets: tuple[tuple[int, tuple[tuple[int, float], ...]], ...]
+    targets: tuple[tuple[int, tuple[tuple[int, Share], ...]], ...]
 
 
 @dataclass(frozen=True)
@@ -99,7 +105,7 @@ class _LinkBlock:
     inertia: tuple[int, ...]  # which of XX..ZZ
     moments: tuple[int, ...]  # which of MX MY MZ
     mass: bool
-    targets: tuple[tuple[int, tuple[tuple[int, float], ...]], ...]  # first packed row, (index of an axis, factor)
+    targets: tuple[tuple[int, tuple[tuple[int, Share], ...]], ...]  # first packed row, (index of an axis, factor)
 
 
 @dataclass(frozen=True)
@@ -111,16 +117,23 @@ class JointParameterRow:
     factor: float
 
 
-def _motor_axes(model: DynamicModel, chain: Sequence[int]) -> list[tuple[tuple[int, float], ...]]:
+def _motor_axes(model: DynamicModel, chain: Sequence[int]) -> list[tuple[tuple[int, Share], ...]]:
     """For each motor, (index in the chain, factor) of the axes that make up its own; empty where it moves none."""
     if model.transmission is None:
         return [((chain.index(joint), 1.0),) if joint in chain else () for joint in range(model.dof)]
-    shares = model.transmission.tree_to_motor[:, list(chain)]
-    return [tuple((int(index), float(row[index])) for index in np.flatnonzero(row)) for row in shares]
+    constant, varies = model.transmission.share_pattern()
+    return [
+        tuple(
+            (index, (motor, joint) if varies[motor, joint] else float(constant[motor, joint]))
+            for index, joint in enumerate(chain)
+            if varies[motor, joint] or constant[motor, joint] != 0.0
+        )
+        for motor in range(model.dof)
+    ]
 
 
 def _link_block(
-    link: int, selected: Sequence[int], targets: Sequence[tuple[int, tuple[tuple[int, float], ...]]]
+    link: int, selected: Sequence[int], targets: Sequence[tuple[int, tuple[tuple[int, Share], ...]]]
 ) -> _LinkBlock:
     kinds = [column - 10 * link for column in selected]
     return _LinkBlock(
@@ -142,7 +155,11 @@ class RegressorKernel:
         row_count: number of packed rows.
         joint_parameter_rows: the packed rows of every column that is no link's.
         link_rows: where each link's rows are.
+        tree: motion of the tree's joints as of the last `evaluate`.
+        shares: (dof, n, m) R⁻ᵀGᵀ of then, where it varies; empty where it is constant.
     """
+
+    tree: TreeMotion
 
     def __init__(self, model: DynamicModel, columns: Sequence[int] | None = None, chunk: int = CHUNK) -> None:
         """Prepare the scratch arrays.
@@ -163,7 +180,7 @@ class RegressorKernel:
         axes = [_motor_axes(model, (*self._chains[link], link)) for link in links]
         of_joints = {c: joint_column(model, parameters[c]) for c in self.columns if parameters[c].kind != "inertial"}
 
-        targets: list[list[tuple[int, tuple[tuple[int, float], ...]]]] = [[] for _ in links]
+        targets: list[list[tuple[int, tuple[tuple[int, Share], ...]]]] = [[] for _ in links]
         joint_rows = []
         self.joint_parameter_rows: list[JointParameterRow] = []
         row = 0
@@ -199,6 +216,8 @@ class RegressorKernel:
         self._products = np.empty((len(_PRODUCTS) + 2, chunk))
         self._term = np.empty((_INERTIA_COUNT, chunk))
         self._axis = np.empty((6, chunk))
+        self._part = np.empty(chunk)
+        self.shares = np.empty((0, 0, 0))
 
     @property
     def frames(self) -> list[FrameMotion]:
@@ -216,7 +235,10 @@ class RegressorKernel:
         """
         count = position.shape[1]
         model = self.model
-        self._recursion.run(model.tree_position(position), model.tree_rate(velocity), model.tree_rate(acceleration))
+        self.tree = model.tree_motion(position, velocity, acceleration)
+        self._recursion.run(self.tree.position, self.tree.velocity, self.tree.acceleration)
+        if model.transmission is not None and self.tree.follow.ndim == 3:
+            self.shares = model.transmission.to_motors(self.tree.follow)
         for block in self._blocks:
             if block.targets:
                 self._fill_link(block, count, out)
@@ -242,7 +264,7 @@ class RegressorKernel:
             if moments:
                 self._add_moment_of_first_moments(direction.angular, acceleration, block.moments, count, for_push)
 
-    def _motor_axis(self, motion: FrameMotion, axes: Sequence[tuple[int, float]], count: int) -> AxisMotion:
+    def _motor_axis(self, motion: FrameMotion, axes: Sequence[tuple[int, Share]], count: int) -> AxisMotion:
         """The combination of the joints' axes, valid until the next call."""
         if len(axes) == 1 and axes[0][1] == 1.0:
             return motion.axes[axes[0][0]]
@@ -250,16 +272,20 @@ class RegressorKernel:
         for number in range(6):
             component, total = number % 3, self._axis[number]
             constant, varies = 0.0, False
-            for index, factor in axes:
+            for index, share in axes:
                 axis = motion.axes[index]
                 value = (axis.angular if number < 3 else axis.linear)[component]
-                if isinstance(value, float):
+                factor = share if isinstance(share, float) else self.shares[share]
+                if isinstance(value, float) and isinstance(factor, float):
                     constant += factor * value
-                elif varies:
-                    total[:count] += factor * value[:count]
-                else:
-                    np.multiply(value[:count], factor, out=total[:count])
-                    varies = True
+                    continue
+                if isinstance(value, float) and value == 0.0:
+                    continue
+                part = self._part if varies else total
+                np.multiply(value if isinstance(value, float) else value[:count], factor, out=part[:count])
+                if varies:
+                    total[:count] += part[:count]
+                varies = True
             if varies and constant != 0.0:
                 total[:count] += constant
             parts.append(total if varies else constant)

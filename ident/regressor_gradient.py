@@ -10,16 +10,20 @@ cross product of motion vectors). With V, A the link's spatial velocity and acce
     ∂A/∂q_k = A_λ × s_k + c_k × (V − V_λ)
 
 so the derivatives by all joints below a link are sums along its chain, built from what the recursion holds already.
+Where general loops make a motor's axis a combination of theirs with factors that vary, the derivatives by these factors
+are the rows that the joints' axes would have alone.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.streams import FloatArray
 from ident.joint_columns import combined
-from ident.kinematics import FloatArray
+from ident.recursion import AxisMotion
 from ident.regressor import RegressorKernel
 
 
@@ -84,19 +88,27 @@ def pull_back_regressor(
         acceleration: (n, m).
         weights: (row_count, m), a factor for every packed entry.
     """
-    count, model = position.shape[1], kernel.model
-    rates, rate_changes = model.tree_rate(velocity), model.tree_rate(acceleration)
-    gradient = np.zeros((3, *rates.shape))
+    count, model, tree = position.shape[1], kernel.model, kernel.tree
+    gradient = np.zeros((3, *tree.velocity.shape))
+    by_share = np.zeros(kernel.shares.shape)
     for link, rows in enumerate(kernel.link_rows):
         if rows.joints:
             chain = list(rows.joints)
             of_rows = np.zeros((len(chain), 10, count))
+            varying: list[tuple[int, tuple[int, int], FloatArray]] = []
             for start, axes in rows.targets:
                 of_motor = weights[start : start + len(rows.kinds)]
-                for index, factor in axes:
-                    of_rows[index, list(rows.kinds)] += of_motor if factor == 1.0 else factor * of_motor
-            gradient[:, chain] += _link_gradient(kernel, link, of_rows, rates[chain], rate_changes[chain])
-    gradient = model.active_gradient(gradient)
+                for index, share in axes:
+                    if isinstance(share, float):
+                        of_rows[index, list(rows.kinds)] += of_motor if share == 1.0 else share * of_motor
+                    else:
+                        of_rows[index, list(rows.kinds)] += kernel.shares[share] * of_motor
+                        varying.append((index, share, of_motor))
+            gradient[:, chain] += _link_gradient(kernel, link, of_rows, tree.velocity[chain], tree.acceleration[chain])
+            for index, share, of_motor in varying:
+                by_share[share] += _row_value(kernel, link, index, rows.kinds, of_motor)
+    if model.transmission is not None:
+        gradient = model.transmission.pull_back(velocity, acceleration, tree, gradient, by_share)
     smoothing = model.smoothing
     for entry in kernel.joint_parameter_rows:
         column = entry.column
@@ -123,11 +135,7 @@ def _link_gradient(
     frame = kernel.frames[link]
     omega, alpha = frame.angular_velocity[:, :count], frame.angular_acceleration[:, :count]
     a = frame.linear[:, :count]
-    axes = _Spatial(np.empty((len(rates), 3, count)), np.empty((len(rates), 3, count)))
-    for number, axis in enumerate(frame.axes):
-        for component in range(3):
-            for part, value in ((axes.angular, axis.angular[component]), (axes.linear, axis.linear[component])):
-                part[number, component] = value if isinstance(value, float) else value[:count]
+    axes = _stacked(frame.axes, count)
     of_axes, of_omega, of_alpha, of_a = _body_gradient(weights, axes, omega, alpha, a)
 
     # From the origin's acceleration to the spatial one: a = A_linear + ω × v.
@@ -156,6 +164,38 @@ def _link_gradient(
     return np.stack([by_position, by_velocity, by_acceleration])
 
 
+def _row_value(kernel: RegressorKernel, link: int, index: int, kinds: Sequence[int], weights: FloatArray) -> FloatArray:
+    """Weighted sum (m,) of the rows of one joint's axis, `index` in the link's chain, with weights (kinds, m)."""
+    count = weights.shape[1]
+    frame = kernel.frames[link]
+    of_parameters = np.zeros((1, 10, count))
+    of_parameters[0, list(kinds)] = weights
+    omega, alpha = frame.angular_velocity[:, :count], frame.angular_acceleration[:, :count]
+    inertia_omega = _symmetric(of_parameters[:, :6], omega)
+    of_axis = _axis_gradient(of_parameters, inertia_omega, omega, alpha, frame.linear[:, :count])
+    return np.asarray(_stacked(frame.axes[index : index + 1], count).dot(of_axis)[0])
+
+
+def _stacked(motions: Sequence[AxisMotion], count: int) -> _Spatial:
+    """Axes as arrays (J, 3, m)."""
+    axes = _Spatial(np.empty((len(motions), 3, count)), np.empty((len(motions), 3, count)))
+    for number, axis in enumerate(motions):
+        for component in range(3):
+            for part, value in ((axes.angular, axis.angular[component]), (axes.linear, axis.linear[component])):
+                part[number, component] = value if isinstance(value, float) else value[:count]
+    return axes
+
+
+def _axis_gradient(
+    weights: FloatArray, inertia_omega: FloatArray, omega: FloatArray, alpha: FloatArray, a: FloatArray
+) -> _Spatial:
+    """Derivatives by the axes (J, 3, m) of the weighted sum of a link's rows, see `_body_gradient`."""
+    inertia, h, mass = weights[:, :6], weights[:, 6:9], weights[:, 9:10]
+    of_w = _symmetric(inertia, alpha) + _cross(omega, inertia_omega) + _cross(h, a)
+    of_v = mass * a + _cross(alpha, h) + _cross(omega, _cross(omega, h))
+    return _Spatial(of_w, of_v)
+
+
 def _body_gradient(
     weights: FloatArray, axes: _Spatial, omega: FloatArray, alpha: FloatArray, a: FloatArray
 ) -> tuple[_Spatial, FloatArray, FloatArray, FloatArray]:
@@ -168,8 +208,6 @@ def _body_gradient(
     inertia, h, mass = weights[:, :6], weights[:, 6:9], weights[:, 9:10]
     w, v = axes.angular, axes.linear
     inertia_omega = _symmetric(inertia, omega)
-    of_w = _symmetric(inertia, alpha) + _cross(omega, inertia_omega) + _cross(h, a)
-    of_v = mass * a + _cross(alpha, h) + _cross(omega, _cross(omega, h))
     of_alpha = _symmetric(inertia, w) + _cross(h, v)
     of_a = mass * v + _cross(w, h)
     of_omega = (
@@ -179,7 +217,8 @@ def _body_gradient(
         + h * _dot(v, omega)[..., None, :]
         - 2.0 * omega * _dot(v, h)[..., None, :]
     )
-    return _Spatial(of_w, of_v), of_omega.sum(axis=0), of_alpha.sum(axis=0), of_a.sum(axis=0)
+    of_axes = _axis_gradient(weights, inertia_omega, omega, alpha, a)
+    return of_axes, of_omega.sum(axis=0), of_alpha.sum(axis=0), of_a.sum(axis=0)
 
 
 def _symmetric(inertia: FloatArray, vector: FloatArray) -> FloatArray:

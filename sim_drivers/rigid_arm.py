@@ -4,18 +4,22 @@ An arm without loops and coupling is Pinocchio's. With them, the tree follows th
 T = G·R⁻¹, so that the power that motors give is the power that the tree's joints take (SR400 eq. 4 and 6):
 
     Γ_m = Tᵀ·Γ_tree(q_tree, T·q̇_m, T·q̈_m) + (Ia + I_pair)·q̈_m        M_m = Tᵀ·M_tree·T + Ia + I_pair
+
+With general loops q_tree and T are functions of q_m, and the tree's accelerations are T·q̈_m + Ṫ·q̇_m.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, Protocol
 
 import numpy as np
 
 from drivers.streams import FloatArray
+from ident.closed_loops import ClosedLoops
 from ident.model import DynamicModel
 from ident.pinocchio_model import pinocchio_model
-from ident.transmission import Transmission
+from ident.transmission import LinearTransmission, Transmission, TreeMotion
 
 
 class RigidArm(Protocol):
@@ -53,7 +57,12 @@ def rigid_arm(
     """
     if model.transmission is None:
         return _Tree(model, inertial, armature)
-    return _Constrained(model, model.transmission, inertial, armature, pair_inertia)
+    transmission = model.transmission
+    if isinstance(transmission, LinearTransmission):
+        return _Linear(model, transmission, inertial, armature, pair_inertia)
+    if isinstance(transmission, ClosedLoops):
+        return _Closed(model, transmission, inertial, armature, pair_inertia)
+    raise TypeError(f"no dynamics for {type(transmission).__name__}")
 
 
 class _Tree:
@@ -93,7 +102,7 @@ class _Tree:
         return np.asarray(np.triu(upper) + np.triu(upper, 1).T)
 
 
-class _Constrained:
+class _Constrained(ABC):
     """Joints follow, or motors are coupled."""
 
     def __init__(
@@ -105,29 +114,86 @@ class _Constrained:
         pair_inertia: FloatArray | None,
     ) -> None:
         self._tree = _Tree(model, inertial, np.zeros(len(model.joints)))
-        to_joints = np.linalg.inv(transmission.coupling)
-        self._follow = transmission.follow @ to_joints
-        self._offset = transmission.offset
+        self._to_joints = np.linalg.inv(transmission.coupling)
         pair = np.zeros(model.dof) if pair_inertia is None else pair_inertia
-        self._pair = to_joints.T @ np.diag(pair) @ to_joints
+        self._pair = self._to_joints.T @ np.diag(pair) @ self._to_joints
         self.armature = np.array(armature)
 
+    @abstractmethod
+    def _motion(
+        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """T (n, a) and position, velocity and acceleration (n,) of the tree for those (a,) of the motors."""
+
     def forward(self, position: FloatArray, velocity: FloatArray, torque: FloatArray) -> FloatArray:
-        bias = self._rigid(position, velocity, np.zeros_like(position))
-        return np.asarray(np.linalg.solve(self.inertia(position), torque - bias))
+        follow, *tree = self._motion(position, velocity, np.zeros_like(position))
+        bias = follow.T @ self._tree.inverse(*tree)
+        return np.asarray(np.linalg.solve(self._inertia(follow, tree[0]), torque - bias))
 
     def inverse(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        follow, *tree = self._motion(position, velocity, acceleration)
         rotors = self.armature * acceleration + self._pair @ acceleration
-        return np.asarray(self._rigid(position, velocity, acceleration) + rotors)
+        return np.asarray(follow.T @ self._tree.inverse(*tree) + rotors)
 
     def gravity(self, position: FloatArray) -> FloatArray:
-        return np.asarray(self._follow.T @ self._tree.gravity(self._follow @ position + self._offset))
+        still = np.zeros_like(position)
+        follow, tree, *_ = self._motion(position, still, still)
+        return np.asarray(follow.T @ self._tree.gravity(tree))
 
     def inertia(self, position: FloatArray) -> FloatArray:
-        tree = self._tree.inertia(self._follow @ position + self._offset)
-        return np.asarray(self._follow.T @ tree @ self._follow + self._pair + np.diag(self.armature))
+        still = np.zeros_like(position)
+        follow, tree, *_ = self._motion(position, still, still)
+        return self._inertia(follow, tree)
 
-    def _rigid(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+    def _inertia(self, follow: FloatArray, tree: FloatArray) -> FloatArray:
+        return np.asarray(follow.T @ self._tree.inertia(tree) @ follow + self._pair + np.diag(self.armature))
+
+
+class _Linear(_Constrained):
+    """Joints follow linearly, if any does."""
+
+    def __init__(
+        self,
+        model: DynamicModel,
+        transmission: LinearTransmission,
+        inertial: FloatArray,
+        armature: FloatArray,
+        pair_inertia: FloatArray | None,
+    ) -> None:
+        super().__init__(model, transmission, inertial, armature, pair_inertia)
+        self._follow = transmission.follow @ self._to_joints
+        self._offset = transmission.offset
+
+    def _motion(
+        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         follow = self._follow
-        at_joints = self._tree.inverse(follow @ position + self._offset, follow @ velocity, follow @ acceleration)
-        return np.asarray(follow.T @ at_joints)
+        return follow, follow @ position + self._offset, follow @ velocity, follow @ acceleration
+
+
+class _Closed(_Constrained):
+    """Joints follow by closing equations, solved from where the arm was last."""
+
+    def __init__(
+        self,
+        model: DynamicModel,
+        transmission: ClosedLoops,
+        inertial: FloatArray,
+        armature: FloatArray,
+        pair_inertia: FloatArray | None,
+    ) -> None:
+        super().__init__(model, transmission, inertial, armature, pair_inertia)
+        self._loops = transmission
+        self._last: TreeMotion | None = None
+
+    def _motion(
+        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        joints = [(self._to_joints @ values)[:, None] for values in (position, velocity, acceleration)]
+        if self._last is None:
+            motion = self._loops.tree_motion(*joints)
+        else:
+            motion = self._loops.next_motion(self._last, *joints)
+        self._last = motion
+        follow = np.asarray(motion.follow[..., 0] @ self._to_joints)
+        return follow, motion.position[:, 0], motion.velocity[:, 0], motion.acceleration[:, 0]

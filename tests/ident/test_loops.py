@@ -19,7 +19,7 @@ from ident.pinocchio_model import pinocchio_model, pinocchio_regressor
 from ident.plausibility import inertia_matrices
 from ident.regressor import RegressorKernel, model_torque, regressor
 from ident.regressor_gradient import pull_back_regressor
-from ident.transmission import Transmission
+from ident.transmission import LinearTransmission
 
 FOUR_BAR = """\
 name: four_bar
@@ -62,7 +62,7 @@ def random_transmission(model: DynamicModel, seed: int) -> DynamicModel:
     def kept(flags: tuple[bool, ...]) -> tuple[bool, ...]:
         return tuple(flags[number] for number in active)
 
-    transmission = Transmission(
+    transmission = LinearTransmission(
         active=active,
         follow=follow,
         offset=np.where(np.isin(np.arange(count), passive), generator.uniform(-1, 1, count), 0.0),
@@ -146,8 +146,8 @@ def test_equations_and_the_parallelogram_are_the_same_arm() -> None:
         parse_robot(sr400.text[:start] + equations + sr400.text[end:], where="written", folder=None)
     ).transmission
     derived = build_model(sr400).transmission
-    assert written is not None
-    assert derived is not None
+    assert isinstance(written, LinearTransmission)
+    assert isinstance(derived, LinearTransmission)
     np.testing.assert_array_equal(written.follow, derived.follow)
     np.testing.assert_allclose(written.offset, derived.offset, atol=1e-12)
     wrong = equations.replace("j7: -1}, closing", "j7: -1}, offset: 0.01, closing")
@@ -185,12 +185,13 @@ def test_a_urdf_s_passive_joints_work_too() -> None:
 def test_rows_are_those_of_the_tree_taken_to_the_motors(random_tree: Callable[..., DynamicModel], seed: int) -> None:
     tree = random_tree(seed, 7, aligned=seed % 2 == 0)
     model = random_transmission(tree, seed)
-    assert model.transmission is not None
+    assert isinstance(model.transmission, LinearTransmission)
     motion = random_states(model, 600, seed)
     dense = regressor(model, *motion)
     reference = pinocchio_regressor(model, *motion)
     np.testing.assert_allclose(dense, reference, atol=1e-9 * np.abs(reference).max())
-    inertial = regressor(tree, model.tree_position(motion[0]), *(model.tree_rate(rate) for rate in motion[1:]))[:, :70]
+    of_tree = model.tree_motion(*motion)
+    inertial = regressor(tree, of_tree.position, of_tree.velocity, of_tree.acceleration)[:, :70]
     at_motors = np.einsum("kn,npN->kpN", model.transmission.tree_to_motor, inertial)
     np.testing.assert_allclose(dense[:, :70], at_motors, atol=1e-9 * np.abs(reference).max())
 
@@ -203,7 +204,8 @@ def test_motors_give_the_power_that_the_tree_s_joints_take(random_tree: Callable
     motion = random_states(model, 600, seed)
     parameters = np.random.default_rng(seed).standard_normal(60)
     at_motors = model_torque(model, range(60), parameters, *motion)
-    tree_motion = model.tree_position(motion[0]), model.tree_rate(motion[1]), model.tree_rate(motion[2])
+    of_tree = model.tree_motion(*motion)
+    tree_motion = of_tree.position, of_tree.velocity, of_tree.acceleration
     at_joints = model_torque(tree, range(60), parameters, *tree_motion)
     given = np.einsum("nN,nN->N", at_motors, model.transmission.coupling @ motion[1])
     taken = np.einsum("nN,nN->N", at_joints, tree_motion[1])
@@ -242,7 +244,7 @@ def test_the_inertia_matrix_is_the_tree_s_between_the_active_joints() -> None:
 
     sr400 = load_robot("sr400")
     model, base = build_model(sr400), base_parameters(build_model(sr400))
-    assert model.transmission is not None
+    assert isinstance(model.transmission, LinearTransmission)
     truth = truth_vector(sr400)
     position = random_states(model, 600)[0]
     matrices = inertia_matrices(model, base, base.projection @ truth, position)
@@ -275,7 +277,8 @@ def test_friction_of_a_coupled_motor_counts_when_any_of_its_joints_moves(
 
 
 def test_the_main_chain_of_the_sr400_leaves_the_rods_out() -> None:
-    assert main_chain(build_model(load_robot("sr400")).joints) == (0, 1, 2, 3, 4, 5)
+    model = build_model(load_robot("sr400"))
+    assert main_chain(model.joints, model.active) == (0, 1, 2, 3, 4, 5)
 
 
 def test_an_excitation_s_constraints_know_the_passive_joints() -> None:

@@ -63,7 +63,7 @@ def test_energy_is_conserved_without_friction_and_drives(
 
     def energies() -> tuple[float, float]:
         joints, rates = np.linalg.solve(coupling, plant.position), np.linalg.solve(coupling, plant.velocity)
-        tree, tree_rates = model.tree_position(joints), model.tree_rate(rates)
+        tree, tree_rates = (values[:, 0] for values in model.tree_velocity(joints[:, None], rates[:, None]))
         kinetic = pin.computeKineticEnergy(arm, data, tree, tree_rates) + 0.5 * rotors @ plant.velocity**2
         return kinetic, pin.computePotentialEnergy(arm, data, tree)
 
