@@ -15,8 +15,9 @@ from functools import lru_cache
 import numpy as np
 
 from drivers.errors import IdentificationError
+from drivers.streams import FloatArray
+from ident.independent_columns import independent_columns
 from ident.joint_columns import joint_column
-from ident.kinematics import FloatArray
 from ident.loops import main_chain
 from ident.model import DynamicModel, Kind, StandardParameter
 from ident.regressor import RegressorKernel, motion_factor
@@ -117,8 +118,10 @@ def _cached(key: ModelKey) -> BaseParameters:
     return base_parameters_of(key.model, _random_factor(key.model))
 
 
-def base_parameters_of(model: DynamicModel, gram_root: FloatArray) -> BaseParameters:
+def base_parameters_of(model: DynamicModel, gram_root: FloatArray, still: Sequence[int] = ()) -> BaseParameters:
     """Base parameters that a triangular factor (p, p) of the model's standard columns at random states shows.
+
+    The links behind the joints of the tree that are `still` in all these states are regrouped on the others.
 
     Raises:
         IdentificationError: the rank cannot be decided (no gap between the singular values).
@@ -140,7 +143,7 @@ def base_parameters_of(model: DynamicModel, gram_root: FloatArray) -> BaseParame
             where=model.name,
             hint="check the geometry for lengths or angles that are nearly, but not quite, zero",
         )
-    kept = _greedy_columns(scaled, [parameters[i] for i in active], rank, model)
+    kept = _greedy_columns(scaled, [parameters[i] for i in active], rank, model, still)
     columns = sorted(int(active[i]) for i in kept)
     order = [int(np.flatnonzero(active == column)[0]) for column in columns]
     coefficients, *_ = np.linalg.lstsq(scaled[:, order], scaled, rcond=None)
@@ -186,23 +189,15 @@ def _preference(parameter: StandardParameter, preferred: Sequence[int]) -> tuple
 
 
 def _greedy_columns(
-    scaled: FloatArray, parameters: list[StandardParameter], rank: int, model: DynamicModel
+    scaled: FloatArray, parameters: list[StandardParameter], rank: int, model: DynamicModel, still: Sequence[int]
 ) -> list[int]:
-    """Indices of `rank` independent columns, the preferred ones first (modified Gram-Schmidt, applied twice)."""
+    """Indices of `rank` independent columns, the preferred ones first."""
     # The rods of a closed loop are regrouped on the links between base and tool, as SR400 Table 1 does.
     closed = model.transmission is not None and model.transmission.closed
-    preferred = main_chain(model.joints) if closed else range(len(model.joints))
+    chain = main_chain(model.joints, model.active) if closed else range(len(model.joints))
+    preferred = [number for number in chain if number not in still]
     order = sorted(range(len(parameters)), key=lambda i: _preference(parameters[i], preferred))
-    basis = np.empty((scaled.shape[0], 0))
-    kept: list[int] = []
-    for i in order:
-        column = scaled[:, i]
-        for _ in range(2):
-            column = column - basis @ (basis.T @ column)
-        length = float(np.linalg.norm(column))
-        if length > RANK_TOLERANCE:
-            basis = np.column_stack([basis, column / length])
-            kept.append(i)
+    kept = independent_columns(scaled, order, RANK_TOLERANCE)
     if len(kept) != rank:
         raise IdentificationError(
             f"{len(kept)} independent columns were found where the singular values show {rank}",

@@ -1,4 +1,4 @@
-"""Commands of the identification side: `robot show`, `check`, `info`, `identify`, `validate`."""
+"""Commands of the identification side: `robot show`, `check`, `info`, `identify`, `validate`, `merge`."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from ident.merge_commands import merge_app
+
 if TYPE_CHECKING:
     from daq.robot import RobotFile
-    from ident.result import Result
-    from ident.validation import FitFigures
 
 app = typer.Typer()
 robot_app = typer.Typer(no_args_is_help=True, help="What a robot file says and what its arm can reveal.")
 app.add_typer(robot_app, name="robot")
+app.add_typer(merge_app)
 
 JSON = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there.")
 ROBOT = typer.Argument(help="Built-in robot or robot file.")
@@ -199,6 +200,10 @@ def identify_recordings(
     position_decimate: int = typer.Option(1, "--position-decimate", help="Decimate the positions first (Chebyshev)."),
     filter_kind: str = typer.Option("butterworth", "--filter", help="Parallel filter: butterworth or chebyshev."),
     measured_velocity: bool = typer.Option(False, "--measured-velocity", help="Use the recorded velocity."),
+    locked: str = typer.Option(None, "--locked", help="Joints that must not move, separated by commas."),
+    torques_of: str = typer.Option(
+        None, "--torques-of", help="Joints whose motors' torques are used; all that turn if absent."
+    ),
     energy_window: float = typer.Option(
         None, "--energy-window", help="Mean duration of the windows of --method energy [s]."
     ),
@@ -220,11 +225,14 @@ def identify_recordings(
     from daq.recording import read_recording
     from daq.robot import load_robot
     from drivers.errors import UsageError
+    from ident.experiment import ExperimentChoices
     from ident.identify import IdentifyChoices, ModelChoices, identify
     from ident.least_squares import Method
+    from ident.option_text import delay_option, joints_option
     from ident.preprocess import PreprocessChoices
+    from ident.print_result import print_result
     from ident.report import write_report
-    from ident.result import result_json, write_result
+    from ident.result import check_folder, result_json, write_result
     from ident.summary import summarise
 
     *others, last = get_args(Method)
@@ -235,7 +243,8 @@ def identify_recordings(
     if not 0 < significance <= 100:
         raise UsageError(f"--significance {significance:g} is not a percentage", hint="the papers use 15")
     folder = out if out is not None else Path(f"{recordings[0].stem}-model")
-    _check_folder(folder)
+    check_folder(folder)
+    given_delay = delay_option(delay)
     choices = IdentifyChoices(
         method=method,  # type: ignore[arg-type]  # checked above
         model=ModelChoices(friction, offset, motor_inertia, smoothing),  # type: ignore[arg-type]
@@ -245,16 +254,19 @@ def identify_recordings(
             decimate=decimate,
             position_decimate=position_decimate,
             filter_kind=filter_kind,  # type: ignore[arg-type]  # PreprocessChoices checks it
-            delay=0.0 if delay == "auto" else _seconds(delay, "--delay"),
+            delay=given_delay or 0.0,
             measured_velocity=measured_velocity,
             start=start,
             stop=stop,
             keep_rest=keep_rest,
         ),
-        search_delay=delay == "auto",
+        search_delay=given_delay is None,
         split=split,
         significant_rsd=significance,
         energy_window=energy_window,
+        experiment=ExperimentChoices(
+            joints_option(locked, "--locked") or (), joints_option(torques_of, "--torques-of") or ()
+        ),
     )
     read = [read_recording(path) for path in recordings]
     held_out = [read_recording(path) for path in validate_with]
@@ -286,6 +298,7 @@ def validate(
 
     from daq.console import print_json
     from daq.recording import read_recording
+    from ident.print_result import print_fit
     from ident.result import read_result
     from ident.revalidate import revalidate
 
@@ -300,88 +313,4 @@ def validate(
         return
     for name, part in (("full", figures.full), ("essential", figures.essential)):
         print(f"{name} model: relative error {part.relative_error * 100:.2f} % over {part.samples} filtered samples")
-        _print_fit(stored.joints, part)
-
-
-def print_result(result: Result) -> None:
-    """The result as a person reads it at the terminal."""
-    from daq.console import print_table
-
-    for step in result.preprocessing:
-        print(f"{step.name}: {step.text}")
-    print(f"delay: {result.delay.note}")
-    print_table(
-        f"\nBase parameters ({result.method}); σ corrected for residuals that are not white",
-        ("name", "value", "σ", "RSD [%]", "significant", "unit"),
-        [
-            (p.name, p.value, p.std, p.rsd_percent, "yes" if p.significant else "no", p.unit)
-            for p in result.base_parameters
-        ],
-    )
-    validation = result.validation
-    print_table(
-        "\nErrors",
-        ("joint", "RMSE fit", "RMSE validation", "at low speed", "at high speed", "relative [%]"),
-        [
-            (
-                joint,
-                result.fit.rmse[i],
-                validation.rmse[i] if validation else None,
-                validation.low_speed_rmse[i] if validation else None,
-                validation.high_speed_rmse[i] if validation else None,
-                _percent(validation.joint_relative_error[i]) if validation else None,
-            )
-            for i, joint in enumerate(result.joints)
-        ],
-    )
-    print(
-        f"\ncondition {result.excitation.condition:.4g}, with scaled columns {result.excitation.scaled_condition:.4g}"
-    )
-    print(result.verdict)
-    for warning in result.warnings:
-        print(f"warning: {warning}")
-
-
-def _print_fit(joints: list[str], figures: FitFigures) -> None:
-    from daq.console import print_table
-
-    print_table(
-        "",
-        ("joint", "RMSE", "at low speed", "at high speed", "largest", "relative [%]"),
-        [
-            (
-                joint,
-                float(figures.rmse[i]),
-                float(figures.low_speed_rmse[i]),
-                float(figures.high_speed_rmse[i]),
-                float(figures.max_error[i]),
-                _percent(float(figures.joint_relative_error[i])),
-            )
-            for i, joint in enumerate(joints)
-        ],
-    )
-
-
-def _percent(share: float | None) -> float | None:
-    return None if share is None else 100.0 * share
-
-
-def _seconds(text: str, option: str) -> float:
-    from math import isfinite
-
-    from drivers.errors import UsageError
-
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not isfinite(value):
-        raise UsageError(f"{option} {text} is neither 'auto' nor a number of seconds")
-    return value
-
-
-def _check_folder(folder: Path) -> None:
-    from drivers.errors import UsageError
-
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"--out {folder} is a file; a folder is needed")
+        print_fit(stored.joints, part)

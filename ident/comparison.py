@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from drivers.streams import FloatArray
 from ident.filters import ZeroPhaseFilter
-from ident.kinematics import FloatArray
 from ident.model import DynamicModel
 from ident.preprocess import Segment
 from ident.regressor import model_torque
@@ -22,7 +22,7 @@ class TorqueSeries:
     Attributes:
         time: (M,) [s].
         measured: (n, M) [N·m].
-        predicted: (n, M) [N·m].
+        predicted: (n, M) [N·m]; nan for joints of whose torque the model says nothing.
         velocity: (n, M) [rad/s or m/s].
         used: (M,) whether the sample counts (the arm moves).
     """
@@ -61,3 +61,11 @@ def compare_torques(
             )
         )
     return tuple(series)
+
+
+def only_predicted(series: TorqueSeries, joints: Sequence[int]) -> TorqueSeries:
+    """The series without the predictions of all but some joints."""
+    others = [joint for joint in range(len(series.predicted)) if joint not in joints]
+    predicted = series.predicted.copy()
+    predicted[others] = np.nan
+    return replace(series, predicted=predicted) if others else series

@@ -22,10 +22,10 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from drivers.streams import FloatArray
 from ident.autocorrelation import independent_share, residual_autocorrelation
 from ident.comparison import TorqueSeries
 from ident.filters import ZeroPhaseFilter
-from ident.kinematics import FloatArray
 from ident.least_squares import LeastSquares
 from ident.observation import filtered_blocks
 from ident.preprocess import Segment
@@ -88,7 +88,7 @@ def block_jackknife(
     if not np.all(np.diag(normal) > 0.0):  # rounding, where columns are hardly excited
         normal = total_gram(sums)
     covariance = jackknife(sums, normal)
-    share = independent_share(autocorrelation)
+    share = independent_share(autocorrelation[solution.weights > 0])
     new = len(different) / len(counted)
     return CorrectedCovariance(covariance, length, len(sums), autocorrelation, solution.rows * share * new, 1.0 / new)
 

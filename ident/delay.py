@@ -15,7 +15,7 @@ from ident.autocorrelation import independent_share, residual_autocorrelation
 from ident.comparison import compare_torques
 from ident.filters import ZeroPhaseFilter
 from ident.least_squares import excited_columns, ordinary_least_squares
-from ident.observation import Reduction, reduce_segments
+from ident.observation import Reduction, only_torques, reduce_segments
 from ident.preprocess import Segment, shift_torque
 from ident.regressor import RegressorKernel
 from ident.triangular import triangular
@@ -52,8 +52,21 @@ class DelaySearch:
     note: str
 
 
-def search_delay(kernel: RegressorKernel, segments: Sequence[Segment], parallel_filter: ZeroPhaseFilter) -> DelaySearch:
-    """Find the delay by which the torque of all segments lags their motion (prepared with delay 0)."""
+def search_delay(
+    kernel: RegressorKernel,
+    segments: Sequence[Segment],
+    parallel_filter: ZeroPhaseFilter,
+    torques_of: Sequence[int] | None = None,
+) -> DelaySearch:
+    """Find the delay by which the torque of all segments lags their motion (prepared with delay 0).
+
+    Args:
+        kernel: of the base columns.
+        segments: prepared with delay 0.
+        parallel_filter: for τ and W.
+        torques_of: numbers of the joints whose torques are looked at; all where None.
+    """
+    joints = list(range(kernel.model.dof) if torques_of is None else torques_of)
     delay = 0.0
     at_zero = float("nan")
     for _ in range(_STEPS):
@@ -61,7 +74,7 @@ def search_delay(kernel: RegressorKernel, segments: Sequence[Segment], parallel_
         for segment in segments:
             shifted = shift_torque(segment.torque, segment.rate, delay)
             torques.append(np.vstack([shifted, np.gradient(shifted, 1.0 / segment.rate, axis=1)]))
-        reduction = reduce_segments(kernel, segments, parallel_filter, torques)
+        reduction = only_torques(reduce_segments(kernel, segments, parallel_filter, torques), joints)
         active = excited_columns(reduction)
         stacked = reduction.stacked()
         rest = triangular(stacked[:, [*active, -2, -1]])[len(active) :, -2:]
@@ -80,7 +93,7 @@ def search_delay(kernel: RegressorKernel, segments: Sequence[Segment], parallel_
             note = f"no delay within ±{LONGEST * 1e3:g} ms fits; none used"
             return DelaySearch(float("nan"), float("nan"), 0.0, 0.0, note)
     gain = 1.0 - norm / at_zero
-    std = _standard_deviation(kernel, segments, parallel_filter, reduction, steepness)
+    std = _standard_deviation(kernel, segments, parallel_filter, reduction, steepness, joints)
     side = "behind" if delay > 0 else "ahead of"
     found = f"torque lies {abs(delay) * 1e3:.2f} ± {std * 1e3:.2f} ms {side} the motion"
     if abs(delay) < SURE_DEVIATIONS * std:
@@ -97,10 +110,11 @@ def _standard_deviation(
     parallel_filter: ZeroPhaseFilter,
     reduction: Reduction,
     steepness: float,
+    joints: list[int],
 ) -> float:
     """Of the delay [s]: the classical one over the square root of the share of independent rows (AR(1) residuals)."""
     solution = ordinary_least_squares(reduction, excited_columns(reduction))
     series = compare_torques(kernel.model, kernel.columns, solution.parameters, segments, parallel_filter)
-    share = independent_share(residual_autocorrelation(series))
+    share = independent_share(residual_autocorrelation(series)[joints])
     freedom = reduction.rows - len(solution.active)
     return float(np.sqrt(solution.residual_sum / freedom / steepness / share))

@@ -11,22 +11,25 @@ import numpy as np
 from daq.recording import Recording
 from daq.robot import RobotFile
 from drivers.errors import DataError, UsageError
-from ident.base_parameters import BaseParameters, base_parameters
-from ident.comparison import TorqueSeries, compare_torques
+from drivers.streams import FloatArray
+from ident.base_parameters import BaseParameters
+from ident.comparison import TorqueSeries, compare_torques, only_predicted
 from ident.covariance import CorrectedCovariance, FilteredRun
+from ident.data_split import Part, part_positions, split_data
 from ident.delay import DelaySearch, search_delay
+from ident.estimate import Estimate, estimate_of
 from ident.estimator import estimable, estimator_of
 from ident.excitation import excited_base_columns
+from ident.experiment import Experiment, ExperimentChoices, experiment_base, find_experiment, predictable_torques
 from ident.identify_warnings import identification_warnings
-from ident.kinematics import FloatArray
 from ident.least_squares import ENERGY_METHODS, LeastSquares, Method
-from ident.measured import MeasuredMotion, measured_motion
+from ident.measured import MeasuredMotion
 from ident.model import DynamicModel, build_model
-from ident.observation import Reduction
+from ident.observation import Reduction, only_torques
 from ident.preprocess import Prepared, PreprocessChoices, prepare
 from ident.pruning import SIGNIFICANT_RSD, Pruned, prune
 from ident.regressor import RegressorKernel
-from ident.validation import HELD_OUT_SHARE, FitFigures, fit_figures
+from ident.validation import FitFigures, fit_figures
 
 FrictionModel = Literal["none", "viscous", "coulomb", "coulomb-viscous"]
 
@@ -63,6 +66,7 @@ class IdentifyChoices:
         split: end of the identification part of a single recording [s from its first stamp]; None takes the first 70 %.
         significant_rsd: threshold of significance [%].
         energy_window: mean duration of the energy method's windows [s]; None takes it from the parallel filter.
+        experiment: joints that must be locked, and motors whose torques are used.
     """
 
     method: Method = "wls"
@@ -72,8 +76,14 @@ class IdentifyChoices:
     split: float | None = None
     significant_rsd: float = SIGNIFICANT_RSD
     energy_window: float | None = None
+    experiment: ExperimentChoices = field(default_factory=ExperimentChoices)
 
     def __post_init__(self) -> None:
+        if self.method in ENERGY_METHODS and self.experiment.torques_of:
+            raise UsageError(
+                f"--torques-of has no meaning for --method {self.method}, whose equation is the whole arm's",
+                hint="use --method wls",
+            )
         if self.energy_window is None:
             return
         if self.method != "energy":
@@ -97,7 +107,9 @@ class Identification:
 
     Attributes:
         robot_file: the robot it was done for.
-        model, base: the model and its base parameters.
+        model: the model.
+        experiment: joints that stood still, motors whose torques were used.
+        base: what such an experiment can show of the arm.
         choices: as given, with the cut-offs and the delay that were used.
         runs, validation_runs: prepared data.
         delay: the search, where one was made.
@@ -113,6 +125,7 @@ class Identification:
 
     robot_file: RobotFile
     model: DynamicModel
+    experiment: Experiment
     base: BaseParameters
     choices: IdentifyChoices
     runs: tuple[PreparedRun, ...]
@@ -139,10 +152,15 @@ class Identification:
         return deviations
 
     @property
+    def estimate(self) -> Estimate:
+        """Values and covariance, for merging."""
+        return estimate_of(self.reduction, self.solution, self.corrected.covariance, self.corrected.blocks)
+
+    @property
     def joint_std(self) -> FloatArray:
-        """Standard deviation (n,) of each joint's filtered torque residual [N·m]."""
+        """Standard deviation (n,) of each joint's filtered torque residual [N·m]; nan where it was not used."""
         if self.choices.method not in ENERGY_METHODS:
-            return self.solution.joint_std
+            return np.where(self.solution.weights > 0, self.solution.joint_std, np.nan)
         squares = sum(np.sum(part.residual**2, axis=1) for part in self.fit_series)
         return np.asarray(np.sqrt(squares / max(1, sum(int(part.used.sum()) for part in self.fit_series))))
 
@@ -170,19 +188,23 @@ def identify(
         raise UsageError("no recording to identify from")
     robot_file = recordings[0].robot() if robot_file is None else robot_file
     model = apply_model_choices(build_model(robot_file), choices.model)
+    parts, held_out, validation_source = split_data(
+        recordings, validation, robot_file.robot, choices.preprocess, choices.split
+    )
     progress("base parameters")
-    base = base_parameters(model)
+    experiment = find_experiment(model, [part_positions(part) for part in parts], choices.experiment)
+    held_out_torques = [predictable_torques(model, [experiment], *part_positions(part)) for part in held_out]
+    base = experiment_base(model, [experiment])
     kernel = RegressorKernel(model, base.columns)
 
     progress("preprocessing")
-    parts, held_out, validation_source = _split(recordings, validation, robot_file, choices)
     # Cut-offs and delay come from the first part, all data are then treated alike.
     first = _prepare_window(parts[0], choices.preprocess)
     resolved = first.prepared.choices
     delay = None
     if choices.search_delay:
         progress("delay")
-        delay = search_delay(kernel, first.prepared.segments, first.prepared.parallel_filter)
+        delay = search_delay(kernel, first.prepared.segments, first.prepared.parallel_filter, experiment.torques)
         resolved = replace(resolved, delay=delay.used)
     runs = tuple(_prepare_window(part, resolved) for part in parts)
     validation_runs = tuple(_prepare_window(part, resolved) for part in held_out)
@@ -195,10 +217,19 @@ def identify(
         for run in runs
     )
     reduction = estimator.reduce(parts_used)
+    if choices.method not in ENERGY_METHODS:
+        reduction = only_torques(reduction, experiment.torques)
     estimated = estimable(choices.method, model, base)
     active = tuple(column for column in excited_base_columns(reduction, base, parts_used) if column in estimated)
     solution = estimator.solve(reduction, active)
-    fit_series = tuple(_compare(model, base, solution.parameters, runs))
+
+    def compared(parameters: FloatArray) -> tuple[TorqueSeries, ...]:
+        return _compare(model, base, parameters, runs, [experiment.torques] * len(runs))
+
+    def compared_held_out(parameters: FloatArray) -> tuple[TorqueSeries, ...]:
+        return _compare(model, base, parameters, validation_runs, held_out_torques)
+
+    fit_series = compared(solution.parameters)
     filtered = _filtered_runs(runs, fit_series)
 
     progress("error bars")
@@ -214,11 +245,12 @@ def identify(
     )
 
     progress("validation")
-    validation_series = tuple(_compare(model, base, solution.parameters, validation_runs))
+    validation_series = compared_held_out(solution.parameters)
     essential = pruned.solution.parameters
     identification = Identification(
         robot_file=robot_file,
         model=model,
+        experiment=experiment,
         base=base,
         choices=replace(
             choices,
@@ -235,8 +267,8 @@ def identify(
         validation_series=validation_series,
         fit=fit_figures(fit_series),
         validation=fit_figures(validation_series),
-        essential_fit=fit_figures(tuple(_compare(model, base, essential, runs))),
-        essential_validation=fit_figures(tuple(_compare(model, base, essential, validation_runs))),
+        essential_fit=fit_figures(compared(essential)),
+        essential_validation=fit_figures(compared_held_out(essential)),
         validation_source=validation_source,
         warnings=(),
     )
@@ -263,52 +295,6 @@ def apply_model_choices(model: DynamicModel, choices: ModelChoices) -> DynamicMo
     return model
 
 
-Window = dict[str, float | None]
-"""`start` and `stop` of a part, from its recording's first stamp [s]."""
-
-
-def _split(
-    recordings: Sequence[Recording],
-    validation: Sequence[Recording],
-    robot_file: RobotFile,
-    choices: IdentifyChoices,
-) -> tuple[list[tuple[MeasuredMotion, Window]], list[tuple[MeasuredMotion, Window]], str]:
-    """What to identify from and what to hold out: other recordings, or the last part of each."""
-    robot = robot_file.robot
-    motions = [measured_motion(recording, robot) for recording in recordings]
-    whole: Window = {"start": choices.preprocess.start, "stop": choices.preprocess.stop}
-    if validation:
-        if choices.split is not None:
-            raise UsageError(
-                "--split and --validate exclude each other", hint="name the held-out recording, or split one"
-            )
-        held = [measured_motion(recording, robot) for recording in validation]
-        names = ", ".join(motion.label for motion in held)
-        return [(motion, whole) for motion in motions], [(motion, {}) for motion in held], names
-    parts: list[tuple[MeasuredMotion, Window]] = []
-    held_out: list[tuple[MeasuredMotion, Window]] = []
-    for motion in motions:
-        start = choices.preprocess.start or 0.0
-        length = float(motion.time[-1] - motion.time[0]) if len(motion.time) else 0.0
-        stop = length if choices.preprocess.stop is None else min(choices.preprocess.stop, length)
-        if not start < stop:
-            raise UsageError(
-                f"the window from {start:g} to {stop:g} s holds no samples; the recording lasts {length:g} s",
-                where=motion.label,
-            )
-        border = start + (1.0 - HELD_OUT_SHARE) * (stop - start) if choices.split is None else choices.split
-        if not start < border < stop:
-            raise UsageError(
-                f"--split {border:g} s is outside the data, which last from {start:g} to {stop:g} s",
-                hint="leave it out to hold out the last 30 %",
-            )
-        parts.append((motion, {"start": start, "stop": border}))
-        held_out.append((motion, {"start": border, "stop": choices.preprocess.stop}))
-    share = "last 30 %" if choices.split is None else f"part after {choices.split:g} s"
-    source = f"the {share} of the recording{'s' if len(motions) > 1 else ''}, held out of the identification"
-    return parts, held_out, source
-
-
 def _prepare(motion: MeasuredMotion, choices: PreprocessChoices) -> PreparedRun:
     try:
         prepared = prepare(motion.time, motion.position, motion.torque, choices, velocity=motion.velocity)
@@ -318,24 +304,33 @@ def _prepare(motion: MeasuredMotion, choices: PreprocessChoices) -> PreparedRun:
     return PreparedRun(motion, choices, prepared)
 
 
-def _prepare_window(part: tuple[MeasuredMotion, Window], resolved: PreprocessChoices) -> PreparedRun:
+def _prepare_window(part: Part, resolved: PreprocessChoices) -> PreparedRun:
     motion, window = part
     return _prepare(motion, replace(resolved, start=window.get("start"), stop=window.get("stop")))
 
 
 def _compare(
-    model: DynamicModel, base: BaseParameters, parameters: FloatArray, runs: Sequence[PreparedRun]
-) -> list[TorqueSeries]:
-    return [
-        series
-        for run in runs
+    model: DynamicModel,
+    base: BaseParameters,
+    parameters: FloatArray,
+    runs: Sequence[PreparedRun],
+    torques: Sequence[Sequence[int]],
+) -> tuple[TorqueSeries, ...]:
+    """Measured and predicted torques of all runs; of each run, only those of some motors are predicted."""
+    return tuple(
+        only_predicted(series, predicted)
+        for run, predicted in zip(runs, torques, strict=True)
         for series in compare_torques(
             model, base.columns, parameters, run.prepared.segments, run.prepared.parallel_filter
         )
-    ]
+    )
 
 
 def _filtered_runs(runs: Sequence[PreparedRun], series: Sequence[TorqueSeries]) -> list[FilteredRun]:
+    """What the jackknife looks at: torques that were not used leave no residual."""
+    series = [
+        replace(part, predicted=np.where(np.isnan(part.predicted), part.measured, part.predicted)) for part in series
+    ]
     filtered, position = [], 0
     for run in runs:
         count = len(run.prepared.segments)

@@ -10,8 +10,9 @@ import numpy as np
 
 from daq.recording import Recording
 from ident.estimator import estimable, estimator_of, fits_energy_better
+from ident.experiment import experiment_states, turning_motors, whole_arm
 from ident.least_squares import ENERGY_METHODS, ordinary_least_squares
-from ident.plausibility import fits_opposite_gravity, indefinite_share, sign_warnings
+from ident.plausibility import POSES, fits_opposite_gravity, indefinite_share, inertia_matrices, sign_warnings
 from ident.pruning import relative_std
 from ident.regressor import RegressorKernel
 
@@ -36,6 +37,7 @@ def identification_warnings(found: Identification, recordings: Sequence[Recordin
             f"only {solution.rows} equations for {count} parameters; {ROWS_PER_PARAMETER} a parameter are advised: "
             f"record longer or {more}"
         )
+    warnings += _experiment_warnings(found)
     unseen = [base.names[i] for i in range(base.count) if i not in estimable(found.choices.method, found.model, base)]
     if unseen:
         warnings.append(
@@ -59,8 +61,8 @@ def identification_warnings(found: Identification, recordings: Sequence[Recordin
         )
         if found.choices.method in ENERGY_METHODS:
             warnings.append(
-                "the energy model has one equation for all joints together: move few of them at a time, record longer, "
-                "or use --method wls"
+                "the energy model has one equation for all joints together: record many different moves rather than a "
+                "periodic motion, or use --method wls"
             )
     warnings += sign_warnings(base, solution.parameters, found.std)
     if np.any(found.model.gravity) and _fits_opposite_gravity(found):
@@ -68,7 +70,7 @@ def identification_warnings(found: Identification, recordings: Sequence[Recordin
             "gravity of the opposite sign fits the data better: check `model.gravity`, how the arm is mounted, and the "
             "signs of the drive gains"
         )
-    share = indefinite_share(found.model, base, solution.parameters)
+    share = _indefinite_share(found)
     if share > 0:
         warnings.append(
             f"the identified inertia matrix is not positive definite at {share * 100:.0f} % of random poses: good for "
@@ -83,6 +85,43 @@ def identification_warnings(found: Identification, recordings: Sequence[Recordin
     return warnings
 
 
+def _experiment_warnings(found: Identification) -> list[str]:
+    """What was found to stand still and nobody said so; torques of motors at rest."""
+    experiment, names = found.experiment, found.model.joint_names
+    warnings = []
+    unsaid = [names[joint] for joint in experiment.locked if names[joint] not in found.choices.experiment.locked]
+    if unsaid:
+        warnings.append(
+            f"{', '.join(unsaid)} did not move: the base parameters are those of the arm with "
+            f"{'this joint' if len(unsaid) == 1 else 'these joints'} fixed, and hold for no other position of "
+            f"{'it' if len(unsaid) == 1 else 'them'}; name what is locked on purpose with --locked"
+        )
+    turning = turning_motors(found.model, experiment.locked)
+    held = [names[motor] for motor in experiment.torques if motor not in turning]
+    if held:
+        warnings.append(
+            f"the motor of {', '.join(held)} does not turn, and its torque is used: static friction or a brake may "
+            "hold any part of it"
+        )
+    return warnings
+
+
+def _indefinite_share(found: Identification) -> float:
+    """Share of random poses at which the inertia matrix of the joints that moved is not positive definite."""
+    model, experiment, parameters = found.model, found.experiment, found.solution.parameters
+    if experiment == whole_arm(model):
+        return indefinite_share(model, found.base, parameters)
+    moving = [joint for joint in range(model.dof) if joint not in experiment.locked]
+    rows = [joint for joint in moving if joint in experiment.torques]
+    if model.transmission is not None and rows != moving:  # a coupled motor's row belongs to several joints
+        return 0.0
+    position = np.concatenate([state[0] for state in experiment_states(model, experiment)], axis=1)
+    few = position[:, :: max(1, position.shape[1] // POSES)]
+    matrices = inertia_matrices(model, found.base, parameters, few)[:, rows][:, :, rows]
+    smallest = np.linalg.eigvalsh(0.5 * (matrices + matrices.transpose(0, 2, 1)))[:, 0]
+    return float(np.mean(smallest <= 0.0))
+
+
 def _fits_opposite_gravity(found: Identification) -> bool:
     """Whether the same equations with gravity of the opposite sign fit clearly better, both by OLS."""
     active, model, method = found.solution.active, found.model, found.choices.method
@@ -90,7 +129,7 @@ def _fits_opposite_gravity(found: Identification) -> bool:
     parts = [run.prepared for run in found.runs]
     if method not in ENERGY_METHODS:
         prepared = [(part.segments, part.parallel_filter) for part in parts]
-        return fits_opposite_gravity(model, found.base, prepared, active, residual_sum)
+        return fits_opposite_gravity(model, found.base, prepared, active, residual_sum, found.experiment.torques)
     kernel = RegressorKernel(replace(model, gravity=-model.gravity), found.base.columns)
     turned = estimator_of(method, kernel, parts, found.choices.energy_window)
     independent = found.corrected.effective_rows * found.corrected.repetitions

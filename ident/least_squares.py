@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from drivers.errors import IdentificationError
-from ident.kinematics import FloatArray
+from drivers.streams import FloatArray
 from ident.observation import Reduction
 from ident.triangular import scaled_condition, triangular
 
@@ -39,8 +40,9 @@ class LeastSquares:
         parameters: (b,) base parameters; 0 for those that were not estimated.
         covariance: (a, a) of the active ones, residuals taken as white (SR400 eq. 14).
         inverse: (a, a) inverse of the (weighted) normal matrix.
-        weights: (n,) what each joint's rows were multiplied with; (1,) for the energy methods.
-        joint_std: (n,) standard deviation of each joint's residual [N·m]; (1,) of the energy's [J] or power's [W].
+        weights: (n,) what each joint's rows were multiplied with, 0 without rows; (1,) for the energy methods.
+        joint_std: (n,) standard deviation of each joint's residual [N·m], 0 without rows; (1,) of the energy's [J] or
+            power's [W].
         rows: r, the number of equations.
         condition: of the active columns as they are (weighted), SR400's criterion.
         scaled_condition: the same with columns of unit length.
@@ -87,7 +89,7 @@ def ordinary_least_squares(reduction: Reduction, active: Sequence[int]) -> Least
     Raises:
         IdentificationError: fewer equations than parameters, or columns that depend on each other.
     """
-    return _solve(reduction, tuple(active), np.ones(len(reduction.joints)), "ols", 1)
+    return _solve(reduction, tuple(active), _with_rows(reduction).astype(np.float64), "ols", 1)
 
 
 def weighted_least_squares(reduction: Reduction, active: Sequence[int]) -> LeastSquares:
@@ -99,17 +101,22 @@ def weighted_least_squares(reduction: Reduction, active: Sequence[int]) -> Least
         IdentificationError: as for OLS, or the weights do not converge.
     """
     solution = ordinary_least_squares(reduction, active)
-    floor = _rounding_floor(reduction)
+    floor, used = _rounding_floor(reduction), _with_rows(reduction)
     for iteration in range(2, WLS_ITERATIONS + 2):
-        weights = 1.0 / np.maximum(solution.joint_std, floor)
+        weights = np.where(used, 1.0 / np.maximum(solution.joint_std, floor), 0.0)
         refined = _solve(reduction, tuple(active), weights, "wls", iteration)
-        change = np.max(np.abs(np.maximum(refined.joint_std, floor) * weights - 1.0))
+        change = np.max(np.abs(np.maximum(refined.joint_std, floor) * weights - 1.0)[used])
         solution = refined
         if change < WLS_TOLERANCE:
             return solution
     raise IdentificationError(
         f"the joint weights did not settle in {WLS_ITERATIONS} iterations", hint="use --method ols, or record longer"
     )
+
+
+def _with_rows(reduction: Reduction) -> npt.NDArray[np.bool_]:
+    """Whether (n,) each joint has rows in the system."""
+    return np.array([joint.rows > 0 for joint in reduction.joints])
 
 
 def _rounding_floor(reduction: Reduction) -> FloatArray:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from drivers.streams import FloatArray
 from ident.filters import StreamedFilter, ZeroPhaseFilter
-from ident.kinematics import FloatArray
 from ident.preprocess import Segment
 from ident.regressor import RegressorKernel, evaluate_in_chunks, motion_factor
 from ident.triangular import (
@@ -90,6 +90,17 @@ class Reduction:
             rest = joint.factor[:, :width] @ parameters[list(joint.columns)] - joint.factor[:, width]
             sums.append(float(rest @ rest))
         return np.array(sums)
+
+
+def only_torques(reduction: Reduction, joints: Sequence[int]) -> Reduction:
+    """The system without the rows of all but some joints, which keep their number."""
+    return replace(
+        reduction,
+        joints=tuple(
+            joint if number in joints else JointFactor(joint.columns, joint.factor[:0], 0)
+            for number, joint in enumerate(reduction.joints)
+        ),
+    )
 
 
 def stack_reductions(reductions: Sequence[Reduction]) -> Reduction:

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from drivers.streams import FloatArray
 from ident.base_parameters import BaseParameters, random_states
 from ident.filters import ZeroPhaseFilter
-from ident.kinematics import FloatArray
 from ident.least_squares import LeastSquares, excited_columns, ordinary_least_squares
 from ident.model import DynamicModel
-from ident.observation import Reduction, reduce_segments, stack_reductions
+from ident.observation import Reduction, only_torques, reduce_segments, stack_reductions
 from ident.preprocess import Segment
 from ident.regressor import RegressorKernel, regressor
 
@@ -62,14 +62,16 @@ def fits_opposite_gravity(
     runs: Sequence[tuple[Sequence[Segment], ZeroPhaseFilter]],
     active: Sequence[int],
     residual_sum: float,
+    torques_of: Sequence[int],
 ) -> bool:
     """Whether gravity of the opposite sign leaves a clearly smaller sum of squared residuals than `residual_sum`.
 
-    Both are least squares over the `active` base columns; an arm that does not feel gravity fits either sign alike.
+    Both are least squares over the `active` base columns, with the rows of the motors `torques_of`; an arm that does
+    not feel gravity fits either sign alike.
     """
     kernel = RegressorKernel(replace(model, gravity=-model.gravity), base.columns)
     reduction = stack_reductions([reduce_segments(kernel, segments, parallel) for segments, parallel in runs])
-    return refitted(reduction, active).residual_sum < CLEARLY_SMALLER * residual_sum
+    return refitted(only_torques(reduction, torques_of), active).residual_sum < CLEARLY_SMALLER * residual_sum
 
 
 def refitted(reduction: Reduction, active: Sequence[int]) -> LeastSquares:

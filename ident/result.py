@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from drivers.errors import ResultFileError
+from drivers.errors import ResultFileError, UsageError
 from ident.model import Kind
 
 RESULT_SCHEMA = 1
@@ -23,6 +24,10 @@ UNITS: dict[str, str] = {
     "Fo": "N·m",
 }
 """Units by symbol, for revolute joints."""
+
+
+_NUMBERS = re.compile(r"\[\n[-+.0-9eEnul,\s]+\]")
+"""A list of nothing but numbers, which stands in one line."""
 
 
 def _finite_or_none(value: Any) -> Any:
@@ -93,7 +98,7 @@ class Essential(_Part):
     count: int
     dropped: list[str]
     stopped_by: str
-    fit: Fit
+    fit: Fit | None
     validation: Fit | None
 
 
@@ -127,6 +132,61 @@ class ProcessingStep(_Part):
     text: str
 
 
+class ExperimentResult(_Part):
+    """What the recordings could show: joints that were locked, motors whose torques were used."""
+
+    locked: dict[str, list[float]] = Field(description="positions at which a joint stood still, a pose each [rad or m]")
+    torques_of: list[str]
+
+
+class EstimateResult(_Part):
+    """The estimated values with their whole covariance, for merging; see ident.estimate."""
+
+    parameters: list[str] = Field(description="names of the estimated base parameters, a of them")
+    root: list[list[float]] = Field(description="(a, a) upper triangular; its square is the inverse covariance")
+    covariance: list[list[Number]] = Field(description="(a, a) corrected for residuals that are not white")
+    taken_up: dict[str, list[float]] = Field(description="share of a parameter without a value in each estimated one")
+    blocks: int = Field(description="of the jackknife behind the covariance")
+
+
+class MergedModel(_Part):
+    """One of the models that were merged."""
+
+    file: str
+    method: str
+    experiments: list[ExperimentResult]
+    parameters: int = Field(description="number of estimated base parameters")
+    variance_ratio: float = Field(description="mean variance, corrected for residuals that are not white over white")
+
+
+class Contradiction(_Part):
+    """A value that is further from the merged one than chance explains."""
+
+    file: str
+    parameter: str
+    value: float = Field(description="of that model")
+    merged: float = Field(description="the same combination of standard parameters, of the merged model")
+    deviations: float = Field(description="difference in its own standard deviations")
+
+
+class Consistency(_Part):
+    """Whether the merged models agree on what they share, as a chi-square test."""
+
+    statistic: float
+    freedom: int = Field(description="number of combinations that more than one model tells")
+    p_value: float = Field(description="how often chance alone gives a larger statistic")
+    agree: bool
+    text: str
+    contradictions: list[Contradiction]
+
+
+class Merge(_Part):
+    """Where a merged model comes from."""
+
+    models: list[MergedModel]
+    consistency: Consistency | None = Field(description="null where the models share nothing, or too little is known")
+
+
 class RecordingUse(_Part):
     """A recording that took part."""
 
@@ -137,6 +197,7 @@ class RecordingUse(_Part):
     samples: int
     rate_hz: float
     events: list[str] = Field(description="what the recording says of itself: repairs, gaps, assumptions")
+    torques_of: list[str] = Field(default=[], description="motors whose torques were used")
 
 
 class DelayFigures(_Part):
@@ -176,7 +237,7 @@ class Result(_Part):
     friction: list[JointFriction]
     standard_parameters: list[dict[str, Any]] | None = Field(default=None, description="when physically consistent")
     drive_gains: list[DriveGain]
-    fit: Fit
+    fit: Fit | None = Field(description="null for merged models, which are not fitted to recordings")
     validation: Fit | None
     validation_source: str
     essential: Essential
@@ -188,6 +249,19 @@ class Result(_Part):
     versions: dict[str, str]
     verdict: str
     warnings: list[str]
+    experiments: list[ExperimentResult] = Field(default=[], description="empty: all joints moved, all torques used")
+    merge: Merge | None = None
+    estimate: EstimateResult | None = None
+
+
+def check_folder(folder: Path) -> None:
+    """Whether results can be written into a folder, before anything is computed for them.
+
+    Raises:
+        UsageError: it is a file.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--out {folder} is a file; a folder is needed")
 
 
 def write_result(path: Path, result: Result) -> None:
@@ -207,7 +281,8 @@ def replace_file(path: Path, text: str) -> None:
 
 def result_json(result: Result) -> str:
     """The JSON text, strict: null stands for what is not a number."""
-    return json.dumps(result.model_dump(mode="json"), ensure_ascii=False, indent=1, allow_nan=False)
+    text = json.dumps(result.model_dump(mode="json"), ensure_ascii=False, indent=1, allow_nan=False)
+    return _NUMBERS.sub(lambda found: re.sub(r"\s+", " ", found[0]), text)
 
 
 def read_result(path: Path) -> Result:

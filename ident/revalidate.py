@@ -8,14 +8,14 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from daq.recording import Recording
-from daq.robot import parse_robot
 from drivers.errors import ResultFileError
-from ident.base_parameters import base_parameters
-from ident.comparison import TorqueSeries, compare_torques
+from ident.comparison import TorqueSeries, compare_torques, only_predicted
+from ident.experiment import predictable_torques
 from ident.measured import measured_motion
-from ident.model import build_model
+from ident.played_motion import played_window
 from ident.preprocess import PreprocessChoices, prepare
 from ident.result import Result
+from ident.stored_model import stored_model
 from ident.validation import FitFigures, fit_figures
 
 
@@ -35,33 +35,14 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
         ResultFileError: the stored parameters do not belong to the stored robot file.
         DataError: the recording lacks what is needed.
     """
-    robot_file = parse_robot(
-        result.robot_file, where="the result's robot file", folder=None, urdf_text=result.urdf or None
-    )
-    options = result.model_options
-    for name in ("motor_inertia", "viscous", "coulomb", "offset"):
-        if len(getattr(options, name)) != robot_file.robot.dof:
-            raise ResultFileError(
-                f"{len(getattr(options, name))} flags for {robot_file.robot.dof} joints",
-                where=f"model_options.{name}",
-                hint="identify again",
-            )
-    model = replace(
-        build_model(robot_file),
-        motor_inertia=tuple(options.motor_inertia),
-        viscous=tuple(options.viscous),
-        coulomb=tuple(options.coulomb),
-        offset=tuple(options.offset),
-        smoothing=options.smoothing,
-    )
-    base = base_parameters(model)
+    stored_parts = stored_model(result)
+    model, base = stored_parts.model, stored_parts.base
     stored = {parameter.name: parameter for parameter in result.base_parameters}
-    if set(stored) != set(base.names):
-        raise ResultFileError("the base parameters do not belong to the robot file beside them", hint="identify again")
     full = np.array([stored[name].value or 0.0 for name in base.names])
     essential = np.array([stored[name].essential_value or 0.0 for name in base.names])
-    motion = measured_motion(recording, robot_file.robot)
-    choices = _stored_choices(result)
+    motion = measured_motion(recording, stored_parts.robot_file.robot)
+    start, stop = played_window(recording, motion.position)
+    choices = replace(_stored_choices(result), start=start, stop=stop)
     prepared = prepare(
         motion.time,
         motion.position,
@@ -69,14 +50,17 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
         choices,
         velocity=motion.velocity,
     )
-    series = compare_torques(model, base.columns, full, prepared.segments, prepared.parallel_filter)
-    return Revalidation(
-        full=fit_figures(series),
-        essential=fit_figures(
-            compare_torques(model, base.columns, essential, prepared.segments, prepared.parallel_filter)
-        ),
-        series=series,
+    seconds = motion.time - motion.time[0]
+    inside = (seconds >= (start or 0.0)) & (seconds <= (np.inf if stop is None else stop))
+    torques = predictable_torques(model, stored_parts.experiments, motion.label, motion.position[inside])
+    full_series, essential_series = (
+        tuple(
+            only_predicted(part, torques)
+            for part in compare_torques(model, base.columns, values, prepared.segments, prepared.parallel_filter)
+        )
+        for values in (full, essential)
     )
+    return Revalidation(fit_figures(full_series), fit_figures(essential_series), full_series)
 
 
 def _stored_choices(result: Result) -> PreprocessChoices:

@@ -9,16 +9,25 @@ from pathlib import Path
 import numpy as np
 
 from daq.recording import Recording, software_versions
+from daq.robot import Robot
+from drivers.streams import FloatArray
+from ident.base_parameters import BaseParameters
+from ident.estimate import Estimate
+from ident.experiment import Experiment, describe, whole_arm
 from ident.identify import Identification, PreparedRun
-from ident.kinematics import FloatArray
-from ident.pruning import relative_std
+from ident.least_squares import LeastSquares
+from ident.model import DynamicModel, Kind
+from ident.prepared import Step
+from ident.pruning import Pruned, relative_std
 from ident.result import (
     UNITS,
     BaseParameterResult,
     DelayFigures,
     DriveGain,
     Essential,
+    EstimateResult,
     Excitation,
+    ExperimentResult,
     Fit,
     JointFriction,
     ModelOptions,
@@ -43,6 +52,7 @@ def summarise(found: Identification, recordings: Sequence[Recording], validation
     factor = found.reduction.stacked()[:, list(solution.active)]
     lengths = np.linalg.norm(factor, axis=0)
     files = {recording.label: recording for recording in (*recordings, *validation)}
+    used = [found.model.joint_names[motor] for motor in found.experiment.torques]
     return Result(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         robot=robot.name,
@@ -51,16 +61,10 @@ def summarise(found: Identification, recordings: Sequence[Recording], validation
         joints=list(robot.joint_names),
         method=solution.method,
         options=_options(found),
-        model_options=ModelOptions(
-            motor_inertia=list(found.model.motor_inertia),
-            viscous=list(found.model.viscous),
-            coulomb=list(found.model.coulomb),
-            offset=list(found.model.offset),
-            smoothing=found.model.smoothing,
-        ),
+        model_options=model_options(found.model),
         preprocessing=[
             ProcessingStep(name=step.name, settings=dict(step.settings), text=step.text)
-            for step in found.runs[0].prepared.steps
+            for step in (*found.runs[0].prepared.steps, _experiment_step(found))
         ],
         delay=DelayFigures(
             used=found.choices.preprocess.delay,
@@ -68,22 +72,17 @@ def summarise(found: Identification, recordings: Sequence[Recording], validation
             note=found.delay.note if found.delay is not None else "as given, not searched",
         ),
         base_parameters=_base_parameters(found),
-        friction=_friction(found),
-        drive_gains=[
-            DriveGain(
-                joint=name, signal=robot.drive(name).signal, gain=robot.drive(name).gain, std=robot.drive(name).gain_std
-            )
-            for name in robot.joint_names
-        ],
-        fit=_fit(found.fit),
-        validation=_fit(found.validation),
+        friction=friction_results(found.model, found.base, solution, found.std),
+        drive_gains=gain_results(robot),
+        fit=fit_result(found.fit),
+        validation=fit_result(found.validation),
         validation_source=found.validation_source,
         essential=Essential(
             count=len(found.pruned.solution.active),
             dropped=[found.base.names[i] for i in found.pruned.dropped],
             stopped_by=found.pruned.stopped_by,
-            fit=_fit(found.essential_fit),
-            validation=_fit(found.essential_validation),
+            fit=fit_result(found.essential_fit),
+            validation=fit_result(found.essential_validation),
         ),
         excitation=Excitation(
             condition=solution.condition,
@@ -105,34 +104,92 @@ def summarise(found: Identification, recordings: Sequence[Recording], validation
         ),
         rank_margin=found.base.margin,
         recordings=[
-            *(_use(run, files, "identification") for run in found.runs),
-            *(_use(run, files, "validation") for run in found.validation_runs),
+            *(_use(run, files, "identification", used) for run in found.runs),
+            *(_use(run, files, "validation", used) for run in found.validation_runs),
         ],
         versions=software_versions(),
         verdict=verdict(found),
         warnings=list(found.warnings),
+        experiments=[experiment_result(found.model, found.experiment)],
+        estimate=estimate_result(found.estimate, found.base.names),
     )
+
+
+def model_options(model: DynamicModel) -> ModelOptions:
+    """Which columns the model has."""
+    return ModelOptions(
+        motor_inertia=list(model.motor_inertia),
+        viscous=list(model.viscous),
+        coulomb=list(model.coulomb),
+        offset=list(model.offset),
+        smoothing=model.smoothing,
+    )
+
+
+def experiment_result(model: DynamicModel, experiment: Experiment) -> ExperimentResult:
+    """An experiment by the names of the joints."""
+    return ExperimentResult(
+        locked={
+            model.joint_names[joint]: [pose[place] for pose in experiment.poses]
+            for place, joint in enumerate(experiment.locked)
+        },
+        torques_of=[model.joint_names[motor] for motor in experiment.torques],
+    )
+
+
+def estimate_result(estimate: Estimate, names: Sequence[str]) -> EstimateResult:
+    """An estimate by the names of the base parameters."""
+    others = [number for number in range(len(names)) if number not in estimate.active]
+    return EstimateResult(
+        parameters=[names[number] for number in estimate.active],
+        root=estimate.root.tolist(),
+        covariance=estimate.covariance.tolist(),
+        taken_up={
+            names[number]: shares.tolist()
+            for number, shares in zip(others, estimate.taken_up.T, strict=True)
+            if np.any(shares)
+        },
+        blocks=estimate.blocks,
+    )
+
+
+def _experiment_step(found: Identification) -> Step:
+    """The experiment among the steps."""
+    names = found.model.joint_names
+    return Step(
+        "experiment",
+        {
+            "locked": ", ".join(names[joint] for joint in found.experiment.locked),
+            "torques_of": ", ".join(names[motor] for motor in found.experiment.torques),
+        },
+        describe(found.model, found.experiment),
+    )
+
+
+def judgement(error: float) -> str:
+    """What a relative validation error is good for."""
+    if error < GOOD_ERROR:
+        return "good: fit for simulation, feed-forward and collision detection within the motions validated"
+    if error < USABLE_ERROR:
+        return "usable: fit for feed-forward; watch the joints with the largest errors"
+    if error < POOR_ERROR:
+        return "poor: look at the residuals for a missing term before using it"
+    return "not to be trusted: the model misses much of what moves this arm"
 
 
 def verdict(found: Identification) -> str:
     """How far to trust the model, in a few sentences."""
     error = found.validation.relative_error
-    if error < GOOD_ERROR:
-        judgement = "good: fit for simulation, feed-forward and collision detection within the motions validated"
-    elif error < USABLE_ERROR:
-        judgement = "usable: fit for feed-forward; watch the joints with the largest errors"
-    elif error < POOR_ERROR:
-        judgement = "poor: look at the residuals for a missing term before using it"
-    else:
-        judgement = "not to be trusted: the model misses much of what moves this arm"
     significant = int(np.sum(_significant(found)))
     text = (
         f"On {found.validation_source}, predicted torque differs from measured torque by {error * 100:.1f} % "
-        f"(identification: {found.fit.relative_error * 100:.1f} %). That is {judgement}. "
+        f"(identification: {found.fit.relative_error * 100:.1f} %). That is {judgement(error)}. "
         f"{significant} of {found.base.count} base parameters are significant; "
         f"the essential model keeps {len(found.pruned.solution.active)} of them and is off by "
         f"{found.essential_validation.relative_error * 100:.1f} %."
     )
+    if found.experiment != whole_arm(found.model):
+        text += f" All of this holds for the experiment as it was: {describe(found.model, found.experiment)}."
     if found.warnings:
         count = len(found.warnings)
         text += f" {count} warning{'s' if count > 1 else ''} to read first."
@@ -166,58 +223,86 @@ def _options(found: Identification) -> dict[str, float | int | str | bool | None
 
 
 def _base_parameters(found: Identification) -> list[BaseParameterResult]:
-    base, solution, pruned = found.base, found.solution, found.pruned.solution
-    std, significant = found.std, _significant(found)
+    return parameter_results(
+        found.model, found.base, found.solution, found.std, found.pruned, found.choices.significant_rsd
+    )
+
+
+def parameter_results(
+    model: DynamicModel, base: BaseParameters, solution: LeastSquares, std: FloatArray, pruned: Pruned, threshold: float
+) -> list[BaseParameterResult]:
+    """The table of base parameters.
+
+    Args:
+        model: the arm.
+        base: its base parameters (b).
+        solution: of the full model.
+        std: (b,) corrected standard deviations; inf where a parameter was not estimated.
+        pruned: the essential model.
+        threshold: of significance [%].
+    """
+    essential = pruned.solution
     rsd = relative_std(solution.parameters, std)
     inflation = np.divide(std, solution.std, out=np.ones(base.count), where=np.isfinite(solution.std))
-    essential_std = pruned.std * inflation
-    symbols = [found.model.parameters[column].symbol for column in base.columns]
+    essential_std = essential.std * inflation
+    symbols = [model.parameters[column].symbol for column in base.columns]
 
     def entry(i: int) -> BaseParameterResult:
-        estimated, essential = i in solution.active, i in pruned.active
+        estimated, kept = i in solution.active, i in essential.active
         return BaseParameterResult(
             name=base.names[i],
             expression=base.expressions[i],
             kind=base.kinds[i],
-            joint=found.model.link_names[base.joints[i]],
+            joint=model.link_names[base.joints[i]],
             unit=UNITS[symbols[i]],
             value=float(solution.parameters[i]) if estimated else None,
             std=float(std[i]),
             rsd_percent=float(rsd[i]),
             classical_std=float(solution.std[i]),
-            significant=bool(significant[i]),
-            essential_value=float(pruned.parameters[i]) if essential else None,
-            essential_std=float(essential_std[i]) if essential else None,
+            significant=bool(rsd[i] < threshold),
+            essential_value=float(essential.parameters[i]) if kept else None,
+            essential_std=float(essential_std[i]) if kept else None,
         )
 
     return [entry(i) for i in range(base.count)]
 
 
-def _friction(found: Identification) -> list[JointFriction]:
-    std = found.std
-    position = {
-        (kind, joint): i for i, (kind, joint) in enumerate(zip(found.base.kinds, found.base.joints, strict=True))
-    }
+def friction_results(
+    model: DynamicModel, base: BaseParameters, solution: LeastSquares, std: FloatArray
+) -> list[JointFriction]:
+    """Friction of each joint with a motor; arguments as of `parameter_results`."""
+    position = {(kind, joint): i for i, (kind, joint) in enumerate(zip(base.kinds, base.joints, strict=True))}
 
-    def value(kind: str, joint: int, values: FloatArray) -> float | None:
-        i = next((i for (k, j), i in position.items() if k == kind and j == joint), None)
-        return float(values[i]) if i is not None and i in found.solution.active else None
+    def value(kind: Kind, joint: int, values: FloatArray) -> float | None:
+        i = position.get((kind, joint))
+        return float(values[i]) if i is not None and i in solution.active else None
 
     return [
         JointFriction(
             joint=name,
-            viscous=value("viscous", joint, found.solution.parameters),
+            viscous=value("viscous", joint, solution.parameters),
             viscous_std=value("viscous", joint, std),
-            coulomb=value("coulomb", joint, found.solution.parameters),
+            coulomb=value("coulomb", joint, solution.parameters),
             coulomb_std=value("coulomb", joint, std),
-            offset=value("offset", joint, found.solution.parameters),
+            offset=value("offset", joint, solution.parameters),
             offset_std=value("offset", joint, std),
         )
-        for joint, name in zip(found.model.active, found.model.joint_names, strict=True)
+        for joint, name in zip(model.active, model.joint_names, strict=True)
     ]
 
 
-def _fit(figures: FitFigures) -> Fit:
+def gain_results(robot: Robot) -> list[DriveGain]:
+    """The drive gains of a robot file."""
+    return [
+        DriveGain(
+            joint=name, signal=robot.drive(name).signal, gain=robot.drive(name).gain, std=robot.drive(name).gain_std
+        )
+        for name in robot.joint_names
+    ]
+
+
+def fit_result(figures: FitFigures) -> Fit:
+    """Errors as they are stored."""
     return Fit(
         relative_error=figures.relative_error,
         joint_relative_error=figures.joint_relative_error.tolist(),
@@ -229,7 +314,7 @@ def _fit(figures: FitFigures) -> Fit:
     )
 
 
-def _use(run: PreparedRun, files: Mapping[str, Recording], role: str) -> RecordingUse:
+def _use(run: PreparedRun, files: Mapping[str, Recording], role: str, torques_of: list[str]) -> RecordingUse:
     time = run.motion.time
     recording = files[run.motion.label]
     path = recording.path
@@ -244,4 +329,5 @@ def _use(run: PreparedRun, files: Mapping[str, Recording], role: str) -> Recordi
         samples=sum(segment.position.shape[1] for segment in run.prepared.segments),
         rate_hz=run.prepared.segments[0].rate,
         events=[f"{event.level}: {event.message}" for event in recording.events],
+        torques_of=torques_of,
     )

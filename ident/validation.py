@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.errors import DataError
+from drivers.streams import FloatArray
 from ident.comparison import TorqueSeries
-from ident.kinematics import FloatArray
 
 LOW_SPEED = 0.1
 """Joint speed [rad/s or m/s] below which a static friction model is not valid (AUBO §3.4)."""
@@ -24,9 +24,9 @@ class FitFigures:
     """Errors of filtered torques.
 
     Attributes:
-        relative_error: ‖τ − Ŵx‖ / ‖τ‖ over all joints and samples.
+        relative_error: ‖τ − Ŵx‖ / ‖τ‖ over all samples of the joints whose torque is predicted.
         joint_relative_error: (n,) the same of each joint; nan where it bears no torque.
-        rmse: (n,) root mean square error [N·m].
+        rmse: (n,) root mean square error [N·m]; nan, as all errors, where the model predicts no torque.
         low_speed_rmse, high_speed_rmse: (n,) below and above `LOW_SPEED` [N·m]; nan where there is no such sample.
         max_error: (n,) largest error [N·m].
         samples: filtered samples that count.
@@ -54,9 +54,10 @@ def fit_figures(series: Sequence[TorqueSeries]) -> FitFigures:
         raise DataError("the arm does not move in these data", hint="choose another window with --start and --stop")
     slow = speed < LOW_SPEED
     torque_norms, error_norms = np.linalg.norm(measured, axis=1), np.linalg.norm(error, axis=1)
-    total = float(np.linalg.norm(torque_norms))
+    predicted = ~np.isnan(error_norms)
+    total = float(np.linalg.norm(torque_norms[predicted]))
     return FitFigures(
-        relative_error=float(np.linalg.norm(error_norms)) / total if total > 0 else float("nan"),
+        relative_error=float(np.linalg.norm(error_norms[predicted])) / total if total > 0 else float("nan"),
         joint_relative_error=_ratio(error_norms, torque_norms),
         rmse=np.sqrt(np.mean(error**2, axis=1)),
         low_speed_rmse=_rmse_where(error, slow),

@@ -236,3 +236,67 @@ def test_bad_input_with_json_is_an_object(monkeypatch, capsys, folder):
 def test_nothing_is_written_where_the_input_is_bad(monkeypatch, capsys, folder):
     assert run(monkeypatch, capsys, folder, "identify", "nan.h5", "-o", "untouched")[0] == 2
     assert not (folder / "untouched").exists()
+
+
+@pytest.fixture(scope="module")
+def parts(folder) -> Path:
+    """Two models of the UR5e: its last joint locked, and that joint's own torque in free motion."""
+    robot_file = load_robot("ur5e")
+    motion = random_fourier_motion(build_model(robot_file), 10.0, seed=4, candidates=3)
+    motion.sine[5] = motion.cosine[5] = 0.0
+    write_recording(folder / "locked.h5", simulate_recording(robot_file, motion, 14.0, seed=4, rate=RATE))
+    return folder
+
+
+def test_two_experiments_are_identified_and_merged(monkeypatch, capsys, parts):
+    joint = load_robot("ur5e").robot.joint_names[5]
+    status, out, _ = run(
+        monkeypatch, capsys, parts, "identify", "locked.h5", "--locked", joint, "-o", "arm", "--delay", "0"
+    )
+    assert status == 0
+    assert f"experiment: locked: {joint} at" in out
+    status, out, _ = run(
+        monkeypatch, capsys, parts, "identify", "run.h5", "--torques-of", f" {joint}, ", "-o", "wrist", "--delay", "0"
+    )
+    assert status == 0
+    assert f"torques of {joint}" in out
+    status, out, _ = run(
+        monkeypatch, capsys, parts, "merge", "arm", "wrist/result.json", "--validate", "val.h5", "-o", "whole"
+    )
+    assert status == 0
+    assert "Models that were merged" in out
+    assert "val.h5" in out
+    result = json.loads((parts / "whole" / "result.json").read_text())
+    assert len(result["base_parameters"]) == 58
+    assert result["validation"]["relative_error"] < 0.1
+    assert [model["file"] for model in result["merge"]["models"]] == ["arm/result.json", "wrist/result.json"]
+    assert (parts / "whole" / "report.html").stat().st_size > 1e6
+
+    status, out, _ = run(monkeypatch, capsys, parts, "merge", "arm", "wrist", "--json", "-o", "again")
+    assert status == 0
+    assert json.loads(out)["validation"] is None
+
+    status, _, err = run(monkeypatch, capsys, parts, "validate", "arm/result.json", "val.h5")
+    assert status == 2
+    assert f"{joint} was locked" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["identify", "run.h5", "--locked", "wrist_3_joint"], "said to be locked and moves over"),
+        (["identify", "run.h5", "--locked", "elbow"], "no joint of ur5e is called 'elbow'"),
+        (["identify", "run.h5", "--torques-of", "elbow"], "no joint of ur5e is called 'elbow'"),
+        (["identify", "run.h5", "--torques-of", "elbow_joint", "--method", "power"], "--torques-of has no meaning"),
+        (["merge", "missing.json", "other.json"], "cannot be read"),
+        (["merge", "other.json", "bad.json"], "is not a result"),
+        (["merge", "other.json", "bad.json", "--significance", "0"], "not a percentage"),
+        (["merge", "other.json", "bad.json", "-o", "other.json"], "is a file"),
+        (["merge", "model/result.json", "bad.json", "-o", "model"], "holds one of the models"),
+    ],
+)
+def test_wrong_experiments_and_merges_are_refused_in_one_line(monkeypatch, capsys, folder, arguments, words):
+    status, _, err = run(monkeypatch, capsys, folder, *arguments)
+    assert status == 2
+    assert words in err
+    assert len(err.strip().splitlines()) == 1

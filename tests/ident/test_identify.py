@@ -11,12 +11,16 @@ from daq.recording import JOINTS_STREAM, Recording
 from daq.robot import load_robot, parse_robot
 from drivers.errors import DataError, IdentificationError, RecordingError, UsageError
 from ident.base_parameters import base_parameters
+from ident.experiment import ExperimentChoices
 from ident.identify import IdentifyChoices, ModelChoices, apply_model_choices, identify
 from ident.model import build_model, truth_vector
 from ident.preprocess import PreprocessChoices
 from ident.validation import HELD_OUT_SHARE
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion
+
+SLIGHTLY = 3e-3
+"""Share of a random motion's amplitude that is motion, but slower than what counts as such."""
 
 
 @pytest.fixture(scope="module")
@@ -222,9 +226,10 @@ def test_recordings_that_were_not_closed_are_warned_of(recorded):
     assert any("not closed in order" in warning for warning in found.warnings)
 
 
-def test_a_joint_that_does_not_move_is_warned_of_and_has_no_values(noise_free, three_joint):
+def test_a_joint_that_hardly_moves_is_warned_of_and_its_friction_has_no_values(noise_free, three_joint):
     motion = random_fourier_motion(build_model(noise_free), 10.0, seed=1)
-    motion.sine[1] = motion.cosine[1] = 0.0
+    motion.sine[1] *= SLIGHTLY
+    motion.cosine[1] *= SLIGHTLY
     recording = simulate_recording(three_joint, motion, 20.0, seed=1)
     found = identify([recording], [], IdentifyChoices())
     silent = {found.base.names[i] for i in range(found.base.count) if i not in found.solution.active}
@@ -238,7 +243,84 @@ def test_a_joint_that_does_not_move_is_warned_of_and_has_no_values(noise_free, t
         place = found.base.names.index(name)
         error = abs(found.solution.parameters[place] - truth_of(three_joint)[place])
         assert error < 5 * found.std[place] < 0.5 * abs(truth_of(three_joint)[place]) + 0.1
+    # What no column explains is the Coulomb friction of that joint.
+    assert np.max(found.validation.joint_relative_error[[0, 2]]) < 0.05 < found.validation.joint_relative_error[1]
+
+
+def test_joints_that_stand_still_are_found_and_the_others_identified(three_joint):
+    motion = random_fourier_motion(build_model(three_joint), 10.0, seed=1)
+    motion.sine[1] = motion.cosine[1] = 0.0
+    recording = simulate_recording(three_joint, motion, 20.0, seed=1)
+    found = identify([recording], [], IdentifyChoices())
+    assert found.experiment.locked == (1,)
+    assert found.experiment.torques == (0, 2)
+    assert not any(name.endswith("2") for name in found.base.names)
+    assert found.solution.active == tuple(range(found.base.count))
+    assert np.isnan(found.joint_std[1])
+    assert np.all(found.joint_std[[0, 2]] > 0)
+    truth = found.base.projection @ truth_vector(three_joint)
+    error = np.abs(found.solution.parameters - truth) / found.std
+    assert np.mean(error < 1.96) > 0.8
+    assert np.max(error) < 5.0
     assert found.validation.relative_error < 0.05
+    assert np.isnan(found.validation.rmse[1])
+    (warning,) = [text for text in found.warnings if "did not move" in text]
+    assert warning.startswith("j2 did not move")
+    said = identify([recording], [], IdentifyChoices(experiment=ExperimentChoices(locked=("j2",))))
+    assert not any("did not move" in text for text in said.warnings)
+    assert np.array_equal(said.solution.parameters, found.solution.parameters)
+
+
+def test_the_torque_of_a_joint_at_rest_is_used_where_it_is_asked_for(three_joint):
+    motion = random_fourier_motion(build_model(three_joint), 10.0, seed=1)
+    motion.sine[1] = motion.cosine[1] = 0.0
+    recording = simulate_recording(three_joint, motion, 20.0, seed=1)
+    choices = ExperimentChoices(torques_of=("j1", "j2", "j3"))
+    found = identify([recording], [], IdentifyChoices(experiment=choices))
+    assert found.experiment.torques == (0, 1, 2)
+    assert any(name.endswith("2") for name in found.base.names)  # what its motor holds
+    assert np.all(found.joint_std > 0)
+    assert any("does not turn" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize("method", ["ols", "wls"])
+def test_only_the_chosen_torques_count(recorded, three_joint, method):
+    """What the others say does not matter, and the values are those of the arm."""
+    spoilt = recorded(20.0)
+    spoilt.streams[JOINTS_STREAM].channels["current"].values[:, :2] *= 3.0
+    choices = IdentifyChoices(method=method, experiment=ExperimentChoices(torques_of=("j3",)))
+    found, clean = identify([spoilt], [], choices), identify([recorded(20.0)], [], choices)
+    assert np.array_equal(found.solution.parameters, clean.solution.parameters)
+    assert np.array_equal(found.std, clean.std)
+    assert found.delay is not None
+    assert found.delay.best == clean.delay.best
+    assert found.base.count == found.base.projection.shape[0] < base_parameters(found.model).count
+    truth = found.base.projection @ truth_vector(three_joint)
+    assert np.max(np.abs(found.solution.parameters - truth) / found.std) < 5.0
+    assert np.isnan(found.fit.rmse[0])
+    assert found.fit.rmse[2] > 0
+    assert found.fit.relative_error == pytest.approx(found.fit.joint_relative_error[2])
+
+
+def test_a_held_out_motion_of_a_locked_joint_is_refused(recorded, three_joint):
+    motion = random_fourier_motion(build_model(three_joint), 10.0, seed=1)
+    motion.sine[1] = motion.cosine[1] = 0.0
+    recording = simulate_recording(three_joint, motion, 20.0, seed=1)
+    with pytest.raises(DataError, match=r"it moves j2 over .* and j2 was locked"):
+        identify([recording], [recorded(8.0, 5)], IdentifyChoices())
+
+
+def test_energy_methods_take_locked_joints_but_no_choice_of_torques(three_joint):
+    motion = random_fourier_motion(build_model(three_joint), 10.0, seed=1)
+    motion.sine[0] = motion.cosine[0] = 0.0
+    recording = simulate_recording(three_joint, motion, 30.0, seed=1)
+    found = identify([recording], [], IdentifyChoices(method="power", search_delay=False))
+    assert found.experiment.locked == (0,)
+    truth = found.base.projection @ truth_vector(three_joint)
+    active = list(found.solution.active)
+    assert np.mean(np.abs(found.solution.parameters - truth)[active] < 3 * found.std[active]) > 0.9
+    with pytest.raises(UsageError, match="--torques-of has no meaning"):
+        IdentifyChoices(method="energy", experiment=ExperimentChoices(torques_of=("j1",)))
 
 
 def test_an_arm_that_does_not_move_is_refused(recorded):

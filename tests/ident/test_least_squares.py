@@ -14,7 +14,7 @@ from ident.base_parameters import base_parameters
 from ident.filters import no_filter
 from ident.least_squares import excited_columns, ordinary_least_squares, weighted_least_squares
 from ident.model import build_model, truth_vector
-from ident.observation import reduce_segments
+from ident.observation import only_torques, reduce_segments
 from ident.regressor import RegressorKernel, regressor
 
 NOISE = np.array([3.0, 0.3, 0.03])
@@ -168,3 +168,19 @@ def test_a_joint_that_never_moves_takes_its_columns_along_and_leaves_the_others_
         assert i in active
         assert solution.parameters[i] == pytest.approx(truth[i], rel=1e-6, abs=1e-7)
     assert np.sqrt(reduction.residual_sums(solution.parameters).sum()) < 1e-6 * np.linalg.norm(torque)
+
+
+@pytest.mark.parametrize("solve", [ordinary_least_squares, weighted_least_squares])
+def test_joints_without_rows_take_no_part(dense_reduction, solve):
+    generator = np.random.default_rng(8)
+    joints = []
+    for std in (5.0, 0.01, 0.3):
+        w = generator.standard_normal((200, 4))
+        joints.append((w, w @ [1.0, -2.0, 3.0, 0.5] + std * generator.standard_normal(200)))
+    whole, alone = dense_reduction(joints), dense_reduction([joints[0], joints[2]])
+    found, expected = solve(only_torques(whole, (0, 2)), range(4)), solve(alone, range(4))
+    assert found.rows == 400
+    assert np.allclose(found.parameters, expected.parameters, rtol=1e-12)
+    assert np.allclose(found.covariance, expected.covariance, rtol=1e-10)
+    assert found.weights[1] == 0.0
+    assert np.allclose(found.weights[[0, 2]], expected.weights)

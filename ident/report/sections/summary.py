@@ -37,7 +37,9 @@ def _tiles(result: Result) -> list[Tile]:
             percent(validation.relative_error) if validation else DASH,
             f"{whole(validation.samples)} samples, held out" if validation else "nothing was held out",
         ),
-        Tile("Fit error", percent(result.fit.relative_error), f"{whole(result.fit.samples)} samples"),
+        Tile("Fit error", percent(result.fit.relative_error), f"{whole(result.fit.samples)} samples")
+        if result.fit
+        else Tile("Models merged", str(len(result.merge.models)) if result.merge else DASH),
         Tile("Base parameters", str(len(result.base_parameters)), f"{significant} significant"),
         Tile("Condition of W", number(result.condition, 3), "columns as they are"),
         Tile(

@@ -1,0 +1,14 @@
+"""The models that a merged one was made of, and whether they agree."""
+
+from __future__ import annotations
+
+from ident.report.section import ReportData, Section
+
+
+def section(data: ReportData) -> Section | None:
+    """Models, test of their consistency, values that contradict; None where nothing was merged."""
+    merge = data.result.merge
+    if merge is None:
+        return None
+    context = {"models": merge.models, "consistency": merge.consistency}
+    return Section("Merged models", "merge", "merge.html.j2", context)

@@ -1,0 +1,35 @@
+"""SR400 §4.3 point 7 with a simulated arm: joints locked, the wrist's torques only, merged; against one experiment."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "two_experiments.py"
+
+
+@pytest.mark.slow
+def test_two_experiments_give_the_arm_and_know_whether_they_agree(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec = importlib.util.spec_from_file_location("two_experiments", EXAMPLE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, spec.name, module)  # its dataclasses look there for their module
+    spec.loader.exec_module(module)
+    found = module.main(1, 16)
+    assert len(found.names) == 56
+    assert np.all(np.isfinite(found.values))
+    inside = np.abs(found.values - found.truth) < 1.96 * found.std
+    assert np.all(np.mean(inside, axis=(1, 2)) > 0.75)  # of one seed, whose errors hang together
+    assert np.max(np.abs(found.values - found.truth) / found.std) < 5.0
+    # All torques of both experiments tell more than those that the paper's way picks.
+    assert np.mean(found.std[4] <= 1.05 * found.std[2]) > 0.8
+    assert found.agree == [True]
+    assert found.loaded_agree == [False]
+    assert "chi-square" in capsys.readouterr().out
