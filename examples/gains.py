@@ -17,8 +17,8 @@ import numpy as np
 from daq.recording import Recording
 from daq.robot import load_robot
 from daq.trajectories import FourierSeries
+from drivers.streams import FloatArray
 from ident.drive_gains import DriveGains, identify_gains
-from ident.kinematics import FloatArray
 from ident.load import KnownLoad, load_effect
 from ident.model import build_model
 from ident.payload import identify_payload

@@ -26,18 +26,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.recording import JOINTS_STREAM, Recording
+from daq.recording import Recording
 from daq.robot import Robot, RobotFile
-from drivers.errors import DataError
+from drivers.streams import FloatArray
 from ident.gain_system import GainSystem, jackknife_moves, own_angles, solve_gains, system_blocks
-from ident.kinematics import FloatArray
 from ident.load import KnownLoad, LoadColumns
-from ident.measured import MeasuredMotion, measured_motion
+from ident.motor_signals import signal_of, torques_by
 from ident.pruning import SIGNIFICANT_RSD
-from ident.run_pair import BlockGrams, Motion, RunPair, prepare_pair, resting_warnings
+from ident.run_pair import BlockGrams, RunPair, prepare_pair, resting_warnings
 
 LEAST_GAP = 2.0
 """Second-smallest over smallest singular value below which the null vector is hardly told from another one."""
+
+ONE_AT_A_TIME = 0.5
+"""Share of the time with one joint alone in motion above which the runs are not for this method."""
 
 SMALL_ANGLE = 5.0
 """A motor signal nearer than this [degrees] to its own joint's columns says little of its gain."""
@@ -113,6 +115,11 @@ class DriveGains:
     warnings: tuple[str, ...]
 
     @property
+    def robot(self) -> Robot:
+        """The robot file's content."""
+        return self.pair.robot_file.robot
+
+    @property
     def values(self) -> FloatArray:
         """(n,) gains."""
         return np.array([gain.gain for gain in self.gains])
@@ -145,12 +152,12 @@ def identify_gains(
     """
     robot_file = free.robot() if robot_file is None else robot_file
     robot = robot_file.robot
-    signal = _signal(robot)
+    signal = signal_of(robot)
     # A first pass finds gains good enough to search the delay and the residuals' memory with.
     gains = np.array([robot.drive(name).gain or 1.0 for name in robot.joint_names])
-    first = solve_gains(prepare_pair(free, loaded, _torques_by(gains), robot_file, delay or 0.0), known)
+    first = solve_gains(prepare_pair(free, loaded, torques_by(gains), robot_file, delay or 0.0), known)
     gains = gains * np.where(np.isfinite(first.relative_gains), first.relative_gains, 1.0)
-    system = solve_gains(prepare_pair(free, loaded, _torques_by(gains), robot_file, delay), known)
+    system = solve_gains(prepare_pair(free, loaded, torques_by(gains), robot_file, delay), known)
     grams = system_blocks(system)
     moves = jackknife_moves(system, grams)
     covariance = np.asarray((grams.count - 1) / grams.count * moves.T @ moves)
@@ -227,44 +234,15 @@ def _most_correlated(
     return names[place], float(correlation[place])
 
 
-def _torques_by(gains: FloatArray) -> Motion:
-    """Reads positions and motor signals times gains (n,) from a recording."""
-
-    def motion(recording: Recording, robot: Robot) -> MeasuredMotion:
-        signal = _signal(robot)
-        stream = recording.streams.get(JOINTS_STREAM)
-        if stream is not None and signal not in stream.channels:
-            found = ", ".join(sorted(stream.channels)) or "nothing"
-            raise DataError(
-                f"records no motor {signal}, without which there is no gain to identify; it has {found}",
-                where=recording.label,
-                hint=f"record the motors' {signal}; a recorded torque has some gain in it already",
-            )
-        drives = tuple(
-            robot.drive(name).model_copy(update={"gain": float(gain)})
-            for name, gain in zip(robot.joint_names, gains, strict=True)
-        )
-        return measured_motion(recording, robot.model_copy(update={"drives": drives}))
-
-    return motion
-
-
-def _signal(robot: Robot) -> str:
-    signals = {robot.drive(name).signal for name in robot.joint_names}
-    if len(signals) > 1:
-        raise DataError(
-            f"the drives give different signals: {', '.join(sorted(signals))}",
-            where=f"{robot.name}: drives",
-            hint="all of them must give current, or all voltage",
-        )
-    signal = signals.pop()
-    if signal == "torque":
-        raise DataError(
-            "the drives give torque, which has no gain to be identified",
-            where=f"{robot.name}: drives",
-            hint="record motor currents and say 'signal: current'",
-        )
-    return signal
+def _alone_share(pair: RunPair) -> float:
+    """Share of the samples with motion in which one joint moves and the others rest."""
+    alone, samples = 0, 0
+    for run in pair.runs:
+        for segment in run.prepared.segments:
+            moving = np.abs(segment.velocity[:, segment.used]) >= (run.prepared.choices.rest_velocity or 0.0)
+            alone += int((moving.sum(axis=0) == 1).sum())
+            samples += moving.shape[1]
+    return alone / samples
 
 
 def _warnings(found: DriveGains, recordings: tuple[Recording, Recording]) -> list[str]:
@@ -274,6 +252,10 @@ def _warnings(found: DriveGains, recordings: tuple[Recording, Recording]) -> lis
         if not recording.complete
     ]
     warnings += resting_warnings(found.pair)
+    if _alone_share(found.pair) > ONE_AT_A_TIME:
+        warnings.append(
+            "most of the time one joint moves alone, and static friction holds the others: try --up-and-down"
+        )
     for gain in found.gains:
         name, correlation = gain.confused_with
         if not np.isfinite(gain.gain):

@@ -14,11 +14,11 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from drivers.streams import FloatArray
 from ident.autocorrelation import independent_share, lag_one, residual_autocorrelation
 from ident.covariance import BlockSum, CorrectedCovariance, FilteredRun, block_length, jackknife, total_gram
 from ident.energy import EnergyKernel
 from ident.filters import ZeroPhaseFilter
-from ident.kinematics import FloatArray
 from ident.least_squares import LeastSquares
 from ident.observation import JointFactor, Reduction
 from ident.preprocess import Prepared, Segment

@@ -16,7 +16,13 @@ from ident.base_parameters import BaseParameters
 from ident.covariance import CorrectedCovariance, FilteredRun, block_jackknife
 from ident.energy import EnergyKernel, energy_base_parameters
 from ident.energy_equations import EnergyEquations, energy_jackknife, independent_rows, reduce_energy
-from ident.energy_windows import HALF_POWER, EnergyWindows, describe_windows, exchange_for, moving_stretches
+from ident.energy_windows import (
+    EnergyWindows,
+    describe_windows,
+    exchange_for,
+    mean_duration,
+    moving_stretches,
+)
 from ident.least_squares import (
     ENERGY_METHODS,
     LeastSquares,
@@ -116,7 +122,7 @@ def estimator_of(
         method: its name.
         kernel: of the torque equations' base columns; the energy's are the same.
         parts: the data, from which the energy windows' exchange follows.
-        window: mean duration of the energy windows [s]; from the parallel filter's cut-off where None.
+        window: mean duration of the energy windows [s]; from the parallel filter's cut-off and the data where None.
 
     Raises:
         DataError: no energy is exchanged in the data.
@@ -135,14 +141,13 @@ def estimator_of(
                 f"windows of {window:g} s do not fit into the data, whose longest motion lasts {longest:.3g} s",
                 where="energy_window",
             )
-    duration = window if window is not None else window_duration(parts[0])
+    duration = mean_duration(energy, segments, _cutoff(parts[0])) if window is None else window
     return EnergyEstimator(EnergyWindows(energy, exchange_for(kernel.model, segments, duration)), method)
 
 
-def window_duration(prepared: Prepared) -> float:
-    """Mean duration [s] of energy windows that average like the parallel filter: half power at its cut-off."""
-    settings = {step.name: step.settings for step in prepared.steps}["parallel filter"]
-    return HALF_POWER / float(settings["torque_cutoff_hz"])
+def _cutoff(prepared: Prepared) -> float:
+    """The parallel filter's cut-off [Hz]."""
+    return float({step.name: step.settings for step in prepared.steps}["parallel filter"]["torque_cutoff_hz"])
 
 
 def estimable(method: Method, model: DynamicModel, base: BaseParameters) -> tuple[int, ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.errors import DataError, IdentificationError
-from ident.kinematics import FloatArray
+from drivers.streams import FloatArray
 from ident.least_squares import excited_columns
 from ident.load import KnownLoad, LoadColumns, load_columns, load_effect
 from ident.observation import JointFactor, Reduction

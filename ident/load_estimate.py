@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.errors import DataError, IdentificationError
-from ident.kinematics import FloatArray
+from drivers.streams import FloatArray
+from ident.gain_uncertainty import relative_gain_std
 from ident.least_squares import LeastSquares, excited_columns, ordinary_least_squares
 from ident.load import MASS, KnownLoad, LoadColumns, load_columns
 from ident.observation import JointFactor, Reduction
@@ -68,7 +69,11 @@ class SeparateRuns:
 
 
 def identify_separately(pair: RunPair) -> tuple[SeparateRuns, BlockGrams]:
-    """Both runs by themselves, on the columns that each of them excites, and the blocks for all jackknives."""
+    """Both runs by themselves, on the columns that each of them excites, and the blocks for all jackknives.
+
+    Raises:
+        DataError: they excite no column in common.
+    """
     active = tuple(
         column for column in pair.active if all(column in _excited(run.reduction, pair.active) for run in pair.runs)
     )
@@ -109,7 +114,11 @@ def estimate_load(
     weights: tuple[FloatArray, FloatArray],
     known: KnownLoad | None,
 ) -> LoadEstimate:
-    """Joint least squares over both runs, each joint's rows weighted as in its run by itself."""
+    """Joint least squares over both runs, each joint's rows weighted as in its run by itself.
+
+    Raises:
+        DataError: nothing is known of the load, and the motions show none of its parameters.
+    """
     columns = load_columns(effect, () if known is None else known.known)
     shift = np.zeros(pair.base.count) if known is None else effect @ known.values
     count, size = pair.base.count, pair.base.count + len(columns.names)
@@ -140,8 +149,7 @@ def estimate_load(
             joint_scores[joint] += weight * (plain.T @ gram.sum(axis=0) @ plain)[:-1, -1]
     covariance = jackknife_covariance(_moves(summed, solution))
     moved_by_gain = joint_scores @ solution.inverse
-    drives = [pair.robot_file.robot.drive(name) for name in pair.model.joint_names]
-    relative = np.array([(drive.gain_std or 0.0) / abs(drive.gain) if drive.gain else 0.0 for drive in drives])
+    relative = relative_gain_std(pair.robot_file.robot)
     gain_covariance = (moved_by_gain * relative[:, None] ** 2).T @ moved_by_gain
     return _with_standard(columns, known, solution, places, covariance, gain_covariance, count)
 

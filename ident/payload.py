@@ -23,8 +23,8 @@ import numpy as np
 
 from daq.recording import Recording
 from daq.robot import RobotFile
+from drivers.streams import FloatArray
 from ident.chance import ChanceTest, chi_square_test
-from ident.kinematics import FloatArray
 from ident.load import INDEPENDENT, MASS, KnownLoad, load_effect
 from ident.load_estimate import (
     LoadEstimate,

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
 if TYPE_CHECKING:
+    from daq.recording import Recording
+    from daq.robot import RobotFile
     from ident.drive_gains import DriveGains
     from ident.load import KnownLoad
     from ident.payload import Payload
+    from ident.up_and_down import SlowGains
+
+Known = TypeVar("Known")
+Found = TypeVar("Found")
 
 app = typer.Typer()
 
@@ -21,6 +28,9 @@ COM = typer.Option(None, "--com", help="Its centre of mass X,Y,Z in the tool fra
 INERTIA = typer.Option(None, "--inertia", help="Its inertia XX,XY,XZ,YY,YZ,ZZ about the centre of mass [kg·m²].")
 ROBOT = typer.Option(None, "--robot", help="Robot file in place of the free recording's own.")
 DELAY = typer.Option("auto", "--delay", help="Torque behind position: auto, or SECONDS.")
+UP_AND_DOWN = typer.Option(
+    False, "--up-and-down", help="From slow runs in which one joint at a time goes there and back."
+)
 JSON = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there.")
 
 
@@ -39,9 +49,7 @@ def payload(
 
     Example: dynid payload free.h5 loaded.h5 --mass 2.8
     """
-    from daq.console import print_json, progress_line
-    from daq.recording import read_recording
-    from daq.robot import load_robot
+    from daq.console import print_json
     from drivers.errors import UsageError
     from ident.payload import identify_payload
     from ident.payload_summary import payload_object
@@ -49,11 +57,7 @@ def payload(
     if mass is None and (com is not None or inertia is not None):
         raise UsageError("--com and --inertia describe a load whose mass is missing", hint="add --mass KG")
     known = None if mass is None else _known_load(mass, com, inertia)
-    read = read_recording(free), read_recording(loaded)
-    robot_file = load_robot(robot) if robot else None
-    with progress_line(quiet=as_json) as progress:
-        progress("payload")
-        found = identify_payload(*read, known, robot_file, _delay(delay))
+    found = _identified("payload", identify_payload, (free, loaded), known, robot, delay, quiet=as_json)
     if as_json:
         print_json(payload_object(found))
     else:
@@ -69,18 +73,18 @@ def gains(
     inertia: str = INERTIA,
     robot: str = ROBOT,
     delay: str = DELAY,
+    up_and_down: bool = UP_AND_DOWN,
     as_json: bool = JSON,
 ) -> None:
     """Identify the gains of all drives from a run without and a run with a load of known mass.
 
     Example: dynid gains free.h5 loaded.h5 --mass 2.8
     """
-    from daq.console import print_json, progress_line
-    from daq.recording import read_recording
-    from daq.robot import load_robot
+    from daq.console import print_json
     from drivers.errors import UsageError
     from ident.drive_gains import identify_gains
-    from ident.payload_summary import gains_object
+    from ident.payload_summary import gains_object, slow_gains_object
+    from ident.up_and_down import identify_slow_gains
 
     if mass is None:
         raise UsageError(
@@ -89,11 +93,14 @@ def gains(
             hint="weigh the load and add --mass KG",
         )
     known = _known_load(mass, com, inertia)
-    read = read_recording(free), read_recording(loaded)
-    robot_file = load_robot(robot) if robot else None
-    with progress_line(quiet=as_json) as progress:
-        progress("gains")
-        found = identify_gains(*read, known, robot_file, _delay(delay))
+    if up_and_down:
+        slow = _identified("gains", identify_slow_gains, (free, loaded), known, robot, delay, quiet=as_json)
+        if as_json:
+            print_json(slow_gains_object(slow))
+        else:
+            print_slow_gains(slow)
+        return
+    found = _identified("gains", identify_gains, (free, loaded), known, robot, delay, quiet=as_json)
     if as_json:
         print_json(gains_object(found))
     else:
@@ -180,6 +187,68 @@ def print_gains(found: DriveGains) -> None:
         print(f"warning: {warning}")
 
 
+def print_slow_gains(found: SlowGains) -> None:
+    """Gains from slow up-and-down runs as a person reads them at the terminal."""
+    from daq.console import print_table
+    from ident.payload_summary import drives_text, gain_unit
+
+    print_table(
+        f"\nDrive gains [{gain_unit(found.signal)}], joint side, by half sums of slow runs up and down",
+        ("joint", "robot file", "identified", "σ", "RSD [%]", "change [%]", "poses", "positions", "speed [rad/s]"),
+        [
+            (
+                gain.joint,
+                gain.file_gain,
+                gain.gain,
+                gain.std,
+                gain.relative_std,
+                100.0 * (gain.gain / gain.file_gain - 1.0) if gain.file_gain else None,
+                gain.sweeps,
+                gain.bins,
+                gain.speed,
+            )
+            for gain in found.gains
+        ],
+    )
+    print_table(
+        "\nFriction at that speed [N·m], by half differences and these gains",
+        ("joint", "free", "loaded"),
+        [(gain.joint, gain.free_friction, gain.loaded_friction) for gain in found.gains],
+    )
+    if found.known.com is None:
+        centre = ", ".join(
+            f"{value / found.known.mass:.4g} ± {std / found.known.mass:.1g}"
+            for value, std in zip(found.moments, found.moments_std, strict=True)
+        )
+        print(f"\ncentre of mass [m]: {centre}; null vector {found.gap:.3g} times below the next")
+    print(f"\nfor the robot file:\n{drives_text(found)}")
+    for warning in found.warnings:
+        print(f"warning: {warning}")
+
+
+def _identified(
+    what: str,
+    identify: Callable[[Recording, Recording, Known, RobotFile | None, float | None], Found],
+    runs: tuple[Path, Path],
+    known: Known,
+    robot: str | None,
+    delay: str,
+    *,
+    quiet: bool,
+) -> Found:
+    """What `identify` finds in the free and the loaded run."""
+    from daq.console import progress_line
+    from daq.recording import read_recording
+    from daq.robot import load_robot
+    from ident.option_text import delay_option
+
+    free, loaded = (read_recording(path) for path in runs)
+    robot_file = load_robot(robot) if robot else None
+    with progress_line(quiet=quiet) as progress:
+        progress(what)
+        return identify(free, loaded, known, robot_file, delay_option(delay))
+
+
 def _known_load(mass: float, com: str | None, inertia: str | None) -> KnownLoad:
     from ident.load import KnownLoad
 
@@ -195,19 +264,3 @@ def _numbers(text: str | None, option: str) -> tuple[float, ...] | None:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
         raise UsageError(f"'{text}' are not numbers separated by commas", where=option) from None
-
-
-def _delay(text: str) -> float | None:
-    from math import isfinite
-
-    from drivers.errors import UsageError
-
-    if text == "auto":
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not isfinite(value):
-        raise UsageError(f"--delay {text} is neither 'auto' nor a number of seconds")
-    return value

@@ -8,11 +8,12 @@ import numpy as np
 
 from ident.chance import LEVEL, ChanceTest
 from ident.drive_gains import DriveGains
-from ident.load import KnownLoad, LoadColumns
+from ident.load import FIRST_MOMENTS, KnownLoad, LoadColumns
 from ident.load_estimate import LoadEstimate
 from ident.model import INERTIAL, DynamicModel
 from ident.payload import Payload
 from ident.result import UNITS
+from ident.up_and_down import SlowGains
 
 FRAME_TEXT = "tool frame: origin at workspace.tool, axes of the last joint's frame"
 
@@ -211,14 +212,49 @@ def gains_object(found: DriveGains) -> dict[str, Any]:
     }
 
 
+def slow_gains_object(found: SlowGains) -> dict[str, Any]:
+    """What `dynid gains --up-and-down --json` prints."""
+    return {
+        "kind": "gains-up-and-down",
+        "robot": found.robot.name,
+        "runs": list(found.runs),
+        "signal": found.signal,
+        "unit": gain_unit(found.signal),
+        "known": _known_object(found.known),
+        "gains": [
+            {
+                "joint": gain.joint,
+                "gain": gain.gain,
+                "std": gain.std,
+                "rsd_percent": gain.relative_std,
+                "file_gain": gain.file_gain,
+                "sweeps": gain.sweeps,
+                "positions": gain.bins,
+                "speed": gain.speed,
+                "friction_free": gain.free_friction,
+                "friction_loaded": gain.loaded_friction,
+                "reason": gain.reason or None,
+            }
+            for gain in found.gains
+        ],
+        "load": [
+            {"name": f"{INERTIAL[column]}_L", "unit": "kg·m", "value": float(value), "std": float(std)}
+            for column, value, std in zip(FIRST_MOMENTS, found.moments, found.moments_std, strict=True)
+        ],
+        "gap": found.gap,
+        "robot_file_text": drives_text(found),
+        "warnings": list(found.warnings),
+    }
+
+
 def gain_unit(signal: str) -> str:
     """Unit of a gain, for revolute joints."""
     return "N·m/A" if signal == "current" else "N·m/V"
 
 
-def drives_text(found: DriveGains) -> str:
+def drives_text(found: DriveGains | SlowGains) -> str:
     """The robot file's section `drives` with the identified gains; where there is none, as the file has it."""
-    robot = found.pair.robot_file.robot
+    robot = found.robot
     lines = ["drives:"]
     for gain in found.gains:
         drive = robot.drive(gain.joint)

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.streams import FloatArray
 from ident.energy import CHUNK, EnergyKernel
 from ident.energy_equations import EnergyRows
 from ident.energy_windows import motor_power
 from ident.filters import StreamedFilter, ZeroPhaseFilter
-from ident.kinematics import FloatArray
 from ident.preprocess import Segment, central_difference
 
 

@@ -16,13 +16,13 @@ import numpy as np
 from daq.recording import Recording
 from daq.robot import Robot, RobotFile
 from drivers.errors import DataError, DynidError, UsageError
+from drivers.streams import FloatArray
 from ident.autocorrelation import residual_autocorrelation
 from ident.base_parameters import BaseParameters, base_parameters
 from ident.comparison import TorqueSeries, compare_torques
 from ident.covariance import block_length
 from ident.delay import search_delay
 from ident.excitation import excited_base_columns
-from ident.kinematics import FloatArray
 from ident.measured import MeasuredMotion
 from ident.model import DynamicModel, build_model
 from ident.observation import Reduction, filtered_blocks, reduce_segments, stack_reductions
@@ -88,11 +88,14 @@ class BlockGrams:
 
 
 def check_same_robot(free: Recording, loaded: Recording) -> None:
-    """Refuse two recordings of different arms.
+    """Refuse two recordings of different arms, and the same file twice.
 
     Raises:
         DataError: names, joints or geometry differ.
+        UsageError: free and loaded run are one file.
     """
+    if free.path is not None and free.path == loaded.path:
+        raise UsageError("free and loaded run are the same file", where=free.label)
     first, second = free.robot(), loaded.robot()
     if first.robot.name != second.robot.name:
         difference = f"one is of '{first.robot.name}', the other of '{second.robot.name}'"
@@ -128,8 +131,6 @@ def prepare_pair(
     Raises:
         DynidError: the recordings are of different arms, or one of them lacks something.
     """
-    if free.path is not None and free.path == loaded.path:
-        raise UsageError("free and loaded run are the same file", where=free.label)
     check_same_robot(free, loaded)
     robot_file = free.robot() if robot_file is None else robot_file
     motions = [motion_of(recording, robot_file.robot) for recording in (free, loaded)]

@@ -9,14 +9,14 @@ import numpy as np
 from daq.loops import coupling_matrix
 from daq.recording import JOINTS_STREAM, Channel, Recording, Stream, software_versions
 from daq.robot import RobotFile
-from daq.trajectories import FloatArray, FourierSeries
-from drivers.streams import UNITS
+from daq.trajectories import Motion
+from drivers.streams import UNITS, FloatArray
 from ident.model import build_model, truth_vector
 from ident.regressor import model_torque
 
 
 def simulate_recording(
-    robot_file: RobotFile, motion: FourierSeries, duration: float, seed: int, rate: float | None = None
+    robot_file: RobotFile, motion: Motion, duration: float, seed: int, rate: float | None = None
 ) -> Recording:
     """Record `duration` seconds of a motion that the arm follows exactly.
 

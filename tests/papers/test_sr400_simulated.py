@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,17 +13,25 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "sr400_table4.py"
 
 
 @pytest.mark.slow
-def test_the_loaded_parameters_are_the_free_ones_plus_the_load(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_loaded_parameters_are_the_free_ones_plus_the_load(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     spec = importlib.util.spec_from_file_location("sr400_table4", EXAMPLE)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, spec.name, module)  # its dataclass looks for its module there
     spec.loader.exec_module(module)
-    free, loaded, predicted = module.main(1, 24)
+    table = module.main(1, 24)
+    free, loaded = table.free, table.loaded
     names = list(free.base.names)
-    apart = (loaded.solution.parameters - predicted) / np.hypot(free.std, loaded.std)
-    assert np.mean(np.abs(apart) < 1.96) >= 0.9
-    assert np.max(np.abs(apart)) < 3.5
+    assert np.mean(np.abs(table.apart) < 1.96) >= 0.9
+    assert np.max(np.abs(table.apart)) < 3.5
+    # The gains are not those of the robot file, which shows in the intervals that leave their uncertainty out.
+    for found, truth, std in ((free, table.truth, table.std), (loaded, table.loaded_truth, table.loaded_std)):
+        held = np.mean(np.abs(found.solution.parameters - truth) < 1.96 * std)
+        assert held >= 0.87
+        assert held >= np.mean(np.abs(found.solution.parameters - truth) < 1.96 * found.std)
     # "Parameters which are not essential for the unloaded robot become essential for the loaded robot"; ZZR5 is left
     # out: a body that can exist has some, where the paper's table has none.
     for name in ("XXR5", "XZ6", "YZ6", "ZZ6", "MX6", "MY6"):
@@ -32,4 +41,6 @@ def test_the_loaded_parameters_are_the_free_ones_plus_the_load(capsys: pytest.Ca
         assert column in loaded.pruned.solution.active, name
     for found in (free, loaded):
         assert found.essential_validation.relative_error < 0.06
-    assert "ZZR1" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "ZZR1" in out
+    assert "on another motion" in out
