@@ -80,6 +80,8 @@ def open_bus(interface: str, channel: str | int, bitrate: int, options: Mapping[
         message, hint = why_not_opened(error, interface, channel)
         raise ConnectionFailedError(message, where=where, hint=hint) from error
     _prepare_socket(bus)
+    if bus.channel_info == "unknown":  # slcan does not say
+        bus.channel_info = where
     return bus
 
 
@@ -200,10 +202,15 @@ class Receiver:
 
     def notices(self) -> list[Notice]:
         """What there was to tell since the last call: error frames, truncated and unreadable ones."""
+        self._tell_troubles(time.monotonic() - NOTICE_PERIOD)
         found = []
         while self._notices:
             found.append(self._notices.popleft())
         return found
+
+    def tell_rest(self) -> None:
+        """Put into the notices what was counted and not told yet, since it came so often."""
+        self._tell_troubles(math.inf)
 
     def stop(self) -> None:
         """End the thread; safe at any time."""
@@ -299,12 +306,17 @@ class Receiver:
         return faulty + 1
 
     def _trouble(self, what: str, now: float) -> None:
-        count, told = self._troubles.get(what, (0, -math.inf))
-        count += 1
-        if now - told >= NOTICE_PERIOD:
-            self._tell("warning", f"{count} {what}")
-            count, told = 0, now
-        self._troubles[what] = (count, told)
+        with self._arrival:
+            count, told = self._troubles.get(what, (0, -math.inf))
+            self._troubles[what] = (count + 1, told)
+        self._tell_troubles(now - NOTICE_PERIOD)
+
+    def _tell_troubles(self, told_before: float) -> None:
+        with self._arrival:
+            for what, (count, told) in self._troubles.items():
+                if count and told <= told_before:
+                    self._tell("warning", f"{count} {what}")
+                    self._troubles[what] = (0, time.monotonic())
 
     def _tell(self, level: Level, message: str) -> None:
         self._notices.append(Notice(math.nan, level, message))

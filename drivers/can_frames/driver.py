@@ -247,6 +247,7 @@ class CanFramesDriver:
         if self._poller is not None:
             self._poller.stop()
         if self._receiver is not None:
+            self._receiver.tell_rest()
             self._notices.extend(self._receiver.notices())
             self._receiver.stop()
         if self._bus is not None:

@@ -243,6 +243,8 @@ class Canopen402Driver:
                     self._notices.append(Notice(math.nan, "error", f"{joint}: {said}"))
             self._motion = None
             if self._state == "running":
+                self._receiver.tell_rest()
+                self._watch.tell_alignment(self._receiver.drained)
                 self._watch.stop()
                 if self._poll is not None:
                     self._poll.stop()
@@ -355,6 +357,7 @@ class Canopen402Driver:
         asked_for = (self._sync.count - self._asked) * period  # a computer that was late itself has not asked
         if silent_for <= limit or asked_for <= 0.5 * limit:
             return
+        self._watch.tell_alignment(self._receiver.drained)
         who = self._silence.who(self._receiver.drained - limit)[0] or "some drive to every SYNC"
         raise ConnectionLostError(
             f"no complete sample for {silent_for:.1f} s: no answer of {who}",

@@ -166,7 +166,12 @@ class DriveWatch:
         """
         self._troubles += np.stack([aligned.missing, aligned.extra, aligned.misfit])
         self._skipped += skipped
-        if not (self._troubles.any() or self._skipped) or now - self._troubles_told < ALIGNMENT_PERIOD:
+        if now - self._troubles_told >= ALIGNMENT_PERIOD:
+            self.tell_alignment(now)
+
+    def tell_alignment(self, now: float) -> None:
+        """Tell what `check_alignment` noted and did not tell yet; `now` [s, host's monotonic clock]."""
+        if not (self._troubles.any() or self._skipped):
             return
         self._troubles_told = now
         said = [f"{self._skipped} SYNC(s) not sent: this computer was late"] if self._skipped else []

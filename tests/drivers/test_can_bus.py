@@ -148,6 +148,11 @@ def test_truncated_and_unreadable_frames_are_left_out_and_counted() -> None:
         assert [frame[1] for frame in take(receiver, 1)] == [2]
         told = [notice.message for notice in receiver.notices()]
         assert told == ["1 truncated frame(s) left out", "1 unreadable frame(s) left out"]  # at most one a second
+        receiver.tell_rest()
+        told = [notice.message for notice in receiver.notices()]
+        assert told == ["4 truncated frame(s) left out", "2 unreadable frame(s) left out"]
+        receiver.tell_rest()
+        assert receiver.notices() == []
         assert bus.flushed == 3
 
 
@@ -256,7 +261,9 @@ def test_slcan_with_truncated_lines_garbage_and_the_plug_pulled() -> None:
         told = {notice.message.split(" ", 1)[1] for notice in receiver.notices()}
         assert told == {"truncated frame(s) left out", "unreadable frame(s) left out"}
         line.unplug()
-        assert "the CAN adapter is gone" in lost(receiver).message
+        error = lost(receiver)
+        assert "the CAN adapter is gone" in error.message
+        assert error.where == f"slcan {line.path}"
 
 
 @settings(max_examples=20, deadline=None)
