@@ -204,6 +204,9 @@ def identify_recordings(
     torques_of: str = typer.Option(
         None, "--torques-of", help="Joints whose motors' torques are used; all that turn if absent."
     ),
+    reversals: float = typer.Option(
+        0.0, "--leave-out-reversals", help="Leave out motors slower than this share of their rms velocity, such as 0.2."
+    ),
     energy_window: float = typer.Option(
         None, "--energy-window", help="Mean duration of the windows of --method energy [s]."
     ),
@@ -267,6 +270,7 @@ def identify_recordings(
         experiment=ExperimentChoices(
             joints_option(locked, "--locked") or (), joints_option(torques_of, "--torques-of") or ()
         ),
+        reversals=reversals,
     )
     read = [read_recording(path) for path in recordings]
     held_out = [read_recording(path) for path in validate_with]

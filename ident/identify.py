@@ -29,6 +29,7 @@ from ident.observation import Reduction, only_torques
 from ident.preprocess import Prepared, PreprocessChoices, prepare
 from ident.pruning import SIGNIFICANT_RSD, Pruned, prune
 from ident.regressor import RegressorKernel
+from ident.reversals import check_share, leave_out_reversals
 from ident.validation import FitFigures, fit_figures
 
 FrictionModel = Literal["none", "viscous", "coulomb", "coulomb-viscous"]
@@ -67,6 +68,7 @@ class IdentifyChoices:
         significant_rsd: threshold of significance [%].
         energy_window: mean duration of the energy method's windows [s]; None takes it from the parallel filter.
         experiment: joints that must be locked, and motors whose torques are used.
+        reversals: equations of a motor slower than this share of its root mean square are left out; 0 keeps all.
     """
 
     method: Method = "wls"
@@ -77,8 +79,15 @@ class IdentifyChoices:
     significant_rsd: float = SIGNIFICANT_RSD
     energy_window: float | None = None
     experiment: ExperimentChoices = field(default_factory=ExperimentChoices)
+    reversals: float = 0.0
 
     def __post_init__(self) -> None:
+        check_share(self.reversals)
+        if self.method in ENERGY_METHODS and self.reversals:
+            raise UsageError(
+                f"--leave-out-reversals has no meaning for --method {self.method}, whose equation is the whole arm's",
+                hint="use --method wls",
+            )
         if self.method in ENERGY_METHODS and self.experiment.torques_of:
             raise UsageError(
                 f"--torques-of has no meaning for --method {self.method}, whose equation is the whole arm's",
@@ -206,7 +215,10 @@ def identify(
         progress("delay")
         delay = search_delay(kernel, first.prepared.segments, first.prepared.parallel_filter, experiment.torques)
         resolved = replace(resolved, delay=delay.used)
-    runs = tuple(_prepare_window(part, resolved) for part in parts)
+    prepared_runs = (_prepare_window(part, resolved) for part in parts)
+    runs = tuple(
+        replace(run, prepared=leave_out_reversals(kernel, run.prepared, choices.reversals)) for run in prepared_runs
+    )
     validation_runs = tuple(_prepare_window(part, resolved) for part in held_out)
 
     progress("regression")

@@ -128,14 +128,20 @@ class Block:
     """Consecutive filtered samples.
 
     Attributes:
-        regressor: (kernel.row_count, m) packed rows; samples at rest are there, see `used`.
-        torque: as `torques`, filtered.
+        regressor: (kernel.row_count, m) packed rows; samples at rest are there, see `used`. 0 for motors that turn.
+        torque: as `torques`, filtered; 0 for motors that turn.
         used: (m,) whether the sample takes part.
+        turning: (n, m) motors that turn round there, whose equation takes no part; None where all do.
     """
 
     regressor: FloatArray
     torque: FloatArray
     used: npt.NDArray[np.bool_]
+    turning: npt.NDArray[np.bool_] | None
+
+    def counts(self, motor: int) -> npt.NDArray[np.bool_]:
+        """(m,) whether a motor's equation takes part."""
+        return self.used if self.turning is None else self.used & ~self.turning[motor]
 
 
 def filtered_blocks(
@@ -153,18 +159,29 @@ def filtered_blocks(
         Blocks whose arrays are valid until the next one is asked for.
     """
     rows = kernel.row_count
-    used = segment.used[:: parallel_filter.factor]
+    every = slice(None, None, parallel_filter.factor)
+    used, turning = segment.used[every], None if segment.turning is None else segment.turning[:, every]
+
+    def block(regressor: FloatArray, torque: FloatArray, part: slice) -> Block:
+        if turning is None:
+            return Block(regressor, torque, used[part], None)
+        regressor, torque = regressor.copy(), torque.copy()
+        for motor, turns in enumerate(turning[:, part]):
+            regressor[kernel.joint_rows[motor].rows, turns] = 0.0
+            torque[motor :: kernel.model.dof, turns] = 0.0
+        return Block(regressor, torque, used[part], turning[:, part])
+
     chunks = evaluate_in_chunks(kernel, segment.position, segment.velocity, segment.acceleration)
     if parallel_filter.factor == 1 and len(parallel_filter.sos) == 0:
         for part, packed in chunks:
-            yield Block(packed, torques[:, part], used[part])
+            yield block(packed, torques[:, part], part)
         return
     streamed = StreamedFilter(parallel_filter, rows + torques.shape[0])
     position = 0
     ready = (streamed.push(np.concatenate([packed, torques[:, part]])) for part, packed in chunks)
     for filtered in itertools.chain(ready, _finished(streamed)):
         if width := filtered.shape[1]:
-            yield Block(filtered[:rows], filtered[rows:], used[position : position + width])
+            yield block(filtered[:rows], filtered[rows:], slice(position, position + width))
             position += width
 
 
@@ -217,11 +234,11 @@ def _accumulate(
     samples = 0
     for segment, torque in zip(segments, torques, strict=True):
         for block in filtered_blocks(kernel, segment, parallel_filter, torque):
-            everything = bool(block.used.all())
             samples += int(block.used.sum())
             for joint, accumulator in enumerate(accumulators):
                 rows = _joint_rows(kernel, joint, block.regressor, block.torque)
-                accumulator.add(rows if everything else rows[:, block.used])
+                counts = block.counts(joint)
+                accumulator.add(rows if counts.all() else rows[:, counts])
     return samples
 
 

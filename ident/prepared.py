@@ -41,6 +41,7 @@ class Segment:
         torque: (n, N) joint side, shifted by the delay, not filtered but for a decimation [N·m or N].
         rate: [Hz].
         used: (N,) whether the sample counts: in a window with motion, away from the ends.
+        turning: (n, N) motors whose equation does not count there (see `ident.reversals`); None where all do.
     """
 
     time: FloatArray
@@ -50,6 +51,7 @@ class Segment:
     torque: FloatArray
     rate: float
     used: npt.NDArray[np.bool_]
+    turning: npt.NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, eq=False)

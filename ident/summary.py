@@ -219,6 +219,7 @@ def _options(found: Identification) -> dict[str, float | int | str | bool | None
         "split": chosen.split,
         "significant_rsd": chosen.significant_rsd,
         "energy_window": chosen.energy_window,
+        "reversals": chosen.reversals,
     }
 
 
