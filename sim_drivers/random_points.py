@@ -7,15 +7,9 @@ from collections.abc import Collection
 import numpy as np
 
 from daq.robot import Robot
-from daq.trajectories import PointToPoint
+from daq.trajectories import QUINTIC_ACCELERATION, QUINTIC_VELOCITY, PointToPoint
 
 LIMIT_SHARE = 0.9
-
-QUINTIC_VELOCITY = 15.0 / 8.0
-"""Largest velocity of a fifth-order move over way/duration."""
-
-QUINTIC_ACCELERATION = 10.0 / np.sqrt(3.0)
-"""Largest acceleration of a fifth-order move over way/duration²."""
 
 
 def random_points_motion(robot: Robot, seed: int, moves: int, moving: Collection[str] = ()) -> PointToPoint:

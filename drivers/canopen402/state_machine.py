@@ -15,7 +15,6 @@ NEW_SET_POINT = 0x0010
 CHANGE_AT_ONCE = 0x0020
 """Controlword bit 5 in profile position mode: a new set-point replaces the one under way."""
 
-FAULT_BIT = 0x0008
 WARNING_BIT = 0x0080
 INTERNAL_LIMIT_BIT = 0x0800
 SET_POINT_ACKNOWLEDGED = 0x1000
