@@ -9,18 +9,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from daq.recording import Recording
+from drivers.errors import IdentificationError
 from ident.estimator import estimable, estimator_of, fits_energy_better
 from ident.experiment import experiment_states, turning_motors, whole_arm
 from ident.least_squares import ENERGY_METHODS, ordinary_least_squares
+from ident.observation import only_torques
 from ident.plausibility import POSES, fits_opposite_gravity, indefinite_share, inertia_matrices, sign_warnings
 from ident.pruning import relative_std
 from ident.regressor import RegressorKernel
+from ident.reversals import leave_out_reversals
 
 if TYPE_CHECKING:
     from ident.identify import Identification
 
 ROWS_PER_PARAMETER = 50
 """Fewer equations a parameter than this are warned of (SR400 §4.3 point 6)."""
+
+TRIED_SHARE = 0.2
+"""What `--leave-out-reversals` is tried with."""
+MOVED = 3.0
+"""Friction that moves by more standard deviations than this without reversals is warned of; on motions that were
+followed exactly it moves by up to 2.4, since data are left out."""
+NEGLIGIBLE = 1e-3
+"""Share of a value that is no matter, however small its standard deviation."""
 
 
 def identification_warnings(found: Identification, recordings: Sequence[Recording]) -> list[str]:
@@ -70,6 +81,7 @@ def identification_warnings(found: Identification, recordings: Sequence[Recordin
             "gravity of the opposite sign fits the data better: check `model.gravity`, how the arm is mounted, and the "
             "signs of the drive gains"
         )
+    warnings += _reversal_warnings(found)
     share = _indefinite_share(found)
     if share > 0:
         warnings.append(
@@ -104,6 +116,35 @@ def _experiment_warnings(found: Identification) -> list[str]:
             "hold any part of it"
         )
     return warnings
+
+
+def _reversal_warnings(found: Identification) -> list[str]:
+    """Friction that is another without the equations of motors that turn round."""
+    choices, base, before = found.choices, found.base, found.solution
+    if choices.method in ENERGY_METHODS or choices.reversals:
+        return []
+    kernel = RegressorKernel(found.model, base.columns)
+    parts = [leave_out_reversals(kernel, run.prepared, TRIED_SHARE) for run in found.runs]
+    estimator = estimator_of(choices.method, kernel, parts, None)
+    try:
+        after = estimator.solve(only_torques(estimator.reduce(parts), found.experiment.torques), before.active)
+    except IdentificationError:  # too little is left
+        return []
+    kinds = [found.model.parameters[column].kind for column in base.columns]
+    moved = {
+        i: (after.parameters[i] - before.parameters[i]) / found.std[i]
+        for i in before.active
+        if kinds[i] in ("viscous", "coulomb")
+        and abs(after.parameters[i] - before.parameters[i]) > NEGLIGIBLE * abs(before.parameters[i])
+    }
+    told = sorted((i for i in moved if abs(moved[i]) > MOVED), key=lambda i: -abs(moved[i]))[:3]
+    if not told:
+        return []
+    changes = ", ".join(f"{base.names[i]} by {moved[i]:+.1f}" for i in told)
+    return [
+        f"friction is no constant where joints turn round: without those equations it moves ({changes} standard "
+        f"deviations), which the error bars do not cover; compare --leave-out-reversals {TRIED_SHARE:g}"
+    ]
 
 
 def _indefinite_share(found: Identification) -> float:

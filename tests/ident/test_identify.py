@@ -474,3 +474,23 @@ def test_recordings_of_different_rates_get_the_same_cut_offs(three_joint):
     assert len(cutoffs) == 1
     assert filters[0].factor > 3 * filters[1].factor
     assert found.validation.relative_error < 0.1
+
+
+def test_friction_that_sticks_at_reversals_is_warned_of(recorded, three_joint):
+    def warned(found):
+        return [text for text in found.warnings if "where joints turn round" in text]
+
+    clean = recorded(30.0)
+    assert not warned(identify([clean], [], IdentifyChoices()))
+    stream = clean.streams[JOINTS_STREAM]
+    current = stream.channels["current"]
+    speed = np.gradient(stream.channels["position"].values, stream.time, axis=0)
+    slow = np.abs(speed) < 0.1 * np.sqrt(np.mean(speed**2, axis=0))
+    stuck = current.values - np.where(slow, 0.3 * np.abs(current.values).mean(axis=0) * np.sign(speed), 0.0)
+    channels = dict(stream.channels) | {"current": replace(current, values=stuck)}
+    sticking = replace(clean, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+    (told,) = warned(identify([sticking], [], IdentifyChoices()))
+    assert "Fs" in told
+    assert "--leave-out-reversals 0.2" in told
+    assert not warned(identify([sticking], [], IdentifyChoices(reversals=0.2)))
+    assert not warned(identify([sticking], [], IdentifyChoices(model=ModelChoices(friction="viscous"))))
