@@ -29,7 +29,7 @@ from ident.observation import Reduction, only_torques
 from ident.preprocess import Prepared, PreprocessChoices, prepare
 from ident.pruning import SIGNIFICANT_RSD, Pruned, prune
 from ident.regressor import RegressorKernel
-from ident.reversals import check_share, leave_out_reversals
+from ident.reversals import check_share, leave_out_reversals, without_reversals
 from ident.validation import FitFigures, fit_figures
 
 FrictionModel = Literal["none", "viscous", "coulomb", "coulomb-viscous"]
@@ -213,7 +213,8 @@ def identify(
     delay = None
     if choices.search_delay:
         progress("delay")
-        delay = search_delay(kernel, first.prepared.segments, first.prepared.parallel_filter, experiment.torques)
+        searched = without_reversals(kernel, first.prepared.segments)
+        delay = search_delay(kernel, searched, first.prepared.parallel_filter, experiment.torques)
         resolved = replace(resolved, delay=delay.used)
     prepared_runs = (_prepare_window(part, resolved) for part in parts)
     runs = tuple(

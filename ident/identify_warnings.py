@@ -17,7 +17,7 @@ from ident.observation import only_torques
 from ident.plausibility import POSES, fits_opposite_gravity, indefinite_share, inertia_matrices, sign_warnings
 from ident.pruning import relative_std
 from ident.regressor import RegressorKernel
-from ident.reversals import leave_out_reversals
+from ident.reversals import ADVISED_SHARE, leave_out_reversals
 
 if TYPE_CHECKING:
     from ident.identify import Identification
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 ROWS_PER_PARAMETER = 50
 """Fewer equations a parameter than this are warned of (SR400 §4.3 point 6)."""
 
-TRIED_SHARE = 0.2
-"""What `--leave-out-reversals` is tried with."""
 MOVED = 3.0
 """Friction that moves by more standard deviations than this without reversals is warned of; on motions that were
 followed exactly it moves by up to 2.4, since data are left out."""
@@ -124,7 +122,7 @@ def _reversal_warnings(found: Identification) -> list[str]:
     if choices.method in ENERGY_METHODS or choices.reversals:
         return []
     kernel = RegressorKernel(found.model, base.columns)
-    parts = [leave_out_reversals(kernel, run.prepared, TRIED_SHARE) for run in found.runs]
+    parts = [leave_out_reversals(kernel, run.prepared, ADVISED_SHARE) for run in found.runs]
     estimator = estimator_of(choices.method, kernel, parts, None)
     try:
         after = estimator.solve(only_torques(estimator.reduce(parts), found.experiment.torques), before.active)
@@ -143,7 +141,7 @@ def _reversal_warnings(found: Identification) -> list[str]:
     changes = ", ".join(f"{base.names[i]} by {moved[i]:+.1f}" for i in told)
     return [
         f"friction is no constant where joints turn round: without those equations it moves ({changes} standard "
-        f"deviations), which the error bars do not cover; compare --leave-out-reversals {TRIED_SHARE:g}"
+        f"deviations), which the error bars do not cover; compare --leave-out-reversals {ADVISED_SHARE:g}"
     ]
 
 

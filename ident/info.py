@@ -25,6 +25,7 @@ from ident.excite.sufficiency import (
 )
 from ident.pruning import SIGNIFICANT_RSD
 from ident.recorded_motion import RecordedMotion, recorded_motion
+from ident.reversals import without_reversals
 
 MOTOR_SIGNALS = ("current", "voltage", "torque")
 
@@ -102,7 +103,8 @@ def _delay(motion: RecordedMotion) -> DelaySearch | None:
     if motion.measured is None:  # `identify` says why
         return None
     try:
-        return search_delay(motion.kernel, motion.prepared.segments, motion.prepared.parallel_filter)
+        segments = without_reversals(motion.kernel, motion.prepared.segments)
+        return search_delay(motion.kernel, segments, motion.prepared.parallel_filter)
     except DynidError:  # too short to tell
         return None
 

@@ -6,6 +6,7 @@ a static model does not hold (AUBO §IV: below 0.1 rad/s). Filters carry the err
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,18 @@ from drivers.errors import UsageError
 from ident.joint_columns import combined
 from ident.prepared import Prepared, Segment, Step
 from ident.regressor import RegressorKernel
+
+ADVISED_SHARE = 0.2
+"""Of a velocity's root mean square: what is slower is turning round (docs/excitation.md has the figures)."""
+
+
+def without_reversals(kernel: RegressorKernel, segments: Sequence[Segment]) -> tuple[Segment, ...]:
+    """Segments without the equations of motors that turn round.
+
+    The search of a delay takes these: a joint that stands still while it turns round gives its torque back late, which
+    looks like a delay of many milliseconds.
+    """
+    return tuple(replace(part, turning=turning(kernel, part, ADVISED_SHARE)) for part in segments)
 
 
 def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: float) -> Prepared:

@@ -29,6 +29,7 @@ from ident.observation import Reduction, filtered_blocks, reduce_segments, stack
 from ident.preprocess import Prepared, PreprocessChoices, prepare
 from ident.regressor import RegressorKernel
 from ident.repetition import motion_phases
+from ident.reversals import without_reversals
 
 FREE, LOADED = 0, 1
 """Numbers of the two runs, in every list of two."""
@@ -140,7 +141,7 @@ def prepare_pair(
     first = _prepare(motions[FREE], PreprocessChoices(delay=delay or 0.0))
     choices, note = first.choices, "as given, not searched"
     if delay is None:
-        found = search_delay(kernel, first.segments, first.parallel_filter)
+        found = search_delay(kernel, without_reversals(kernel, first.segments), first.parallel_filter)
         choices, note = replace(choices, delay=found.used), found.note
     runs = []
     for motion in motions:

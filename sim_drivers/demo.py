@@ -25,6 +25,7 @@ from ident.identify import Identification, IdentifyChoices, identify
 from ident.model import build_model, truth_vector
 from ident.report import TruthTable, write_report
 from ident.result import Result, write_result
+from ident.reversals import ADVISED_SHARE
 from ident.summary import summarise
 from sim_drivers.simulated_arm import record_over_wire, simulated_arm
 
@@ -36,9 +37,6 @@ RAMP = 2.0
 
 MARGIN = 0.2
 """Of every limit: the simulated robot shares this computer with all the rest, and commands come late."""
-
-REVERSALS = 0.2
-"""Left out as by `dynid identify --leave-out-reversals`: error bars are to hold the truth (docs/excitation.md)."""
 
 STARTS = 1
 """Of the excitation's design: the first start already comes within a tenth of the best of many."""
@@ -124,7 +122,7 @@ def run_demo(
             samples += told["streams"][JOINTS_STREAM]["samples"]
     # From here on it is what a user does: two recordings on disk, nothing known but their content.
     recordings = [[read_recording(path)] for path in paths]
-    found = identify(recordings[0], recordings[1], IdentifyChoices(reversals=REVERSALS), progress=progress)
+    found = identify(recordings[0], recordings[1], IdentifyChoices(reversals=ADVISED_SHARE), progress=progress)
     result = summarise(found, recordings[0], recordings[1])
     write_result(folder / "result.json", result)
     table = TruthTable(names=base.names, values=truth)

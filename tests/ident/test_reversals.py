@@ -9,12 +9,13 @@ import pytest
 
 from drivers.errors import UsageError
 from ident.base_parameters import base_parameters
+from ident.delay import search_delay
 from ident.filters import butterworth, no_filter
 from ident.identify import IdentifyChoices
 from ident.model import build_model, truth_vector
 from ident.observation import filtered_blocks, reduce_segments
 from ident.regressor import RegressorKernel, regressor
-from ident.reversals import turning
+from ident.reversals import turning, without_reversals
 
 
 @pytest.fixture(scope="module")
@@ -103,3 +104,21 @@ def test_what_is_no_share_is_refused(share):
 def test_it_is_refused_where_one_equation_is_the_whole_arm_s(method):
     with pytest.raises(UsageError, match="--leave-out-reversals"):
         IdentifyChoices(method=method, reversals=0.2)
+
+
+def test_friction_that_changes_late_is_no_delay(arm, segment):
+    model, base, _ = arm
+    kernel = RegressorKernel(model, base.columns)
+    rate = np.sqrt(np.mean(segment.velocity**2, axis=1))
+    torque = segment.torque + 0.05 * np.random.default_rng(1).standard_normal(segment.torque.shape)
+    for motor in range(model.dof):
+        # The old sign until the joint is a sixth of its usual speed: friction that has to be overcome first.
+        sign = 0.0
+        for sample, speed in enumerate(segment.velocity[motor] / rate[motor]):
+            sign = np.sign(speed) if abs(speed) > 0.15 or sign == 0.0 else sign
+            torque[motor, sample] += 3.0 * (sign - np.sign(speed))
+    sticking = replace(segment, torque=torque)
+    assert search_delay(kernel, [sticking], no_filter()).best > 2e-3
+    found = search_delay(kernel, without_reversals(kernel, [sticking]), no_filter())
+    assert abs(found.best) < 0.5e-3
+    assert found.used == 0.0
