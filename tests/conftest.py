@@ -7,8 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from daq.realtime import PRIORITY, give_realtime_back, may_have_realtime
+
+# A busy computer makes any single example slow: time is no property that a test of values may fail by.
+settings.register_profile("dynid", deadline=None)
+settings.load_profile("dynid")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
