@@ -90,9 +90,10 @@ def test_a_frame_that_stays_away_while_only_recorded_ends_the_session(tmp_path: 
     assert_stopped(outcome, "no complete row of the joints for 0.5 s: frame 0x182 (position of elbow_joint, ")
 
 
-@pytest.mark.parametrize(("fault", "duration"), [("truncate 8", None), ("garbage 50", 3.0)])
-def test_damaged_frames_cost_their_rows_and_end_nothing(tmp_path: Path, fault: str, duration: float | None) -> None:
-    outcome = with_fault(tmp_path, fault, duration)
+# Without a motion: there the rows lost and a stall of a busy computer together pass 50 ms, and rightly stop the arm.
+@pytest.mark.parametrize("fault", ["truncate 8", "garbage 50"])
+def test_damaged_frames_cost_their_rows_and_end_nothing(tmp_path: Path, fault: str) -> None:
+    outcome = with_fault(tmp_path, fault, 3.0)
     assert outcome.status == 0, outcome.errors
     assert outcome.recording is not None
     assert outcome.recording.complete
