@@ -287,7 +287,7 @@ def session(
 
 def test_a_motion_is_recorded_as_the_plant_made_it(server: ProprietaryCanServer, tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
-    motion = slow_move(POSE, POSE + 0.15, ROBOT.joints, share=0.3)
+    motion = slow_move(POSE, POSE + 0.15, ROBOT.joints, share=0.1)
     report = session(path, driver_of(connection_of(server)), Play(motion, ROBOT, 200.0))
     assert report.stopped_by is None
     recording = read_recording(path)
