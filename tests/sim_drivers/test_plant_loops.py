@@ -7,20 +7,17 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 import pytest
+from controlled_arm import follow
 
 from daq.loops import coupling_matrix
-from daq.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot import RobotFile, load_robot
 from ident.base_parameters import base_parameters
 from ident.identify import IdentifyChoices, identify
 from ident.model import build_model, truth_vector
 from ident.pinocchio_model import pinocchio_model
 from ident.regressor import model_torque
-from sim_drivers.motion import random_fourier_motion
 from sim_drivers.plant import Plant, PlantSettings
 from sim_drivers.rigid_arm import rigid_arm
-
-RATE = 500.0
 
 
 @pytest.fixture(scope="module")
@@ -75,34 +72,6 @@ def test_energy_is_conserved_without_friction_and_drives(
         exchanged = max(exchanged, kinetic)
         assert abs(kinetic + potential - start) < 2e-3 * max(exchanged, 1.0)
     assert exchanged > 20.0
-
-
-def follow(robot_file: RobotFile, seed: int, duration: float) -> Recording:
-    motion = random_fourier_motion(build_model(robot_file), 10.0, seed=seed, candidates=10)
-    time = np.arange(round(duration * RATE)) / RATE
-    position, velocity, acceleration = (values.T for values in motion.evaluate(time))
-    up = np.arange(round(2.0 * RATE)) / RATE
-    before = [values.T for values in motion.evaluate(up**2 / 4.0 - 1.0)]
-    pace = (up / 2.0)[:, None]
-    plant = Plant(robot_file, seed=seed, position=before[0][0])
-    for q, v, a in zip(before[0], before[1] * pace, before[2] * pace**2 + before[1] * 0.5, strict=True):
-        plant.set_target(q, v, a)
-        plant.advance(1.0 / RATE)
-    samples = []
-    for sample in range(len(time)):
-        plant.set_target(position[sample], velocity[sample], acceleration[sample])
-        plant.advance(1.0 / RATE)
-        samples.append(plant.measure())
-        assert np.max(np.abs(samples[-1].position - position[sample])) < 0.02
-    names = robot_file.robot.joint_names
-    stamps = np.array([sample.time for sample in samples])
-    channels = {
-        "position": Channel("position", np.array([sample.position for sample in samples]), "rad", names),
-        "voltage": Channel("voltage", np.array([sample.current for sample in samples]), "V", names),
-    }
-    return Recording(
-        robot_text=robot_file.text, streams={JOINTS_STREAM: Stream(JOINTS_STREAM, stamps, stamps, channels)}
-    )
 
 
 @pytest.mark.slow
