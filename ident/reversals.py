@@ -21,13 +21,15 @@ ADVISED_SHARE = 0.2
 """Of a velocity's root mean square: what is slower is turning round (docs/excitation.md has the figures)."""
 
 
-def without_reversals(kernel: RegressorKernel, segments: Sequence[Segment]) -> tuple[Segment, ...]:
-    """Segments without the equations of motors that turn round.
+def without_reversals(
+    kernel: RegressorKernel, segments: Sequence[Segment], share: float = ADVISED_SHARE
+) -> tuple[Segment, ...]:
+    """Segments without the equations of motors slower than `share` of their velocity's root mean square.
 
     The search of a delay takes these: a joint that stands still while it turns round gives its torque back late, which
     looks like a delay of many milliseconds.
     """
-    return tuple(replace(part, turning=turning(kernel, part, ADVISED_SHARE)) for part in segments)
+    return tuple(replace(part, turning=turning(kernel, part, share)) for part in segments)
 
 
 def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: float) -> Prepared:
@@ -44,7 +46,7 @@ def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: floa
     check_share(share)
     if share == 0.0:
         return prepared
-    segments = tuple(replace(part, turning=turning(kernel, part, share)) for part in prepared.segments)
+    segments = without_reversals(kernel, prepared.segments, share)
     counted = sum(int(part.used.sum()) for part in segments) * kernel.model.dof
     left_out = sum(int((part.turning & part.used).sum()) for part in segments if part.turning is not None)
     step = Step(

@@ -18,7 +18,7 @@ SIGNAL_UNITS = {"current": "A", "voltage": "V"}
 
 
 def follow(robot_file: RobotFile, seed: int, duration: float, candidates: int = 10) -> Recording:
-    """The best of random Fourier motions, recorded once it is at speed; the motors' signal is that of the file's drives."""
+    """The best of random Fourier motions, recorded once it is at speed, with the signal that the file's drives name."""
     motion = random_fourier_motion(build_model(robot_file), PERIOD, seed, candidates)
     time = np.arange(round(duration * RATE)) / RATE
     position, velocity, acceleration = (values.T for values in motion.evaluate(time))
