@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import itertools
 import math
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.streams import Block, FloatArray
 
 REPORT_PERIOD = 60.0
@@ -136,13 +135,13 @@ class ClockLog:
     """The clocks of a session's streams, and when to report on them.
 
     Args:
-        clock: the host's monotonic clock [s].
+        clock: the host's.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, clock: Clock = SYSTEM_CLOCK) -> None:
         self._clock = clock
         self._fits: dict[str, ClockFit] = {}
-        self._due = clock() + REPORT_PERIOD
+        self._due = clock.now() + REPORT_PERIOD
 
     def take(self, block: Block) -> None:
         """Note a block's stamps."""
@@ -151,9 +150,9 @@ class ClockLog:
 
     def due(self) -> list[str]:
         """A message on each stream's clock once every `REPORT_PERIOD`; nothing in between."""
-        if self._clock() < self._due:
+        if self._clock.now() < self._due:
             return []
-        self._due = self._clock() + REPORT_PERIOD
+        self._due = self._clock.now() + REPORT_PERIOD
         return self.messages()
 
     def messages(self) -> list[str]:

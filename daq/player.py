@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from daq.trajectories import Motion
+from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
 from drivers.errors import DynidError, WorkError
-from drivers.punctual import set_timer_slack, sleep_until
 from drivers.streams import FloatArray
 
 SKIP_LIMIT = 3
@@ -60,6 +59,7 @@ class Player:
         positions: (N, n), the first one where the arm stands.
         rate: [Hz].
         motion_index: of the position at which the approach ends and the motion itself begins.
+        clock: the host's.
     """
 
     def __init__(
@@ -69,20 +69,22 @@ class Player:
         positions: FloatArray,
         rate: float,
         motion_index: int = 0,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self.motion_index = motion_index
         self._send = send
         self._noted = noted
+        self._clock = clock
         self._positions = positions
         self._period = 1.0 / rate
-        self._halt = threading.Event()
+        self._halt = clock.event()
         self._done = threading.Event()
         self._failure: DynidError | None = None
         self._late: list[float] = []
         self._skipped = 0
         self._delayed = 0.0
         self._index = 0
-        self._thread = threading.Thread(target=self._run, name="player", daemon=True)
+        self._thread = clock.thread(self._run, "player")
 
     @property
     def done(self) -> bool:
@@ -128,23 +130,23 @@ class Player:
         set_timer_slack()
         try:
             # Taking control of an arm may last seconds: the clock starts when it is had.
-            self._noted(time.monotonic(), self._positions[0])
+            self._noted(self._clock.now(), self._positions[0])
             self._send(self._positions[0])
-            start, tick, last = time.monotonic(), 0, len(self._positions) - 1
+            start, tick, last = self._clock.now(), 0, len(self._positions) - 1
             while not self._halt.is_set():
-                overdue = int((time.monotonic() - start) / self._period) - tick
+                overdue = int((self._clock.now() - start) / self._period) - tick
                 if overdue > SKIP_LIMIT and tick < last:
                     start += (overdue - 1) * self._period
                     self._delayed += (overdue - 1) * self._period
-                due = max(tick + 1, int((time.monotonic() - start) / self._period))
+                due = max(tick + 1, int((self._clock.now() - start) / self._period))
                 if tick < last:
                     self._skipped += min(due, last) - tick - 1
                 tick = due
-                late = sleep_until(start + tick * self._period)
+                late = self._clock.sleep_until(start + tick * self._period)
                 if self._halt.is_set():
                     return
                 index = min(tick, last)
-                self._noted(time.monotonic(), self._positions[index])
+                self._noted(self._clock.now(), self._positions[index])
                 self._send(self._positions[index])
                 self._index = index
                 if tick <= last:
@@ -157,7 +159,7 @@ class Player:
             self._failure = WorkError(f"the player broke: {type(error).__name__}: {error}")
 
 
-def dry_run(rate: float) -> Punctuality:
+def dry_run(rate: float, clock: Clock = SYSTEM_CLOCK) -> Punctuality:
     """How punctual this computer is at a rate [Hz], without sending anything.
 
     Raises:
@@ -165,9 +167,9 @@ def dry_run(rate: float) -> Punctuality:
     """
     set_timer_slack()
     period, late = 1.0 / rate, []
-    start = time.monotonic()
+    start = clock.now()
     for tick in range(1, max(2, int(DRY_RUN * rate))):
-        late.append(sleep_until(start + tick * period))
+        late.append(clock.sleep_until(start + tick * period))
     figures = _punctuality(late, 0, 0.0)
     if figures.p50_ms > 1e3 * DRY_RUN_PERIODS * period:
         raise WorkError(

@@ -7,8 +7,6 @@ are written and flushed at once; `dynid recover` rescues them.
 from __future__ import annotations
 
 import shutil
-import threading
-import time
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +16,7 @@ import numpy as np
 from daq.recording_writer import CHUNK_SECONDS, RecordingWriter, chunk_rows
 from daq.robot import RobotFile
 from daq.streams import Level
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import DiskError, RecordingError
 from drivers.streams import Block, StreamLayout
 
@@ -52,6 +51,7 @@ class Recorder:
         comment: the user's words.
         overwrite: an existing file.
         memory_limit: of waiting samples [B].
+        clock: the host's.
 
     Raises:
         RecordingError: the file exists already, or its folder cannot be written.
@@ -67,6 +67,7 @@ class Recorder:
         comment: str = "",
         overwrite: bool = False,
         memory_limit: int = MEMORY_LIMIT,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self.path = path
         self.overflow = 0
@@ -81,11 +82,12 @@ class Recorder:
         self._queue: deque[Block | tuple[float, Level, str, str]] = deque()
         self._memory_limit = memory_limit
         self._waiting = 0
-        self._changed = threading.Condition()
+        self._clock = clock
+        self._changed = clock.condition()
         self._closing = False
         self._failure: DiskError | None = None
         self._broken = False
-        self._thread = threading.Thread(target=self._run, name=f"recorder {path.name}", daemon=True)
+        self._thread = clock.thread(self._run, f"recorder {path.name}")
         self._thread.start()
 
     @property
@@ -179,7 +181,7 @@ class Recorder:
     def _take(self, item: Block | tuple[float, Level, str, str]) -> None:
         if isinstance(item, Block):
             if not self._pending[item.stream]:
-                self._since[item.stream] = time.monotonic()
+                self._since[item.stream] = self._clock.now()
             self._pending[item.stream].append(item)
         else:
             self._writer.event(*item)
@@ -191,7 +193,7 @@ class Recorder:
         for stream, blocks in self._pending.items():
             waiting = sum(len(block.time) for block in blocks)
             whole = waiting - waiting % self._rows[stream]
-            late = bool(blocks) and time.monotonic() - self._since[stream] > 2.0 * CHUNK_SECONDS
+            late = bool(blocks) and self._clock.now() - self._since[stream] > 2.0 * CHUNK_SECONDS
             count = waiting if everything or late else whole
             if count == 0:
                 continue
@@ -210,7 +212,7 @@ class Recorder:
                 {name: values[count:] for name, values in joined.values.items()},
             )
             self._pending[stream] = [rest] if len(rest.time) else []
-            self._since[stream] = time.monotonic()
+            self._since[stream] = self._clock.now()
             with self._changed:
                 self._waiting -= _size(joined) - _size(rest)
             wrote = True

@@ -6,7 +6,6 @@ import gc
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -27,6 +26,7 @@ from daq.sources import Sources
 from daq.streams import JOINTS_STREAM
 from daq.trajectories import Motion, check_limits, slow_move
 from drivers.base import DRIVERS_GROUP, Attributing, Driver, DriverSettings, Notice
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionLostError, DynidError, SafetyStopError, UsageError, WorkError
 from drivers.streams import Block, FloatArray
 
@@ -98,6 +98,8 @@ class _Course:
     silence is an event already; `host_ahead` is by stream the host's clock less the source's at its last sample [s].
     """
 
+    clock: Clock
+    clocks: ClockLog
     samples: dict[str, int] = field(default_factory=dict)
     lost: dict[str, int] = field(default_factory=dict)
     position: FloatArray | None = None
@@ -108,7 +110,6 @@ class _Course:
     breach_time: float = float("nan")
     silent: set[str] = field(default_factory=set)
     host_ahead: dict[str, float] = field(default_factory=dict)
-    clocks: ClockLog = field(default_factory=ClockLog)
 
     def take(self, block: Block) -> None:
         self.samples[block.stream] = self.samples.get(block.stream, 0) + len(block.time)
@@ -125,7 +126,7 @@ class _Course:
 
     def source_time(self) -> float:
         """Now, in the clock of the joints' stream [s]."""
-        return time.monotonic() + self.source_minus_host
+        return self.clock.now() + self.source_minus_host
 
     def joints_time(self, when: float, stream: str) -> float:
         """A time of a stream's clock, in the clock of the joints' stream [s]."""
@@ -135,7 +136,11 @@ class _Course:
 
 
 def load_driver(
-    robot: Robot, wire: str | None = None, host: str | None = None, folder: Path | None = None
+    robot: Robot,
+    wire: str | None = None,
+    host: str | None = None,
+    folder: Path | None = None,
+    clock: Clock = SYSTEM_CLOCK,
 ) -> tuple[Driver, float]:
     """The driver of a robot's connection and the connection's rate [Hz], not yet open.
 
@@ -146,6 +151,7 @@ def load_driver(
         wire: which of them; the first where None.
         host: in place of the connection's own.
         folder: of the robot file, where relative paths among a connection's keys start; None for the current one.
+        clock: the host's.
 
     Raises:
         UsageError: no such connection, or no such driver is installed.
@@ -154,12 +160,12 @@ def load_driver(
     keys = connection_keys(robot, name)
     if host is not None:
         keys["host"] = host
-    main = _make_driver(robot, name, keys, folder)
-    beside = {other: _make_driver(robot, other, connection_keys(robot, other), folder) for other in others}
+    main = _make_driver(robot, name, keys, folder, clock)
+    beside = {other: _make_driver(robot, other, connection_keys(robot, other), folder, clock) for other in others}
     return Sources(name, main, beside) if beside else main, _rate_of(keys)
 
 
-def _make_driver(robot: Robot, name: str, keys: Mapping[str, object], folder: Path | None) -> Driver:
+def _make_driver(robot: Robot, name: str, keys: Mapping[str, object], folder: Path | None, clock: Clock) -> Driver:
     driver = robot.connections[name].driver
     found = {entry.name: entry for entry in entry_points(group=DRIVERS_GROUP)}
     if driver not in found:
@@ -169,7 +175,7 @@ def _make_driver(robot: Robot, name: str, keys: Mapping[str, object], folder: Pa
             hint=f"installed: {', '.join(sorted(found)) or 'none'}",
         )
     make: Callable[[DriverSettings], Driver] = found[driver].load()
-    return make(driver_settings(robot, keys, folder))
+    return make(replace(driver_settings(robot, keys, folder), clock=clock))
 
 
 def _rate_of(keys: Mapping[str, object]) -> float:
@@ -184,6 +190,7 @@ def record(
     play: Play | None = None,
     duration: float | None = None,
     view: View | None = None,
+    clock: Clock = SYSTEM_CLOCK,
 ) -> SessionReport:
     """Record until the motion is over, `duration` [s] has passed, or something stops it.
 
@@ -198,20 +205,21 @@ def record(
         play: the motion; None where something else moves the arm.
         duration: [s]; None for as long as the motion lasts.
         view: is told every block, and how far the session is.
+        clock: the host's; the driver's and the recorder's, too.
     """
-    course = _Course(view=view)
+    course = _Course(clock, ClockLog(clock), view=view)
     player: Player | None = None
     error: DynidError | None = None
     with _signals_noted(course), _undisturbed():
         try:
             driver.start()
-            begun = time.monotonic()
+            begun = clock.now()
             if play is not None:
-                dry_run(play.rate)
+                dry_run(play.rate, clock)
                 _wait_for_position(driver, recorder, supervisor, course)
                 if course.position is not None and course.interrupted is None:
                     player = _prepare(driver, supervisor, recorder, play, course, course.position)
-                    supervisor.restart_ages(time.monotonic())
+                    supervisor.restart_ages(clock.now())
                     course.moves = True
                     player.start()
             _follow(driver, recorder, supervisor, course, player, begun, duration)
@@ -244,10 +252,10 @@ def record(
 
 
 def _wait_for_position(driver: Driver, recorder: Recorder, supervisor: Supervisor, course: _Course) -> None:
-    limit = time.monotonic() + FIRST_SAMPLE_LIMIT
+    limit = course.clock.now() + FIRST_SAMPLE_LIMIT
     while course.position is None and course.interrupted is None:
         _cycle(driver, recorder, supervisor, course)
-        if time.monotonic() > limit:
+        if course.clock.now() > limit:
             raise ConnectionLostError(f"no joint position within {FIRST_SAMPLE_LIMIT:g} s")
 
 
@@ -262,7 +270,7 @@ def _prepare(
     begin = course.source_time()
     recorder.event(begin, "info", "player", f"approach to the start pose, {approach.duration:.2f} s")
     positions = np.concatenate([way, ticks(play.motion, play.rate)[1:]])
-    return Player(driver.command, supervisor.commanded, positions, play.rate, motion_index=len(way))
+    return Player(driver.command, supervisor.commanded, positions, play.rate, len(way), course.clock)
 
 
 def _follow(
@@ -277,7 +285,7 @@ def _follow(
     moving = False
     while course.interrupted is None:
         _cycle(driver, recorder, supervisor, course)
-        now = time.monotonic()
+        now = course.clock.now()
         if player is not None:
             if player.failure is not None:
                 raise player.failure
@@ -301,7 +309,7 @@ def _cycle(
     driver: Driver, recorder: Recorder, supervisor: Supervisor, course: _Course, looked_twice: bool = False
 ) -> None:
     """One look at everything: samples, notices, limits, ages, the disk."""
-    before = time.monotonic()
+    before = course.clock.now()
     blocks = driver.read(READ_TIMEOUT)
     for block in blocks:
         recorder.put(block)  # first of all, so that the recording shows what stopped it
@@ -309,7 +317,7 @@ def _cycle(
         if block.lost:
             when = float(block.time[0]) if len(block.time) else float("nan")
             recorder.event(when, "warning", block.stream, f"{block.lost} samples lost")
-    now = time.monotonic()
+    now = course.clock.now()
     breach = None
     for block in blocks:
         found = supervisor.check(block, now) if len(block.time) else None

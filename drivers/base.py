@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import DriverStateError
 from drivers.gains import DriveGain
 from drivers.streams import Block, FloatArray, StreamLayout
@@ -36,12 +37,14 @@ class DriverSettings:
         connection: the robot file's keys for this connection, without `driver`.
         gains: one a joint.
         folder: what relative paths among the keys start at; None for the current folder.
+        clock: the host's, whose monotonic time stamps what arrives.
     """
 
     joints: tuple[str, ...]
     connection: Mapping[str, object]
     gains: tuple[DriveGain, ...]
     folder: Path | None = None
+    clock: Clock = SYSTEM_CLOCK
 
 
 @dataclass(frozen=True)

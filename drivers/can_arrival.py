@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-import time
 
 import can
+
+from drivers.clock import Clock
 
 # Interfaces whose time stamps are the kernel's or the sender's clock of day, so that an age can be told from them.
 _STAMPED_BY_CLOCK = frozenset({"SocketcanBus", "UdpMulticastBus", "VirtualBus"})
@@ -18,27 +19,29 @@ class ArrivalClock:
 
     Args:
         bus: whose frames they are.
+        clock: the host's.
     """
 
-    def __init__(self, bus: can.BusABC) -> None:
+    def __init__(self, bus: can.BusABC, clock: Clock) -> None:
+        self._clock = clock
         self._stamped = type(bus).__name__ in _STAMPED_BY_CLOCK
         self._offset, self._checked = 0.0, -math.inf
 
     def arrived(self, message: can.Message) -> float:
         """Arrival [s, the host's monotonic clock], from the frame's own stamp where it is the clock of day."""
-        now = time.monotonic()
+        now = self._clock.now()
         if not self._stamped:
             return now
         if now - self._checked > _CLOCK_CHECK:
-            self._offset, self._checked = _clock_offset(), now
+            self._offset, self._checked = _clock_offset(self._clock), now
         arrived = message.timestamp - self._offset
         return arrived if now - _OLDEST < arrived <= now else now
 
 
-def _clock_offset() -> float:
+def _clock_offset(clock: Clock) -> float:
     """Clock of day minus monotonic clock [s]; the least disturbed of three readings."""
     best = (math.inf, 0.0)
     for _ in range(3):
-        before, day, after = time.monotonic(), time.time(), time.monotonic()
+        before, day, after = clock.now(), clock.time_of_day(), clock.now()
         best = min(best, (after - before, day - 0.5 * (before + after)))
     return best[1]

@@ -14,7 +14,6 @@ import os
 import socket
 import sys
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Container, Mapping, Sequence
 from typing import Any
@@ -24,6 +23,7 @@ import can
 from drivers.base import Level, Notice
 from drivers.can_adapter_errors import error_frame_words, is_bus_off, is_unreadable, reason, why_not_opened
 from drivers.can_arrival import ArrivalClock
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError, ConnectionLostError
 
 RECEIVE_BUFFER_BYTES = 4 * 2**20
@@ -90,10 +90,12 @@ class Sender:
 
     Args:
         bus: open.
+        clock: the host's.
     """
 
-    def __init__(self, bus: can.BusABC) -> None:
+    def __init__(self, bus: can.BusABC, clock: Clock = SYSTEM_CLOCK) -> None:
         self._bus = bus
+        self._clock = clock
         self._lock = threading.Lock()
         # slcan and socketcan give up at once without a limit or wait for ever; the others know none.
         self._limit = SEND_LIMIT if type(bus).__name__ in {"SocketcanBus", "slcanBus"} else None
@@ -124,7 +126,7 @@ class Sender:
             for identifier, data in frames
         ]
         with self._lock:
-            begun = time.monotonic()
+            begun = self._clock.now()
             try:
                 for message in messages:
                     self._bus.send(message, self._limit)
@@ -144,6 +146,7 @@ class Receiver:
         bus: open; the receiver does not close it.
         stored: identifiers to store; None for all.
         other: is told every other frame (identifier, data, arrival [s]) in the receiving thread; must be quick.
+        clock: the host's.
     """
 
     def __init__(
@@ -151,6 +154,7 @@ class Receiver:
         bus: can.BusABC,
         stored: Container[int] | None = None,
         other: Callable[[int, bytes, float], None] | None = None,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self.overflow = 0
         """Frames dropped because `take` stayed away."""
@@ -159,13 +163,14 @@ class Receiver:
         self._bus = bus
         self._stored = stored
         self._other = other
-        self._clock = ArrivalClock(bus)
+        self._clock = clock
+        self._stamps = ArrivalClock(bus, clock)
         self._ring: deque[Frame] = deque()
-        self._arrival = threading.Condition()
+        self._arrival = clock.condition()
         self._wanted = 1
         self._drained = -math.inf
         self._failure: ConnectionLostError | None = None
-        self._ending = threading.Event()
+        self._ending = clock.event()
         self._troubles: dict[str, tuple[int, float]] = {}
         self._notices: deque[Notice] = deque()
         self._thread: threading.Thread | None = None
@@ -182,7 +187,7 @@ class Receiver:
 
     def start(self) -> None:
         """Begin to receive."""
-        self._thread = threading.Thread(target=self._receive, name=f"can {self._bus.channel_info}", daemon=True)
+        self._thread = self._clock.thread(self._receive, f"can {self._bus.channel_info}")
         self._thread.start()
 
     def take(self, timeout: float = 0.0, at_least: int = 1) -> list[Frame]:
@@ -202,7 +207,7 @@ class Receiver:
 
     def notices(self) -> list[Notice]:
         """What there was to tell since the last call: error frames, truncated and unreadable ones."""
-        self._tell_troubles(time.monotonic() - NOTICE_PERIOD)
+        self._tell_troubles(self._clock.now() - NOTICE_PERIOD)
         found = []
         while self._notices:
             found.append(self._notices.popleft())
@@ -222,7 +227,7 @@ class Receiver:
     def _receive(self) -> None:
         faulty = 0
         while not self._ending.is_set():
-            asked = time.monotonic()
+            asked = self._clock.now()
             try:
                 message = self._bus.recv(POLL)
             except (can.CanError, OSError) as error:
@@ -249,7 +254,7 @@ class Receiver:
                 return
 
     def _keep(self, message: can.Message) -> bool:
-        arrived = self._clock.arrived(message)
+        arrived = self._stamps.arrived(message)
         if message.is_error_frame:
             return self._note_error(message, arrived)
         if message.is_remote_frame:
@@ -302,7 +307,7 @@ class Receiver:
         if flush is not None:
             with contextlib.suppress(can.CanError, OSError):
                 flush()
-        self._trouble("unreadable frame(s) left out", time.monotonic())
+        self._trouble("unreadable frame(s) left out", self._clock.now())
         return faulty + 1
 
     def _trouble(self, what: str, now: float) -> None:
@@ -316,7 +321,7 @@ class Receiver:
             for what, (count, told) in self._troubles.items():
                 if count and told <= told_before:
                     self._tell("warning", f"{count} {what}")
-                    self._troubles[what] = (0, time.monotonic())
+                    self._troubles[what] = (0, self._clock.now())
 
     def _tell(self, level: Level, message: str) -> None:
         self._notices.append(Notice(math.nan, level, message))

@@ -22,8 +22,8 @@ from daq.robot import Robot
 from drivers.can_bus import close_bus, open_bus
 from drivers.canopen402.objects import STATE_OPERATIONAL, TPDO1
 from drivers.canopen402.settings import CanopenSettings
+from drivers.clock import set_timer_slack
 from drivers.errors import ConnectionLostError
-from drivers.punctual import set_timer_slack
 from sim_drivers.bus_load import Frame, exact_bits
 from sim_drivers.can_faults import (
     BusOff,

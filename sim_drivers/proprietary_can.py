@@ -22,8 +22,8 @@ import numpy as np
 from daq.robot import Robot
 from drivers.can_bus import EXTENDED, Receiver, close_bus, open_bus
 from drivers.can_frames.settings import parse_settings
+from drivers.clock import set_timer_slack
 from drivers.errors import ConnectionLostError
-from drivers.punctual import set_timer_slack
 from sim_drivers.bus_load import BusModel, Frame, Sent, exact_bits
 from sim_drivers.can_faults import BusOff, Garbage, OverTemperature, Truncate
 from sim_drivers.canopen_nodes import BUS_OFF_ERROR

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from simulated_clock import SimulatedClock, simulated_time
 
 from daq.realtime import PRIORITY, give_realtime_back, may_have_realtime
+from drivers.clock import Clock
 
 # A busy computer makes any single example slow: time is no property that a test of values may fail by.
 settings.register_profile("dynid", deadline=None)
@@ -42,3 +44,23 @@ def punctual() -> Iterator[None]:
     finally:
         if allowed:
             give_realtime_back()
+
+
+@pytest.fixture
+def clock() -> Iterator[SimulatedClock]:
+    """Simulated time, see tests/support/simulated_clock.py."""
+    with simulated_time() as clock:
+        yield clock
+
+
+@pytest.fixture(autouse=True)
+def no_real_time(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refuse to wait in real time, or to start a thread there, in a test that is not marked `realtime`."""
+    if request.node.get_closest_marker("realtime") is not None:
+        return
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("this test waits in real time: give a simulated clock to all that takes one")
+
+    for name in ("sleep", "thread", "select"):
+        monkeypatch.setattr(Clock, name, refuse)

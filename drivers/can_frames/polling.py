@@ -9,8 +9,8 @@ from collections import deque
 from drivers.can_bus import Sender
 from drivers.can_frames.rows import Rows
 from drivers.can_frames.settings import Poll
+from drivers.clock import set_timer_slack
 from drivers.errors import ConnectionLostError
-from drivers.punctual import set_timer_slack
 
 ANSWER_LIMIT = 0.1
 """A poll that has not been answered after so long [s] never will be."""

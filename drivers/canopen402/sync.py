@@ -5,15 +5,14 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from drivers.can_bus import Sender
 from drivers.canopen402.objects import SYNC
+from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
 from drivers.errors import ConnectionLostError
-from drivers.punctual import set_timer_slack, sleep_until
 from drivers.streams import FloatArray
 
 LATEST = 0.5
@@ -37,9 +36,16 @@ class SyncProducer:
         rate: [Hz].
         outputs: called once a period in this thread with the moment of the SYNC in the schedule [s, host's monotonic
             clock]; the frames to send after the SYNC. Where SYNCs were left out, they are sent for the last of these.
+        clock: the host's.
     """
 
-    def __init__(self, sender: Sender, rate: float, outputs: Callable[[float], Sequence[tuple[int, bytes]]]) -> None:
+    def __init__(
+        self,
+        sender: Sender,
+        rate: float,
+        outputs: Callable[[float], Sequence[tuple[int, bytes]]],
+        clock: Clock = SYSTEM_CLOCK,
+    ) -> None:
         self.skipped = 0
         """SYNCs that were not sent, since this computer was late or the adapter refused them."""
         self.count = 0
@@ -49,9 +55,10 @@ class SyncProducer:
         self._sender = sender
         self._rate = rate
         self._outputs = outputs
+        self._host_clock = clock
         self._begin = math.nan
         self._sent: deque[tuple[int, float]] = deque()
-        self._ending = threading.Event()
+        self._ending = clock.event()
         self._failure: ConnectionLostError | None = None
         self._thread: threading.Thread | None = None
 
@@ -73,11 +80,11 @@ class SyncProducer:
     def start(self) -> None:
         """Begin to send."""
         if math.isnan(self._begin):
-            self._begin = time.monotonic()
+            self._begin = self._host_clock.now()
         self._sent.clear()
         self._failure = None
         self._ending.clear()
-        self._thread = threading.Thread(target=self._run, name="SYNC", daemon=True)
+        self._thread = self._host_clock.thread(self._run, "SYNC")
         self._thread.start()
 
     def stop(self) -> None:
@@ -100,7 +107,7 @@ class SyncProducer:
         refused_since: float | None = None
         while not self._ending.is_set():
             due = self._begin + slot / self._rate
-            late = sleep_until(due)
+            late = self._host_clock.sleep_until(due)
             if self._ending.is_set():
                 return
             if late * self._rate > LATEST:
@@ -118,7 +125,7 @@ class SyncProducer:
                 refused_since = None
             except ConnectionLostError as error:
                 self.skipped += not sent
-                now = time.monotonic()
+                now = self._host_clock.now()
                 refused_since = refused_since or now
                 if now - refused_since > PATIENCE:
                     self._failure = error
@@ -132,7 +139,7 @@ class SyncProducer:
         """
         with contextlib.suppress(ConnectionLostError):
             targets = self._outputs(self._begin + (slot - 1) / self._rate)
-            if targets and self._begin + slot / self._rate - time.monotonic() < TARGET_ROOM / self._rate:
+            if targets and self._begin + slot / self._rate - self._host_clock.now() < TARGET_ROOM / self._rate:
                 slot = max(slot + 1, self._next())
                 targets = self._outputs(self._begin + (slot - 1) / self._rate)
             self._sender.send_all(targets)
@@ -140,4 +147,4 @@ class SyncProducer:
 
     def _next(self) -> int:
         """The first slot that is still to come."""
-        return math.floor((time.monotonic() - self._begin) * self._rate) + 1
+        return math.floor((self._host_clock.now() - self._begin) * self._rate) + 1

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from simulated_clock import SimulatedClock
 
 from daq.clocks import REPORT_PERIOD, ClockFit, ClockLog, describe_clock
 from drivers.streams import Block
@@ -100,16 +101,15 @@ def test_too_little_says_nothing() -> None:
     assert fit.estimate() is None
 
 
-def test_a_session_reports_once_a_minute_and_at_its_end() -> None:
-    now = [0.0]
-    log = ClockLog(lambda: now[0])
+def test_a_session_reports_once_a_minute_and_at_its_end(clock: SimulatedClock) -> None:
+    log = ClockLog(clock)
     for second in range(150):
         time, host = stamps(second, "uniform", 100.0, 1.0, 7.0, 0.0, start=float(second))
         log.take(Block("joints", time, host))
         log.take(Block("thermometer", host, host))
-        now[0] = second + 1.0
+        clock.sleep(1.0)
         said = log.due()
-        assert bool(said) == (now[0] in (REPORT_PERIOD, 2 * REPORT_PERIOD))
+        assert bool(said) == (second + 1.0 in (REPORT_PERIOD, 2 * REPORT_PERIOD))
     joints, thermometer = log.messages()
     assert joints.startswith("clock of joints: offset 7.0000")
     assert " ppm ± " in joints
