@@ -125,6 +125,7 @@ def record_command(
     from daq.safety import Limits, Supervisor
     from daq.session import INTERRUPTED, TERMINATED, Play, load_driver, record
     from daq.trajectory_file import load_trajectory
+    from drivers.clock import SYSTEM_CLOCK
     from drivers.command import INTERRUPTED_STATUS
     from drivers.errors import UsageError
 
@@ -134,7 +135,8 @@ def record_command(
         raise UsageError(f"--duration {duration:g} is not a positive number of seconds")
     robot_file = load_robot(robot)
     played = load_trajectory(trajectory, robot_file.robot) if trajectory is not None else None
-    driver, rate = load_driver(robot_file.robot, wire, host, robot_file.folder)
+    clock = SYSTEM_CLOCK
+    driver, rate = load_driver(robot_file.robot, wire, host, robot_file.folder, clock)
     warnings = session_warnings(robot_file, wire)
     require_writable(out, overwrite=force)
     require_room(out)
@@ -155,6 +157,7 @@ def record_command(
             trajectory=played.text if played is not None else "",
             comment=comment,
             overwrite=force,
+            clock=clock,
         )
         for warning in warnings:
             recorder.event(math.nan, "warning", "session", warning)
@@ -162,8 +165,8 @@ def record_command(
         supervisor = Supervisor(limits, layouts)
         play = Play(played.motion, robot_file.robot, rate) if played is not None else None
         shown = sys.stderr.isatty() and not (no_ui or as_json)
-        with live_view(shown=shown, limits=limits, recorder=recorder) as view:
-            report = record(driver, recorder, supervisor, play, duration, view)
+        with live_view(shown=shown, limits=limits, recorder=recorder, clock=clock) as view:
+            report = record(driver, recorder, supervisor, play, duration, view, clock)
     finally:
         driver.close()
     _report_session(out, report, as_json)

@@ -13,7 +13,6 @@ import os
 import select
 import signal
 import sys
-import time
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -29,6 +28,7 @@ from daq.realtime import give_realtime_back
 from daq.recorder import Recorder
 from daq.safety import Limits
 from daq.streams import JOINTS_STREAM
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.streams import Block, FloatArray
 
 if TYPE_CHECKING:
@@ -87,13 +87,15 @@ class Publisher:
         pipe: file descriptor of a pipe's writing end; it is made non-blocking.
         limits: of the arm.
         recorder: whose backlog is told.
+        clock: the host's.
     """
 
-    def __init__(self, pipe: int, limits: Limits, recorder: Recorder) -> None:
+    def __init__(self, pipe: int, limits: Limits, recorder: Recorder, clock: Clock = SYSTEM_CLOCK) -> None:
         os.set_blocking(pipe, False)
         self._pipe = pipe
         self._limits = limits
         self._recorder = recorder
+        self._clock = clock
         self._samples: dict[str, int] = {}
         self._lost: dict[str, int] = {}
         self._torque: tuple[float, str] | None = None
@@ -111,7 +113,7 @@ class Publisher:
 
     def show(self, state: str, elapsed: float, total: float) -> None:
         """Send a picture, at most one a period; `elapsed` of `total` [s]."""
-        now = time.monotonic()
+        now = self._clock.now()
         if now - self._sent < PERIOD:
             return
         self._sent = now
@@ -167,7 +169,9 @@ def _largest(values: FloatArray, joints: tuple[str, ...]) -> tuple[float, str] |
 
 
 @contextmanager
-def live_view(*, shown: bool, limits: Limits, recorder: Recorder) -> Iterator[Publisher | None]:
+def live_view(
+    *, shown: bool, limits: Limits, recorder: Recorder, clock: Clock = SYSTEM_CLOCK
+) -> Iterator[Publisher | None]:
     """A display in a process of its own and what feeds it; None where nothing is to be shown."""
     if not shown:
         yield None
@@ -188,7 +192,7 @@ def live_view(*, shown: bool, limits: Limits, recorder: Recorder) -> Iterator[Pu
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     reader.close()
     try:
-        yield Publisher(writer.fileno(), limits, recorder) if started else None
+        yield Publisher(writer.fileno(), limits, recorder, clock) if started else None
     finally:
         writer.close()
         if started:
@@ -219,7 +223,7 @@ def _pictures(pipe: int) -> Iterator[Status]:
     """The newest picture whenever something has arrived, until the pipe ends."""
     rest = b""
     while True:
-        select.select([pipe], [], [])
+        select.select([pipe], [], [])  # the display's own process has nothing else to wait for
         received = os.read(pipe, 16 * MESSAGE_LIMIT)
         if not received:
             return

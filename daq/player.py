@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -78,7 +77,7 @@ class Player:
         self._positions = positions
         self._period = 1.0 / rate
         self._halt = clock.event()
-        self._done = threading.Event()
+        self._done = False
         self._failure: DynidError | None = None
         self._late: list[float] = []
         self._skipped = 0
@@ -89,7 +88,7 @@ class Player:
     @property
     def done(self) -> bool:
         """Whether the last position was sent."""
-        return self._done.is_set()
+        return self._done
 
     @property
     def index(self) -> int:
@@ -152,7 +151,7 @@ class Player:
                 if tick <= last:
                     self._late.append(late)
                 if index == last:
-                    self._done.set()
+                    self._done = True
         except DynidError as error:
             self._failure = error
         except Exception as error:  # whatever it was, the session must hear of it and stop the arm

@@ -38,7 +38,7 @@ def may_have_realtime() -> bool:
         except UsageError as error:
             refusals.append(error)
 
-    thread = threading.Thread(target=ask)
+    thread = threading.Thread(target=ask)  # it waits for nothing, so no clock makes it
     thread.start()
     thread.join()
     return not refusals

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
@@ -16,6 +15,7 @@ from daq.robot import RobotFile
 from daq.safety import Limits, Supervisor
 from daq.session import load_driver
 from drivers.base import Driver, Identifying
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError
 from drivers.streams import Block, FloatArray
 
@@ -71,8 +71,16 @@ class ConnectionFound:
     warnings: tuple[str, ...]
 
 
-def check_connections(robot_file: RobotFile, wire: str | None, host: str | None = None) -> list[ConnectionFound]:
+def check_connections(
+    robot_file: RobotFile, wire: str | None, host: str | None = None, clock: Clock = SYSTEM_CLOCK
+) -> list[ConnectionFound]:
     """Open a connection, and those that it is recorded with, one after the other, and listen.
+
+    Args:
+        robot_file: names the connections.
+        wire: which of them; the first where None.
+        host: in place of the connection's own.
+        clock: the host's.
 
     Raises:
         UsageError: no such connection, or its keys are wrong.
@@ -80,12 +88,14 @@ def check_connections(robot_file: RobotFile, wire: str | None, host: str | None 
         ConnectionLostError: it broke.
     """
     first, *others = connection_names(robot_file.robot, wire)
-    found = [check_connection(robot_file, first, host)]
-    return found + [check_connection(robot_file, name) for name in others]
+    found = [check_connection(robot_file, first, host, clock)]
+    return found + [check_connection(robot_file, name, clock=clock) for name in others]
 
 
-def check_connection(robot_file: RobotFile, name: str, host: str | None = None) -> ConnectionFound:
-    """Open one connection and listen.
+def check_connection(
+    robot_file: RobotFile, name: str, host: str | None = None, clock: Clock = SYSTEM_CLOCK
+) -> ConnectionFound:
+    """Open one connection and listen; arguments as of `check_connections`.
 
     Raises:
         UsageError, ConnectionFailedError, ConnectionLostError: as `check_connections`.
@@ -94,7 +104,7 @@ def check_connection(robot_file: RobotFile, name: str, host: str | None = None) 
     kind = robot.connections[name].driver
     alone = robot.connections[name].model_copy(update={WITH: [], **READ_ONLY.get(kind, {})})
     changed = robot.model_copy(update={"connections": {**robot.connections, name: alone}})
-    driver, _ = load_driver(changed, name, host, robot_file.folder)
+    driver, _ = load_driver(changed, name, host, robot_file.folder, clock)
     try:
         driver.open()
         identities: tuple[Mapping[str, Any], ...] = ()
@@ -105,7 +115,7 @@ def check_connection(robot_file: RobotFile, name: str, host: str | None = None) 
                 if dataclasses.is_dataclass(one) and not isinstance(one, type)
             )
         driver.start()
-        blocks = _listen(driver, name)
+        blocks = _listen(driver, name, clock)
         driver.stop()
         layouts = driver.streams()
         notices = tuple(f"{notice.level}: {notice.message}" for notice in driver.notices())
@@ -121,7 +131,9 @@ def check_connection(robot_file: RobotFile, name: str, host: str | None = None) 
         }
         units = {channel.quantity: channel.unit for channel in layout.channels}
         streams.append(StreamFound(layout.name, layout.rate, _rate(came), first, units))
-    warnings = _rate_warnings(streams) + _limit_warnings(Supervisor(Limits.of_robot(robot), layouts), blocks)
+    warnings = _rate_warnings(streams) + _limit_warnings(
+        Supervisor(Limits.of_robot(robot), layouts), blocks, clock.now()
+    )
     return ConnectionFound(
         name, kind, identities, tuple(streams), notices, tuple(warnings + _gain_warnings(robot_file, identities))
     )
@@ -157,16 +169,16 @@ def print_connection(found: ConnectionFound) -> None:
         print("  nothing contradicts the robot file")
 
 
-def _listen(driver: Driver, name: str) -> list[Block]:
+def _listen(driver: Driver, name: str, clock: Clock) -> list[Block]:
     slowest = min((layout.rate for layout in driver.streams() if layout.rate > 0), default=np.inf)
     wait, listen = max(FIRST_SAMPLE_LIMIT, 3.0 / slowest), max(LISTEN, 2.0 / slowest)
     blocks: list[Block] = []
-    end = time.monotonic() + wait
+    end = clock.now() + wait
     began = False
-    while time.monotonic() < end:
+    while clock.now() < end:
         blocks += driver.read(0.05)
         if not began and any(len(block.time) for block in blocks):
-            began, end = True, time.monotonic() + listen
+            began, end = True, clock.now() + listen
     if not began:
         raise ConnectionFailedError(f"it is open, but no sample came within {wait:g} s", where=f"connection {name}")
     return blocks
@@ -195,8 +207,8 @@ def _rate_warnings(streams: list[StreamFound]) -> list[str]:
     return found
 
 
-def _limit_warnings(supervisor: Supervisor, blocks: list[Block]) -> list[str]:
-    breaches = [supervisor.check(block, time.monotonic()) for block in blocks if len(block.time)]
+def _limit_warnings(supervisor: Supervisor, blocks: list[Block], now: float) -> list[str]:
+    breaches = [supervisor.check(block, now) for block in blocks if len(block.time)]
     told = {(breach.what, breach.joint): str(breach) for breach in reversed(breaches) if breach is not None}
     return [f"the robot file's limit is passed already: {text}" for text in told.values()]
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import threading
-import time
 
 import numpy as np
 
 from daq.robot import parse_robot
 from drivers.base import Notice
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionLostError
 from drivers.streams import Block, ChannelLayout, StreamLayout
 
 RATE = 200.0
 NAMES = ("shoulder", "elbow")
+QUANTITIES = ("position", "velocity", "torque", "temperature")
+FIRST_STAMP = 100.0
+"""Of the arm's own clock, at `start` [s]."""
 ROBOT_FILE = parse_robot(
     """
 name: two-links
@@ -33,17 +37,28 @@ connections:
 
 
 class KinematicArm:
-    """Implements drivers.base.Driver; `after` [s] from the start, `fault` begins."""
+    """Implements drivers.base.Driver: sample k is taken k + 1 periods after `start` and read at that moment.
 
-    def __init__(self, fault: str = "", after: float = 0.3) -> None:
-        self.fault, self.after = fault, after
+    Args:
+        fault: what goes wrong; a quantity's name makes its newest value of the second joint 1000.
+        after: how long after `start` it begins [s].
+        rate: of the samples [Hz].
+        clock: the host's.
+    """
+
+    def __init__(self, fault: str = "", after: float = 0.3, rate: float = RATE, clock: Clock = SYSTEM_CLOCK) -> None:
+        self.fault, self.after, self.rate, self.clock = fault, after, rate, clock
         self.position = np.array([0.1, -0.1])
+        self.samples: list[Block] = []
+        """All that was handed out."""
         self.commands: list[np.ndarray] = []
+        self.command_times: list[float] = []
         self.opened = False
+        self.begun = math.nan
         self.stopped_at: float | None = None
         self.commands_after_stop = 0
-        self._count = 0
-        self._begun = 0.0
+        self.count = 0
+        """Samples that were handed out."""
         self._noticed = False
         self._lock = threading.Lock()
 
@@ -51,34 +66,31 @@ class KinematicArm:
         self.opened = True
 
     def streams(self):
-        quantities = ("position", "velocity", "torque", "temperature")
-        return (StreamLayout("joints", tuple(ChannelLayout(name, NAMES) for name in quantities), RATE),)
+        return (StreamLayout("joints", tuple(ChannelLayout(name, NAMES) for name in QUANTITIES), self.rate),)
 
     def start(self):
-        self._begun = time.monotonic()
+        self.begun = self.clock.now()
 
     @property
     def faulty(self) -> bool:
-        return time.monotonic() - self._begun > self.after
+        return self.clock.now() - self.begun > self.after
 
     def read(self, timeout):
-        end = time.monotonic() + timeout
-        while True:
-            due = int((time.monotonic() - self._begun) * RATE)
-            if self.fault == "stale data" and self.faulty:
-                time.sleep(timeout)
-                return ()
-            if self.fault == "lost connection" and self.faulty:
-                raise ConnectionLostError("the connection broke")
-            if self.fault == "bug" and self.faulty:
-                raise KeyError("a bug")
-            if due > self._count or time.monotonic() >= end:
-                break
-            time.sleep(0.001)
-        if due == self._count:
+        end = self.clock.now() + timeout
+        if self.fault != "stale data" or not self.faulty:
+            end = min(end, self.begun + (self.count + 1) / self.rate)
+        self.clock.sleep_until(end)
+        if self.faulty and self.fault == "stale data":
             return ()
-        ticks = np.arange(self._count, due)
-        self._count = due
+        if self.faulty and self.fault == "lost connection":
+            raise ConnectionLostError("the connection broke")
+        if self.faulty and self.fault == "bug":
+            raise KeyError("a bug")
+        due = int((self.clock.now() - self.begun) * self.rate + 1e-6)
+        if due <= self.count:
+            return ()
+        ticks = np.arange(self.count, due)
+        self.count = due
         ones = np.ones((len(ticks), 2))
         values = {
             "position": self.position * ones,
@@ -88,8 +100,9 @@ class KinematicArm:
         }
         if self.faulty and self.fault in values:
             values[self.fault][-1, 1] = 1000.0
-        host = self._begun + (ticks + 1) / RATE
-        return (Block("joints", 100.0 + ticks / RATE, host, values),)
+        host = self.begun + (ticks + 1) / self.rate
+        self.samples.append(Block("joints", FIRST_STAMP + ticks / self.rate, host, values))
+        return (self.samples[-1],)
 
     def notices(self):
         if self.fault == "protective stop" and self.faulty and not self._noticed:
@@ -104,10 +117,11 @@ class KinematicArm:
             if not (self.fault == "tracking error" and self.faulty):
                 self.position = np.array(position)
             self.commands.append(np.array(position))
+            self.command_times.append(self.clock.now())
 
     def stop(self):
         with self._lock:
-            self.stopped_at = time.monotonic()
+            self.stopped_at = self.clock.now()
 
     def close(self):
         self.stop()
