@@ -135,7 +135,7 @@ def record_command(
         raise UsageError(f"--duration {duration:g} is not a positive number of seconds")
     robot_file = load_robot(robot)
     played = load_trajectory(trajectory, robot_file.robot) if trajectory is not None else None
-    clock = SYSTEM_CLOCK
+    clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
     driver, rate = load_driver(robot_file.robot, wire, host, robot_file.folder, clock)
     warnings = session_warnings(robot_file, wire)
     require_writable(out, overwrite=force)

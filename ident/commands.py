@@ -127,6 +127,7 @@ def check(
 
     from daq.console import print_json
     from daq.robot import load_robot
+    from drivers.clock import SYSTEM_CLOCK
     from drivers.errors import UsageError
     from ident.connection_check import check_connections, print_connection
     from ident.robot_check import budget_object, bus_budgets, check_robot, print_budget
@@ -143,7 +144,7 @@ def check(
             print_budget(connection, budget)
         for finding in findings:
             print(f"  warning: {finding}")
-    found = check_connections(robot_file, wire, host) if connect else []
+    found = check_connections(robot_file, wire, host, SYSTEM_CLOCK) if connect else []
     if not as_json:
         for answered in found:
             print_connection(answered)
