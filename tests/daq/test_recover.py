@@ -1,71 +1,127 @@
-"""After kill -9 at any moment, all but the last flush period is rescued."""
+"""After a sudden death at any moment, all but the last flush period is rescued."""
 
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 import textwrap
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from kinematic_arm import NAMES, ROBOT_FILE
 
+from daq import recover as recover_module
 from daq.commands import recover_command
 from daq.recording import RecordingWriter, read_recording
 from daq.recording_writer import CHUNK_SECONDS
-from daq.recover import recover
+from daq.recover import follow_recording, recover
 from drivers.errors import RecordingError
 from drivers.streams import ChannelLayout, StreamLayout
 
+ROOT = Path(__file__).parents[2]
 RATE = 500
+CHUNK = round(CHUNK_SECONDS * RATE)
+BLOCK = 5
 WRITER = """
-    import sys, time
+    import os, signal, sys
     from pathlib import Path
     sys.path[:0] = [{root!r}, {support!r}]
+    import h5py
     import numpy as np
     from kinematic_arm import ROBOT_FILE, NAMES
+    from simulated_clock import simulated_time
     from daq.recorder import Recorder
     from drivers.streams import Block, ChannelLayout, StreamLayout
-    layout = StreamLayout("joints", (ChannelLayout("position", NAMES),), {rate})
-    recorder = Recorder(Path({path!r}), ROBOT_FILE, (layout,))
-    start, sent = time.monotonic(), 0
-    while True:
-        due = int((time.monotonic() - start) * {rate})
-        ticks = np.arange(sent, due) / {rate}
-        if len(ticks):
-            recorder.put(Block("joints", ticks, ticks, {{"position": np.stack([ticks, ticks], axis=1)}}))
-            recorder.event(float(ticks[0]), "info", "test", "τ " + str(sent))
-            sent = due
-            print(sent, flush=True)
-        time.sleep(0.01)
+
+    def die():
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def record(path, seconds):
+        layout = StreamLayout("joints", (ChannelLayout("position", NAMES),), {rate})
+        with simulated_time() as clock:
+            recorder = Recorder(path, ROBOT_FILE, (layout,), clock=clock)
+            for start in range(0, round({rate} * seconds), {block}):
+                clock.sleep({block} / {rate})
+                ticks = (start + np.arange({block})) / {rate}
+                recorder.put(Block("joints", ticks, ticks, {{"position": np.stack([ticks, ticks], axis=1)}}))
+                recorder.event(float(ticks[0]), "info", "test", "τ " + str(start))
+            clock.sleep(1e-6)
+            die()
+
+    def record_until_write(path, number):
+        left, write = number, h5py.Dataset.__setitem__
+        def write_or_die(dataset, *where):
+            nonlocal left
+            if dataset.name.startswith("/streams/"):
+                if left == 0:
+                    die()
+                left -= 1
+            write(dataset, *where)
+        h5py.Dataset.__setitem__ = write_or_die
+        record(path, 10.0)
+
+    for line in sys.stdin:
+        path, kind, value = line.split()
+        child = os.fork()
+        if child == 0:
+            (record if kind == "time" else record_until_write)(Path(path), float(value))
+        print(os.waitpid(child, 0)[1], flush=True)
 """
 
 
-@pytest.mark.parametrize("life", [0.55, 0.81, 1.07, 1.4, 1.63])
-def test_a_killed_recording_is_rescued(tmp_path, life):
-    root = Path(__file__).parents[2]
-    path = tmp_path / "run.h5"
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory: pytest.TempPathFactory):
+    """Half-written recordings: a function of how one dies, after a time [s] or before a write of samples, by number."""
+    folder = tmp_path_factory.mktemp("killed")
     script = textwrap.dedent(WRITER).format(
-        root=str(root), support=str(root / "tests" / "support"), path=str(path), rate=RATE
+        root=str(ROOT), support=str(ROOT / "tests" / "support"), rate=RATE, block=BLOCK
     )
-    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdin is not None
         assert process.stdout is not None
-        first = process.stdout.readline()
-        time.sleep(life)
-        process.kill()
-        counts = [int(line) for line in [first, *process.stdout] if line.endswith("\n")]
+
+        def kill(kind: str, value: float) -> Path:
+            path = folder / f"{kind}{value}.h5"
+            process.stdin.write(f"{path} {kind} {value}\n")
+            process.stdin.flush()
+            assert os.WTERMSIG(int(process.stdout.readline())) == signal.SIGKILL
+            return path
+
+        yield kill
+        process.stdin.close()
+
+
+@pytest.mark.parametrize("life", [0.55, 0.81, 1.0, 1.07, 1.4, 1.63])
+def test_whole_chunks_of_a_killed_recording_are_in_the_file(killed, life: float) -> None:
+    path = killed("time", life)
     with pytest.raises(RecordingError, match=r"half-written.*dynid recover"):
         read_recording(path)
+    found = follow_recording(path)
+    written = round(life * RATE) // CHUNK * CHUNK
+    np.testing.assert_array_equal(found.streams["joints"].time, np.arange(written) / RATE)
+    np.testing.assert_array_equal(
+        found.streams["joints"].channels["position"].values[:, 0], found.streams["joints"].time
+    )
+    # Events are flushed as they come.
+    assert [event.message for event in found.events] == [f"τ {start}" for start in range(0, round(life * RATE), BLOCK)]
+    assert not found.complete
+
+
+@pytest.mark.parametrize("number", [4, 5])
+def test_a_recording_that_died_within_a_chunk_is_rescued_up_to_it(killed, tmp_path: Path, number: int) -> None:
+    """A chunk is three writes: stamps, the host's stamps, positions; the first of them is whole, the second is not."""
+    path = killed("write", number)
     found = recover(path, tmp_path / "rescued.h5")
     rescued = read_recording(tmp_path / "rescued.h5")
     times = rescued.streams["joints"].time
-    np.testing.assert_array_equal(times, np.arange(len(times)) / RATE)
+    np.testing.assert_array_equal(times, np.arange(CHUNK) / RATE)
     np.testing.assert_array_equal(rescued.streams["joints"].channels["position"].values[:, 0], times)
-    # one flush period, and what the writer thread had not taken yet on a busy machine
-    assert len(times) >= counts[-1] - RATE * (CHUNK_SECONDS + 0.15)
     assert not rescued.complete
     assert "recovered" in rescued.events[-1].message
     assert rescued.events[0].message.startswith("τ")
@@ -82,18 +138,7 @@ def test_what_is_no_recording_is_refused(tmp_path):
         recover(tmp_path / "text.h5", tmp_path / "text.h5")
 
 
-LIMITED_RECOVER = """
-    import sys
-    sys.path[:0] = [{root!r}]
-    from daq import recover
-    from drivers.command import main
-    recover.READ_LIMIT = 4.0
-    sys.argv = ["dynid", "recover", {path!r}, "--json"]
-    main()
-"""
-
-
-def test_a_file_over_which_hdf5_loops_is_refused(tmp_path):
+def test_a_file_over_which_hdf5_loops_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "run.h5"
     times = np.arange(300.0) / RATE
     with RecordingWriter(
@@ -107,10 +152,10 @@ def test_a_file_over_which_hdf5_loops_is_refused(tmp_path):
     # The size of a text, 4, becomes 2564: the next one is looked for among zeros, where each has the size 0.
     content[heap + content[heap:].index(b"info") - 7] = 10
     path.write_bytes(content)
-    script = textwrap.dedent(LIMITED_RECOVER).format(root=str(Path(__file__).parents[2]), path=str(path))
-    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=False)
-    assert ended.returncode == 2, ended.stderr
-    assert "HDF5 did not come to an end within 4 s" in json.loads(ended.stdout)["error"]
+    monkeypatch.setattr(recover_module, "READ_LIMIT", 1.0)
+    with pytest.raises(RecordingError, match="HDF5 did not come to an end within 1 s") as refused:
+        recover_command(path, None, False, True)
+    assert refused.value.exit_status == 2
     assert not (tmp_path / "run-recovered.h5").exists()
 
 
