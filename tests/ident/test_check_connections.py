@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from types import SimpleNamespace
 from typing import ClassVar
 
-import numpy as np
 import pytest
 from kinematic_arm import KinematicArm
 
@@ -21,7 +19,7 @@ from drivers.base import DRIVERS_GROUP, Notice
 from drivers.errors import ConnectionFailedError, RobotFileError, UsageError
 from drivers.streams import ChannelLayout, StreamLayout
 from ident import connection_check, robot_check
-from ident.connection_check import check_connections
+from ident.connection_check import FIRST_SAMPLE_LIMIT, LISTEN, check_connections
 from ident.robot_check import bus_budgets, check_robot
 
 CANOPEN = """
@@ -63,7 +61,7 @@ class Bench(KinematicArm):
     made: ClassVar[list[Bench]] = []
 
     def __init__(self, settings):
-        super().__init__()
+        super().__init__(clock=settings.clock)
         assert "with" not in settings.connection
         self.settings = settings
         self.closed = False
@@ -111,7 +109,6 @@ def drivers(monkeypatch):
     ]
     for module in (session, robot_check):
         monkeypatch.setattr(module, "entry_points", lambda group: known)
-    monkeypatch.setattr(connection_check, "LISTEN", 0.3)
 
 
 def run(monkeypatch, capsys, *arguments):
@@ -154,21 +151,22 @@ def test_the_command_prints_the_budget(monkeypatch, capsys):
     assert budget["highest_rate_at_80_percent_hz"] == pytest.approx(333, abs=1)
 
 
-def test_connecting_tells_who_answers_and_what_contradicts_the_file(three_joint, drivers):
+def test_connecting_tells_who_answers_and_what_contradicts_the_file(three_joint, drivers, clock):
     robot_file = with_connections(three_joint, BENCH)
-    found = check_connections(robot_file, None)
+    found = check_connections(robot_file, None, clock=clock)
     assert [one.name for one in found] == ["bench", "oven"]  # and what it is recorded with
     bench = found[0]
     assert [identity["joint"] for identity in bench.identities] == ["j1", "j3"]
     assert bench.streams[0].first["position"] == {"j1": pytest.approx(0.1), "j2": 3.5}
-    assert bench.streams[0].rate_hz == pytest.approx(200.0, rel=0.1)
+    assert bench.streams[0].rate_hz == pytest.approx(200.0, rel=1e-9)
     assert "warning: a little dusty" in bench.notices
     told = "\n".join(bench.warnings)
-    assert "stream joints: comes at 2" in told
-    assert "but 300 Hz is stated" in told
+    assert "stream joints: comes at 200 Hz, but 300 Hz is stated" in told
     assert "position of j2: 3.5 rad passes 3 rad" in told
     assert "drive gain of j3: 4 N·m/A in 'drives', but the rated torque over the rated current is 10 N·m/A" in told
     assert "gain of j1" not in told
+    for driver in Bench.made:  # after a second from the first sample on
+        assert driver.samples[-1].host_time[-1] - driver.begun == pytest.approx(LISTEN + 1.0 / 200.0)
     assert all(driver.stopped_at is not None and driver.closed and not driver.commands for driver in Bench.made)
 
 
@@ -204,17 +202,18 @@ def test_nobody_there_is_an_error_and_everything_is_closed(three_joint, drivers)
     assert Bench.made[-1].closed
 
 
-def test_a_source_that_says_nothing_is_an_error(three_joint, drivers, monkeypatch):
-    monkeypatch.setattr(connection_check, "FIRST_SAMPLE_LIMIT", 0.3)
-    monkeypatch.setattr(Bench, "read", lambda self, timeout: time.sleep(timeout) or ())
-    with pytest.raises(ConnectionFailedError, match=r"connection bench: it is open, but no sample came within 0.3 s"):
-        check_connections(with_connections(three_joint, BENCH), None)
+def test_a_source_that_says_nothing_is_an_error(three_joint, drivers, monkeypatch, clock):
+    begun = clock.now()
+    monkeypatch.setattr(Bench, "read", lambda self, timeout: clock.sleep(timeout) or ())
+    with pytest.raises(ConnectionFailedError, match=r"connection bench: it is open, but no sample came within 5 s"):
+        check_connections(with_connections(three_joint, BENCH), None, clock=clock)
+    assert clock.now() - begun == pytest.approx(FIRST_SAMPLE_LIMIT, abs=0.05)
 
 
 def test_drives_are_not_prepared_for_a_motion(monkeypatch):
     seen = []
 
-    def load(robot, name, host, folder):
+    def load(robot, name, host, folder, clock):
         seen.append(dict(robot.connections[name].model_extra))
         raise ConnectionFailedError("far enough")
 
@@ -231,7 +230,8 @@ def test_wire_without_connect_is_refused(monkeypatch, capsys):
     assert "add --connect" in err
 
 
-def test_the_command_shows_what_answered(monkeypatch, capsys, tmp_path, three_joint, drivers):
+def test_the_command_shows_what_answered(monkeypatch, capsys, tmp_path, three_joint, drivers, clock):
+    monkeypatch.setattr("drivers.clock.SYSTEM_CLOCK", clock)
     (tmp_path / "arm.yaml").write_text(three_joint.text + BENCH.split("  lost")[0])
     status, out, _ = run(monkeypatch, capsys, "check", str(tmp_path / "arm.yaml"), "--connect")
     assert status == 0
@@ -241,4 +241,4 @@ def test_the_command_shows_what_answered(monkeypatch, capsys, tmp_path, three_jo
     status, out, _ = run(monkeypatch, capsys, "check", str(tmp_path / "arm.yaml"), "--connect", "--json")
     content = json.loads(out)
     assert content["connections"][0]["streams"][0]["first"]["position"]["j2"] == 3.5
-    assert np.isfinite(content["connections"][0]["streams"][0]["rate_hz"])
+    assert content["connections"][0]["streams"][0]["rate_hz"] == pytest.approx(200.0)
