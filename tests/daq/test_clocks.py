@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_clock import SimulatedClock
 
@@ -35,6 +35,7 @@ def stamps(seed: int, kind: str, rate: float, span: float, offset: float, drift:
 
 
 @pytest.mark.parametrize("kind", ["exponential", "uniform", "gamma", "bursts", "growing"])
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 2**31),
     offset=st.floats(-1e6, 1e6),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 
 import numpy as np
 import pytest
@@ -192,10 +193,18 @@ anything = st.recursive(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@functools.cache
+def text_with_a_hole(section: str) -> str:
+    """What the sections need of the robot file, with HOLE where one of them stands: YAML is slow to read and write."""
+    robot = yaml.safe_load(SR400)
+    robot["model"][section] = "HOLE"
+    return yaml.safe_dump({key: robot[key] for key in ("name", "model", "joints")})
+
+
+@settings(max_examples=150)
 @given(section=st.sampled_from(["loops", "coupling", "lengths"]), content=anything, as_list=st.booleans())
 def test_whatever_stands_there_is_taken_or_refused_in_words(section: str, content: object, as_list: bool) -> None:
-    robot = yaml.safe_load(SR400)
-    robot["model"][section] = [content] if as_list else content
+    text = yaml.safe_dump([content] if as_list else content, default_flow_style=True, width=1e9)
+    text = text.removesuffix("...\n").strip()
     with contextlib.suppress(RobotFileError):
-        parse_robot(yaml.safe_dump(robot), where="arm.yaml", folder=None)
+        parse_robot(text_with_a_hole(section).replace("HOLE", text), where="arm.yaml", folder=None)
