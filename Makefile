@@ -4,8 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 WORKERS ?= 2
+# How long each measurement of `make soak` lasts [s].
+SOAK ?= 60
 
-.PHONY: demo test lint format bench clean
+.PHONY: demo test lint format bench soak clean
 
 demo: $(INSTALLED)
 	$(BIN)/dynid demo --out demo
@@ -27,6 +29,10 @@ format: $(INSTALLED)
 bench: $(INSTALLED)
 	$(BIN)/python -m pip install -q -c constraints.txt -e '.[bench]'
 	$(BIN)/python -m benchmarks
+
+# What depends on how busy the computer is: measured, never tested.
+soak: $(INSTALLED)
+	$(BIN)/python -m benchmarks.soak $(SOAK)
 
 clean:
 	rm -rf $(VENV) demo build *.egg-info

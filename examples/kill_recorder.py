@@ -71,8 +71,8 @@ def kill_one(driver: Driver, out: Path, delay: float) -> dict[str, float]:
     return {"seconds": seconds, "samples": round(seconds * RATE), "rescued": len(stamps)}
 
 
-def main(kills: int) -> None:
-    """Kill and print a table."""
+def measure(kills: int) -> dict[str, list[float]]:
+    """Kill so many recordings; by figure, what each kill cost or left."""
     sim = subprocess.Popen(
         [DYNID, "sim", ROBOT, "--host", HOST, "--no-ui"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
@@ -95,9 +95,14 @@ def main(kills: int) -> None:
     finally:
         sim.terminate()
         sim.wait(10.0)
-    print(f"{kills} kills, {len(found)} rescued{'':<12}{'least':>8}{'median':>8}{'most':>8}")
-    for name in ("seconds", "samples", "rescued"):
-        values = np.array([one[name] for one in found])
+    return {name: [one[name] for one in found] for name in ("seconds", "samples", "rescued")}
+
+
+def main(kills: int) -> None:
+    """Kill and print a table."""
+    print(f"{kills} kills{'':<27}{'least':>8}{'median':>8}{'most':>8}")
+    for name, found in measure(kills).items():
+        values = np.array(found)
         print(f"{name:<34}{values.min():>8.4g}{np.median(values):>8.4g}{values.max():>8.4g}")
 
 

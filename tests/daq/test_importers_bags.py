@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import shutil
 import sqlite3
 import tempfile
@@ -161,16 +162,19 @@ def test_columns_make_no_sense_for_a_bag(tmp_path: Path) -> None:
         import_file(write_bag(tmp_path), ROBOT, ImportChoices(columns={"t": "stamp"}))
 
 
+@functools.cache
+def bag_content(mcap: bool) -> bytes:
+    with tempfile.TemporaryDirectory() as name:
+        bag = write_bag(Path(name), mcap=mcap)
+        return next(file for file in bag.iterdir() if file.suffix in (".db3", ".mcap")).read_bytes()
+
+
 @pytest.mark.parametrize("mcap", [False, True])
 @settings(max_examples=20, deadline=None)
 @given(share=st.floats(0.0, 0.999), position=st.floats(0, 1), noise=st.binary(min_size=1, max_size=30))
 def test_cut_and_spoilt_bags_never_give_a_traceback(mcap: bool, share: float, position: float, noise: bytes) -> None:
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        bag = write_bag(folder, mcap=mcap)
-        storage = next(file for file in bag.iterdir() if file.suffix in (".db3", ".mcap"))
-        bare = folder / f"bare{storage.suffix}"
-        content = storage.read_bytes()
+        content, bare = bag_content(mcap), Path(name) / ("bare.mcap" if mcap else "bare.db3")
         bare.write_bytes(content[: int(share * len(content))])
         accept_or_refuse(bare, TORQUE)
         start = int(position * (len(content) - len(noise)))
