@@ -96,6 +96,7 @@ def test_a_picture_is_sent_at_most_once_a_period(clock: SimulatedClock) -> None:
 def test_a_pipe_that_takes_nothing_neither_blocks_nor_raises(end):
     reader, writer = os.pipe()
     publisher = Publisher(writer, LIMITS, IDLE)
+    assert not os.get_blocking(writer)
     if end == "full":
         with suppress(BlockingIOError):
             while True:
@@ -104,7 +105,6 @@ def test_a_pipe_that_takes_nothing_neither_blocks_nor_raises(end):
         os.close(reader)
     publisher.take(joints_block([1.0, 1.0], [30.0, 30.0]))
     publisher.show("motion", 1.0, 2.0)
-    assert not os.get_blocking(writer)
     if end == "full":
         os.close(reader)
     os.close(writer)
@@ -123,6 +123,7 @@ def test_a_display_that_dies_or_hangs_does_not_disturb_the_recording(
     recorder = Recorder(path, ROBOT_FILE, layouts, clock=clock)
     with live_view(shown=True, limits=LIMITS, recorder=recorder, clock=clock) as view:
         display = display_process()
+        assert not os.get_blocking(view._pipe)
 
         def hit() -> None:
             os.kill(display.pid, number)

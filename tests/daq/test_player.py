@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated_clock import SimulatedClock
 
-from daq.player import DRY_RUN, SKIP_LIMIT, Player, dry_run, ticks
+from daq.player import DRY_RUN, Player, dry_run, ticks
 from daq.trajectories import PointToPoint
 from drivers.errors import ConnectionLostError, WorkError
 
@@ -78,10 +78,10 @@ def test_a_stall_costs_the_positions_that_fell_into_it_or_delays_the_rest(clock:
     figures = player.punctuality()
     # Position 11 is sent at the stall's end, then the newest one due, unless too many are overdue by then.
     late = overdue - 1
-    skipped, delayed = (0, late - 1) if late > SKIP_LIMIT else (max(0, late - 1), 0)
+    skipped, delayed = (0, late - 1) if late > 3 else (max(0, late - 1), 0)
     assert (figures.skipped, figures.delayed_ms) == (skipped, pytest.approx(1e3 * delayed * PERIOD))
     assert sent.numbers == [*range(12), *range(12 + skipped, 40)]
-    assert max(np.diff(sent.numbers)) <= SKIP_LIMIT
+    assert max(np.diff(sent.numbers)) <= 3
     expected = PERIOD * (np.array(sent.numbers) + np.where(np.array(sent.numbers) > 11, delayed, 0))
     over = 0.105 + overdue * PERIOD
     np.testing.assert_allclose(sent.times, np.where(expected > 0.105, np.maximum(expected, over), expected), atol=1e-9)

@@ -197,9 +197,24 @@ def test_a_slower_stream_may_be_silent_for_five_periods(tmp_path: Path, clock: S
     assert 0.1 < stopped(arm) - 0.8 <= 0.1 + READ_TIMEOUT + 0.02 + 1e-9
 
 
+@pytest.mark.parametrize("receiver_stalls", [False, True])
 @pytest.mark.parametrize("stall", [0.04, 0.2, 0.24])
-def test_a_stall_of_this_computer_is_no_silence_of_the_arm(tmp_path: Path, clock: SimulatedClock, stall: float) -> None:
-    path, arm = tmp_path / "run.h5", KinematicArm(clock=clock)
+def test_a_stall_of_this_computer_is_no_silence_of_the_arm(
+    tmp_path: Path, clock: SimulatedClock, stall: float, receiver_stalls: bool
+) -> None:
+    """Nor where the thread that receives was stalled as well: what it has is there at the second look."""
+
+    class Received(KinematicArm):
+        held: Sequence[Block] = ()
+
+        def read(self, timeout: float) -> Sequence[Block]:
+            before = clock.now()
+            blocks = (*self.held, *super().read(timeout))
+            late = receiver_stalls and clock.now() - before > READ_TIMEOUT
+            self.held = blocks if late else ()
+            return () if late else blocks
+
+    path, arm = tmp_path / "run.h5", Received(clock=clock)
     clock.call_at(clock.now() + AFTER, lambda: clock.stall(stall))
     report = run(path, arm, PLAY)
     assert report.stopped_by is None
