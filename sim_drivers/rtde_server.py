@@ -8,15 +8,15 @@ instead, so that the timestamps never have a gap that the arm did not have.
 
 from __future__ import annotations
 
-import select
 import socket
 import threading
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from queue import SimpleQueue
+from typing import Literal, Self
 
 from daq.robot import JointLimits
+from drivers.clock import SYSTEM_CLOCK, Clock, HasFileno
 from drivers.errors import ConnectionFailedError, ConnectionLostError, UsageError
 from sim_drivers.connection import Connection, Session
 from sim_drivers.controller import Controller, SimulatedArm
@@ -36,11 +36,15 @@ STOP_TIMEOUT = 5.0
 
 @dataclass(frozen=True)
 class Ports:
-    """Where to listen; 0 takes any free port. Clients such as ur_rtde know only these."""
+    """Where to listen; 0 takes any free port, None none. Clients such as ur_rtde know only these."""
 
-    rtde: int = 30004
-    dashboard: int = 29999
-    script: int = 30003
+    rtde: int | None = 30004
+    dashboard: int | None = 29999
+    script: int | None = 30003
+
+
+Service = Literal["rtde", "dashboard", "script"]
+"""What a port speaks."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,7 @@ class RtdeServer:
         joints: limits of the six joints; a UR's where None.
         ports: where to listen.
         buffer_limit: bytes that may wait for a client that does not read, before it is dropped.
+        clock: the host's.
 
     Raises:
         UsageError: a version that does not exist, a rate that it has not, or an arm without six joints.
@@ -98,6 +103,7 @@ class RtdeServer:
         joints: Sequence[JointLimits] | None = None,
         ports: Ports = Ports(),  # frozen
         buffer_limit: int = 1 << 20,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self.version = parse_version(version)
         self.rate = self.version.rate if rate is None else rate
@@ -109,10 +115,17 @@ class RtdeServer:
         self.controller = Controller(plant, self.version, 1.0 / self.rate, joints)
         self.failure: BaseException | None = None
         self._buffer_limit = buffer_limit
-        self._owners: dict[str, RtdeSession] = {}
-        self._listeners: dict[socket.socket, Callable[[], Session]] = {}
+        self._clock = clock
+        owners: dict[str, RtdeSession] = {}
+        self._sessions: Mapping[Service, Callable[[], Session]] = {
+            "rtde": lambda: RtdeSession(self.controller, owners),
+            "script": lambda: ScriptSession(self.controller),
+            "dashboard": lambda: DashboardSession(self.controller),
+        }
+        self._listeners: dict[HasFileno, tuple[socket.socket, Service]] = {}
+        self._arrived: SimpleQueue[tuple[socket.socket, Service]] = SimpleQueue()
         self._connections: list[Connection] = []
-        self._stopping = threading.Event()
+        self._stopping = clock.event()
         self._thread: threading.Thread | None = None
         self._frozen_until = 0.0
         self._status = ServerStatus(plant.time)
@@ -132,19 +145,21 @@ class RtdeServer:
         """
         if self._thread is not None:
             raise RuntimeError("started already")
-        controller = self.controller
+        ports = self.ports
         try:
-            rtde = self._listen(self.ports.rtde, lambda: RtdeSession(controller, self._owners))
-            script = self._listen(self.ports.script, lambda: ScriptSession(controller))
-            dashboard = self.ports.dashboard
-            if self.version.has_dashboard:
-                dashboard = self._listen(dashboard, lambda: DashboardSession(controller))
+            rtde = self._listen(ports.rtde, "rtde")
+            script = self._listen(ports.script, "script")
+            dashboard = self._listen(ports.dashboard if self.version.has_dashboard else None, "dashboard")
         except ConnectionFailedError:
             self._close()
             raise
         self.ports = Ports(rtde, dashboard, script)
-        self._thread = threading.Thread(target=self._run, name="rtde-server", daemon=True)
+        self._thread = self._clock.thread(self._run, "rtde-server")
         self._thread.start()
+
+    def serve(self, sock: socket.socket, service: Service) -> None:
+        """Serve a client that is connected already, from the next period on; may be called from any thread."""
+        self._arrived.put((sock, service))
 
     def stop(self) -> None:
         """Close every connection; safe to call twice."""
@@ -156,7 +171,9 @@ class RtdeServer:
         """What the server has done so far."""
         return self._status
 
-    def _listen(self, port: int, session: Callable[[], Session]) -> int:
+    def _listen(self, port: int | None, service: Service) -> int | None:
+        if port is None:
+            return None
         try:
             listener = socket.create_server((self.host, port))
         except OSError as error:
@@ -166,21 +183,22 @@ class RtdeServer:
                 hint="does another simulated arm run? several take --host 127.0.0.2, 127.0.0.3, …",
             ) from error
         listener.setblocking(False)
-        self._listeners[listener] = session
+        self._listeners[listener] = listener, service
         return int(listener.getsockname()[1])
 
     def _run(self) -> None:
         try:
             period = 1.0 / self.rate
-            due = time.monotonic()
+            begun, count = self._clock.now(), 0
             while not self._stopping.is_set():
-                self._serve(0.0)
-                while (left := due - time.monotonic()) > 0.0:
-                    self._serve(left)
-                self._period(behind=time.monotonic() - due > period)
-                due += period
-                if time.monotonic() - due > LONGEST_LAG:
-                    due = time.monotonic()
+                due = begun + count * period
+                self._attend(0.0)
+                while (left := due - self._clock.now()) > 0.0:
+                    self._attend(left)
+                self._period(behind=self._clock.now() - due > period)
+                count += 1
+                if self._clock.now() - (begun + count * period) > LONGEST_LAG:
+                    begun, count = self._clock.now(), 0
                     self._count(stalls=1)
         except BaseException as error:  # the thread ends either way; whoever started it must hear why
             self.failure = error
@@ -193,10 +211,10 @@ class RtdeServer:
         for connection in self._connections:
             if isinstance(connection.session, RtdeSession):
                 connection.session.apply_inputs(behind=behind)
-        started = time.perf_counter()
+        started = self._clock.now()
         self.controller.step()
-        self.controller.values["actual_execution_time"] = 1e3 * (time.perf_counter() - started)
-        silent = time.monotonic() < self._frozen_until
+        self.controller.values["actual_execution_time"] = 1e3 * (self._clock.now() - started)
+        silent = self._clock.now() < self._frozen_until
         clients = sent = withheld = 0
         for connection in self._connections:
             if isinstance(connection.session, RtdeSession):
@@ -229,7 +247,7 @@ class RtdeServer:
                     if isinstance(connection.session, RtdeSession):
                         connection.session.withhold += packages
             case Freeze(duration):
-                self._frozen_until = time.monotonic() + duration
+                self._frozen_until = self._clock.now() + duration
             case Cut():
                 for connection in self._connections:
                     if isinstance(connection.session, RtdeSession):
@@ -243,37 +261,42 @@ class RtdeServer:
             case Drift(joint, velocity):
                 self.controller.drift(joint, velocity)
 
-    def _serve(self, timeout: float) -> None:
+    def _attend(self, timeout: float) -> None:
         """Read and write what can be, waiting at most `timeout` [s] for something to be."""
-        by_socket = {connection.sock: connection for connection in self._connections}
-        writers = [connection.sock for connection in self._connections if connection.has_waiting]
-        if time.monotonic() < self._frozen_until:
+        if self._clock.now() < self._frozen_until:
             # Unread and unanswered, as on a line that has gone dead.
-            time.sleep(timeout)
+            self._clock.sleep(timeout)
             return
-        readable, writable, _ = select.select([*self._listeners, *by_socket], writers, [], timeout)
+        while not self._arrived.empty():
+            self._take_on(*self._arrived.get())
+        by_socket: dict[HasFileno, Connection] = {connection.sock: connection for connection in self._connections}
+        writers = [connection.sock for connection in self._connections if connection.has_waiting]
+        readable, writable = self._clock.select([*self._listeners, *by_socket], writers, timeout)
         for sock in writable:
             by_socket[sock].flush()
         for sock in readable:
             if sock in self._listeners:
-                self._accept(sock)
+                self._accept(*self._listeners[sock])
             else:
                 self._read(by_socket[sock])
         if readable or writable:
             self._forget_closed()
 
-    def _accept(self, listener: socket.socket) -> None:
+    def _accept(self, listener: socket.socket, service: Service) -> None:
         try:
             sock, _ = listener.accept()
         except OSError:
             return
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        self._take_on(sock, service)
+
+    def _take_on(self, sock: socket.socket, service: Service) -> None:
         if len(self._connections) >= MAXIMUM_CONNECTIONS or sock.fileno() >= SELECTABLE_DESCRIPTORS:
             sock.close()
             self._count(refused=1)
             return
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-        connection = Connection(sock, self._listeners[listener](), self._buffer_limit)
+        connection = Connection(sock, self._sessions[service](), self._buffer_limit)
         self._connections.append(connection)
         connection.send(connection.session.greeting())
 
@@ -311,6 +334,8 @@ class RtdeServer:
     def _close(self) -> None:
         for connection in self._connections:
             connection.close()
-        for listener in self._listeners:
+        for listener, _ in self._listeners.values():
             listener.close()
+        while not self._arrived.empty():
+            self._arrived.get()[0].close()
         self._connections, self._listeners = [], {}

@@ -5,10 +5,10 @@
 
 from __future__ import annotations
 
-import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ from drivers.base import DriverSettings, Notice, State, require_state
 from drivers.errors import DriverStateError, UsageError
 from drivers.gains import joint_torque
 from drivers.rtde import wire
+from drivers.rtde.connect import Connect, connect_tcp
 from drivers.rtde.dashboard import stop_program
 from drivers.rtde.modes import describe_mode
 from drivers.rtde.motion import JOINTS, MotionProcess
@@ -83,17 +84,34 @@ class ControllerIdentity:
     variables: int
 
 
+class ArmControl(Protocol):
+    """Control of one arm, as `drivers.rtde.motion.MotionProcess` has it."""
+
+    def command(self, position: FloatArray) -> None:
+        """Send a joint position (6,) [rad]."""
+
+    def stop(self) -> bool:
+        """Halt the arm and give it back; whether the controller confirmed it."""
+
+
 class RtdeDriver:
     """A Universal Robots arm on RTDE; implements `drivers.base.Driver`.
 
     Args:
         settings: joints (six), the connection's keys (see `drivers.rtde.settings.RtdeSettings`) and the gains.
+        connect: reaches the controller's ports.
+        take_control: of the arm: host, rate of the commands [Hz], time limit [s].
 
     Raises:
         UsageError: the connection's keys are wrong, or the arm does not have six joints.
     """
 
-    def __init__(self, settings: DriverSettings) -> None:
+    def __init__(
+        self,
+        settings: DriverSettings,
+        connect: Connect = connect_tcp,
+        take_control: Callable[[str, float, float], ArmControl] = MotionProcess,
+    ) -> None:
         if len(settings.joints) != JOINTS:
             raise UsageError(
                 f"an RTDE controller moves {JOINTS} joints, but the robot file names {len(settings.joints)}: "
@@ -110,10 +128,15 @@ class RtdeDriver:
             {source.variable: source.kind for source in _TARGETS + _THERMAL + _STATUS},
             self._settings.rate,
             self._settings.timeout,
+            connect,
+            settings.clock,
         )
+        self._connect = connect
+        self._take_control = take_control
+        self._clock = settings.clock
         self._state: State = "closed"
-        self._motion: MotionProcess | None = None
-        self._motion_lock = threading.Lock()
+        self._motion: ArmControl | None = None
+        self._motion_lock = settings.clock.lock()  # held while control is being taken
         self._halted = False
         self._notices: deque[Notice] = deque()
         self._last_group: dict[str, int] = {}
@@ -233,7 +256,7 @@ class RtdeDriver:
                 raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
             if self._motion is None:
                 self._check_first(position)
-                self._motion = MotionProcess(self._settings.host, self._receiver.rate, self._settings.timeout)
+                self._motion = self._take_control(self._settings.host, self._receiver.rate, self._settings.timeout)
             self._motion.command(position)
 
     def stop(self) -> None:
@@ -246,7 +269,7 @@ class RtdeDriver:
             motion, self._motion = self._motion, None
         if motion is not None and not motion.stop():
             # Out of reach, or killed; ur_rtde may have started a fresh program meanwhile, which would stay.
-            if stop_program(self._settings.host, DASHBOARD_TIMEOUT):
+            if stop_program(self._settings.host, DASHBOARD_TIMEOUT, self._connect, self._clock):
                 said = "the arm did not confirm that it stopped; the controller's program was ended by its dashboard"
             else:
                 said = "the arm did not confirm that it stopped, and the controller's program may still run"

@@ -4,6 +4,9 @@ ur_rtde's constructors hold the interpreter's lock, and against a silent control
 that records, either would cost samples. A position crosses a pipe, the newest one wins. The process stops the arm when
 it is told to, when its parent dies or falls silent, and when the controller refuses a command. Where the process itself
 is gone, or the network, the controller's watchdog ends the program.
+
+What both ends do is written against a pipe and a worker, whatever they are: two processes in production, whose waits on
+each other are the operating system's.
 """
 
 from __future__ import annotations
@@ -15,7 +18,6 @@ import signal
 import struct
 import sys
 from collections.abc import Callable, Sequence
-from multiprocessing.connection import Connection
 from typing import Protocol
 
 import numpy as np
@@ -71,12 +73,55 @@ class Control(Protocol):
     def disconnect(self) -> None: ...  # noqa: D102
 
 
+ControlFactory = Callable[[str, float], Control]
+"""Takes control of the arm of a host, for commands at a rate [Hz]."""
+
+
+class Pipe(Protocol):
+    """One end of a pipe, under the names of `multiprocessing.connection.Connection`."""
+
+    def poll(self, timeout: float = 0.0) -> bool: ...  # noqa: D102
+
+    def recv_bytes(self) -> bytes: ...  # noqa: D102
+
+    def send_bytes(self, buf: bytes) -> None: ...  # noqa: D102
+
+    def close(self) -> None: ...  # noqa: D102
+
+
+class Worker(Protocol):
+    """What moves the arm beside the recording, under the names of `multiprocessing.Process`."""
+
+    @property
+    def pid(self) -> int | None: ...  # noqa: D102
+
+    @property
+    def exitcode(self) -> int | None: ...  # noqa: D102
+
+    def is_alive(self) -> bool: ...  # noqa: D102
+
+    def join(self, timeout: float | None = None) -> None: ...  # noqa: D102
+
+    def kill(self) -> None: ...  # noqa: D102
+
+
 def take_control(host: str, rate: float) -> Control:
     """ur_rtde's control interface; hangs where the controller is silent."""
     from rtde_control import RTDEControlInterface
 
     control: Control = RTDEControlInterface(host, rate)
     return control
+
+
+def start_process(factory: ControlFactory, host: str, rate: float, timeout: float) -> tuple[Pipe, Worker]:
+    """A process that takes control of an arm and obeys the pipe; `factory` must be importable there."""
+    # spawn: a forked child would inherit the recorder's sockets, files and locks.
+    context = multiprocessing.get_context("spawn")
+    pipe, far_end = context.Pipe()
+    process = context.Process(target=_run, args=(far_end, factory, host, rate, timeout), name=f"motion {host}")
+    process.start()
+    far_end.close()
+    return pipe, process
 
 
 class MotionProcess:
@@ -86,25 +131,24 @@ class MotionProcess:
         host: name or address of the controller; ur_rtde chooses the ports.
         rate: of the commands [Hz].
         timeout: for taking control [s].
-        factory: makes the control interface within the process; must be importable there.
+        factory: makes the control interface, there.
+        start: a worker that takes control and obeys the pipe.
 
     Raises:
         ConnectionFailedError: no control of the arm within the time limit.
     """
 
     def __init__(
-        self, host: str, rate: float, timeout: float, factory: Callable[[str, float], Control] = take_control
+        self,
+        host: str,
+        rate: float,
+        timeout: float,
+        factory: ControlFactory = take_control,
+        start: Callable[[ControlFactory, str, float, float], tuple[Pipe, Worker]] = start_process,
     ) -> None:
         self._host = host
-        # spawn: a forked child would inherit the recorder's sockets, files and locks.
-        context = multiprocessing.get_context("spawn")
-        self._pipe, far_end = context.Pipe()
-        self._process = context.Process(
-            target=_serve, args=(far_end, factory, host, rate, timeout), name=f"motion {host}"
-        )
         self._unanswered = 0
-        self._process.start()
-        far_end.close()
+        self._pipe, self._process = start(factory, host, rate, timeout)
         try:
             self._wait_for_control(timeout)
         except BaseException:
@@ -179,21 +223,39 @@ class MotionProcess:
         return self._process.exitcode == 0
 
 
-def _serve(pipe: Connection, factory: Callable[[str, float], Control], host: str, rate: float, timeout: float) -> None:
+def _run(pipe: Pipe, factory: ControlFactory, host: str, rate: float, timeout: float) -> None:
     # Both may reach the whole process group; the parent must decide, or nobody would stop the arm in order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     _keep_standard_output_clean()
     _die_after(timeout)
+    if not obey(pipe, factory, host, rate, lambda: _die_after(0.0)):
+        sys.exit(_UNCONFIRMED_STATUS)
+
+
+def obey(pipe: Pipe, factory: ControlFactory, host: str, rate: float, taken: Callable[[], None]) -> bool:
+    """Take control of an arm, pass on what comes through the pipe, halt the arm in the end.
+
+    Args:
+        pipe: to who commands.
+        factory: makes the control interface.
+        host: name or address of the controller.
+        rate: of the commands [Hz].
+        taken: called once control is had.
+
+    Returns:
+        Whether the arm has halted, as far as it was moved.
+    """
     try:
         control = factory(host, rate)
     except Exception as error:
         _say(pipe, _FAILED + str(error).encode())
-        return
+        return True
     reason: bytes | None = b"the motion process broke"
+    halted = False
     try:
         watched = control.setWatchdog(WATCHDOG_RATE)
-        _die_after(0.0)
+        taken()
         if watched:
             _say(pipe, _READY)
             reason = _follow(pipe, control, 1.0 / rate)
@@ -205,11 +267,10 @@ def _serve(pipe: Connection, factory: Callable[[str, float], Control], host: str
         if reason is not None:
             _say(pipe, _FAILED + reason)
         halted = _halt(control)
-    if not halted:
-        sys.exit(_UNCONFIRMED_STATUS)
+    return halted
 
 
-def _follow(pipe: Connection, control: Control, period: float) -> bytes | None:
+def _follow(pipe: Pipe, control: Control, period: float) -> bytes | None:
     """Pass commands on until told to stop (None) or something is wrong (what)."""
     while True:
         if not pipe.poll(SILENCE_LIMIT):
@@ -260,7 +321,7 @@ def _die_after(seconds: float) -> None:
         signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
-def _say(pipe: Connection, message: bytes) -> None:
+def _say(pipe: Pipe, message: bytes) -> None:
     try:
         pipe.send_bytes(message)
     except OSError:

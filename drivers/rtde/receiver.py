@@ -1,7 +1,7 @@
-"""Receives RTDE data packages without losing any: a blocking thread keeps raw bytes, decoding happens in batches.
+"""Receives RTDE data packages without losing any: a waiting thread keeps raw bytes, decoding happens in batches.
 
-Polling readers lose samples as soon as the process has anything else to do; a thread that sleeps in `recv` and only
-appends bytes does not, and whatever the network itself loses shows in the controller's own clock.
+Polling readers lose samples as soon as the process has anything else to do; a thread that sleeps until bytes come and
+only appends them does not, and whatever the network itself loses shows in the controller's own clock.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import math
 import socket
 import struct
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -21,15 +20,16 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.base import Level, Notice
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError, ConnectionLostError, UsageError
 from drivers.rtde import wire
+from drivers.rtde.connect import Connect, connect_tcp
 from drivers.streams import FloatArray
 
 SILENCE_LIMIT = 0.5
 """Without a fresh data package for this long [s] the connection counts as lost."""
 BUFFER_SECONDS = 60.0
 """How long [s] `take` may stay away before the oldest packages are dropped."""
-RECEIVE_BUFFER_BYTES = 4 << 20
 CHUNK_BYTES = 1 << 16
 TIMESTAMP = "timestamp"
 _TIMESTAMP_AT = struct.Struct(">d")
@@ -63,6 +63,8 @@ class RtdeReceiver:
         optional: variable → RTDE type, left out with a notice where the controller refuses one.
         rate: of the data packages [Hz]; None for the controller's maximum.
         timeout: for connecting and negotiating, together [s].
+        connect: reaches the controller.
+        clock: the host's.
 
     Attributes:
         version: of the controller, once connected.
@@ -83,8 +85,12 @@ class RtdeReceiver:
         optional: Mapping[str, str],
         rate: float | None,
         timeout: float,
+        connect: Connect = connect_tcp,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self._host, self._port = host, port
+        self._connect = connect
+        self._clock = clock
         self._required = {TIMESTAMP: "DOUBLE"} | dict(required)
         self._optional = dict(optional)
         self._asked_rate = rate
@@ -94,8 +100,8 @@ class RtdeReceiver:
         self._splitter = wire.PackageSplitter()
         self._early: deque[wire.Package] = deque()
         self._thread: threading.Thread | None = None
-        self._arrival = threading.Condition()
-        self._ring: deque[tuple[bytes, int]] = deque()
+        self._arrival = clock.condition()
+        self._ring: deque[tuple[bytes, float]] = deque()
         self._failure: tuple[str, str] | None = ("not connected", "")
         self._last_stored = -math.inf
         self._last_taken = math.nan
@@ -121,11 +127,10 @@ class RtdeReceiver:
             UsageError: the controller does not reach the rate.
         """
         self.close()
-        deadline = time.monotonic() + self._timeout
+        deadline = self._clock.now() + self._timeout
         try:
-            self._socket = socket.create_connection((self._host, self._port), timeout=self._timeout)
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+            self._socket = self._connect(self._host, self._port, self._timeout)
+            self._socket.setblocking(False)
             self._negotiate(deadline)
         except ConnectionLostError as error:
             self.close()
@@ -150,7 +155,7 @@ class RtdeReceiver:
         """
         try:
             accepted = self._ask(
-                wire.encode_package(wire.START), wire.START, wire.decode_accepted, time.monotonic() + self._timeout
+                wire.encode_package(wire.START), wire.START, wire.decode_accepted, self._clock.now() + self._timeout
             )
         except OSError as error:
             raise ConnectionLostError(f"the controller did not start: {error}", where=self.where) from error
@@ -160,7 +165,7 @@ class RtdeReceiver:
             self._ring.clear()
             self._failure = None
         self._last_stored, self._pausing = -math.inf, False
-        self._thread = threading.Thread(target=self._receive, name=f"rtde {self.where}", daemon=True)
+        self._thread = self._clock.thread(self._receive, f"rtde {self.where}")
         self._thread.start()
 
     def take(self, timeout: float) -> Samples | None:
@@ -182,7 +187,7 @@ class RtdeReceiver:
                 raise ConnectionLostError(failure[0], where=self.where, hint=failure[1])
             return None
         rows = wire.decode_data(self.recipe, b"".join([raw for raw, _ in batch]))
-        host_time = np.array([arrived for _, arrived in batch], dtype=np.float64) * 1e-9
+        host_time = np.array([arrived for _, arrived in batch], dtype=np.float64)
         return Samples(rows, host_time, self._count_lost(rows[TIMESTAMP]))
 
     def notices(self) -> list[Notice]:
@@ -294,8 +299,7 @@ class RtdeReceiver:
     def _ask(self, request: bytes, kind: int, decode: Callable[[bytes], _Decoded], deadline: float) -> _Decoded:
         if self._socket is None:
             raise ConnectionLostError("not connected", where=self.where)
-        self._socket.settimeout(max(deadline - time.monotonic(), 1e-3))
-        self._socket.sendall(request)
+        self._socket.sendall(request)  # a request is far smaller than what the socket holds
         while True:
             while self._early:
                 package = self._early.popleft()
@@ -303,17 +307,23 @@ class RtdeReceiver:
                     return decode(package.payload)
                 if package.kind == wire.TEXT_MESSAGE:
                     self._tell_text(package.payload)
-            self._socket.settimeout(max(deadline - time.monotonic(), 1e-3))
-            chunk = self._socket.recv(CHUNK_BYTES)
+            chunk = self._wait_for_bytes(self._socket, deadline)
             if not chunk:
                 raise ConnectionLostError("the other end closed the connection instead of answering")
-            if time.monotonic() > deadline:
+            if self._clock.now() >= deadline:
                 raise TimeoutError
             try:
                 self._early.extend(self._splitter.feed(chunk))
             except ConnectionLostError:
                 if all(package.kind != kind for package in self._early):
                     raise  # otherwise the answer counts, and whoever reads on meets the fault
+
+    def _wait_for_bytes(self, connection: socket.socket, deadline: float) -> bytes:
+        """What has come, nothing where the other end has closed; TimeoutError where nothing comes until `deadline`."""
+        readable, _ = self._clock.select([connection], [], deadline - self._clock.now())
+        if not readable:
+            raise TimeoutError
+        return connection.recv(CHUNK_BYTES)
 
     def _receive(self) -> None:
         failure: tuple[str, str] | None
@@ -333,17 +343,15 @@ class RtdeReceiver:
         connection = self._socket
         if connection is None:
             return ("not connected", "")
-        connection.settimeout(SILENCE_LIMIT)
-        silence_ns = int(SILENCE_LIMIT * 1e9)
-        fresh = time.monotonic_ns()
+        fresh = self._clock.now()
         while self._early:
             if self._keep(self._early.popleft(), fresh) is None:
                 return None
         for _ in self._splitter.feed(b""):  # raises where the fault came together with the answer
             pass
         while True:
-            chunk = connection.recv(CHUNK_BYTES)
-            arrived = time.monotonic_ns()
+            chunk = self._wait_for_bytes(connection, fresh + SILENCE_LIMIT)
+            arrived = self._clock.now()
             if not chunk:
                 return ("the controller closed the connection", "")
             for package in self._splitter.feed(chunk):
@@ -352,10 +360,10 @@ class RtdeReceiver:
                     return None
                 if kept:
                     fresh = arrived
-            if arrived - fresh > silence_ns:  # something comes, but nothing new
+            if arrived - fresh >= SILENCE_LIMIT:  # something comes, but nothing new
                 raise TimeoutError
 
-    def _keep(self, package: wire.Package, arrived: int) -> bool | None:
+    def _keep(self, package: wire.Package, arrived: float) -> bool | None:
         """Whether the package brought a new sample; None where it ends the flow."""
         if package.kind == wire.PAUSE and self._pausing:
             return None

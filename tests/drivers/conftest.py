@@ -7,15 +7,16 @@ from typing import Any
 
 import pytest
 from scripted_rtde import ScriptedController
+from simulated_clock import SimulatedClock
 
 
 @pytest.fixture
-def controller() -> Iterator[Callable[..., ScriptedController]]:
+def controller(clock: SimulatedClock) -> Iterator[Callable[..., ScriptedController]]:
     """Makes scripted controllers, and closes them in the end."""
     made: list[ScriptedController] = []
 
     def make(*args: Any, **kwargs: Any) -> ScriptedController:
-        made.append(ScriptedController(*args, **kwargs))
+        made.append(ScriptedController(clock, *args, **kwargs))
         return made[-1]
 
     yield make

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import threading
-import time
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import EntryPoint
@@ -9,31 +7,43 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_ur_control import FakeControl
+from exact_plant import ExactPlant
+from rtde_in_process import HOST, NOWHERE, Motions, Network, RememberedArm, serving
 from scripted_rtde import Cut, Never, Sample, ScriptedController, Step, Wait, paced, steady
+from simulated_clock import START, SimulatedClock
 
 from drivers.base import DRIVERS_GROUP, Driver, DriverSettings, Identifying
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
 from drivers.gains import DriveGain
-from drivers.rtde import driver as driver_module
-from drivers.rtde import wire
-from drivers.rtde.driver import RtdeDriver
-from drivers.rtde.motion import MotionProcess
+from drivers.rtde.driver import DASHBOARD_TIMEOUT, ArmControl, RtdeDriver
+from drivers.rtde.motion import STOP_LIMIT
 from drivers.streams import Block
+from sim_drivers.rtde_server import RtdeServer
 
 JOINTS = tuple(f"j{number}" for number in range(1, 7))
 GAINS = tuple(DriveGain(float(number), 0.1) for number in range(1, 7))
+PERIOD = 0.002
 Make = Callable[..., ScriptedController]
 MakeDriver = Callable[..., RtdeDriver]
 
 
+def no_control(host: str, rate: float, timeout: float) -> ArmControl:
+    raise AssertionError("this arm is not to be moved")
+
+
 @pytest.fixture
-def make_driver() -> Iterator[MakeDriver]:
+def make_driver(clock: SimulatedClock) -> Iterator[MakeDriver]:
     made: list[RtdeDriver] = []
 
-    def make(port: int, *, gains: Sequence[DriveGain] = GAINS, **keys: object) -> RtdeDriver:
-        connection = {"host": "127.0.0.1", "port": port, "timeout": 2.0} | keys
-        made.append(RtdeDriver(DriverSettings(JOINTS, connection, tuple(gains))))
+    def make(
+        other: ScriptedController | Network,
+        *,
+        gains: Sequence[DriveGain] = GAINS,
+        take_control: Callable[[str, float, float], ArmControl] = no_control,
+        **keys: object,
+    ) -> RtdeDriver:
+        settings = DriverSettings(JOINTS, {"host": HOST, "timeout": 2.0} | keys, tuple(gains), clock=clock)
+        made.append(RtdeDriver(settings, other.connect, take_control))
         return made[-1]
 
     yield make
@@ -43,9 +53,10 @@ def make_driver() -> Iterator[MakeDriver]:
 
 def read_all(driver: RtdeDriver, samples: int) -> dict[str, list[Block]]:
     blocks: dict[str, list[Block]] = {"joints": [], "thermal": [], "status": []}
-    deadline = time.monotonic() + 5.0
-    while sum(len(block.time) for block in blocks["joints"]) < samples and time.monotonic() < deadline:
-        for block in driver.read(0.2):
+    while sum(len(block.time) for block in blocks["joints"]) < samples:
+        found = driver.read(0.2)
+        assert found
+        for block in found:
             blocks[block.stream].append(block)
     return blocks
 
@@ -67,20 +78,20 @@ def test_the_driver_is_registered() -> None:
 
 def test_it_tells_who_answers(controller: Make, make_driver: MakeDriver) -> None:
     script = controller(lambda number: [*steady(10.0, 10), Never()])
-    driver = make_driver(script.port)
+    driver = make_driver(script)
     assert isinstance(driver, Identifying)
     with pytest.raises(DriverStateError):
         driver.identify()
     driver.open()
     (identity,) = driver.identify()
-    assert identity.controller == f"127.0.0.1:{script.port}"
+    assert identity.controller == f"{HOST}:30004"
     assert identity.software.startswith("5.")
     assert identity.rate == 500.0
     assert identity.variables > 4
 
 
 def test_blocks_are_what_the_streams_promise(controller: Make, make_driver: MakeDriver) -> None:
-    driver: Driver = make_driver(controller(lambda number: [*steady(10.0, 1000), Never()]).port)
+    driver: Driver = make_driver(controller(lambda number: [*steady(10.0, 1000), Never()]))
     driver.open()
     layouts = {layout.name: layout for layout in driver.streams()}
     assert {name: layout.rate for name, layout in layouts.items()} == {"joints": 500.0, "thermal": 20.0, "status": 10.0}
@@ -121,7 +132,7 @@ def test_blocks_are_what_the_streams_promise(controller: Make, make_driver: Make
 def test_without_all_gains_there_is_current_but_no_torque(
     controller: Make, make_driver: MakeDriver, gains: tuple[DriveGain, ...]
 ) -> None:
-    driver = make_driver(controller(lambda number: [*steady(1.0, 5), Never()]).port, gains=gains)
+    driver = make_driver(controller(lambda number: [*steady(1.0, 5), Never()]), gains=gains)
     driver.open()
     quantities = [channel.quantity for channel in driver.streams()[0].channels]
     assert "current" in quantities
@@ -132,7 +143,7 @@ def test_without_all_gains_there_is_current_but_no_torque(
 
 def test_a_gap_is_counted_in_every_stream(controller: Make, make_driver: MakeDriver) -> None:
     steps = [sample for index, sample in enumerate(steady(10.0, 1000)) if not 300 <= index < 451]
-    driver = make_driver(controller(lambda number: [*steps, Never()]).port)
+    driver = make_driver(controller(lambda number: [*steps, Never()]))
     driver.open()
     driver.start()
     blocks = read_all(driver, len(steps))
@@ -147,7 +158,7 @@ def test_a_gap_is_counted_in_every_stream(controller: Make, make_driver: MakeDri
 
 def test_refused_variables_leave_their_channels_out(controller: Make, make_driver: MakeDriver) -> None:
     refuse = dict.fromkeys(("target_moment", "joint_temperatures", "joint_mode"), "NOT_FOUND")
-    driver = make_driver(controller(lambda number: [*steady(1.0, 100), Never()], refuse=refuse).port)
+    driver = make_driver(controller(lambda number: [*steady(1.0, 100), Never()], refuse=refuse))
     driver.open()
     layouts = {layout.name: [channel.quantity for channel in layout.channels] for layout in driver.streams()}
     assert set(layouts) == {"joints", "status"}
@@ -159,7 +170,7 @@ def test_refused_variables_leave_their_channels_out(controller: Make, make_drive
 
 
 def test_an_older_controller_has_its_own_rate(controller: Make, make_driver: MakeDriver) -> None:
-    driver = make_driver(controller(lambda number: [*steady(1.0, 125, 125.0), Never()], major=3).port)
+    driver = make_driver(controller(lambda number: [*steady(1.0, 125, 125.0), Never()], major=3))
     driver.open()
     assert [round(layout.rate, 1) for layout in driver.streams()] == [125.0, 20.8, 10.4]
     driver.start()
@@ -182,7 +193,7 @@ def test_modes_become_notices_when_they_change(controller: Make, make_driver: Ma
         Sample(1.028, modes(robot_mode=99)),
         Never(),
     ]
-    driver = make_driver(controller(lambda number: steps).port)
+    driver = make_driver(controller(lambda number: steps))
     driver.open()
     driver.start()
     read_all(driver, 15)
@@ -206,7 +217,7 @@ def test_modes_become_notices_when_they_change(controller: Make, make_driver: Ma
 
 def test_a_lost_connection_shows_and_can_be_had_again(controller: Make, make_driver: MakeDriver) -> None:
     scripts = [[*steady(1.0, 20), Cut()], [*steady(2.0, 20), Never()]]
-    driver = make_driver(controller(lambda number: scripts[number]).port)
+    driver = make_driver(controller(lambda number: scripts[number]))
     driver.open()
     driver.start()
     read_all(driver, 20)
@@ -224,7 +235,7 @@ def test_a_lost_connection_shows_and_can_be_had_again(controller: Make, make_dri
 def test_stop_and_start_again(controller: Make, make_driver: MakeDriver) -> None:
     starts = iter([1.0, 7.0])
     server = controller(lambda number: [*steady(next(starts), 10), Never()])
-    driver = make_driver(server.port)
+    driver = make_driver(server)
     driver.open()
     for begin in (1.0, 7.0):
         driver.start()
@@ -236,12 +247,12 @@ def test_stop_and_start_again(controller: Make, make_driver: MakeDriver) -> None
     driver.close()
 
 
-def test_after_a_loss_start_connects_again(controller: Make, make_driver: MakeDriver) -> None:
+def test_after_a_loss_start_connects_again(clock: SimulatedClock, controller: Make, make_driver: MakeDriver) -> None:
     scripts = [[*steady(1.0, 5), Cut()], [*steady(3.0, 5), Never()]]
-    driver = make_driver(controller(lambda number: scripts[number]).port)
+    driver = make_driver(controller(lambda number: scripts[number]))
     driver.open()
     driver.start()
-    time.sleep(0.1)
+    clock.sleep(0.1)
     driver.stop()
     driver.start()
     blocks = read_all(driver, 5)["joints"]
@@ -250,7 +261,7 @@ def test_after_a_loss_start_connects_again(controller: Make, make_driver: MakeDr
 
 
 def test_calls_that_the_state_does_not_allow(controller: Make, make_driver: MakeDriver) -> None:
-    driver = make_driver(controller(lambda number: [*steady(1.0, 5), Never()]).port)
+    driver = make_driver(controller(lambda number: [*steady(1.0, 5), Never()]))
     calls: dict[str, Callable[[], object]] = {
         "open": driver.open,
         "streams": driver.streams,
@@ -282,101 +293,160 @@ def test_an_arm_of_another_make_is_refused() -> None:
         RtdeDriver(DriverSettings(("a", "b", "c", "d"), {"host": "h"}, ()))
 
 
-def test_nobody_there_leaves_the_driver_closed(make_driver: MakeDriver, controller: Make) -> None:
+def test_nobody_there_leaves_the_driver_closed(
+    clock: SimulatedClock, make_driver: MakeDriver, controller: Make
+) -> None:
     server = controller(lambda number: [], mute_at="V")
-    driver = make_driver(server.port, timeout=0.2)
+    driver = make_driver(server, timeout=0.2)
     with pytest.raises(ConnectionFailedError):
         driver.open()
+    assert clock.now() == pytest.approx(START + 0.2)
     server.mute_at = ""
     driver.open()
 
 
 def test_motion_needs_the_port_that_ur_rtde_knows(controller: Make, make_driver: MakeDriver) -> None:
-    driver = make_driver(controller(lambda number: [*steady(0.0, 5), Never()]).port)
+    driver = make_driver(controller(lambda number: [*steady(0.0, 5), Never()]), port=30005)
     driver.open()
     driver.start()
     with pytest.raises(DriverStateError, match="needs RTDE on port 30004"):
         driver.command(np.zeros(6))
 
 
-def test_motion_begins_where_the_arm_stands_and_ends_with_stop(
-    controller: Make, make_driver: MakeDriver, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    server = controller(lambda number: paced(500.0, start=0.0))
-    log = tmp_path / "control.log"
-    monkeypatch.setattr(wire, "PORT", server.port)
-    monkeypatch.setattr(
-        driver_module,
-        "MotionProcess",
-        lambda host, rate, timeout: MotionProcess(str(log), rate, timeout, FakeControl),
-    )
-    driver = make_driver(server.port, timeout=10.0)
-    driver.open()
-    driver.start()
-    with pytest.raises(DriverStateError, match="where the arm stands"):
-        driver.command(np.zeros(6))
-    blocks = list(driver.read(1.0))
-    position = blocks[0].values["position"][-1]
-    with pytest.raises(DriverStateError, match=r"0\.200 rad away") as caught:
-        driver.command(position + np.array([0, 0, 0.2, 0, 0, 0]))
-    assert caught.value.where == "joint j3"
-    assert not log.exists()  # nobody took control
-    for _ in range(20):
-        driver.command(position)
-        blocks += driver.read(0.1)
-    driver.stop()
-    with pytest.raises(DriverStateError):
-        driver.command(position)
-    written = log.read_text().splitlines()
-    assert written[0].startswith("control ")
-    assert sum(line.startswith("servoJ") for line in written) >= 1
-    assert written[-1] == "disconnect"
+def test_motion_begins_where_the_arm_stands_and_ends_with_stop(clock: SimulatedClock, make_driver: MakeDriver) -> None:
+    arm = RememberedArm(ExactPlant())
+    server = RtdeServer(arm, ports=NOWHERE, clock=clock)
+    with serving(server) as network:
+        motions = Motions(clock, network.connect)
+        driver = make_driver(network, take_control=motions.take_control)
+        driver.open()
+        driver.start()
+        with pytest.raises(DriverStateError, match="where the arm stands"):
+            driver.command(np.zeros(6))
+        blocks = list(driver.read(1.0))
+        position = blocks[0].values["position"][-1]
+        with pytest.raises(DriverStateError, match=r"0\.200 rad away") as caught:
+            driver.command(position + np.array([0, 0, 0.2, 0, 0, 0]))
+        assert caught.value.where == "joint j3"
+        assert not motions.made  # nobody took control
+        for step in range(500):
+            driver.command(position + 0.0002 * step)
+            clock.sleep(PERIOD)
+            blocks += driver.read(0.0)
+        driver.stop()
+        with pytest.raises(DriverStateError):
+            driver.command(position)
+        driver.close()
+        assert server.controller.script is None
+        clock.sleep(0.5)
     joints = [block for block in blocks if block.stream == "joints"]
-    assert np.all(np.diff(times(joints)) > 0)
     assert sum(block.lost for block in joints) == 0  # taking control costs no sample
+    assert_recorded(joints, arm)
+    # One lookahead of 0.1 s behind at 0.1 rad/s when it is told to stop.
+    assert joints[-1].values["position"][-1, 0] - position[0] == pytest.approx(0.0002 * 499 - 0.01, abs=1e-3)
+    assert np.all(arm.velocities[-1] == 0.0)
+    assert {notice.level for notice in driver.notices()} == {"info"}
+
+
+def assert_recorded(joints: Sequence[Block], arm: RememberedArm) -> None:
+    """Every sample is the arm's, none is missing, and each was stamped in the period in which it was taken."""
+    clock = times(list(joints))
+    first = int(np.rint(clock[0] / PERIOD))
+    expected = slice(first, first + len(clock))
+    assert np.array_equal(clock, arm.times[expected])
+    assert np.array_equal(joined(list(joints), "position"), arm.positions[expected])
+    assert np.array_equal(joined(list(joints), "velocity"), arm.velocities[expected])
+    assert np.array_equal(joined(list(joints), "current"), arm.currents[expected])
+    host = np.concatenate([block.host_time for block in joints])
+    np.testing.assert_allclose(host - START, clock - PERIOD, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("version", "reachable"), [("5.22", True), ("5.22", False), ("10.10", True)])
+def test_an_arm_whose_motion_was_killed_is_ended_by_the_dashboard_where_it_can_be(
+    clock: SimulatedClock, make_driver: MakeDriver, version: str, reachable: bool
+) -> None:
+    server = RtdeServer(ExactPlant(), version=version, ports=NOWHERE, clock=clock)
+    with serving(server) as network:
+        motions = Motions(clock, network.connect)
+        driver = make_driver(network, take_control=motions.take_control)
+        driver.open()
+        driver.start()
+        position = driver.read(1.0)[0].values["position"][-1]
+        driver.command(position)
+        motions.kill()
+        network.dead = not reachable
+        begun = clock.now()
+        driver.stop()
+        assert clock.now() - begun < DASHBOARD_TIMEOUT
+        (notice,) = (notice for notice in driver.notices() if notice.level == "error")
+        ended = version == "5.22" and reachable
+        assert ("was ended by its dashboard" if ended else "may still run") in notice.message
+        clock.sleep(0.99)
+        assert (server.controller.script is None) == ended
+        clock.sleep(0.05)  # the controller's own watchdog
+        assert server.controller.script is None
+        driver.close()
+
+
+def test_a_controller_out_of_reach_does_not_hold_up_the_stop(clock: SimulatedClock, make_driver: MakeDriver) -> None:
+    server = RtdeServer(ExactPlant(), ports=NOWHERE, clock=clock)
+    with serving(server) as network:
+        motions = Motions(clock, network.connect)
+        driver = make_driver(network, take_control=motions.take_control)
+        driver.open()
+        driver.start()
+        driver.command(driver.read(1.0)[0].values["position"][-1])
+        server.faults.freeze(60.0)
+        clock.sleep(PERIOD)
+        begun = clock.now()
+        driver.stop()
+        assert clock.now() - begun == pytest.approx(STOP_LIMIT + DASHBOARD_TIMEOUT)
+        assert server.controller.script is None
+        driver.close()
 
 
 class SlowMotion:
     """Takes its time to stop, as an arm does."""
 
-    made = 0
+    def __init__(self, clock: SimulatedClock) -> None:
+        self.made = 0
+        self.stopping = False
+        self._clock = clock
 
-    def __init__(self, host: str, rate: float, timeout: float) -> None:
-        SlowMotion.made += 1
-        self.stopping = threading.Event()
-        self.stopped = threading.Event()
-        SlowMotion.last = self
-
-    last: SlowMotion
+    def take_control(self, host: str, rate: float, timeout: float) -> SlowMotion:
+        self.made += 1
+        return self
 
     def command(self, position: np.ndarray) -> None:
-        assert not self.stopping.is_set()
+        assert not self.stopping
 
     def stop(self) -> bool:
-        self.stopping.set()
-        return self.stopped.wait(5.0)
+        self.stopping = True
+        self._clock.sleep(2.0)
+        return True
 
 
 def test_while_the_arm_is_braking_it_is_recorded_but_not_commanded(
-    controller: Make, make_driver: MakeDriver, monkeypatch: pytest.MonkeyPatch
+    clock: SimulatedClock, controller: Make, make_driver: MakeDriver
 ) -> None:
-    server = controller(lambda number: paced(500.0, start=0.0))
-    monkeypatch.setattr(wire, "PORT", server.port)
-    monkeypatch.setattr(driver_module, "MotionProcess", SlowMotion)
-    driver = make_driver(server.port)
+    slow = SlowMotion(clock)
+    driver = make_driver(controller(lambda number: paced(500.0, start=0.0)), take_control=slow.take_control)
     driver.open()
     driver.start()
     position = driver.read(1.0)[0].values["position"][-1]
     driver.command(position)
-    stopper = threading.Thread(target=driver.stop)
+    stopper = clock.thread(driver.stop, "stopper")
     stopper.start()
-    assert SlowMotion.last.stopping.wait(2.0)
-    with pytest.raises(DriverStateError, match="being stopped"):
-        driver.command(position)
-    assert len(driver.read(1.0)) >= 1
-    SlowMotion.last.stopped.set()
+    samples = 0
+    begun = clock.now()
+    while clock.now() - begun < 1.999:
+        if slow.stopping:
+            with pytest.raises(DriverStateError, match="being stopped"):
+                driver.command(position)
+        samples += sum(len(block.time) for block in driver.read(0.1) if block.stream == "joints")
     stopper.join()
-    assert SlowMotion.made == 1
+    assert samples == 1000
+    assert slow.made == 1
     with pytest.raises(DriverStateError, match="must be running"):
         driver.read(0.0)
     assert driver.notices()[-1].level == "info"  # it did confirm

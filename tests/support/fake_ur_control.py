@@ -93,16 +93,6 @@ class RefusingControl(FakeControl):
         raise RuntimeError("not in servo mode")
 
 
-class HangingControl(FakeControl):
-    """Never comes back from a position."""
-
-    def servoJ(
-        self, q: Sequence[float], speed: float, acceleration: float, time: float, lookahead: float, gain: float
-    ) -> bool:
-        _sleep_for_ever()
-        return True
-
-
 class DyingControl(FakeControl):
     """Takes the whole process along, as a crash in ur_rtde would."""
 
@@ -118,39 +108,33 @@ def hang(host: str, rate: float) -> FakeControl:
     raise AssertionError
 
 
-def refuse(host: str, rate: float) -> FakeControl:
-    raise RuntimeError("robot is not in remote control")
-
-
 def _sleep_for_ever() -> None:
     while True:
         time.sleep(1.0)
 
 
 def move_and_print(log: str) -> None:
-    """A short motion of a control interface that prints."""
+    """A motion of a control interface that prints."""
     import numpy as np
 
     from drivers.rtde.motion import MotionProcess
 
-    motion = MotionProcess(log, 500.0, 10.0, PrintingControl)
-    for _ in range(5):
-        motion.command(np.zeros(6))
+    motion = MotionProcess(log, 500.0, 60.0, PrintingControl)
+    motion.command(np.zeros(6))
+    while "servoJ" not in Path(log).read_text():
         time.sleep(0.01)
     motion.stop()
     print("only this", flush=True)
 
 
-def move_for_ever(log: str, commands: int) -> None:
+def move_for_ever(log: str) -> None:
     """Take control and move; say so, and wait for whatever comes (for a process that a test kills)."""
     import numpy as np
 
     from drivers.rtde.motion import MotionProcess
 
-    motion = MotionProcess(log, 500.0, 10.0, FakeControl)
-    for index in range(commands):
-        motion.command(np.full(6, index / 1000))
-        time.sleep(0.002)
+    motion = MotionProcess(log, 500.0, 60.0, FakeControl)
+    motion.command(np.zeros(6))
     print("moving", flush=True)
     while True:
         motion.command(np.full(6, 0.5))

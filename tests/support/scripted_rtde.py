@@ -6,9 +6,10 @@ import contextlib
 import socket
 import struct
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+
+from simulated_clock import SimulatedClock
 
 TYPES = {
     "timestamp": ("DOUBLE", ">d"),
@@ -81,15 +82,31 @@ def steady(start: float, count: int, rate: float = 500.0) -> list[Step]:
     return [Sample(start + index / rate) for index in range(count)]
 
 
+def paced(rate: float, start: float = 10.0) -> Iterable[Step]:
+    """Samples at a controller's pace, without end."""
+    index = 0
+    while True:
+        yield Sample(start + index / rate)
+        yield Wait(1.0 / rate)
+        index += 1
+
+
 def package(kind: str, payload: bytes) -> bytes:
     return struct.pack(">HB", 3 + len(payload), ord(kind)) + payload
 
 
 class ScriptedController:
-    """Serves connections one after the other; `script(number)`: what connection `number` (from 0) sends."""
+    """Serves connections, each in a thread of a simulated clock; `script(number)`: what number `number` (from 0) sends.
+
+    Attributes:
+        connections: how many there were.
+        pauses: how many were asked for.
+        asked: rate and variables of every recipe.
+    """
 
     def __init__(
         self,
+        clock: SimulatedClock,
         script: Callable[[int], Iterable[Step]],
         *,
         major: int = 5,
@@ -98,127 +115,121 @@ class ScriptedController:
         accept_protocol: bool = True,
         mute_at: str = "",
         greeting: bytes = b"",
-        host: str = "127.0.0.1",
-        port: int = 0,
+        chatter: bytes = b"",
     ) -> None:
         self.script = script
         self.major, self.refuse, self.types = major, dict(refuse or {}), dict(types or {})
-        self.accept_protocol, self.mute_at, self.greeting = accept_protocol, mute_at, greeting
+        self.accept_protocol, self.mute_at, self.greeting, self.chatter = accept_protocol, mute_at, greeting, chatter
         self.connections = 0
         self.pauses = 0
         self.asked: list[tuple[float, list[str]]] = []
-        self._ended = threading.Event()
-        self._listener = socket.create_server((host, port))
-        self.port: int = self._listener.getsockname()[1]
+        self._clock = clock
         self._open: list[socket.socket] = []
-        threading.Thread(target=self._accept, daemon=True).start()
+        self._threads: list[threading.Thread] = []
+
+    def connect(self, host: str, port: int, timeout: float) -> socket.socket:
+        """A new connection, whatever the address."""
+        ours, theirs = socket.socketpair()
+        self._open.append(theirs)
+        number, self.connections = self.connections, self.connections + 1
+        self._start(self._serve, theirs, number)
+        return ours
+
+    def send(self, content: bytes) -> None:
+        """Send at once to whom connected last, before anybody else runs."""
+        self._open[-1].sendall(content)
 
     def close(self) -> None:
-        self._ended.set()
-        for connection in [self._listener, *self._open]:
+        for connection in self._open:
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
+        for thread in self._threads:
+            thread.join()
+        for connection in self._open:
             connection.close()
 
-    def _accept(self) -> None:
-        while not self._ended.is_set():
-            try:
-                connection, _ = self._listener.accept()
-            except OSError:
-                return
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._open.append(connection)
-            number, self.connections = self.connections, self.connections + 1
-            threading.Thread(target=self._serve, args=(connection, number), daemon=True).start()
+    def _start(self, target: Callable[..., object], *args: object) -> threading.Thread:
+        thread = self._clock.thread(target, target.__name__, args)
+        self._threads.append(thread)
+        thread.start()
+        return thread
 
     def _serve(self, connection: socket.socket, number: int) -> None:
         variables: list[str] = []
-        paused = threading.Event()
+        paused = self._clock.event()
         sending: threading.Thread | None = None
+        received = b""
         try:
-            connection.sendall(self.greeting)
-            stream = connection.makefile("rb")
-            while header := stream.read(3):
-                size, kind_number = struct.unpack(">HB", header)
-                kind, payload = chr(kind_number), stream.read(size - 3)
-                if kind == self.mute_at:
+            self._send(connection, self.greeting)
+            while True:
+                if not self._clock.select([connection], [], 0.05 if self.chatter else 60.0)[0]:
+                    self._send(connection, self.chatter)
                     continue
-                if kind == "V":
-                    connection.sendall(package("V", bytes([self.accept_protocol])))
-                elif kind == "v":
-                    connection.sendall(package("v", struct.pack(">4I", self.major, 22, 0, 0)))
-                elif kind == "O":
-                    variables = payload[8:].decode().split(",")
-                    self.asked.append((struct.unpack(">d", payload[:8])[0], variables))
-                    types = [self.types.get(n) or self.refuse.get(n) or TYPES[n][0] for n in variables]
-                    connection.sendall(package("O", bytes([1]) + (",".join(types) + ",").encode()))
-                elif kind == "S":
-                    connection.sendall(package("S", b"\1"))
-                    paused.clear()
-                    sending = threading.Thread(target=self._send, args=(connection, number, variables, paused))
-                    sending.daemon = True
-                    sending.start()
-                elif kind == "P":
-                    self.pauses += 1
-                    paused.set()
-                    if sending is not None:
-                        sending.join()
-                    connection.sendall(package("P", b"\1"))
+                chunk = connection.recv(65536)
+                if not chunk:
+                    return
+                received += chunk
+                while len(received) >= 3 and len(received) >= (size := struct.unpack(">H", received[:2])[0]):
+                    kind, payload, received = chr(received[2]), received[3:size], received[size:]
+                    if kind == self.mute_at:
+                        continue
+                    if kind == "O":
+                        variables = payload[8:].decode().split(",")
+                        self.asked.append((struct.unpack(">d", payload[:8])[0], variables))
+                    if kind == "P":
+                        self.pauses += 1
+                        paused.set()
+                        if sending is not None:
+                            sending.join()
+                    self._send(connection, self._answer(kind, variables))
+                    if kind == "S":
+                        paused.clear()
+                        sending = self._start(self._play, connection, number, variables, paused)
         except OSError:
             return
+        finally:
+            paused.set()
 
-    def _send(self, connection: socket.socket, number: int, variables: list[str], paused: threading.Event) -> None:
+    def _answer(self, kind: str, variables: Sequence[str]) -> bytes:
+        if kind == "V":
+            return package("V", bytes([self.accept_protocol]))
+        if kind == "v":
+            return package("v", struct.pack(">4I", self.major, 22, 0, 0))
+        if kind == "O":
+            types = [self.types.get(name) or self.refuse.get(name) or TYPES[name][0] for name in variables]
+            return package("O", bytes([1]) + (",".join(types) + ",").encode())
+        return package(kind, b"\1")
+
+    def _play(self, connection: socket.socket, number: int, variables: list[str], paused: threading.Event) -> None:
         try:
             for step in self.script(number):
-                if paused.is_set() or self._ended.is_set():
+                if paused.is_set():
                     return
                 if isinstance(step, bytes):
-                    connection.sendall(step)
+                    self._send(connection, step)
                 elif isinstance(step, Wait):
-                    if paused.wait(step.seconds):
-                        return
+                    paused.wait(step.seconds)
                 elif isinstance(step, Text):
                     text, source = step.text.encode(), step.source.encode()
                     body = bytes([len(text)]) + text + bytes([len(source)]) + source + bytes([step.level])
-                    connection.sendall(package("M", body))
+                    self._send(connection, package("M", body))
                 elif isinstance(step, Cut):
                     connection.shutdown(socket.SHUT_RDWR)
-                    connection.close()
                     return
                 elif isinstance(step, Never):
                     paused.wait()
                     return
                 else:
-                    connection.sendall(data_package(variables, step))
+                    self._send(connection, data_package(variables, step))
         except OSError:
             return
+
+    def _send(self, connection: socket.socket, content: bytes) -> None:
+        while content:
+            self._clock.select([], [connection], 60.0)
+            content = content[connection.send(content) :]
 
 
 def data_package(variables: Sequence[str], sample: Sample) -> bytes:
     values = default_values(sample.time) | dict(sample.values)
     return package("U", b"\1" + b"".join(struct.pack(TYPES[name][1], *values[name]) for name in variables))
-
-
-def paced(rate: float, start: float = 10.0) -> Iterable[Step]:
-    """Samples in real time, without end."""
-    begun = time.monotonic()
-    index = 0
-    while True:
-        late = begun + index / rate - time.monotonic()
-        if late > 0:
-            time.sleep(late)
-        yield Sample(start + index / rate)
-        index += 1
-
-
-def main() -> None:
-    """Serve a paced controller until the standard input closes; print the port."""
-    import sys
-
-    controller = ScriptedController(lambda number: paced(float(sys.argv[1])))
-    print(controller.port, flush=True)
-    sys.stdin.read()
-
-
-if __name__ == "__main__":
-    main()

@@ -23,6 +23,7 @@ from daq.recording import read_recording
 from daq.recover import recover
 from daq.robot import load_robot
 
+pytestmark = pytest.mark.realtime
 COMMAND = "import sys; from drivers.command import main; sys.exit(main())"
 STOPPED, PLAYING = 1, 2
 """runtime_state."""

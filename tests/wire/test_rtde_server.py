@@ -7,6 +7,7 @@ import pytest
 from exact_plant import ExactPlant
 from rtde_bench import BareClient, loopback, served, served_exact, ur_rtde
 
+pytestmark = pytest.mark.realtime
 GOAL = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6]
 
 

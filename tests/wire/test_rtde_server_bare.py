@@ -24,6 +24,7 @@ from sim_drivers.rtde_server import Ports, RtdeServer
 from sim_drivers.rtde_session import RtdeSession
 from sim_drivers.serve import simulate
 
+pytestmark = pytest.mark.realtime
 ANY = Ports(0, 0, 0)
 
 
