@@ -344,7 +344,7 @@ def test_motion_begins_where_the_arm_stands_and_ends_with_stop(clock: SimulatedC
     assert_recorded(joints, arm)
     # One lookahead of 0.1 s behind at 0.1 rad/s when it is told to stop.
     assert joints[-1].values["position"][-1, 0] - position[0] == pytest.approx(0.0002 * 499 - 0.01, abs=1e-3)
-    assert np.all(arm.velocities[-1] == 0.0)
+    assert np.all(arm.values("velocity")[-1] == 0.0)
     assert {notice.level for notice in driver.notices()} == {"info"}
 
 
@@ -354,9 +354,9 @@ def assert_recorded(joints: Sequence[Block], arm: RememberedArm) -> None:
     first = int(np.rint(clock[0] / PERIOD))
     expected = slice(first, first + len(clock))
     assert np.array_equal(clock, arm.times[expected])
-    assert np.array_equal(joined(list(joints), "position"), arm.positions[expected])
-    assert np.array_equal(joined(list(joints), "velocity"), arm.velocities[expected])
-    assert np.array_equal(joined(list(joints), "current"), arm.currents[expected])
+    assert np.array_equal(joined(list(joints), "position"), arm.values("position")[expected])
+    assert np.array_equal(joined(list(joints), "velocity"), arm.values("velocity")[expected])
+    assert np.array_equal(joined(list(joints), "current"), arm.values("current")[expected])
     host = np.concatenate([block.host_time for block in joints])
     np.testing.assert_allclose(host - START, clock - PERIOD, rtol=0.0, atol=1e-9)
 

@@ -49,7 +49,7 @@ def served(*command: str) -> Iterator[tuple[dict[str, object], subprocess.Popen[
         yield json.loads(line), process
     finally:
         process.terminate()
-        process.communicate(timeout=10)
+        process.communicate(timeout=60)
 
 
 @contextmanager
@@ -72,7 +72,7 @@ def ur_rtde(code: str, *hosts: str) -> dict[str, object]:
         "print('OUT' + json.dumps(out))\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program, *hosts], capture_output=True, text=True, timeout=30, env=ENVIRONMENT
+        [sys.executable, "-c", program, *hosts], capture_output=True, text=True, timeout=60, env=ENVIRONMENT
     )
     lines = [line for line in done.stdout.splitlines() if line.startswith("OUT")]
     assert lines, done.stdout + done.stderr
@@ -85,7 +85,7 @@ class BareClient:
     """A socket that speaks RTDE as UR's own Python client does: no comma behind the last name."""
 
     def __init__(self, host: str, port: int, *, greet: bool = True) -> None:
-        self.sock = socket.create_connection((host, port), timeout=5)
+        self.sock = socket.create_connection((host, port), timeout=60.0)
         self._splitter = wire.PackageSplitter()
         self._received: list[wire.Package] = []
         if greet:
@@ -135,7 +135,7 @@ class BareClient:
         decoded: npt.NDArray[np.void] = wire.decode_data(self._recipe, package.raw)[0]
         return decoded
 
-    def until(self, condition: object, seconds: float = 3.0) -> npt.NDArray[np.void]:
+    def until(self, condition: object, seconds: float = 60.0) -> npt.NDArray[np.void]:
         """The first row that fulfils a condition."""
         assert callable(condition)
         end = time.monotonic() + seconds

@@ -8,6 +8,7 @@ import struct
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 
+import numpy as np
 from simulated_clock import SimulatedClock
 
 from drivers.rtde import wire
@@ -22,6 +23,7 @@ NOWHERE = Ports(None, None, None)
 """A server that listens nowhere: it serves the sockets that it is given."""
 SERVICES: dict[int, Service] = {30004: "rtde", 30003: "script", 29999: "dashboard"}
 PROGRAM = b"def rtde_control():\nend\n"
+QUANTITIES = ("position", "velocity", "current", "target_position", "temperature")
 PLAYING = 2
 KILLED = -9
 
@@ -53,16 +55,12 @@ def serving(server: RtdeServer) -> Iterator[Network]:
 
 
 class RememberedArm:
-    """An arm that keeps what its sensors gave: time [s], and each quantity (n,)."""
+    """An arm that keeps what its sensors gave, from its first measurement on, one a period."""
 
     def __init__(self, arm: SimulatedArm) -> None:
-        self._arm = arm
         self.times: list[float] = []
-        self.positions: list[FloatArray] = []
-        self.velocities: list[FloatArray] = []
-        self.currents: list[FloatArray] = []
-        self.targets: list[FloatArray] = []
-        self.temperatures: list[FloatArray] = []
+        self._arm = arm
+        self._measured: list[dict[str, FloatArray]] = []
         self.set_target, self.halt, self.advance = arm.set_target, arm.halt, arm.advance
         self.heat, self.block = arm.heat, arm.block
 
@@ -73,12 +71,12 @@ class RememberedArm:
     def measure(self) -> MeasurementLike:
         measured = self._arm.measure()
         self.times.append(self._arm.time)
-        self.positions.append(measured.position.copy())
-        self.velocities.append(measured.velocity.copy())
-        self.currents.append(measured.current.copy())
-        self.targets.append(measured.target_position.copy())
-        self.temperatures.append(measured.temperature.copy())
+        self._measured.append({quantity: getattr(measured, quantity).copy() for quantity in QUANTITIES})
         return measured
+
+    def values(self, quantity: str) -> FloatArray:
+        """(N, n) in SI units and °C."""
+        return np.array([measured[quantity] for measured in self._measured])
 
 
 class PythonControl:

@@ -1,0 +1,24 @@
+"""`dynid` with time limits that no stall of a busy computer passes, for runs in real time.
+
+The motion process imports this file, too, as the main module of its parent.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from daq import safety
+from drivers.rtde import motion, receiver
+
+PATIENCE = 60.0
+
+safety.STALE_FLOOR = safety.TRACKING_WINDOW = PATIENCE
+safety.Limits.of_robot.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defined]
+receiver.SILENCE_LIMIT = PATIENCE
+motion.SILENCE_LIMIT = motion.PATIENCE = motion.STOP_LIMIT = PATIENCE
+motion.WATCHDOG_RATE = 0.25
+
+if __name__ == "__main__":
+    from drivers.command import main
+
+    sys.exit(main())
