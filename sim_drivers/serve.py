@@ -122,16 +122,6 @@ def _served(robot_file: RobotFile, wire: str, host: str, version: str, seed: int
     return served
 
 
-def serve(server: RtdeServer, name: str, joints: Sequence[str], *, live: bool) -> None:
-    """Start an RTDE server, say so in one JSON object on standard output, and wait for Ctrl-C or SIGTERM.
-
-    Raises:
-        ConnectionFailedError: an address cannot be listened on.
-        WorkError: the simulation broke down.
-    """
-    serve_until_interrupted(_ServedRtde(server, joints), name, live=live)
-
-
 def serve_until_interrupted(served: Served, name: str, *, live: bool) -> None:
     """Start a simulated device, say so in one JSON object on standard output, and wait for Ctrl-C or SIGTERM.
 

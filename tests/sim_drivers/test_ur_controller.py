@@ -43,7 +43,7 @@ def command(controller: Controller, number: int, *vector: float, integer: int = 
     controller.step()
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(JOINTS, JOINTS, JOINTS, st.floats(1.0, 5.0), st.floats(5.0, 40.0))
 def test_movej_arrives_smoothly_within_its_limits(
     start: np.ndarray, velocity: np.ndarray, target: np.ndarray, speed: float, acceleration: float
@@ -61,7 +61,7 @@ def test_movej_arrives_smoothly_within_its_limits(
     assert np.max(np.abs(step)) <= acceleration * PERIOD**2
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(JOINTS, st.floats(0.5, 40.0))
 def test_stopping_takes_the_time_that_the_deceleration_says(velocity: np.ndarray, deceleration: float) -> None:
     references = run(VelocityRamp(Reference(np.zeros(6), velocity, np.zeros(6)), np.zeros(6), deceleration))
@@ -201,7 +201,7 @@ def test_stop_script_brakes_a_moving_arm() -> None:
     assert arm.safety_mode == NORMAL
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(
     st.lists(st.tuples(st.integers(-5, 300), st.lists(st.floats(), min_size=24, max_size=24)), max_size=8),
     st.integers(-3, 3),

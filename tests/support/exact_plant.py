@@ -1,8 +1,7 @@
-"""A plant that follows its target exactly, for tests of what stands in front of it; run as a program, it is served."""
+"""A plant that follows its target exactly, for tests of what stands in front of it."""
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,19 +74,3 @@ class ExactPlant:
             current,
             10.0 * current,
         )
-
-
-def main() -> None:
-    from sim_drivers.rtde_server import RtdeServer
-    from sim_drivers.serve import serve
-
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--host", default="127.0.0.1")
-    parser.add_argument("--version", default="5.22")
-    arguments = parser.parse_args()
-    server = RtdeServer(ExactPlant(), host=arguments.host, version=arguments.version)
-    serve(server, "exact", JOINT_NAMES, live=False)
-
-
-if __name__ == "__main__":
-    main()

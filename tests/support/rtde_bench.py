@@ -10,16 +10,18 @@ import struct
 import subprocess
 import sys
 import textwrap
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.rtde import wire
 
+LIMIT = 60.0
+"""How long [s] anything may take before it counts as hung."""
 ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
 _numbers = itertools.count(1)
@@ -49,30 +51,29 @@ def served(*command: str) -> Iterator[tuple[dict[str, object], subprocess.Popen[
         yield json.loads(line), process
     finally:
         process.terminate()
-        process.communicate(timeout=60)
-
-
-@contextmanager
-def served_exact(version: str = "5.22") -> Iterator[str]:
-    """The address of a served arm that follows its target exactly."""
-    host = loopback()
-    with served("tests/support/exact_plant.py", "--host", host, "--version", version):
-        yield host
+        process.communicate(timeout=LIMIT)
 
 
 def ur_rtde(code: str, *hosts: str) -> dict[str, object]:
-    """Run a program of ur_rtde in its own process, where it may hang; it fills the dictionary `out`."""
+    """Run a program of ur_rtde in its own process, where it may hang; it fills the dictionary `out`.
+
+    It may `wait` for a condition, for as long as the whole program may take.
+    """
     program = (
         "import json, math, sys, time\n"
+        "import numpy as np\n"
         "from rtde_receive import RTDEReceiveInterface as Receive\n"
         "from rtde_control import RTDEControlInterface as Control\n"
         "from rtde_io import RTDEIOInterface as IO\n"
         "hosts, out = sys.argv[1:], {}\n"
+        "def wait(condition):\n"
+        "    while not condition():\n"
+        "        time.sleep(0.002)\n"
         f"{textwrap.dedent(code)}\n"
         "print('OUT' + json.dumps(out))\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program, *hosts], capture_output=True, text=True, timeout=60, env=ENVIRONMENT
+        [sys.executable, "-c", program, *hosts], capture_output=True, text=True, timeout=LIMIT, env=ENVIRONMENT
     )
     lines = [line for line in done.stdout.splitlines() if line.startswith("OUT")]
     assert lines, done.stdout + done.stderr
@@ -82,10 +83,11 @@ def ur_rtde(code: str, *hosts: str) -> dict[str, object]:
 
 
 class BareClient:
-    """A socket that speaks RTDE as UR's own Python client does: no comma behind the last name."""
+    """A connected socket that speaks RTDE as UR's own Python client does: no comma behind the last name."""
 
-    def __init__(self, host: str, port: int, *, greet: bool = True) -> None:
-        self.sock = socket.create_connection((host, port), timeout=60.0)
+    def __init__(self, sock: socket.socket, clock: Clock = SYSTEM_CLOCK, *, greet: bool = True) -> None:
+        self.sock = sock
+        self._clock = clock
         self._splitter = wire.PackageSplitter()
         self._received: list[wire.Package] = []
         if greet:
@@ -100,9 +102,11 @@ class BareClient:
     def send(self, kind: int, payload: bytes = b"") -> None:
         self.sock.sendall(wire.encode_package(kind, payload))
 
-    def next(self) -> wire.Package:
-        """The next package; EOFError where the server hung up."""
+    def next(self, seconds: float = LIMIT) -> wire.Package:
+        """The next package; EOFError where the server hung up, TimeoutError where nothing comes for so long [s]."""
         while not self._received:
+            if not self._clock.select([self.sock], [], seconds)[0]:
+                raise TimeoutError
             chunk = self.sock.recv(65536)
             if not chunk:
                 raise EOFError
@@ -135,11 +139,17 @@ class BareClient:
         decoded: npt.NDArray[np.void] = wire.decode_data(self._recipe, package.raw)[0]
         return decoded
 
-    def until(self, condition: object, seconds: float = 60.0) -> npt.NDArray[np.void]:
+    def until(
+        self, condition: Callable[[npt.NDArray[np.void]], object], seconds: float = LIMIT
+    ) -> npt.NDArray[np.void]:
         """The first row that fulfils a condition."""
-        assert callable(condition)
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
+        end = self._clock.now() + seconds
+        while self._clock.now() < end:
             if condition(row := self.row()):
                 return row
         raise AssertionError("it did not happen")
+
+
+def connected(host: str) -> BareClient:
+    """A client of a controller's RTDE port, in real time."""
+    return BareClient(socket.create_connection((host, wire.PORT), timeout=LIMIT))

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from rtde_bench import ENVIRONMENT, ROOT, BareClient, loopback, served
+from rtde_bench import ENVIRONMENT, LIMIT, ROOT, connected, loopback, served
 from rtde_in_process import HOST, NOWHERE, Motions, RememberedArm, serving
 from simulated_clock import START, SimulatedClock
 
@@ -353,7 +353,6 @@ def test_a_busy_computer_delays_a_motion_and_costs_no_sample(bench: Bench, tmp_p
 
 # From here on in real time: the processes of a recording, with ur_rtde, on a computer that may stall.
 
-LIMIT = 60.0
 SIMULATOR = ("-c", "import sys; from drivers.command import main; sys.exit(main())", "sim", "ur5e", "--no-ui", "--host")
 
 
@@ -379,14 +378,14 @@ def recording(host: str, out: Path, *arguments: str) -> Iterator[subprocess.Pope
 
 
 def wait_for_motion(host: str) -> None:
-    with BareClient(host, 30004) as client:
+    with connected(host) as client:
         client.stream(["runtime_state", "actual_qd"])
         client.until(lambda row: row["runtime_state"] == PLAYING and np.any(np.abs(row["actual_qd"]) > 0.05))
 
 
 def wait_for_rest(host: str) -> None:
     """Until no program runs and the arm stands."""
-    with BareClient(host, 30004) as client:
+    with connected(host) as client:
         client.stream(["runtime_state", "actual_qd"])
         client.until(lambda row: row["runtime_state"] == STOPPED and np.all(np.abs(row["actual_qd"]) < 5e-3))
 
