@@ -30,7 +30,8 @@ SILENCE_LIMIT = 0.5
 """Without a fresh data package for this long [s] the connection counts as lost."""
 BUFFER_SECONDS = 60.0
 """How long [s] `take` may stay away before the oldest packages are dropped."""
-CHUNK_BYTES = 1 << 16
+CHUNK_BYTES = 1 << 18
+"""More than a second of samples: what came during a stall is to be handed out together."""
 TIMESTAMP = "timestamp"
 _TIMESTAMP_AT = struct.Struct(">d")
 _TIMESTAMP_OFFSET = wire.HEADER_SIZE + 1
@@ -344,9 +345,11 @@ class RtdeReceiver:
         if connection is None:
             return ("not connected", "")
         fresh = self._clock.now()
-        while self._early:
-            if self._keep(self._early.popleft(), fresh) is None:
-                return None
+        with self._arrival:
+            self._arrival.notify_all()
+            while self._early:
+                if self._keep(self._early.popleft(), fresh) is None:
+                    return None
         for _ in self._splitter.feed(b""):  # raises where the fault came together with the answer
             pass
         while True:
@@ -354,17 +357,20 @@ class RtdeReceiver:
             arrived = self._clock.now()
             if not chunk:
                 return ("the controller closed the connection", "")
-            for package in self._splitter.feed(chunk):
-                kept = self._keep(package, arrived)
-                if kept is None:
-                    return None
-                if kept:
-                    fresh = arrived
+            # All at once: whoever takes the first samples after a stall must not mistake it for silence of the rest.
+            with self._arrival:
+                self._arrival.notify_all()
+                for package in self._splitter.feed(chunk):
+                    kept = self._keep(package, arrived)
+                    if kept is None:
+                        return None
+                    if kept:
+                        fresh = arrived
             if arrived - fresh >= SILENCE_LIMIT:  # something comes, but nothing new
                 raise TimeoutError
 
     def _keep(self, package: wire.Package, arrived: float) -> bool | None:
-        """Whether the package brought a new sample; None where it ends the flow."""
+        """Whether the package brought a new sample; None where it ends the flow. To be called with `_arrival` held."""
         if package.kind == wire.PAUSE and self._pausing:
             return None
         if package.kind == wire.TEXT_MESSAGE:
@@ -380,14 +386,12 @@ class RtdeReceiver:
         if not (clock > self._last_stored and math.isfinite(clock)):
             raise ConnectionLostError(f"the controller's clock jumped from {self._last_stored:.3f} s to {clock:.3f} s")
         self._last_stored = clock
-        with self._arrival:
-            if len(self._ring) >= BUFFER_SECONDS * self.rate:
-                self._ring.popleft()
-                if not self.overflow:
-                    self._tell("warning", f"not read for {BUFFER_SECONDS:g} s: the oldest samples are dropped")
-                self.overflow += 1
-            self._ring.append((raw, arrived))
-            self._arrival.notify_all()
+        if len(self._ring) >= BUFFER_SECONDS * self.rate:
+            self._ring.popleft()
+            if not self.overflow:
+                self._tell("warning", f"not read for {BUFFER_SECONDS:g} s: the oldest samples are dropped")
+            self.overflow += 1
+        self._ring.append((raw, arrived))
         return True
 
     def _count_lost(self, clock: FloatArray) -> int:
