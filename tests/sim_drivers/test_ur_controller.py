@@ -144,14 +144,16 @@ def test_a_protective_stop_can_be_unlocked_after_five_seconds() -> None:
 
 def test_the_watchdog_ends_the_program_when_commands_stay_away() -> None:
     arm = controller()
-    command(arm, 35, 10.0)
+    command(arm, 35, 9.9)
     command(arm, 0)
     for _ in range(100):
         command(arm, 9, 0.1, 0, 0, 0, 0, 0, 1.0, 0.0)
-    assert arm.script is not None
+    last = arm.arm.time - PERIOD  # of the last command
+    while arm.script is not None:
+        arm.step()
+    assert arm.arm.time - PERIOD - last == pytest.approx(0.102)  # the first period that begins after 1/9.9 s
     for _ in range(100):
         arm.step()
-    assert arm.script is None
     np.testing.assert_array_equal(arm.reference.velocity, 0.0)
 
 

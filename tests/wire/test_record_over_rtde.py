@@ -237,7 +237,8 @@ def test_a_silent_controller_is_stopped_when_its_data_are_stale(bench: Bench, tm
     assert bench.times()[-1] == pytest.approx(NEXT_PERIOD)
     silence = bench.stop_event()[0] - bench.times()[-1]
     assert STALE_FLOOR < silence < STALE_FLOOR + READ_TIMEOUT + 1e-9
-    assert bench.ended == pytest.approx(NEXT_PERIOD + 3.0, abs=0.1)  # until the controller could confirm the stop
+    # The controller confirms the stop when it can: its watchdog has ended the program meanwhile.
+    assert bench.ended == pytest.approx(NEXT_PERIOD + 3.0)
 
 
 def test_a_motion_process_that_is_killed_ends_the_motion(bench: Bench, tmp_path: Path) -> None:
@@ -390,6 +391,7 @@ def wait_for_rest(host: str) -> None:
         client.until(lambda row: row["runtime_state"] == STOPPED and np.all(np.abs(row["actual_qd"]) < 5e-3))
 
 
+@pytest.mark.slow
 @pytest.mark.realtime
 def test_dynid_moves_an_arm_through_ur_rtde_and_records_it_to_its_end(tmp_path: Path) -> None:
     host, out, path = loopback(), tmp_path / "run.h5", trajectory(tmp_path, 1.5)
@@ -406,6 +408,7 @@ def test_dynid_moves_an_arm_through_ur_rtde_and_records_it_to_its_end(tmp_path: 
     assert np.ptp(found.streams["joints"].channels["position"].values, axis=0).min() > 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.realtime
 def test_ctrl_c_in_mid_motion_halts_the_arm_and_closes_the_file(tmp_path: Path) -> None:
     host, out = loopback(), tmp_path / "run.h5"
@@ -425,6 +428,7 @@ def test_ctrl_c_in_mid_motion_halts_the_arm_and_closes_the_file(tmp_path: Path) 
     assert_no_sample_is_missing(found.streams["joints"].time)
 
 
+@pytest.mark.slow
 @pytest.mark.realtime
 def test_the_controllers_watchdog_ends_the_program_when_all_of_dynid_is_killed(tmp_path: Path) -> None:
     host, out = loopback(), tmp_path / "run.h5"

@@ -12,7 +12,7 @@ from rtde_bench import connected, loopback, served, ur_rtde
 
 from sim_drivers.rtde_server import RtdeServer
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.slow]
 GOAL = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6]
 
 
