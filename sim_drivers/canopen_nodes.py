@@ -1,4 +1,4 @@
-"""Simulated CiA 402 drives on a python-can bus, in wall-clock time.
+"""Simulated CiA 402 drives on a python-can bus, in the time of a clock.
 
 One thread does everything. Frames are taken with the time of their arrival, run through the bus model together with
 the drives' own, and those go out when they would have been over on a real bus. When the machine stalls, what was
@@ -8,7 +8,6 @@ missed is made up for: frames come late then, but are lost only where a real bus
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,10 +18,11 @@ import can
 import numpy as np
 
 from daq.robot import Robot
+from drivers.can_arrival import ArrivalClock
 from drivers.can_bus import close_bus, open_bus
 from drivers.canopen402.objects import STATE_OPERATIONAL, TPDO1
 from drivers.canopen402.settings import CanopenSettings
-from drivers.clock import set_timer_slack
+from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
 from drivers.errors import ConnectionLostError
 from sim_drivers.bus_load import Frame, exact_bits
 from sim_drivers.can_faults import (
@@ -45,9 +45,6 @@ LONGEST_WAIT = 0.005
 """Between two looks at the drives [s]; the arm moves without any frame, too."""
 GRANULARITY = 0.25e-3
 """Frames that are over within so short a time [s] go out together, not one wake-up each."""
-CLOCK_CHECK = 0.1
-OLDEST = 1.0
-"""A frame's time stamp further from now than this [s] is not believed."""
 STOP_TIMEOUT = 5.0
 LOAD_WINDOW = 1.0
 """Of the bus load in the status [s]."""
@@ -84,6 +81,7 @@ class CanopenServer:
         swapped: two joints (from 0) whose drives have each other's node id.
         length: of a frame on the bus [bit].
         adapter: in front of the bus, if there is one; started and stopped with the drives.
+        clock: the host's.
 
     Attributes:
         network: the drives; not to be touched while they run.
@@ -100,22 +98,23 @@ class CanopenServer:
         swapped: tuple[int, int] | None = None,
         length: Callable[[Frame], int] = exact_bits,
         adapter: SlcanAdapter | None = None,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self.settings = settings
+        self._clock = clock
         self.joints = robot.joint_names
-        self.network = DriveNetwork(arm, robot, settings, time.monotonic(), swapped=swapped, length=length)
+        self.network = DriveNetwork(arm, robot, settings, self._clock.now(), swapped=swapped, length=length)
         self.messages: deque[str] = deque(maxlen=100)
         self.failure: BaseException | None = None
         self.adapter = adapter
         self._arm = arm
         self._faults: SimpleQueue[CanFault] = SimpleQueue()
-        self._stopping = threading.Event()
+        self._stopping = clock.event()
         self._thread: threading.Thread | None = None
         self._bus: can.BusABC | None = None
-        self._clock_offset, self._clock_checked = 0.0, -1e9
         self._silent_until = self._deaf_until = 0.0
         self._drop = self._truncate = self._faulted = 0
-        self._loads: deque[tuple[float, int]] = deque([(time.monotonic(), 0)])
+        self._loads: deque[tuple[float, int]] = deque([(self._clock.now(), 0)])
         self._generator = np.random.default_rng(0)
 
     def __enter__(self) -> Self:
@@ -137,7 +136,8 @@ class CanopenServer:
         self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
         if self.adapter is not None:
             self.adapter.start()
-        self._thread = threading.Thread(target=self._run, args=(self._bus,), name="canopen-nodes", daemon=True)
+        self._stamps = ArrivalClock(self._bus, self._clock)
+        self._thread = self._clock.thread(self._run, "canopen-nodes", (self._bus,))
         self._thread.start()
 
     def stop(self) -> None:
@@ -162,7 +162,7 @@ class CanopenServer:
 
     def status(self) -> CanopenStatus:
         """What the drives are at."""
-        counts, now = self.network.counts, time.monotonic()
+        counts, now = self.network.counts, self._clock.now()
         self._loads.append((now, counts.bits))
         while len(self._loads) > 2 and self._loads[1][0] < now - LOAD_WINDOW:
             self._loads.popleft()
@@ -202,11 +202,11 @@ class CanopenServer:
         try:
             set_timer_slack()
             while not self._stopping.is_set():
-                now = time.monotonic()
+                now = self._clock.now()
                 due = min(self.network.next_end() + GRANULARITY, now + LONGEST_WAIT)
                 self._receive(bus, max(due - now, 0.0))
                 self._obey_faults(bus)
-                now = time.monotonic()
+                now = self._clock.now()
                 silent = now < self._silent_until
                 for sent in self.network.advance(now):
                     if silent:
@@ -245,18 +245,10 @@ class CanopenServer:
         content = bytes(message.dlc) if remote else bytes(message.data)
         if message.dlc != len(content):
             return
-        if time.monotonic() < self._deaf_until:
+        if self._clock.now() < self._deaf_until:
             return
         frame = Frame(identifier, content, message.is_extended_id, remote)
-        self.network.arrive(frame, self._arrival(message.timestamp))
-
-    def _arrival(self, stamp: float) -> float:
-        """When a frame came, in the monotonic clock, from its stamp in the clock of day."""
-        now = time.monotonic()
-        if now - self._clock_checked > CLOCK_CHECK:
-            self._clock_offset, self._clock_checked = time.time() - now, now
-        came = stamp - self._clock_offset
-        return came if now - OLDEST < came < now else now
+        self.network.arrive(frame, self._stamps.arrived(message))
 
     def _transmit(self, bus: can.BusABC, frame: Frame) -> None:
         content, length = frame.data, len(frame.data)
@@ -287,7 +279,7 @@ class CanopenServer:
                 return
 
     def _cause(self, bus: can.BusABC, fault: CanFault) -> None:
-        now = time.monotonic()
+        now = self._clock.now()
         match fault:
             case Drop(frames):
                 self._drop += frames

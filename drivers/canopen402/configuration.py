@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -28,6 +27,7 @@ from drivers.canopen402.state_machine import (
     drive_state,
     supports_mode,
 )
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError
 
 PROBE_LIMIT = 1.0
@@ -85,7 +85,13 @@ class Configured:
     notices: tuple[Notice, ...]
 
 
-def configure(drives: Sequence[Drive], settings: CanopenSettings, sender: Sender, deadline: float) -> Configured:
+def configure(
+    drives: Sequence[Drive],
+    settings: CanopenSettings,
+    sender: Sender,
+    deadline: float,
+    clock: Clock = SYSTEM_CLOCK,
+) -> Configured:
     """Put drives into pre-operational, check them, and configure their error control and their PDOs.
 
     Args:
@@ -93,6 +99,7 @@ def configure(drives: Sequence[Drive], settings: CanopenSettings, sender: Sender
         settings: of the connection.
         sender: of the bus.
         deadline: [s, host's monotonic clock].
+        clock: the host's.
 
     Raises:
         ConnectionFailedError: a drive does not answer, is not the right one, or refuses something.
@@ -105,7 +112,7 @@ def configure(drives: Sequence[Drive], settings: CanopenSettings, sender: Sender
     for drive in drives:
         drive.deadline = deadline
         sender.send(objects.NMT, bytes([objects.NMT_PRE_OPERATIONAL, drive.node]))
-    _probe(drives, deadline)
+    _probe(drives, deadline, clock)
     mode = MODES[settings.mode]
     serials = {drive.joint: drive.read_optional(objects.SERIAL) for drive in drives}
     for drive, node in zip(drives, settings.nodes, strict=True):
@@ -114,7 +121,7 @@ def configure(drives: Sequence[Drive], settings: CanopenSettings, sender: Sender
     identities, controls = [], []
     for drive, node in zip(drives, settings.nodes, strict=True):
         if mode is not None:
-            for message in _bring_to_rest(drive):
+            for message in _bring_to_rest(drive, clock):
                 tell("warning", message)
         identity, contradictions = _identify(drive, node, serials[drive.joint])
         for message in contradictions:
@@ -137,38 +144,38 @@ def configure(drives: Sequence[Drive], settings: CanopenSettings, sender: Sender
     return Configured(tuple(identities), scaling, tuple(controls), tuple(notices))
 
 
-def _probe(drives: Sequence[Drive], deadline: float) -> None:
-    end = min(deadline, time.monotonic() + PROBE_LIMIT)
+def _probe(drives: Sequence[Drive], deadline: float, clock: Clock) -> None:
+    end = min(deadline, clock.now() + PROBE_LIMIT)
     silent = list(drives)
     while silent:
         for drive in silent:
             drive.ask_for(objects.DEVICE_TYPE)
-        again = min(end, time.monotonic() + ANSWER_LIMIT)
-        while any(not drive.answers for drive in silent) and time.monotonic() < again:
-            time.sleep(1e-3)
+        again = min(end, clock.now() + ANSWER_LIMIT)
+        while any(not drive.answers for drive in silent) and clock.now() < again:
+            clock.sleep(1e-3)
         silent = [drive for drive in silent if not drive.answers]
-        if silent and time.monotonic() >= end:
+        if silent and clock.now() >= end:
             who = ", ".join(drive.where for drive in silent)
             if len(silent) == len(drives):
                 hint = "is the power on, the bus terminated, and the bit rate the drives' own?"
             else:
                 hint = "is this drive on the bus, and does it have this node id?"
             raise ConnectionFailedError(f"no answer from {who}", hint=hint)
-    time.sleep(SECOND_ANSWER)
+    clock.sleep(SECOND_ANSWER)
     for drive in drives:
-        if drive.answers > 1 and (count := _answers_to_one_question(drive)) > 1:
+        if drive.answers > 1 and (count := _answers_to_one_question(drive, clock)) > 1:
             raise ConnectionFailedError(
                 f"{count} devices answer to one node id", where=drive.where, hint="give each its own node id"
             )
 
 
-def _answers_to_one_question(drive: Drive) -> int:
+def _answers_to_one_question(drive: Drive, clock: Clock) -> int:
     """How many devices have this node id; a drive that was asked again may have answered late, and so twice."""
     drive.ask_for(objects.DEVICE_TYPE)
-    end = time.monotonic() + ANSWER_LIMIT
-    while not drive.answers and time.monotonic() < end:
-        time.sleep(1e-3)
-    time.sleep(SECOND_ANSWER)
+    end = clock.now() + ANSWER_LIMIT
+    while not drive.answers and clock.now() < end:
+        clock.sleep(1e-3)
+    clock.sleep(SECOND_ANSWER)
     return drive.answers
 
 
@@ -204,13 +211,13 @@ def _check_serial(drive: Drive, node: NodeSettings, serials: Mapping[str, int | 
     )
 
 
-def _bring_to_rest(drive: Drive) -> list[str]:
+def _bring_to_rest(drive: Drive, clock: Clock) -> list[str]:
     """Stop a drive that was left enabled, reset a fault; what was done, in words."""
     state = drive_state(drive.read(objects.STATUSWORD))
     told = []
     if state in POWERED:
         drive.write(objects.CONTROLWORD, QUICK_STOP)
-        _wait_for(drive, lambda now: now not in POWERED)
+        _wait_for(drive, lambda now: now not in POWERED, clock)
         drive.write(objects.CONTROLWORD, DISABLE_VOLTAGE)
         told.append(f"{drive.where} was still powered ({state.value}); it was stopped")
         state = drive_state(drive.read(objects.STATUSWORD))
@@ -219,20 +226,20 @@ def _bring_to_rest(drive: Drive) -> list[str]:
         cause = "" if not code else f": {describe_error(code)} (0x{code:04X})"
         drive.write(objects.CONTROLWORD, DISABLE_VOLTAGE)
         drive.write(objects.CONTROLWORD, FAULT_RESET)
-        state = _wait_for(drive, lambda now: now not in FAULTY)
+        state = _wait_for(drive, lambda now: now not in FAULTY, clock)
         drive.write(objects.CONTROLWORD, DISABLE_VOLTAGE)
         gone = "its fault was reset" if state not in FAULTY else "its fault stays: it can be recorded but not moved"
         told.append(f"{drive.where} was in fault{cause}; {gone}")
     return told
 
 
-def _wait_for(drive: Drive, met: Callable[[DriveState], bool]) -> DriveState:
-    end = time.monotonic() + SETTLE_LIMIT
+def _wait_for(drive: Drive, met: Callable[[DriveState], bool], clock: Clock) -> DriveState:
+    end = clock.now() + SETTLE_LIMIT
     while True:
         state = drive_state(drive.read(objects.STATUSWORD))
-        if met(state) or time.monotonic() > end:
+        if met(state) or clock.now() > end:
             return state
-        time.sleep(0.005)
+        clock.sleep(0.005)
 
 
 def _identify(drive: Drive, node: NodeSettings, serial: int | None) -> tuple[Identity, list[str]]:

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import threading
-import time
 from collections import deque
 from collections.abc import Sequence
 
@@ -63,7 +61,8 @@ class Canopen402Driver:
         self._mode = MODES[self._settings.mode]
         self._state: State = "closed"
         self._notices: deque[Notice] = deque()
-        self._motion_lock = threading.Lock()
+        self._clock = settings.clock
+        self._motion_lock = self._clock.lock()
         self._motion: Motion | None = None
         self._halted = False
         self._bus: can.BusABC | None = None
@@ -84,20 +83,21 @@ class Canopen402Driver:
             DriverStateError: it is open already.
         """
         require_state(self._state, "closed", "open")
-        deadline = time.monotonic() + self._settings.timeout
+        deadline = self._clock.now() + self._settings.timeout
         settings = self._settings
         self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
         try:
-            self._sender = Sender(self._bus)
+            self._sender = Sender(self._bus, self._clock)
             network = CanopenNetwork(self._sender)
             stored = frozenset(base + node for base in objects.TPDO_BASES for node in self._ids)
-            self._receiver = Receiver(self._bus, stored, network.take)
+            self._receiver = Receiver(self._bus, stored, network.take, self._clock)
             self._receiver.start()
-            self._drives = [Drive(network, joint, node) for joint, node in zip(self._joints, self._ids, strict=True)]
+            pairs = zip(self._joints, self._ids, strict=True)
+            self._drives = [Drive(network, joint, node, self._clock) for joint, node in pairs]
             self._configured = self._configure(deadline, network)
-            self._sync = SyncProducer(self._sender, settings.sync_rate, self._outputs)
+            self._sync = SyncProducer(self._sender, settings.sync_rate, self._outputs, self._clock)
             self._watch = self._make_watch()
-            self._sdo_stop = SdoStop(self._sender, self._ids)
+            self._sdo_stop = SdoStop(self._sender, self._ids, self._clock)
             self._silence = Silence(self._joints, self._ids, self._receiver.latest)
             for node in self._ids:
                 network.subscribe(objects.EMCY + node, self._watch.on_emergency)
@@ -145,7 +145,7 @@ class Canopen402Driver:
         self._halted = False
         for node in self._ids:
             self._sender.send(objects.NMT, bytes([objects.NMT_START, node]))
-        self._last_row, self._asked = time.monotonic(), self._sync.count
+        self._last_row, self._asked = self._clock.now(), self._sync.count
         self._sync.start()
         self._watch.start(self._last_row)
         if self._poll is not None:
@@ -162,14 +162,14 @@ class Canopen402Driver:
             ConnectionLostError: the adapter is gone, or a drive does not answer SYNC.
         """
         require_state(self._state, "running", "read")
-        deadline = time.monotonic() + timeout
+        deadline = self._clock.now() + timeout
         blocks: list[Block] = []
         while not blocks:
-            left = max(0.0, deadline - time.monotonic())
+            left = max(0.0, deadline - self._clock.now())
             frames = self._receiver.take(left, self._aligner.wanted)
             aligned = self._aligner.feed(frames, self._sync.take(), self._receiver.drained)
             blocks = [*self._joints_block(aligned), *self._thermal_blocks()]
-            if time.monotonic() >= deadline:
+            if self._clock.now() >= deadline:
                 break
         self._watch.check_presence(self._receiver.drained)
         self._check_silence()
@@ -258,13 +258,13 @@ class Canopen402Driver:
         """Which drives do not answer SYNC, in words; empty where all do, or of another stream (see `drivers.base`)."""
         if stream != "joints" or self._state != "running":
             return ""
-        return self._silence.explain(self._receiver.drained, time.monotonic() - self._sync.latest, limit)
+        return self._silence.explain(self._receiver.drained, self._clock.now() - self._sync.latest, limit)
 
     def close(self) -> None:
         """Let go of the bus; safe in every state."""
         self.stop()
         if self._life is not None:
-            release(self._drives, self._configured.controls)  # while they still hear from us
+            release(self._drives, self._configured.controls, self._clock)  # while they still hear from us
         self._disconnect()
         self._state = "closed"
 
@@ -272,8 +272,8 @@ class Canopen402Driver:
         settings = self._settings
         try:
             if settings.mode != "none" and settings.guarding is None:
-                check_own_id(Drive(network, "dynid", settings.own_id))
-            configured = configure(self._drives, self._settings, self._sender, deadline)
+                check_own_id(Drive(network, "dynid", settings.own_id, self._clock), self._clock)
+            configured = configure(self._drives, self._settings, self._sender, deadline, self._clock)
             for drive, node in zip(self._drives, self._settings.nodes, strict=True):
                 if node.temperature is not None:
                     read_temperature(drive, node.temperature)  # a wrong index shows here, not in the recording
@@ -288,18 +288,18 @@ class Canopen402Driver:
         standstill = STANDSTILL / np.abs(self._configured.scaling.radians_per_count)
         period = 1.0 / self._settings.sync_rate
         latest, sender, beside = self._receiver.latest, self._sender, self._sdo_stop
-        return Motion(self._joints, self._ids, mode, period, list(standstill), latest, sender, beside)
+        return Motion(self._joints, self._ids, mode, period, list(standstill), latest, sender, beside, self._clock)
 
     def _make_watch(self) -> DriveWatch:
         settings, ids, count = self._settings, self._ids, len(self._ids)
         presence: Presence
         if (guarding := settings.guarding) is not None:
             presence = NodeGuarding(count, guarding.period, guarding.factor)
-            self._life = guard_requests(self._sender, ids, guarding.period, presence.ask)
+            self._life = guard_requests(self._sender, ids, guarding.period, presence.ask, self._clock)
         else:
             presence = Heartbeats(count, settings.heartbeat)
-            moved = settings.mode != "none"
-            self._life = heartbeat(self._sender, settings.own_id, settings.heartbeat) if moved else None
+            if settings.mode != "none":
+                self._life = heartbeat(self._sender, settings.own_id, settings.heartbeat, self._clock)
         controls = self._configured.controls
         expected, watching = [one.present for one in controls], [one.watching is not None for one in controls]
         return DriveWatch(self._joints, ids, expected, presence, watching, self._sync.clock)
@@ -307,7 +307,8 @@ class Canopen402Driver:
     def _make_poll(self) -> TemperaturePoll | None:
         sources = [node.temperature for node in self._settings.nodes]
         drives = [drive for drive, source in zip(self._drives, sources, strict=True) if source is not None]
-        return TemperaturePoll(drives, [source for source in sources if source is not None]) if drives else None
+        known = [source for source in sources if source is not None]
+        return TemperaturePoll(drives, known, self._clock) if drives else None
 
     def _joints_with_temperature(self) -> tuple[str, ...]:
         pairs = zip(self._joints, self._settings.nodes, strict=True)

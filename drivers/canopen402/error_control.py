@@ -5,7 +5,6 @@ Objects of CiA 301, 7.5.2, and the abort connection option 0x6007 of CiA 402-2.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,6 +22,7 @@ from drivers.canopen402.objects import (
 from drivers.canopen402.presence import HEARTBEATS_MISSED
 from drivers.canopen402.sdo import ANSWER_LIMIT, Drive, abort_code
 from drivers.canopen402.settings import CanopenSettings
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError, ConnectionLostError
 
 OWN_ID_ANSWER = 0.05
@@ -101,24 +101,24 @@ def warnings_of(controls: Sequence[tuple[str, ErrorControl]], settings: CanopenS
     return told
 
 
-def check_own_id(own: Drive) -> None:
+def check_own_id(own: Drive, clock: Clock = SYSTEM_CLOCK) -> None:
     """Make sure that no device on the bus has dynid's node id.
 
     Raises:
         ConnectionFailedError: one has.
     """
     own.ask_for(DEVICE_TYPE)
-    end = time.monotonic() + OWN_ID_ANSWER
-    while time.monotonic() < end:
+    end = clock.now() + OWN_ID_ANSWER
+    while clock.now() < end:
         if own.answers:
             raise ConnectionFailedError(
                 f"a device on the bus has node id {own.node}, under which dynid would send its heartbeat",
                 hint="set the connection's 'own_id' to a node id that no device has",
             )
-        time.sleep(1e-3)
+        clock.sleep(1e-3)
 
 
-def release(drives: Sequence[Drive], controls: Sequence[ErrorControl]) -> None:
+def release(drives: Sequence[Drive], controls: Sequence[ErrorControl], clock: Clock = SYSTEM_CLOCK) -> None:
     """Let drives watch dynid no longer, so that its leaving is no error; never raises, and waits for nobody long."""
     asked = []
     for drive, control in zip(drives, controls, strict=True):
@@ -129,9 +129,9 @@ def release(drives: Sequence[Drive], controls: Sequence[ErrorControl]) -> None:
         except ConnectionLostError:
             return
         asked.append(drive)
-    end = time.monotonic() + min(RELEASE_LIMIT, ANSWER_LIMIT)
-    while any(not drive.answers for drive in asked) and time.monotonic() < end:
-        time.sleep(1e-3)
+    end = clock.now() + min(RELEASE_LIMIT, ANSWER_LIMIT)
+    while any(not drive.answers for drive in asked) and clock.now() < end:
+        clock.sleep(1e-3)
 
 
 def _watch_heartbeat(drive: Drive, settings: CanopenSettings) -> DriveObject | None:

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import struct
-import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -34,6 +32,7 @@ from drivers.canopen402.state_machine import (
     drive_state,
 )
 from drivers.canopen402.target_path import TargetPath
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionLostError, DriverStateError
 
 STOP_LIMIT = 3.0
@@ -83,6 +82,7 @@ class Motion:
         latest: identifier → the newest frame; written by the receiving thread.
         sender: of the bus.
         beside: reaches drives that no longer answer SYNC.
+        clock: the host's.
     """
 
     def __init__(
@@ -95,6 +95,7 @@ class Motion:
         latest: Mapping[int, Frame],
         sender: Sender,
         beside: SdoStop,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self._joints, self._ids, self._mode = tuple(joints), tuple(ids), mode
         self._period = period
@@ -102,8 +103,9 @@ class Motion:
         self._latest = latest
         self._sender = sender
         self._beside = beside
+        self._clock = clock
         self._phase: Phase = "idle"
-        self._halted = threading.Event()
+        self._halted = clock.event()
         self._controlword = DISABLE_VOLTAGE
         self._targets = [0] * len(self._ids)
         self._path = TargetPath(self._targets, period)
@@ -154,13 +156,13 @@ class Motion:
         Raises:
             DriverStateError: a drive is in fault, does not come along in time, or the motion was halted meanwhile.
         """
-        deadline = time.monotonic() + timeout
+        deadline = self._clock.now() + timeout
         self._check_faults()
         self._phase = "enabling"
         try:
             for controlword, goal in ENABLING:
                 self._controlword = controlword
-                asked = time.monotonic()
+                asked = self._clock.now()
                 self._wait(partial(_reached, asked, goal), goal, deadline)
                 if goal is DriveState.READY:
                     self._wait(lambda heard: heard.mode == self._mode, None, deadline)
@@ -182,7 +184,7 @@ class Motion:
             raise DriverStateError(f"the arm does not move: {reason}", hint="start again before the next motion")
         if np.any(np.abs(counts) > 2**31 - 1):
             raise ValueError("a target does not fit into 32 bits of counts")
-        self._path.put(time.monotonic(), [int(count) for count in counts])
+        self._path.put(self._clock.now(), [int(count) for count in counts])
 
     def halt(self) -> None:
         """Quick-stop all drives with the next SYNC, without waiting; safe at any time."""
@@ -213,18 +215,18 @@ class Motion:
     def _send_until(
         self, sync_runs: Callable[[], bool], settled: Callable[[int, float], bool], limit: float
     ) -> list[str]:
-        asked = time.monotonic()
+        asked = self._clock.now()
         with contextlib.suppress(ConnectionLostError):
-            self._sender.send_all(self.outputs(time.monotonic()))  # now, not only after the next SYNC
+            self._sender.send_all(self.outputs(self._clock.now()))  # now, not only after the next SYNC
         while True:
             if not sync_runs():
                 with contextlib.suppress(ConnectionLostError):
-                    self._sender.send_all([*self.outputs(time.monotonic()), (SYNC, b"")])
-                time.sleep(5.0 * _POLL)
+                    self._sender.send_all([*self.outputs(self._clock.now()), (SYNC, b"")])
+                self._clock.sleep(5.0 * _POLL)
             open_ones = [joint for index, joint in enumerate(self._joints) if not settled(index, asked)]
-            if not open_ones or time.monotonic() - asked > limit:
+            if not open_ones or self._clock.now() - asked > limit:
                 return open_ones
-            time.sleep(_POLL)
+            self._clock.sleep(_POLL)
 
     def _at_rest(self, index: int, asked: float) -> bool:
         heard = self.heard(index)
@@ -298,9 +300,9 @@ class Motion:
             behind = [index for index, one in enumerate(heard) if one is None or not met(one)]
             if not behind:
                 return
-            if time.monotonic() > deadline:
+            if self._clock.now() > deadline:
                 raise self._too_late(behind[0], heard[behind[0]], goal)
-            time.sleep(_POLL)
+            self._clock.sleep(_POLL)
 
     def _too_late(self, index: int, heard: Heard | None, goal: DriveState | None) -> DriverStateError:
         where = f"{self._joints[index]} (node {self._ids[index]})"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -16,6 +15,7 @@ from drivers.can_bus import Sender
 from drivers.canopen402 import objects
 from drivers.canopen402.emcy import NOT_THERE, describe_abort
 from drivers.canopen402.objects import DriveObject
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError
 
 ANSWER_LIMIT = 0.3
@@ -46,6 +46,26 @@ class CanopenNetwork(Network):
         self._sender.send(can_id, bytes(data))
 
 
+class _Client(SdoClient):
+    """canopen's client, but waiting for answers on a clock of ours."""
+
+    def __init__(self, node: int, clock: Clock) -> None:
+        dictionary = ObjectDictionary()  # type: ignore[no-untyped-call]
+        super().__init__(objects.SDO_REQUEST + node, objects.SDO_ANSWER + node, dictionary)  # type: ignore[no-untyped-call]
+        self._answered = clock.condition()
+
+    def on_response(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        with self._answered:
+            super().on_response(can_id, data, timestamp)  # type: ignore[no-untyped-call]
+            self._answered.notify_all()
+
+    def read_response(self) -> bytes:
+        with self._answered:
+            if not self._answered.wait_for(lambda: not self.responses.empty(), ANSWER_LIMIT):
+                raise SdoCommunicationError(f"no answer within {ANSWER_LIMIT:g} s")
+        return bytes(super().read_response())  # type: ignore[no-untyped-call]
+
+
 class Drive:
     """The object dictionary of one drive, read and written by SDO.
 
@@ -53,19 +73,16 @@ class Drive:
         network: that answers are handed to.
         joint: that it moves.
         node: its id.
+        clock: the host's.
     """
 
-    def __init__(self, network: Network, joint: str, node: int) -> None:
+    def __init__(self, network: Network, joint: str, node: int, clock: Clock = SYSTEM_CLOCK) -> None:
         self.joint, self.node = joint, node
         self.where = f"{joint} (node {node})"
         self.deadline = math.inf
-        self._client = SdoClient(  # type: ignore[no-untyped-call]
-            objects.SDO_REQUEST + node,
-            objects.SDO_ANSWER + node,
-            ObjectDictionary(),  # type: ignore[no-untyped-call]
-        )
+        self._clock = clock
+        self._client = _Client(node, clock)
         self._client.network = network
-        self._client.RESPONSE_TIMEOUT = ANSWER_LIMIT
         network.subscribe(objects.SDO_ANSWER + node, self._client.on_response)
 
     def ask_for(self, entry: DriveObject) -> None:
@@ -159,7 +176,7 @@ class Drive:
 
     @contextmanager
     def _in_words(self, entry: DriveObject, action: str) -> Iterator[None]:
-        if time.monotonic() > self.deadline:
+        if self._clock.now() > self.deadline:
             raise ConnectionFailedError(
                 "the configuration of the drives takes too long",
                 where=self.where,

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
 from collections.abc import Sequence
 
 from drivers.can_bus import Sender
 from drivers.canopen402.objects import CONTROLWORD, SDO_ANSWER, SDO_REQUEST, STATUSWORD
 from drivers.canopen402.state_machine import POWERED, DriveState, drive_state
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionLostError
 
 PATIENCE = 0.1
@@ -31,10 +31,11 @@ class SdoStop:
     Args:
         sender: of the bus.
         ids: node ids.
+        clock: the host's.
     """
 
-    def __init__(self, sender: Sender, ids: Sequence[int]) -> None:
-        self._sender, self._ids = sender, tuple(ids)
+    def __init__(self, sender: Sender, ids: Sequence[int], clock: Clock = SYSTEM_CLOCK) -> None:
+        self._sender, self._ids, self._clock = sender, tuple(ids), clock
         self._index = {node: index for index, node in enumerate(ids)}
         self._told = [(-math.inf, DriveState.UNKNOWN)] * len(self._ids)
         self._asked = [-math.inf] * len(self._ids)
@@ -53,7 +54,7 @@ class SdoStop:
             asked: when it was asked to be by PDO [s, host's monotonic clock]; what it said before does not count.
             controlword: for a drive that is still powered.
         """
-        now = time.monotonic()
+        now = self._clock.now()
         told, state = self._told[index]
         known = told > max(asked, self._asked[index])
         if known and state not in POWERED and state is not DriveState.UNKNOWN:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from drivers.base import Notice
 from drivers.canopen402.objects import DriveObject
 from drivers.canopen402.sdo import Drive
 from drivers.canopen402.settings import TemperatureSource
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError, ConnectionLostError
 from drivers.streams import FloatArray
 
@@ -44,22 +44,26 @@ class TemperaturePoll:
     Args:
         drives: those that have one.
         sources: where each keeps it.
+        clock: the host's.
     """
 
-    def __init__(self, drives: Sequence[Drive], sources: Sequence[TemperatureSource]) -> None:
+    def __init__(
+        self, drives: Sequence[Drive], sources: Sequence[TemperatureSource], clock: Clock = SYSTEM_CLOCK
+    ) -> None:
         self._drives = tuple(drives)
         self._sources = tuple(sources)
+        self._clock = clock
         self._readings: deque[Reading] = deque()
         self._notices: deque[Notice] = deque()
         self._told: dict[str, float] = {}
-        self._ending = threading.Event()
+        self._ending = clock.event()
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
         """Begin to ask."""
         self._ending.clear()
         self._readings.clear()
-        self._thread = threading.Thread(target=self._run, name="temperatures", daemon=True)
+        self._thread = self._clock.thread(self._run, "temperatures")
         self._thread.start()
 
     def finish(self) -> None:
@@ -88,12 +92,12 @@ class TemperaturePoll:
         return found
 
     def _run(self) -> None:
-        begin, turn, step = time.monotonic(), 0, 1.0 / (RATE * len(self._drives))
+        begin, turn, step = self._clock.now(), 0, 1.0 / (RATE * len(self._drives))
         while True:
             values = np.full(len(self._drives), math.nan)
             for index, (drive, source) in enumerate(zip(self._drives, self._sources, strict=True)):
                 turn += 1
-                if self._ending.wait(max(0.0, begin + turn * step - time.monotonic())):
+                if self._ending.wait(max(0.0, begin + turn * step - self._clock.now())):
                     return
                 try:
                     values[index] = read_temperature(drive, source)
@@ -101,11 +105,11 @@ class TemperaturePoll:
                     self._tell(drive, str(error))
                 except ConnectionLostError:
                     return  # the samples will say it
-            self._readings.append(Reading(time.monotonic(), values))
-            turn = max(turn, math.floor((time.monotonic() - begin) / step))
+            self._readings.append(Reading(self._clock.now(), values))
+            turn = max(turn, math.floor((self._clock.now() - begin) / step))
 
     def _tell(self, drive: Drive, message: str) -> None:
-        now = time.monotonic()
+        now = self._clock.now()
         if now - self._told.get(drive.joint, -math.inf) >= NOTICE_PERIOD:
             self._told[drive.joint] = now
             self._notices.append(Notice(math.nan, "warning", f"no temperature: {message}"))

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
-import re
-import time
+import math
 import tomllib
 from collections.abc import Callable
 from importlib.metadata import EntryPoint
@@ -9,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from canopen_bench import JOINTS, RATE, bench
-from scripted_drives import ScriptedDrive
+from canopen_bench import JOINTS, RATE, READ, bench
+from scripted_drives import FRAME_TIME, ScriptedDrive
 
 from drivers.base import DRIVERS_GROUP, Driver, DriverSettings
-from drivers.canopen402.driver import Canopen402Driver
+from drivers.can_bus import POLL
+from drivers.canopen402.driver import FIRST_ROW_LIMIT, SILENCE_LIMIT, Canopen402Driver
+from drivers.canopen402.watch import ALIGNMENT_PERIOD
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
-
-pytestmark = pytest.mark.usefixtures("punctual")
 
 TEMPERATURE: dict[str, object] = {"index": 0x2031, "subindex": 1, "scale": 0.1, "offset": -1.0}
 
@@ -31,12 +30,14 @@ def test_the_driver_is_registered() -> None:
 def test_blocks_are_what_the_streams_promise() -> None:
     with bench(nodes={"pan": {"temperature": TEMPERATURE}, "elbow": {"temperature": TEMPERATURE}}) as one:
         driver: Driver = one.driver
+        begun = one.clock.now()
         for drive in one.drives:
             drive.objects |= {(0x606C, 0): 100, (0x6077, 0): -200, (0x6078, 0): 300}
         layouts = {layout.name: layout for layout in driver.streams()}
         assert {name: layout.rate for name, layout in layouts.items()} == {"joints": RATE, "thermal": 5.0}
         assert layouts["thermal"].channels[0].columns == ("pan", "elbow")
-        one.read(lambda: len(one.slots) > 60 and len(one.blocks["thermal"]) > 1)
+        one.read_rows(60)
+        assert one.clock.now() - begun == pytest.approx(61 / RATE + FRAME_TIME)  # row 60 is sure with SYNC 61
         for name, layout in layouts.items():
             for block in one.blocks[name]:
                 assert set(block.values) == {channel.quantity for channel in layout.channels}
@@ -50,33 +51,34 @@ def test_blocks_are_what_the_streams_promise() -> None:
         assert np.allclose(one.joined("torque")[-1], -0.2 * 50.0)
         assert np.allclose(one.joined("current")[-1], 0.3 * 5.0)
         assert set(one.joined("statusword")[-1]) == {0x240}
-        assert np.all(one.joined("sync_lateness") >= 0)
-        assert np.median(one.joined("sync_lateness")) < 0.5 / RATE  # a single one may be late by any stall
+        np.testing.assert_allclose(one.joined("sync_lateness"), 0.0, atol=1e-12)
         assert np.allclose(one.blocks["thermal"][-1].values["temperature"], 30.2)
-        # The clock of the samples is SYNC's schedule; nothing comes twice; what is missing is counted.
-        assert len(set(one.slots)) == len(one.slots)
-        assert one.slots[-1] - one.slots[0] + 1 == len(one.slots) + one.lost
-        host = np.concatenate([block.host_time for block in one.blocks["joints"]])
-        clock = np.concatenate([block.time for block in one.blocks["joints"]])
-        assert abs(np.median(host - clock) - (time.monotonic() - clock[-1])) < 0.5
-        assert abs(one.blocks["thermal"][-1].time[-1] - clock[-1]) < 0.5
+        # The clock of the samples is SYNC's schedule: a row a SYNC, that came with the last of its six frames.
+        assert one.slots == list(range(1, 61))
+        assert one.lost == 0
+        for block in one.blocks["joints"]:
+            np.testing.assert_allclose(block.host_time - begun, block.time + 6 * FRAME_TIME, atol=2 * FRAME_TIME)
+        thermal = np.concatenate([block.time for block in one.blocks["thermal"]])
+        np.testing.assert_allclose(thermal, [0.2, 0.4, 0.6], atol=2 * FRAME_TIME)
+        np.testing.assert_allclose(thermal, [block.host_time[0] - begun for block in one.blocks["thermal"]])
 
 
 def test_a_dropped_frame_loses_its_row_and_names_the_drive() -> None:
     drive = ScriptedDrive(2)
     with bench([ScriptedDrive(1), drive, ScriptedDrive(3)]) as one:
-        one.read_rows(5)
-        begin = one.bus.syncs
-        drive.drop = {number: {1} for number in range(begin + 5, begin + 8)}
-        drive.repeat = {begin + 12: {0}}
+        drive.drop = {number: {1} for number in (10, 11, 12)}
+        drive.repeat = {17: {0}}
         one.read_rows(30)
-        assert one.lost >= 3
-        assert one.slots[-1] - one.slots[0] + 1 == len(one.slots) + one.lost
-        one.read(lambda: any("more than one" in text for text in one.said("warning")))
-        told = " ".join(one.said("warning"))
-        assert sum(int(count) for count in re.findall(r"no answer to SYNC: lift TPDO2 (\d+)", told)) == 3
-        assert "more than one answer to SYNC: lift TPDO1 1" in told
-        assert "pan" not in told
+        # SYNC number k is the (k + 1)th that the drive sees.
+        assert one.slots == [slot for slot in range(1, 34) if slot not in (11, 12, 13)]
+        assert one.lost == 3
+        one.read_rows(100)
+        told = [notice for notice in one.notices if notice.level == "warning"]
+        assert [one.message for one in told] == [
+            "no answer to SYNC: lift TPDO2 1",
+            "no answer to SYNC: lift TPDO2 2; more than one answer to SYNC: lift TPDO1 1",
+        ]
+        assert told[1].time - told[0].time == pytest.approx(ALIGNMENT_PERIOD, abs=1.01 / RATE)
 
 
 def test_a_drive_with_a_foreign_mapping_is_told() -> None:
@@ -92,8 +94,11 @@ def test_a_silent_drive_ends_the_reading_with_its_name() -> None:
     with bench() as one:
         one.read_rows(3)
         one.drives[2].present = False
+        last = one.blocks["joints"][-1].host_time[-1]
         with pytest.raises(ConnectionLostError, match=r"no answer of elbow \(node 3\)"):
             one.read(lambda: False)
+        # The row of the SYNC before was complete, but not sure yet.
+        assert 0.0 < one.clock.now() - last - 1 / RATE - SILENCE_LIMIT < READ + 1 / RATE
         (told,) = one.said("error")
         assert told.startswith("elbow (node 3): no heartbeat for 0.3")
         with pytest.raises(ConnectionLostError):
@@ -106,8 +111,10 @@ def test_no_answer_to_the_first_sync() -> None:
         for drive in one.drives:
             drive.present = False
         one.driver.start()
+        begun = one.clock.now()
         with pytest.raises(ConnectionLostError, match="no answer of any drive"):
             one.read(lambda: False)
+        assert FIRST_ROW_LIMIT < one.clock.now() - begun < FIRST_ROW_LIMIT + READ + POLL
 
 
 def test_a_heartbeat_that_stops_and_comes_back() -> None:
@@ -146,7 +153,8 @@ def test_emergencies_are_told_and_faults_are_errors() -> None:
         one.read(lambda: one.said("error"))
         assert one.said("error")[0].startswith("elbow: fault: following error (EMCY 0x8611")
         notice = next(notice for notice in one.notices if notice.level == "error")
-        assert abs(notice.time * RATE - one.slots[-1]) < 20
+        assert notice.time == one.slots[-1] / RATE  # of the first row that shows it, which has just come
+        assert (one.joined("statusword")[-2:, 2].astype(int) & 0x4F).tolist() == [0x40, 0x08]
 
 
 def test_warnings_of_the_statusword_are_told_once() -> None:
@@ -176,15 +184,18 @@ def test_a_wrong_temperature_object_shows_when_opening() -> None:
 def test_stop_and_start_again_on_one_clock() -> None:
     with bench() as one:
         one.read_rows(5)
-        first = one.slots[-1]
         one.driver.stop()
         one.driver.stop()
-        time.sleep(0.2)
+        one.clock.sleep(0.2)
         assert all(drive.nmt == 0x7F for drive in one.drives)
+        before = one.bus.syncs
         one.driver.start()
         one.read_rows(5)
-        assert one.slots[-1] > first + 0.2 * RATE
-        assert one.lost < 5  # the pause is no loss
+        assert one.bus.syncs == before + 6
+        first = math.floor((one.clock.now() - one.begun) * RATE) - 5
+        assert one.slots == [1, 2, 3, 4, 5, *range(first, first + 5)]
+        assert first > 25
+        assert one.lost == 0  # the pause is no loss
         one.driver.close()
         one.driver.close()
 

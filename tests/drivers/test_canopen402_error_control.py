@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from canopen_bench import Bench, bench
-from scripted_drives import ScriptedDrive
+from canopen_bench import RATE, READ, Bench, bench
+from scripted_drives import FRAME_TIME, ScriptedDrive
 
 from drivers.base import Attributing
+from drivers.can_bus import POLL
+from drivers.canopen402.error_control import RELEASE_LIMIT
 from drivers.errors import ConnectionFailedError, ConnectionLostError
-
-pytestmark = pytest.mark.usefixtures("punctual")
 
 NO_OBJECT, VALUE_RANGE, READ_ONLY = 0x06020000, 0x06090030, 0x06010002
 GUARDING: dict[str, object] = {"period": 0.05, "factor": 3}
@@ -26,23 +26,12 @@ def drives(**aborts: int) -> list[ScriptedDrive]:
     return [ScriptedDrive(1), ScriptedDrive(2, aborts=refused), ScriptedDrive(3)]
 
 
-def beats(one: Bench, own_id: int = 127) -> int:
-    """How many heartbeats of dynid were seen."""
-    seen = [data for identifier, data in list(one.bus.seen) if identifier == 0x700 + own_id]
-    assert set(seen) <= {b"\x05"}
-    return len(seen)
-
-
-def warnings(one: Bench) -> list[str]:
-    """What was warned of, but for SYNCs that a busy computer left out or whose answers it found late."""
-    return [text for text in one.said("warning") if "SYNC" not in text]
-
-
-def waited(condition: Callable[[], object], seconds: float = 2.0) -> bool:
-    end = time.monotonic() + seconds
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.005)
-    return bool(condition())
+def beats(one: Bench, own_id: int = 127) -> list[float]:
+    """When heartbeats of dynid were seen [s]."""
+    seen = zip(one.bus.times, one.bus.seen, strict=True)
+    found = [(time, data) for time, (identifier, data) in seen if identifier == 0x700 + own_id]
+    assert {data for _, data in found} <= {b"\x05"}
+    return [time for time, _ in found]
 
 
 def test_drives_that_move_watch_dynids_heartbeat_and_quick_stop_without_it() -> None:
@@ -52,17 +41,23 @@ def test_drives_that_move_watch_dynids_heartbeat_and_quick_stop_without_it() -> 
             assert drive.number(0x1016, 2) == 0
             assert drive.number(0x6007) == 3
             assert drive.number(0x1017) == 50
-        assert waited(lambda: beats(one) >= 4)
-        assert warnings(one) == []
-        begun, count = time.monotonic(), beats(one)
-        time.sleep(0.5)  # nobody reads or commands: it goes on
-        assert 5 <= beats(one) - count <= (time.monotonic() - begun) / 0.05 + 1
+        one.clock.sleep(0.975)  # nobody reads or commands
+        assert one.said("warning") == []
+        np.testing.assert_allclose(np.array(beats(one)) - one.begun, 0.05 * np.arange(20), atol=1e-9)
         one.driver.close()
         # The drives do not take dynid's leaving for a loss.
         assert [drive.number(0x1016, 1) for drive in one.drives] == [0, 0, 0]
-        gone = beats(one)
-        time.sleep(0.2)
-        assert beats(one) == gone
+        one.clock.sleep(0.2)
+        assert len(beats(one)) == 20
+
+
+def test_a_stall_makes_no_burst_of_heartbeats() -> None:
+    with bench(begin="open", heartbeat=0.05) as one:
+        one.clock.sleep(0.125)
+        one.clock.stall(0.32)  # six are due in it
+        one.clock.sleep(0.08)
+        expected = [0.0, 0.05, 0.1, 0.445, 0.445, 0.495]
+        np.testing.assert_allclose(np.array(beats(one)) - one.begun, expected, atol=1e-9)
 
 
 def test_where_nothing_moves_nothing_is_written_and_nothing_sent() -> None:
@@ -70,8 +65,8 @@ def test_where_nothing_moves_nothing_is_written_and_nothing_sent() -> None:
         one.read_rows(20)
         assert [drive.number(0x1016, 1) for drive in one.drives] == [0, 0, 0]
         assert [drive.number(0x6007) for drive in one.drives] == [1, 1, 1]
-        assert beats(one) == 0
-        assert warnings(one) == []
+        assert beats(one) == []
+        assert one.said("warning") == []
 
 
 def test_an_entry_that_is_dynids_already_or_free_is_taken_and_no_other() -> None:
@@ -82,7 +77,9 @@ def test_an_entry_that_is_dynids_already_or_free_is_taken_and_no_other() -> None
     with bench(changed, begin="open", own_id=100) as one:
         assert [drive.number(0x1016, 1) for drive in one.drives] == [5 << 16 | 700] * 3
         assert [drive.number(0x1016, 2) for drive in one.drives] == [100 << 16 | 300] * 2 + [6 << 16 | 700]
-        assert waited(lambda: beats(one, 100) > 1)
+        one.clock.sleep(0.45)
+        assert len(beats(one, 100)) == 5
+        assert beats(one, 127) == []
         (told,) = one.said("warning")
         assert told.startswith("elbow (node 3): no consumer heartbeat time (0x1016), or none that is free")
 
@@ -107,10 +104,10 @@ def test_what_a_drive_lacks_is_told_once(refused: dict[str, int], words: str) ->
 @pytest.mark.parametrize(("kept", "warned"), [(0, True), (1, False), (2, False), (-1, True)])
 def test_an_abort_option_that_cannot_be_changed(kept: int, warned: bool) -> None:
     class Stubborn(ScriptedDrive):
-        def answer(self, request: bytes) -> bytes | None:
+        def answer(self, request: bytes, now: float) -> bytes | None:
             if request[1:3] == b"\x07\x60" and request[0] != 0x40:
                 return b"\x80" + request[1:4] + VALUE_RANGE.to_bytes(4, "little")
-            return super().answer(request)
+            return super().answer(request, now)
 
     changed = [ScriptedDrive(1), Stubborn(2, objects={(0x6007, 0): kept}), ScriptedDrive(3)]
     with bench(changed, begin="open") as one:
@@ -139,14 +136,13 @@ def test_guarding_asks_every_drive_and_is_watched_in_turn() -> None:
             assert [drive.number(index) for index in (0x1017, 0x100C, 0x100D, 0x6007)] == [0, 50, 3, 3]
             assert drive.number(0x1016, 1) == 0
         one.read_rows(60)
-        asked = list(one.bus.requests)
-        assert beats(one) == 0
+        assert beats(one) == []
         for node in (1, 2, 3):
-            moments = [moment for moment, whom in asked if whom == node]
-            assert len(moments) > 8
-            assert 0.045 < np.median(np.diff(moments)) < 0.055
-        assert warnings(one) == []
-        assert one.said("error") == []
+            moments = np.array([moment for moment, whom in one.bus.requests if whom == node])
+            expected = 0.05 * (np.arange(len(moments)) + (node - 1) / 3)
+            np.testing.assert_allclose(moments - one.begun, expected, atol=8 * FRAME_TIME)
+            assert len(moments) == math.ceil((one.clock.now() - one.begun) / 0.05 - (node - 1) / 3)
+        assert one.said("warning") == one.said("error") == []
         one.driver.close()
         assert [drive.number(0x100D) for drive in one.drives] == [0, 0, 0]
 
@@ -155,10 +151,10 @@ def test_a_drive_that_answers_no_guarding_is_a_lost_one() -> None:
     with guarded() as one:
         one.read_rows(20)
         one.drives[1].beats = False
-        begun = time.monotonic()
+        first = one.begun + 0.05 / 3 + 0.05 * math.ceil((one.clock.now() - one.begun) / 0.05 - 1 / 3)
         one.read(lambda: one.said("error"))
-        # Three requests and the time of an answer, and what this computer takes to look.
-        assert 0.1 < time.monotonic() - begun < 0.6
+        # Three requests and the time of an answer; seen with the next frame that comes.
+        assert 0.0 <= one.clock.now() - first - 3 * 0.05 < READ + 1 / RATE
         assert one.said("error") == ["lift (node 2): no answer to 3 requests of node guarding; is its power on?"]
         one.drives[1].beats = True
         one.read(lambda: "lift: it answers node guarding again" in one.said("info"))
@@ -222,18 +218,17 @@ def test_a_silent_drive_has_a_name() -> None:
         one.read_rows(10)
         assert one.driver.silence("joints", 0.05) == ""
         one.drives[1].present = False
-        end = time.monotonic() + 0.12
-        while time.monotonic() < end:
+        end = one.clock.now() + 0.115
+        while one.clock.now() < end:
             one.driver.read(0.01)
-        said = one.driver.silence("joints", 0.05)
-        assert said.startswith("no answer to SYNC of lift (node 2) for 0.1")
+        assert one.driver.silence("joints", 0.05) == "no answer to SYNC of lift (node 2) for 0.11 s"
         assert one.driver.silence("thermal", 0.05) == ""
         for drive in one.drives:
             drive.present = False
-        time.sleep(0.15)
+        one.clock.sleep(0.15)
         assert one.driver.silence("joints", 0.05).startswith("no answer to SYNC of any drive for 0.")
         one.driver._sync.stop()
-        time.sleep(0.1)
+        one.clock.sleep(0.1)
         assert "this computer was late" in one.driver.silence("joints", 0.05)
         one.driver.stop()
         assert one.driver.silence("joints", 0.05) == ""
@@ -243,6 +238,6 @@ def test_leaving_takes_no_time_where_nobody_answers() -> None:
     with bench(begin="open") as one:
         for drive in one.drives:
             drive.present = False
-        begun = time.monotonic()
+        begun = one.clock.now()
         one.driver.close()
-        assert time.monotonic() - begun < 0.5
+        assert RELEASE_LIMIT <= one.clock.now() - begun < RELEASE_LIMIT + 1e-3 + POLL

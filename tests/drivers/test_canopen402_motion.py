@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import itertools
-import threading
-import time
 
 import numpy as np
 import pytest
-from canopen_bench import Bench, bench
-from scripted_drives import RAMP, ScriptedDrive
+from canopen_bench import RATE, READ, Bench, bench
+from scripted_drives import FRAME_TIME, RAMP, ScriptedDrive
 
+from drivers.can_bus import POLL
+from drivers.canopen402.motion import OFF_LIMIT
+from drivers.canopen402.sdo_stop import PATIENCE, REPEAT
 from drivers.errors import ConnectionLostError, DriverStateError
-
-pytestmark = pytest.mark.usefixtures("punctual")
 
 ENABLING = ["disabled", "ready", "switched on", "enabled"]
 
@@ -50,9 +49,10 @@ def test_targets_go_out_to_all_drives_after_the_next_sync() -> None:
         assert len(one.drives[0].targets) > 5
         assert one.said("error") == []
         sent = [identifier for identifier, _ in one.bus.seen if identifier == 0x80 or 0x200 < identifier < 0x280]
-        begun = sent.index(0x201)
-        cycles = sent[begun : begun + 40]
-        assert cycles == ([0x201, 0x202, 0x203, 0x80] * 10)[:40]
+        cycles = sent[sent.index(0x201) :]
+        assert cycles == ([0x201, 0x202, 0x203, 0x80] * len(cycles))[: len(cycles)]
+        times = [time for time, (identifier, _) in zip(one.bus.times, one.bus.seen, strict=True) if identifier == 0x80]
+        np.testing.assert_allclose(np.diff(times), 1 / RATE, atol=4 * FRAME_TIME)
 
 
 def test_a_jump_and_a_blind_start_are_refused() -> None:
@@ -80,8 +80,10 @@ def test_recording_only_never_enables() -> None:
 @pytest.mark.parametrize("stuck", ["ready", "switched on", "enabled"])
 def test_a_drive_that_does_not_come_along_keeps_all_from_moving(stuck: str) -> None:
     with bench(drives(ScriptedDrive(2, stuck={stuck})), timeout=0.5) as one:
+        begun = one.clock.now()
         with pytest.raises(DriverStateError, match="does not reach") as caught:
             one.enable()
+        assert 0.5 < one.clock.now() - begun < 0.5 + 4 / RATE + READ  # two rows first
         assert caught.value.where == "lift (node 2)"
         assert "safe-torque-off" in caught.value.hint
         one.read(lambda: not any(drive.state == "enabled" for drive in one.drives))
@@ -112,7 +114,12 @@ def test_a_fault_stops_the_others_at_once_and_is_an_error_with_its_cause() -> No
     with bench() as one:
         one.enable()
         one.bus.fail(2, 0x4310)
+        failed = len(one.bus.times)
         one.read(lambda: one.drives[0].state == "disabled" and one.drives[2].state == "disabled")  # without a stop
+        # The first SYNC after the fault shows it, the targets after the second one are quick stops.
+        after = [data[0] for identifier, data in one.bus.seen[failed:] if identifier in (0x201, 0x203)]
+        assert after[:2] == [0x0F, 0x0F]
+        assert set(after[2:]) == {0x02}
         assert one.drives[0].states == [*ENABLING, "quick stop", "disabled"]
         with pytest.raises(DriverStateError, match="lift left operation enabled: fault: drive temperature too high"):
             one.driver.command(one.position)
@@ -150,9 +157,10 @@ def test_a_drive_that_switches_itself_off_is_an_error_while_moving() -> None:
 def test_stop_is_a_quick_stop_until_rest_and_then_off(stays: bool) -> None:
     with bench([ScriptedDrive(node, quick_stop_stays=stays) for node in (1, 2, 3)]) as one:
         one.enable()
-        begun = time.monotonic()
+        begun = one.clock.now()
         one.driver.stop()
-        assert RAMP <= time.monotonic() - begun < 1.0
+        # The next SYNC applies the quick stop, another one tells of the rest, one more of the voltage.
+        assert RAMP < one.clock.now() - begun <= RAMP + 3 / RATE + POLL
         for drive in one.drives:
             assert drive.controlwords == [0x00, 0x06, 0x07, 0x0F, 0x02, 0x00]
             assert drive.states == [*ENABLING, "quick stop", "disabled"]
@@ -177,7 +185,9 @@ def test_a_drive_that_ignores_the_quick_stop_is_switched_off_after_a_limit(monke
     monkeypatch.setattr("drivers.canopen402.motion.STOP_LIMIT", 0.3)
     with bench(drives(ScriptedDrive(2, ignores_quick_stop=True))) as one:
         one.enable()
+        begun = one.clock.now()
         one.driver.stop()
+        assert 0.3 < one.clock.now() - begun < 0.3 + OFF_LIMIT
         assert off(one)
         assert one.said("error") == ["lift: the drive did not confirm that it is at rest and off"]
 
@@ -193,13 +203,13 @@ def test_stop_while_enabling() -> None:
             except DriverStateError as error:
                 refused.append(error)
 
-        thread = threading.Thread(target=command)
+        thread = one.clock.thread(command, "command")
         thread.start()
         one.read(lambda: one.drives[0].state == "switched on")
-        begun = time.monotonic()
+        begun = one.clock.now()
         one.driver.stop()
-        assert time.monotonic() - begun < 2.0
-        thread.join(1.0)
+        assert one.clock.now() - begun <= 3 / RATE + POLL
+        thread.join()
         assert "being stopped" in refused[0].message
         assert off(one)
 
@@ -222,10 +232,11 @@ def test_drives_that_left_operational_are_stopped_and_asked_by_sdo(by_itself: bo
         gone = one.drives[1]
         gone.nmt = 0x7F  # no RPDO, no TPDO
         if by_itself:
-            gone.control(0x02)
-        begun = time.monotonic()
+            gone.control(0x02, one.clock.now())
+        begun = one.clock.now()
         one.driver.stop()
-        assert time.monotonic() - begun < 1.5
+        # Silent ones are asked by SDO after a while, and again until they say that they are off.
+        assert 2 * PATIENCE < one.clock.now() - begun < 2 * PATIENCE + RAMP + 4 * REPEAT
         assert all(drive.states[-2:] == ["quick stop", "disabled"] for drive in one.drives)
         assert (0x602, bytes.fromhex("40 41 60 00 00 00 00 00")) in one.bus.seen
         assert ((0x602, bytes.fromhex("2b 40 60 00 02 00 00 00")) in one.bus.seen) != by_itself
@@ -242,10 +253,10 @@ def test_stop_with_the_whole_bus_gone_neither_raises_nor_hangs(monkeypatch: pyte
             one.read(lambda: False)
         with pytest.raises(ConnectionLostError):
             one.driver.command(one.position)
-        begun = time.monotonic()
+        begun = one.clock.now()
         one.driver.stop()
         one.driver.close()
-        assert time.monotonic() - begun < 2.0
+        assert 0.0 < one.clock.now() - begun - 0.2 - OFF_LIMIT < POLL + 0.02
         assert len(one.said("error")) == 3
 
 

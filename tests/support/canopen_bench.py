@@ -1,15 +1,14 @@
-"""A canopen402 driver and scripted drives on one virtual bus."""
+"""A canopen402 driver and scripted drives on one virtual bus, in simulated time."""
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 from scripted_drives import ScriptedBus, ScriptedDrive
+from simulated_clock import SimulatedClock, simulated_time
 
 from drivers.base import DriverSettings, Notice
 from drivers.canopen402.driver import Canopen402Driver
@@ -18,14 +17,19 @@ from drivers.streams import Block, FloatArray
 
 JOINTS = ("pan", "lift", "elbow")
 RATE = 100.0
+READ = 0.02
+"""How long [s] one reading waits."""
 
 
 @dataclass
 class Bench:
     """Both ends of the bus, and what was read."""
 
+    clock: SimulatedClock
     bus: ScriptedBus
     driver: Canopen402Driver
+    begun: float
+    """When it was started, where that was done here [s]."""
     blocks: dict[str, list[Block]] = field(default_factory=lambda: {"joints": [], "thermal": []})
     notices: list[Notice] = field(default_factory=list)
 
@@ -35,12 +39,12 @@ class Bench:
 
     def read(self, until: Callable[[], object], seconds: float = 3.0) -> None:
         """Read until a condition holds."""
-        end = time.monotonic() + seconds
+        end = self.clock.now() + seconds
         while not until():
-            for block in self.driver.read(0.02):
+            for block in self.driver.read(READ):
                 self.blocks[block.stream].append(block)
             self.notices += self.driver.notices()
-            assert time.monotonic() < end, (self.notices, [drive.states for drive in self.drives])
+            assert self.clock.now() < end, (self.notices, [drive.states for drive in self.drives])
 
     def read_rows(self, count: int) -> None:
         """Read so many more rows."""
@@ -79,7 +83,7 @@ class Bench:
             except DynidError as caught:
                 error.append(caught)
 
-        thread = threading.Thread(target=command)
+        thread = self.clock.thread(command, "command")
         thread.start()
         self.read(lambda: not thread.is_alive(), 5.0)
         if error:
@@ -96,7 +100,23 @@ def bench(
     **keys: object,
 ) -> Iterator[Bench]:
     """Drives with ids 1, 2, …; the driver is begun as far as "closed", "open" or "running"."""
-    bus = ScriptedBus(list(drives) if drives is not None else [ScriptedDrive(n + 1) for n in range(len(joints))])
+    with simulated_time() as clock:
+        present = list(drives) if drives is not None else [ScriptedDrive(n + 1) for n in range(len(joints))]
+        bus = ScriptedBus(present, clock)
+        try:
+            yield from _served(bus, clock, joints, nodes, begin, keys)
+        finally:
+            bus.close()
+
+
+def _served(
+    bus: ScriptedBus,
+    clock: SimulatedClock,
+    joints: Sequence[str],
+    nodes: dict[str, dict[str, object]] | None,
+    begin: str,
+    keys: dict[str, object],
+) -> Iterator[Bench]:
     node_keys = {joint: {"id": n + 1, **(nodes or {}).get(joint, {})} for n, joint in enumerate(joints)}
     connection: dict[str, object] = {
         "interface": "virtual",
@@ -105,13 +125,12 @@ def bench(
         "timeout": 3.0,
         "nodes": node_keys,
     }
-    driver = Canopen402Driver(DriverSettings(tuple(joints), connection | keys, ()))
+    driver = Canopen402Driver(DriverSettings(tuple(joints), connection | keys, (), clock=clock))
     try:
         if begin != "closed":
             driver.open()
         if begin == "running":
             driver.start()
-        yield Bench(bus, driver)
+        yield Bench(clock, bus, driver, clock.now())
     finally:
         driver.close()
-        bus.close()

@@ -5,12 +5,10 @@ from __future__ import annotations
 import itertools
 import os
 import struct
-import threading
-import time
-from collections import deque
 from dataclasses import dataclass, field
 
 import can
+from simulated_clock import SimulatedClock
 
 _channels = itertools.count()
 SIZES = {
@@ -56,6 +54,10 @@ STATUS = {
 }
 RAMP = 0.05
 """How long [s] a quick stop takes."""
+FRAME_TIME = 1e-4
+"""How long [s] a frame of the drives takes on the bus."""
+LOOK = 0.005
+"""Between two looks at what a test may have changed [s]."""
 
 
 def channel() -> str:
@@ -89,6 +91,8 @@ class ScriptedDrive:
     """Whether it sends heartbeats and answers guarding."""
     alternates: bool = True
     """Whether the toggle bit of its answers to guarding alternates."""
+    slowness: float = 0.0
+    """How long it takes to answer SDO requests [s]."""
     short_tpdo: bool = False
     nmt: int = 0x7F
     controlwords: list[int] = field(default_factory=list)
@@ -168,7 +172,7 @@ class ScriptedDrive:
         self.enter("fault")
         return struct.pack("<HB5x", code, register)
 
-    def control(self, word: int) -> None:
+    def control(self, word: int, now: float) -> None:
         before, self._controlword = self._controlword, word
         if word != before or not self.controlwords:
             self.controlwords.append(word)
@@ -181,7 +185,7 @@ class ScriptedDrive:
         elif command & 0x06 == 0x02:
             if self.state == "enabled" and not self.ignores_quick_stop:
                 self.enter("quick stop")
-                self._ramp_until = time.monotonic() + RAMP
+                self._ramp_until = now + RAMP
                 self.objects[0x606C, 0] = 50000
             elif self.state in ("ready", "switched on"):
                 self.enter("disabled")
@@ -201,21 +205,32 @@ class ScriptedDrive:
         self._toggle ^= 0x80 if self.alternates else 0
         return answer
 
-    def tick(self) -> None:
-        """What happens by itself."""
-        if self.state == "quick stop" and time.monotonic() >= self._ramp_until:
+    def due(self, now: float) -> float:
+        """When something happens by itself [s]."""
+        beat = max(self._next_beat, now) if self.beats and self.present and self.number(0x1017) else now + LOOK
+        return min(now + LOOK, beat, self._ramp_until if self.state == "quick stop" else now + LOOK)
+
+    def tick(self, now: float) -> bool:
+        """What happens by itself; whether it sends a heartbeat."""
+        if self.state == "quick stop" and now >= self._ramp_until:
             self.objects[0x606C, 0] = 0
+            self._ramp_until = now + RAMP
             if not self.quick_stop_stays:
                 self.enter("disabled")
+        period = 1e-3 * self.number(0x1017)
+        if not (self.present and self.beats and period) or now < self._next_beat:
+            return False
+        self._next_beat = now + period
+        return True
 
-    def apply(self) -> None:
+    def apply(self, now: float) -> None:
         """SYNC: the RPDO counts now."""
         data, self._received = self._received, None
         if data is None:
             return
         word, mode, target = struct.unpack("<Hbi", data)
         self.objects[0x6060, 0] = mode
-        self.control(word)
+        self.control(word, now)
         if self.state != "enabled":
             return
         if mode == 8 or (word & 0x10 and not self._acknowledged):
@@ -240,7 +255,7 @@ class ScriptedDrive:
         assert isinstance(value, int)
         return value
 
-    def answer(self, request: bytes) -> bytes | None:
+    def answer(self, request: bytes, now: float) -> bytes | None:
         command, index, subindex = request[0], int.from_bytes(request[1:3], "little"), request[3]
         if command == 0x80:
             return None
@@ -279,33 +294,40 @@ class ScriptedDrive:
             return abort(0x08000022)  # the mapping of an enabled PDO
         self.objects[index, subindex] = value
         if index == 0x6040:
-            self.control(value)
+            self.control(value, now)
         return b"\x60" + head + bytes(4)
 
 
 class ScriptedBus:
-    """Serves drives on a virtual bus in a thread."""
+    """Serves drives on a virtual bus in a thread, in simulated time."""
 
-    def __init__(self, drives: list[ScriptedDrive], name: str | None = None) -> None:
+    def __init__(self, drives: list[ScriptedDrive], clock: SimulatedClock, name: str | None = None) -> None:
         self.drives = drives
+        self.clock = clock
         self.channel = name or channel()
         self.syncs = 0
-        self.seen: deque[tuple[int, bytes]] = deque(maxlen=20000)
+        self.seen: list[tuple[int, bytes]] = []
         """Every data frame of the master: identifier, data."""
-        self.requests: deque[tuple[float, int]] = deque(maxlen=20000)
+        self.times: list[float] = []
+        """When each of them came [s]."""
+        self.requests: list[tuple[float, int]] = []
         """Every remote frame: time, node that is asked."""
         self.bus = can.Bus(interface="virtual", channel=self.channel, ignore_config=True)
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._ending = False
+        self._thread = clock.thread(self._serve, "scripted drives")
         self._thread.start()
 
     def close(self) -> None:
-        self._ending.set()
+        self._ending = True
         self._thread.join()
         self.bus.shutdown()
 
     def send(self, identifier: int, data: bytes) -> None:
         self.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+
+    def _answer(self, identifier: int, data: bytes) -> None:
+        self.clock.sleep(FRAME_TIME)
+        self.send(identifier, data)
 
     def fail(self, node: int, code: int = 0x4310) -> None:
         """A drive falls into fault and says so."""
@@ -319,14 +341,11 @@ class ScriptedBus:
         self.send(0x700 + node, b"\0")
 
     def _serve(self) -> None:
-        while not self._ending.is_set():
-            message = self.bus.recv(0.005)
-            now = time.monotonic()
+        while not self._ending:
+            now = self.clock.now()
+            message = self.bus.recv(min(drive.due(now) for drive in self.drives) - now)
             for drive in self.drives:
-                drive.tick()
-                period = drive.number(0x1017)
-                if drive.present and drive.beats and period and now >= drive._next_beat:
-                    drive._next_beat = now + 1e-3 * period
+                if drive.tick(self.clock.now()):
                     self.send(0x700 + drive.node, bytes([drive.nmt]))
             if message is not None and message.is_remote_frame:
                 self._take_request(message)
@@ -335,20 +354,21 @@ class ScriptedBus:
 
     def _take_request(self, message: can.Message) -> None:
         assert message.dlc == 1
-        self.requests.append((time.monotonic(), message.arbitration_id - 0x700))
+        self.requests.append((self.clock.now(), message.arbitration_id - 0x700))
         for drive in self.drives:
             if drive.present and drive.beats and message.arbitration_id == 0x700 + drive.node:
                 assert not drive.number(0x1017)
-                self.send(message.arbitration_id, drive.guard_answer())
+                self._answer(message.arbitration_id, drive.guard_answer())
 
     def _take(self, identifier: int, data: bytes) -> None:
         self.seen.append((identifier, data))
+        self.times.append(self.clock.now())
         present = [drive for drive in self.drives if drive.present]
         if identifier == 0x80:
             number, self.syncs = self.syncs, self.syncs + 1
             for drive in present:
                 if drive.nmt == 5:
-                    drive.apply()
+                    drive.apply(self.times[-1])
                     for tpdo in (0, 1):
                         entry = drive.number(0x1800 + tpdo, 1)
                         if entry & 0x80000000 or drive.number(0x1800 + tpdo, 2) != 1:
@@ -356,7 +376,7 @@ class ScriptedBus:
                         if tpdo in drive.drop.get(number, ()):
                             continue
                         for _ in range(2 if tpdo in drive.repeat.get(number, ()) else 1):
-                            self.send(entry & 0x7FF, drive.tpdo(tpdo))
+                            self._answer(entry & 0x7FF, drive.tpdo(tpdo))
         elif identifier == 0x000:
             for drive in present:
                 if data[1] in (0, drive.node):
@@ -364,8 +384,9 @@ class ScriptedBus:
         else:
             for drive in present:
                 if identifier == 0x600 + drive.node:
-                    reply = drive.answer(data)
+                    reply = drive.answer(data, self.times[-1])
                     if reply is not None:
-                        self.send(0x580 + drive.node, reply)
+                        self.clock.sleep(drive.slowness)
+                        self._answer(0x580 + drive.node, reply)
                 elif identifier == drive.number(0x1400, 1) and drive.nmt == 5:
                     drive._received = data
