@@ -364,7 +364,7 @@ def test_a_stall_of_the_machine_loses_nothing() -> None:
     assert bench.network.counts.stalls == 1
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(st.integers(0, 0x7FF), st.binary(max_size=8)), max_size=30))
 def test_no_frames_break_the_drives(frames: list[tuple[int, bytes]]) -> None:
     bench = Bench(ExactPlant())

@@ -34,7 +34,7 @@ def test_a_ramp_stands_after_the_way_that_physics_says(velocity: float, decelera
     assert reference.position == pytest.approx(1.0 + velocity * abs(velocity) / (2 * deceleration), abs=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.floats(-6, 6), st.floats(-2, 2), st.floats(0.3, 3), st.floats(0.5, 40), st.floats(0.5, 40))
 def test_a_profile_arrives_within_its_limits(
     target: float, velocity: float, speed: float, acceleration: float, deceleration: float
