@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 
 import can
+import numpy as np
 import pytest
 from simulated_clock import START, SimulatedClock, simulated_time
 
@@ -39,6 +40,31 @@ def test_threads_run_in_the_order_of_their_times() -> None:
             thread.join()
         assert not any(thread.is_alive() for thread in threads)
     assert said == [(2.0, "a"), (3.0, "b"), (4.0, "a"), (6.0, "b"), (6.0, "a"), (9.0, "b")]
+
+
+def test_suspended_threads_go_on_later_and_the_others_run_meanwhile() -> None:
+    said: list[tuple[float, str]] = []
+
+    def speak(name: str, clock: SimulatedClock) -> None:
+        for _ in range(4):
+            clock.sleep(1.0)
+            said.append((clock.now() - START, name))
+
+    with simulated_time() as clock:
+        threads = [clock.thread(speak, name, (name, clock)) for name in "ab"]
+        for thread in threads:
+            thread.start()
+        event = clock.event()
+        waiting = clock.thread(lambda: said.append((event.wait() and clock.now() - START, "c")), "c")
+        waiting.start()
+        clock.call_at(START + 1.5, lambda: clock.suspend(1.7, but=("b",)))
+        clock.call_at(START + 2.0, event.set)
+        for thread in (*threads, waiting):
+            thread.join()
+    assert said == [(1, "a"), (1, "b"), (2, "b"), (3, "b"), *said[4:]]
+    assert said[4][0] == said[5][0] == pytest.approx(3.2)
+    assert {said[4][1], said[5][1]} == {"a", "c"}
+    np.testing.assert_allclose([time for time, _ in said[6:]], [4.0, 4.2, 5.2])
 
 
 def test_events_conditions_locks_and_joins_wait_in_simulated_time() -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import select
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
 from typing import Any
@@ -52,6 +52,7 @@ class SimulatedClock(Clock):
         self._test = threading.get_ident()
         self._members = {self._test: "the test"}
         self._turns = 0
+        self._held: dict[int | None, float] = {}
         self._failure: str | None = None
         self._ended = False
         self.errors: list[BaseException] = []
@@ -76,6 +77,11 @@ class SimulatedClock(Clock):
         """Let time pass while no other thread runs, as on a computer that is busy with another program."""
         self._now += seconds
         self._turns = 0
+
+    def suspend(self, seconds: float, but: Collection[str]) -> None:
+        """Let no thread run for so long but those of these names, and new ones, as when their process is stopped."""
+        held = [thread for thread, name in self._members.items() if name not in but]
+        self._held = dict.fromkeys(held, self._now + seconds)
 
     def wait(self, ready: Callable[[], object], seconds: float | None = None) -> bool:
         """Let other threads run until something is true or `seconds` have passed; whether it is true.
@@ -163,11 +169,11 @@ class SimulatedClock(Clock):
         """Take who goes on next out of the list, and let time pass until it does."""
         waiter = None
         if self._failure is None:
-            waiter = next((one for one in self._waiters if one.deadline <= self._now or one.ready()), None)
+            waiter = next((one for one in self._waiters if self._may_go_on(one)), None)
         if waiter is None and self._failure is None:
-            waiter = min(self._waiters, key=lambda one: one.deadline)
-            if waiter.deadline < math.inf:
-                self._now = waiter.deadline
+            waiter = min(self._waiters, key=self._limit)
+            if self._limit(waiter) < math.inf:
+                self._now = max(self._now, self._limit(waiter))
                 self._turns = 0
             else:
                 names = ", ".join(sorted(self._members.values()))
@@ -177,6 +183,16 @@ class SimulatedClock(Clock):
         assert waiter is not None
         self._waiters.remove(waiter)
         return waiter
+
+    def _may_go_on(self, waiter: _Waiter) -> bool:
+        if self._held.get(waiter.thread, -math.inf) > self._now:
+            return False
+        return waiter.deadline <= self._now or bool(waiter.ready())
+
+    def _limit(self, waiter: _Waiter) -> float:
+        """When a waiter goes on at the latest, or may do so again."""
+        until = self._held.get(waiter.thread, -math.inf)
+        return max(waiter.deadline, until) if until <= self._now or not waiter.ready() else until
 
     def _leave(self) -> None:
         del self._members[threading.get_ident()]

@@ -1,0 +1,243 @@
+"""Recordings of a simulated UR5e with drives on CANopen, in one process and in simulated time.
+
+Plant, drives, bus, driver, session, player, supervisor and recorder are those of production.
+"""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import can
+import numpy as np
+import yaml
+from simulated_clock import DAY, SimulatedClock, simulated_time
+
+from daq.recorder import Recorder
+from daq.recording import Recording, read_recording
+from daq.robot import RobotFile, load_robot, parse_robot
+from daq.safety import Limits, Supervisor
+from daq.session import Play, SessionReport, load_driver, record
+from daq.trajectories import Motion
+from daq.trajectory_file import load_trajectory
+from drivers.canopen402.driver import Canopen402Driver
+from drivers.canopen402.settings import parse_settings
+from drivers.streams import FloatArray
+from sim_drivers.canopen_nodes import CanopenServer
+from sim_drivers.drive_setup import Feedback
+from sim_drivers.plant import Plant
+
+RADIANS = 2 * np.pi / 524288
+"""Of a count."""
+CHANNEL = "recorded"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a drive measured and was at a SYNC."""
+
+    feedback: Feedback
+    enabled: bool
+
+
+@dataclass
+class Bench:
+    """An arm that can be recorded.
+
+    Attributes:
+        robot_file: of the arm.
+        plant: the arm itself.
+        server: its drives.
+        driver: open.
+        rate: of SYNC [Hz].
+        wire: hears all frames.
+        measured: of every SYNC, of every drive.
+        begun: when the recording began [s].
+    """
+
+    clock: SimulatedClock
+    robot_file: RobotFile
+    plant: Plant
+    server: CanopenServer
+    driver: Canopen402Driver
+    rate: float
+    wire: can.BusABC
+    measured: list[list[Measured]]
+    begun: float = float("nan")
+    _frames: list[can.Message] = field(default_factory=list)
+
+    def frames(self) -> list[can.Message]:
+        """All frames so far, of both sides."""
+        while (frame := self.wire.recv(0.0)) is not None:
+            self._frames.append(frame)
+        return self._frames
+
+    def times(self, *identifiers: int, data: bytes = b"") -> list[float]:
+        """When frames that begin with such data came [s, clock of the samples]."""
+        begun = DAY + self.begun
+        return [
+            frame.timestamp - begun
+            for frame in self.frames()
+            if frame.arbitration_id in identifiers and bytes(frame.data).startswith(data)
+        ]
+
+    def rests(self) -> bool:
+        """Whether all drives are off, and the arm stays where their brakes hold it, but for what it still settles."""
+        drives = self.server.network.drives
+        held, before = [drive.axis.reference for drive in drives], self.plant.position.copy()
+        self.clock.sleep(0.5)
+        settled = bool(np.max(np.abs(self.plant.position - before)) < 5e-3)
+        return settled and held == [drive.axis.reference for drive in drives] and not any(d.enabled for d in drives)
+
+    def record(self, folder: Path, duration: float | None = None, motion: Motion | None = None) -> Run:
+        """Record for so long, or while a motion is played."""
+        robot, path = self.robot_file.robot, folder / "run.h5"
+        layouts = self.driver.streams()
+        recorder = Recorder(path, self.robot_file, layouts, clock=self.clock)
+        supervisor = Supervisor(Limits.of_robot(robot), layouts)
+        self.begun = self.clock.now()
+        play = None if motion is None else Play(motion, robot, self.rate)
+        report = record(self.driver, recorder, supervisor, play, duration, clock=self.clock)
+        ended = self.clock.now() - self.begun
+        return Run(report, read_recording(path), ended, self.rate)
+
+    def at(self, seconds: float, action: Callable[[], object] | str) -> None:
+        """Do something, or cause a fault as it is typed, so long after the recording began."""
+        obey = functools.partial(self.server.obey, action) if isinstance(action, str) else action
+        self.clock.call_at(self.clock.now() + seconds, obey)
+
+    def sent(self) -> list[int]:
+        """Slots of the SYNCs that went out."""
+        return [round(time * self.rate) for time in self.times(0x80)]
+
+    def expected(self, slots: Sequence[int]) -> dict[str, FloatArray]:
+        """What the drives measured at these SYNCs, in their own numbers, by quantity (N, n)."""
+        axes = [drive.axis for drive in self.server.network.drives]
+        found: dict[str, list[list[int]]] = {"position": [], "velocity": [], "torque": [], "current": []}
+        heard = dict(zip(self.sent(), self.measured, strict=False))  # off the bus they hear none
+        for slot in slots:
+            rows = list(zip(axes, heard[slot], strict=True))
+            found["position"].append([axis.counts_of(one.feedback.position) for axis, one in rows])
+            found["velocity"].append([round(one.feedback.velocity / RADIANS) for _, one in rows])
+            for name in ("torque", "current"):
+                found[name].append(
+                    [
+                        round(1e3 * getattr(one.feedback, name) / getattr(axis.setup, f"rated_{name}")) * one.enabled
+                        for axis, one in rows
+                    ]
+                )
+        return {name: np.array(values) for name, values in found.items()}
+
+
+@dataclass(frozen=True)
+class Run:
+    """What came of a recording.
+
+    Attributes:
+        report: of the session.
+        recording: the file.
+        seconds: from its begin to the end of the session.
+        rate: of SYNC [Hz].
+    """
+
+    report: SessionReport
+    recording: Recording
+    seconds: float
+    rate: float
+
+    @property
+    def slots(self) -> list[int]:
+        """Numbers of the SYNCs of the rows."""
+        return [round(time * self.rate) for time in self.recording.streams["joints"].time.tolist()]
+
+    def counts(self, bench: Bench) -> dict[str, FloatArray]:
+        """The rows in the drives' own numbers, by quantity (N, n)."""
+        setups = [drive.axis.setup for drive in bench.server.network.drives]
+        units = {
+            "position": RADIANS,
+            "velocity": RADIANS,
+            "torque": 1e-3 * np.array([setup.rated_torque for setup in setups]),
+            "current": 1e-3 * np.array([setup.rated_current for setup in setups]),
+        }
+        channels = self.recording.streams["joints"].channels
+        return {name: np.rint(channels[name].values / unit).astype(int) for name, unit in units.items()}
+
+    def events(self) -> list[str]:
+        """All events of the file, as level: message."""
+        return [f"{event.level}: {event.message}" for event in self.recording.events]
+
+    def when(self, words: str) -> float:
+        """When the first event with these words was [s, clock of the samples]."""
+        return next(event.time for event in self.recording.events if words in event.message)
+
+
+@functools.cache
+def _robot_on_virtual_bus(keys: str, serials: bool) -> RobotFile:
+    """A UR5e whose canopen402 connection is on a virtual bus."""
+    arm = yaml.safe_load(load_robot("ur5e").text)
+    place = {"interface": "virtual", "channel": CHANNEL, "options": {}, "sync_rate": 100}
+    arm["connections"] = {"canopen": arm["connections"]["canopen"] | place | (yaml.safe_load(keys) or {})}
+    for node in arm["connections"]["canopen"]["nodes"].values() if serials else ():
+        node["serial"] = node["id"]
+    return parse_robot(yaml.safe_dump(arm, sort_keys=False), where="arm", folder=None)
+
+
+@functools.cache
+def swing() -> Motion:
+    """A second of a gentle motion around the simulated arm's first pose."""
+    sines = {"amplitude": [[0.1]] * 6, "frequency": [[1.5]] * 6, "offset": [0.0] * 6}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "swing.yaml"
+        path.write_text(yaml.safe_dump({"robot": "ur5e", "kind": "sines", "duration": 1.0, "ramp": 0.5, **sines}))
+        return load_trajectory(path, load_robot("ur5e").robot).motion
+
+
+@contextmanager
+def arm_on_bus(
+    keys: str = "", swapped: tuple[int, int] | None = None, *, serials: bool = False, opened: bool = True
+) -> Iterator[Bench]:
+    """A simulated UR5e and its driver.
+
+    Args:
+        keys: further ones of the connection, as YAML.
+        swapped: two joints (from 0) whose drives have each other's node id.
+        serials: whether the robot file has the drives' serial numbers.
+        opened: whether the driver is.
+    """
+    with simulated_time() as clock:
+        robot_file = _robot_on_virtual_bus(keys, serials)
+        robot = robot_file.robot
+        settings = parse_settings(dict(robot.connections["canopen"].model_extra or {}), robot.joint_names)
+        plant = Plant(robot_file)
+        measured: list[list[Measured]] = []
+        with CanopenServer(plant, robot, settings, swapped=swapped, clock=clock) as server:
+            _note(server, measured)
+            clock.sleep(0.1)
+            wire = can.Bus(CHANNEL, "virtual")
+            driver, _ = load_driver(robot, "canopen", clock=clock)
+            assert isinstance(driver, Canopen402Driver)
+            try:
+                if opened:
+                    driver.open()
+                yield Bench(clock, robot_file, plant, server, driver, settings.sync_rate, wire, measured)
+            finally:
+                driver.close()
+                wire.shutdown()
+        assert server.failure is None
+
+
+def _note(server: CanopenServer, measured: list[list[Measured]]) -> None:
+    """Note what the drives measure at every SYNC that they hear."""
+    for place, drive in enumerate(server.network.drives):
+
+        def heard(time: float, cycle: float, drive=drive, place=place, sync=drive.sync) -> None:  # type: ignore[no-untyped-def]
+            sync(time, cycle)
+            if place == 0:
+                measured.append([])
+            measured[-1].append(Measured(drive.axis.feedback, drive.enabled))
+
+        drive.sync = heard  # type: ignore[method-assign]
