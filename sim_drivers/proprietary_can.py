@@ -1,4 +1,4 @@
-"""A simulated arm that speaks a table of CAN frames on a python-can bus, in wall-clock time.
+"""A simulated arm that speaks a table of CAN frames on a python-can bus, as time passes.
 
 One thread does everything. Frames go out when they would have been over on a real bus of this bit rate; a value that
 is overtaken by its successor before it was sent is lost, as in a CAN controller.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -22,7 +21,7 @@ import numpy as np
 from daq.robot import Robot
 from drivers.can_bus import EXTENDED, Receiver, close_bus, open_bus
 from drivers.can_frames.settings import parse_settings
-from drivers.clock import set_timer_slack
+from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
 from drivers.errors import ConnectionLostError
 from sim_drivers.bus_load import BusModel, Frame, Sent, exact_bits
 from sim_drivers.can_faults import BusOff, Garbage, OverTemperature, Truncate
@@ -70,6 +69,7 @@ class ProprietaryCanServer:
         robot: whose joints and limits these are.
         connection: the keys of a can_frames connection, without `driver`.
         folder: what a relative `dbc` starts at; the current folder where None.
+        clock: the host's.
 
     Attributes:
         messages: for whoever shows them.
@@ -80,17 +80,23 @@ class ProprietaryCanServer:
     """
 
     def __init__(
-        self, arm: SimulatedArm, robot: Robot, connection: Mapping[str, object], folder: Path | None = None
+        self,
+        arm: SimulatedArm,
+        robot: Robot,
+        connection: Mapping[str, object],
+        folder: Path | None = None,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self.settings = parse_settings(connection, robot.joint_names, folder)
         self.failure: BaseException | None = None
+        self._clock = clock
         self._joints = robot.joint_names
         self._arm = TableArm(arm, robot.joints, self.settings)
         self.messages: deque[str] = self._arm.messages
         self._model = BusModel(self.settings.bitrate)
         self._own = self.settings.identifiers
         self._faults: SimpleQueue[TableFault] = SimpleQueue()
-        self._stopping = threading.Event()
+        self._stopping = clock.event()
         self._thread: threading.Thread | None = None
         self._drop = self._truncate = 0
         self._frozen_until = -math.inf
@@ -116,7 +122,7 @@ class ProprietaryCanServer:
             raise RuntimeError("started already")
         settings = self.settings
         bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
-        self._thread = threading.Thread(target=self._run, args=(bus,), name="table-arm", daemon=True)
+        self._thread = self._clock.thread(self._run, "table-arm", (bus,))
         self._thread.start()
 
     def stop(self) -> None:
@@ -160,16 +166,16 @@ class ProprietaryCanServer:
         return line + "".join(f", {count} {word}" for word, count in troubles.items() if count)
 
     def _run(self, bus: can.BusABC) -> None:
-        receiver = Receiver(bus)
+        receiver = Receiver(bus, clock=self._clock)
         try:
             set_timer_slack()
             receiver.start()
-            self._begun = self._arm_time = time.monotonic()
+            self._begun = self._arm_time = self._clock.now()
             self._due = self._begun + 1.0 / self.settings.rate
             while not self._stopping.is_set():
                 end = self._model.peek()
                 wake = self._due if end is None else min(self._due, end)
-                for arrived, identifier, data in receiver.take(max(0.0, wake - time.monotonic())):
+                for arrived, identifier, data in receiver.take(max(0.0, wake - self._clock.now())):
                     if identifier in self._own:
                         continue  # udp_multicast gives a sender its own frames back
                     # Everything in the order of its own time, however late this thread is.
@@ -180,7 +186,7 @@ class ProprietaryCanServer:
                         self._take(Sent(frame, False, arrived, exact_bits(frame), arrived))
                     else:
                         self._model.submit(frame, arrived, own=False)
-                now = time.monotonic()
+                now = self._clock.now()
                 if now - self._due > LONGEST_LAG:
                     self._due = self._arm_time = now
                     self._status = replace(self._status, stalls=self._status.stalls + 1)
@@ -249,7 +255,7 @@ class ProprietaryCanServer:
 
     def _transmit(self, bus: can.BusABC, frame: Frame) -> None:
         data = frame.data
-        now = time.monotonic()
+        now = self._clock.now()
         if now < max(self._frozen_until, self._muted.get(frame.id, -math.inf)) or self._drop:
             self._drop = max(0, self._drop - 1)
             self._status = replace(self._status, withheld=self._status.withheld + 1)

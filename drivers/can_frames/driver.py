@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import threading
-import time
 from collections import deque
 from collections.abc import Sequence
 
@@ -37,8 +35,8 @@ class CanFramesDriver:
     """An arm on a CAN bus of its maker's own making; implements `drivers.base.Driver`.
 
     Args:
-        settings: joints, the connection's keys (see `drivers.can_frames.settings.CanFramesSettings`), the gains, and
-            the folder that a DBC file is looked for in.
+        settings: joints, the connection's keys (see `drivers.can_frames.settings.CanFramesSettings`), the gains,
+            the folder that a DBC file is looked for in, and the host's clock.
 
     Raises:
         UsageError: the connection's keys are wrong, or the DBC file cannot be used.
@@ -46,6 +44,7 @@ class CanFramesDriver:
 
     def __init__(self, settings: DriverSettings) -> None:
         self._joints = settings.joints
+        self._clock = settings.clock
         self._settings = parse_settings(settings.connection, settings.joints, settings.folder)
         self._state: State = "closed"
         self._bus: can.BusABC | None = None
@@ -53,10 +52,10 @@ class CanFramesDriver:
         self._sender: Sender | None = None
         self._poller: Poller | None = None
         self._commander: Commander | None = None
-        self._command_lock = threading.Lock()
+        self._command_lock = self._clock.lock()  # held while a stop is repeated
         self._halted = False
         self._notices: deque[Notice] = deque()
-        self._streams = FrameStreams(self._settings, self._joints, settings.gains, self._notices)
+        self._streams = FrameStreams(self._settings, self._joints, settings.gains, self._notices, self._clock)
 
     def open(self) -> None:
         """Open the bus and hear every frame of the joints once, within the connection's `timeout`.
@@ -69,14 +68,14 @@ class CanFramesDriver:
         settings = self._settings
         self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
         try:
-            self._sender = Sender(self._bus)
-            self._receiver = Receiver(self._bus, settings.identifiers)
+            self._sender = Sender(self._bus, self._clock)
+            self._receiver = Receiver(self._bus, settings.identifiers, clock=self._clock)
             self._receiver.start()
             self._send(settings.begin)
             if settings.poll is not None:
-                self._poller = Poller(self._sender, settings.poll)
+                self._poller = Poller(self._sender, settings.poll, self._clock)
                 self._poller.start()
-            told = hear_all(settings, self._receiver)
+            told = hear_all(settings, self._receiver, self._clock)
             self._streams.joints.expect(told, 1.0 / settings.rate, self._streams.clock)
             if told.first and settings.cycle is None:
                 label = settings.parts("joints")[told.first].label
@@ -123,14 +122,14 @@ class CanFramesDriver:
         """
         require_state(self._state, "running", "read")
         receiver = self._opened_receiver()
-        end = time.monotonic() + timeout
+        end = self._clock.now() + timeout
         while True:
             if self._poller is not None and self._poller.failure is not None:
                 raise self._poller.failure
-            left = max(0.0, end - time.monotonic())
+            left = max(0.0, end - self._clock.now())
             frames = receiver.take(left, at_least=len(self._settings.parts("joints")))
             blocks = self._streams.take(frames, self._poller)
-            now = time.monotonic()
+            now = self._clock.now()
             if blocks or now >= end:
                 self._require_sound(now)
                 return blocks
@@ -186,7 +185,7 @@ class CanFramesDriver:
             if not sent:
                 said = "the stop frames could not be sent; the arm may still move"
                 self._notices.append(Notice(math.nan, "error", said))
-            elif not comes_to_rest(self._receiver, self._streams.joints):
+            elif not comes_to_rest(self._receiver, self._streams.joints, self._clock):
                 said = f"the arm did not show within {REST_LIMIT:g} s of the stop frames that it stands still"
                 self._notices.append(Notice(math.nan, "error", said))
         if self._state == "running":
@@ -237,7 +236,7 @@ class CanFramesDriver:
         sent = False
         for repeat in range(STOP_REPEATS):
             if repeat:
-                time.sleep(STOP_INTERVAL)
+                self._clock.sleep(STOP_INTERVAL)
             with contextlib.suppress(Exception):
                 self._send(self._settings.stop)
                 sent = True

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections import deque
 from collections.abc import Sequence
 
@@ -18,6 +17,7 @@ from drivers.can_frames.settings import CanFramesSettings
 from drivers.can_frames.signal_keys import WHOLE_ARM
 from drivers.can_frames.table import batches
 from drivers.can_frames.watch import FaultWatch, RateWatch, Troubles
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.gains import DriveGain, joint_torque
 from drivers.streams import Block, ChannelLayout, FloatArray, StreamLayout
 
@@ -30,6 +30,7 @@ class FrameStreams:
         joints: names.
         gains: of their drives; torques are made of currents where all are known.
         notices: are appended to.
+        host_clock: the host's.
 
     Attributes:
         joints: puts the rows of the stream `joints` together.
@@ -44,7 +45,9 @@ class FrameStreams:
         joints: Sequence[str],
         gains: Sequence[DriveGain],
         notices: deque[Notice],
+        host_clock: Clock = SYSTEM_CLOCK,
     ) -> None:
+        self._host_clock = host_clock
         self._settings, self._joints, self._gains = settings, tuple(joints), tuple(gains)
         self._assemblers = {
             name: Assembler(settings.parts(name), settings.cycle if name == "joints" else None, 0.5 / settings.rate)
@@ -53,7 +56,7 @@ class FrameStreams:
         self.joints = self._assemblers["joints"]
         self._clock_signal = next((signal for signal in settings.signals if signal.quantity in WHOLE_ARM), None)
         self.clock = SourceClock(self._clock_signal, settings.rate) if self._clock_signal is not None else None
-        self._troubles = Troubles(notices)
+        self._troubles = Troubles(notices, host_clock)
         self._faults = FaultWatch(notices)
         self._rate_watch = RateWatch(notices, settings.rate)
         self.forget()
@@ -73,7 +76,7 @@ class FrameStreams:
         self._lost = 0
         self.latest_position: FloatArray | None = None
         self._latest_time: dict[str, float] = {}
-        self.last_row = time.monotonic()
+        self.last_row = self._host_clock.now()
         self._answers = PollAnswers()
         self._rate_watch.forget()
         self._faults.forget()
@@ -150,7 +153,7 @@ class FrameStreams:
         if not len(times):
             return Block("joints", times, host_time)
         self._offset = float(times[-1] - host_time[-1])
-        self.last_row = time.monotonic()
+        self.last_row = self._host_clock.now()
         self._rate_watch.note(host_time, self._lost)
         values_of = self._values(values, assembler)
         if self._knows_torque:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import time
-
 from drivers.can_bus import Receiver
 from drivers.can_frames.order import CycleOrder, Order
 from drivers.can_frames.settings import CanFramesSettings
 from drivers.can_frames.table import identifier_text
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError
 
 
-def hear_all(settings: CanFramesSettings, receiver: Receiver) -> Order:
+def hear_all(settings: CanFramesSettings, receiver: Receiver, clock: Clock = SYSTEM_CLOCK) -> Order:
     """Wait until every part of the joints has come, and see which begins a cycle.
 
     Raises:
@@ -20,10 +19,10 @@ def hear_all(settings: CanFramesSettings, receiver: Receiver) -> Order:
     """
     parts, marker = settings.parts("joints"), settings.cycle
     order = CycleOrder(parts)
-    end = time.monotonic() + settings.timeout
+    end = clock.now() + settings.timeout
     heard: set[int] = set()
     while not order.enough or (marker is not None and marker not in heard):
-        if (left := end - time.monotonic()) <= 0:
+        if (left := end - clock.now()) <= 0:
             break
         frames = receiver.take(left, at_least=len(parts))
         heard.update(identifier for _, identifier, _ in frames)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections import deque
 
 from drivers.can_bus import Sender
 from drivers.can_frames.rows import Rows
 from drivers.can_frames.settings import Poll
-from drivers.clock import set_timer_slack
+from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
 from drivers.errors import ConnectionLostError
 
 ANSWER_LIMIT = 0.1
@@ -56,19 +54,21 @@ class Poller:
     Args:
         sender: of the bus.
         poll: what is sent, and how often.
+        clock: the host's.
 
     Attributes:
         failure: what ended it; None while all is well.
     """
 
-    def __init__(self, sender: Sender, poll: Poll) -> None:
+    def __init__(self, sender: Sender, poll: Poll, clock: Clock = SYSTEM_CLOCK) -> None:
         self.failure: ConnectionLostError | None = None
         self._sender = sender
+        self._clock = clock
         self._frames = [(frame.identifier, frame.data) for frame in poll.frames]
         self._period = poll.period
         self._sent: deque[float] = deque(maxlen=_KEPT)
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="can poll", daemon=True)
+        self._ending = clock.event()
+        self._thread = clock.thread(self._run, "can poll")
 
     def start(self) -> None:
         """Begin."""
@@ -90,12 +90,12 @@ class Poller:
 
     def _run(self) -> None:
         set_timer_slack()
-        due = time.monotonic()
-        while not self._ending.wait(max(0.0, due - time.monotonic())):
+        due = self._clock.now()
+        while not self._ending.wait(max(0.0, due - self._clock.now())):
             try:
                 self._sent.append(self._sender.send_all(self._frames))
             except ConnectionLostError as error:
                 self.failure = error
                 return
             # After a stall the schedule goes on from now: a burst of polls would be answered by nobody.
-            due = max(due + self._period, time.monotonic() - self._period)
+            due = max(due + self._period, self._clock.now() - self._period)

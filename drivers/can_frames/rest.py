@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections import deque
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from drivers.can_bus import Receiver
 from drivers.can_frames.rows import Assembler
 from drivers.can_frames.table import batches
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionLostError
 from drivers.streams import FloatArray
 
@@ -22,15 +22,15 @@ REST_SPEED = 0.02
 _WAIT = 0.02
 
 
-def comes_to_rest(receiver: Receiver | None, joints: Assembler) -> bool:
+def comes_to_rest(receiver: Receiver | None, joints: Assembler, clock: Clock = SYSTEM_CLOCK) -> bool:
     """Whether the positions in the joints' rows stand still before `REST_LIMIT` is over; False without a connection."""
     if receiver is None:
         return False
     members = [index for index, signal in enumerate(joints.signals) if signal.quantity == "position"]
     seen: deque[tuple[float, FloatArray]] = deque()
-    end = time.monotonic() + REST_LIMIT
+    end = clock.now() + REST_LIMIT
     with contextlib.suppress(ConnectionLostError):
-        while time.monotonic() < end:
+        while clock.now() < end:
             frames = receiver.take(_WAIT)
             rows = joints.take(frames, dict(batches(frames)))
             seen.extend(zip(rows.host_time.tolist(), rows.values[:, members], strict=True))

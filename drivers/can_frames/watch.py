@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections import deque
 from collections.abc import Sequence
 
@@ -13,6 +12,7 @@ from drivers.base import Notice
 from drivers.can_bus import NOTICE_PERIOD
 from drivers.can_frames.rows import Rows
 from drivers.can_frames.table import Signal
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.streams import FloatArray
 
 RATE_TIME = 2.0
@@ -27,14 +27,16 @@ class Troubles:
 
     Args:
         notices: are appended to.
+        clock: the host's.
 
     Attributes:
         missing: what the last incomplete row lacked; empty where none was.
     """
 
-    def __init__(self, notices: deque[Notice]) -> None:
+    def __init__(self, notices: deque[Notice], clock: Clock = SYSTEM_CLOCK) -> None:
         self.missing = ""
         self._notices = notices
+        self._clock = clock
         self._counts: dict[str, int] = {}
         self._told = -math.inf
 
@@ -57,7 +59,7 @@ class Troubles:
             self._counts[what] = self._counts.get(what, 0) + more
 
     def _tell(self) -> None:
-        now = time.monotonic()
+        now = self._clock.now()
         if not self._counts or now - self._told < NOTICE_PERIOD:
             return
         for what, count in self._counts.items():

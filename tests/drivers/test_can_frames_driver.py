@@ -1,36 +1,38 @@
 from __future__ import annotations
 
-import time
+import math
 import tomllib
 from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
+import can
 import numpy as np
 import pytest
-from scripted_can_arm import JOINTS, RATE, ScriptedCanArm, connection, moving, two_frames
+from scripted_can_arm import ANSWER_TIME, JOINTS, RATE, ScriptedCanArm, connection, moving, two_frames
+from simulated_clock import START, SimulatedClock
 
 from drivers.base import DRIVERS_GROUP, Driver, DriverSettings, Notice
-from drivers.can_frames import rest
-from drivers.can_frames.driver import CanFramesDriver
+from drivers.can_frames.driver import SILENCE_LIMIT, STOP_INTERVAL, STOP_REPEATS, CanFramesDriver
+from drivers.can_frames.rest import REST_LIMIT, REST_WINDOW
+from drivers.can_frames.watch import RATE_TIME, RATE_TIMES
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
 from drivers.gains import DriveGain
 from drivers.streams import Block
 
-pytestmark = pytest.mark.usefixtures("punctual")
-
 GAINS = (DriveGain(2.0, 0.1), DriveGain(-3.0, 0.1))
 Arm = Callable[..., ScriptedCanArm]
 Make = Callable[..., CanFramesDriver]
+PERIOD = 1.0 / RATE
 
 
 @pytest.fixture
-def arm() -> Iterator[Arm]:
+def arm(clock: SimulatedClock) -> Iterator[Arm]:
     made: list[ScriptedCanArm] = []
 
     def make(*args: Any, **keys: Any) -> ScriptedCanArm:
-        made.append(ScriptedCanArm(*args, **keys))
+        made.append(ScriptedCanArm(clock, *args, **keys))
         return made[-1]
 
     yield make
@@ -39,11 +41,11 @@ def arm() -> Iterator[Arm]:
 
 
 @pytest.fixture
-def make_driver() -> Iterator[Make]:
+def make_driver(clock: SimulatedClock) -> Iterator[Make]:
     made: list[CanFramesDriver] = []
 
     def make(keys: dict[str, object]) -> CanFramesDriver:
-        made.append(CanFramesDriver(DriverSettings(JOINTS, keys, GAINS)))
+        made.append(CanFramesDriver(DriverSettings(JOINTS, keys, GAINS, clock=clock)))
         return made[-1]
 
     yield make
@@ -57,11 +59,21 @@ def started(driver: CanFramesDriver) -> CanFramesDriver:
     return driver
 
 
-def read_for(driver: Driver, seconds: float) -> list[Block]:
-    end, blocks = time.monotonic() + seconds, []
-    while time.monotonic() < end:
-        blocks += driver.read(0.05)
-    return blocks
+Read = Callable[[Driver, float], list[Block]]
+
+
+@pytest.fixture
+def read_for(clock: SimulatedClock) -> Read:
+    """Reads a driver for so long [s], until the middle between two cycles of the arm."""
+
+    def read(driver: Driver, seconds: float) -> list[Block]:
+        cycle = math.floor((clock.now() - START) * RATE + 1e-6)
+        end, blocks = START + (cycle + 0.5) * PERIOD + seconds, []
+        while (left := end - clock.now()) > 0.0:
+            blocks += driver.read(min(left, 0.05))
+        return blocks
+
+    return read
 
 
 def joined(blocks: list[Block], quantity: str, stream: str = "joints") -> np.ndarray:
@@ -83,7 +95,7 @@ def test_the_driver_is_registered() -> None:
     assert EntryPoint("can_frames", value, DRIVERS_GROUP).load() is CanFramesDriver
 
 
-def test_blocks_are_what_the_streams_promise(arm: Arm, make_driver: Make) -> None:
+def test_blocks_are_what_the_streams_promise(arm: Arm, make_driver: Make, read_for: Read) -> None:
     def cycle(number: int) -> list[tuple[int, bytes]]:
         return [*two_frames(number), (0x183, bytes([number % 2, 40 + number % 2])), (0x184, b"\0")]
 
@@ -112,14 +124,16 @@ def test_blocks_are_what_the_streams_promise(arm: Arm, make_driver: Make) -> Non
         assert np.array_equal(block.time, block.host_time)  # nobody else tells the time
     assert {block.stream for block in blocks} == set(layouts)
     assert np.allclose(joined(blocks, "position"), [0.1, -0.2])
+    assert len(joined(blocks, "position")) == 0.5 * RATE
     assert np.allclose(joined(blocks, "temperature", "thermal"), [41.0, 40.0])
+    assert len(joined(blocks, "temperature", "thermal")) == 0.25 * RATE
     assert layouts["status"].channels[0].columns == ("elbow",)
     assert "arrival" in layouts["joints"].channels[0].description
     assert lost(blocks) == 0
     assert [notice for notice in driver.notices() if notice.level != "info"] == []
 
 
-def test_current_becomes_torque_through_the_gains(arm: Arm, make_driver: Make) -> None:
+def test_current_becomes_torque_through_the_gains(arm: Arm, make_driver: Make, read_for: Read) -> None:
     keys = connection(arm().channel)
     signals: Any = keys["signals"]
     for signal in signals:
@@ -131,32 +145,31 @@ def test_current_becomes_torque_through_the_gains(arm: Arm, make_driver: Make) -
     assert np.allclose(joined(blocks, "torque"), [1.0, -1.5])
 
 
-def test_the_counter_tells_time_and_losses(arm: Arm, make_driver: Make) -> None:
+def test_the_counter_tells_time_and_losses(arm: Arm, make_driver: Make, read_for: Read) -> None:
     def cycle(number: int) -> list[tuple[int, bytes]]:
         return [] if number % 50 in (20, 21, 22) else two_frames(number)
 
     driver = started(make_driver(connection(arm(cycle).channel, counter=True)))
     blocks = read_for(driver, 1.2)
-    times = np.concatenate([block.time for block in blocks])
-    steps = np.diff(times) * RATE
-    assert np.allclose(steps, np.rint(steps))
-    assert lost(blocks) == int(np.sum(np.rint(steps) - 1)) >= 3
+    cycles = RATE * np.concatenate([block.time for block in blocks])
+    told = [number for number in range(round(cycles[0]), round(cycles[-1]) + 1) if number % 50 not in (20, 21, 22)]
+    assert np.allclose(cycles, told)
+    assert lost(blocks) == 9
     assert "own counter" in driver.streams()[0].channels[0].description
 
 
-def test_an_incomplete_row_is_lost_and_its_frame_named(arm: Arm, make_driver: Make) -> None:
+def test_an_incomplete_row_is_lost_and_its_frame_named(arm: Arm, make_driver: Make, read_for: Read) -> None:
     def cycle(number: int) -> list[tuple[int, bytes]]:
         return two_frames(number)[: 1 if number % 10 == 5 else 2]
 
     driver = started(make_driver(connection(arm(cycle).channel)))
     blocks = read_for(driver, 1.2)
-    rows = len(joined(blocks, "position"))
-    assert lost(blocks) == pytest.approx(rows / 9, abs=1.5)
+    assert (len(joined(blocks, "position")), lost(blocks)) == (108, 12)
     warnings = said(list(driver.notices()), "warning")
     assert "incomplete row(s); the last lacked frame 0x182 (position of elbow, velocity of elbow)" in warnings
 
 
-def test_the_frame_after_the_pause_begins_a_cycle(arm: Arm, make_driver: Make) -> None:
+def test_the_frame_after_the_pause_begins_a_cycle(arm: Arm, make_driver: Make, read_for: Read) -> None:
     def cycle(number: int) -> list[tuple[int, bytes]]:
         counted = (number % 1000).to_bytes(2, "little") + bytes(2)
         return [(0x182, counted), (0x181, counted)]
@@ -168,7 +181,7 @@ def test_the_frame_after_the_pause_begins_a_cycle(arm: Arm, make_driver: Make) -
     assert "a cycle begins with frame 0x182" in said(list(driver.notices()), "info")
 
 
-def test_a_marker_begins_a_cycle(arm: Arm, make_driver: Make) -> None:
+def test_a_marker_begins_a_cycle(arm: Arm, make_driver: Make, read_for: Read) -> None:
     def cycle(number: int) -> list[tuple[int, bytes]]:
         counted = (number % 1000).to_bytes(2, "little") + bytes(2)
         frames = [(0x181, counted), (0x182, counted)]
@@ -182,24 +195,42 @@ def test_a_marker_begins_a_cycle(arm: Arm, make_driver: Make) -> None:
     assert lost(blocks) == 0
 
 
-def test_polls_are_answered_and_counted(arm: Arm, make_driver: Make) -> None:
-    made = arm(lambda number: [] if number % 20 == 10 else two_frames(number), poll=0x100)
+def test_polls_are_sent_on_time_answered_and_counted(
+    arm: Arm, make_driver: Make, read_for: Read, clock: SimulatedClock
+) -> None:
+    unanswered = (50, 70, 71, 72, 149)
+    made = arm(lambda number: [] if number in unanswered else two_frames(number), poll=0x100)
     driver = started(make_driver(connection(made.channel, poll={"id": 0x100, "data": "01 00"})))
-    before = made.number
-    blocks = read_for(driver, 1.5)
-    rows = len(joined(blocks, "position"))
-    polls = made.number - before
-    assert polls == pytest.approx(1.5 * RATE, rel=0.1)
-    assert lost(blocks) == pytest.approx(polls / 20, abs=3)
-    assert rows + lost(blocks) <= polls + 2
-    assert (0x100, b"\1\0") in made.heard
+    blocks = read_for(driver, 2.0)
+    assert set(made.heard) == {(0x100, b"\1\0")}
+    assert np.allclose(np.diff(made.heard_at), PERIOD, rtol=0, atol=1e-9)
+    rows = joined(blocks, "position")
+    assert lost(blocks) == len(unanswered)
+    assert made.heard_at[-1] > clock.now() - PERIOD - 1e-9
+    assert len(rows) == 2.0 * RATE - len(unanswered)
 
 
-def test_what_does_not_come_is_named(arm: Arm, make_driver: Make) -> None:
+def test_polls_after_a_stall_go_on_from_now(arm: Arm, make_driver: Make, read_for: Read, clock: SimulatedClock) -> None:
+    made = arm(poll=0x100)
+    driver = started(make_driver(connection(made.channel, poll={"id": 0x100})))
+    read_for(driver, 0.5)
+    before = len(made.heard)
+    clock.stall(0.2)
+    end = clock.now()
+    blocks = read_for(driver, 1.0)
+    # One that was overdue, and two that catch up: no burst.
+    heard = end + np.concatenate([ANSWER_TIME * np.arange(3), PERIOD * np.arange(1, 101)])
+    assert np.allclose(made.heard_at[before:], heard, rtol=0, atol=1e-9)
+    assert lost(blocks) == 0
+
+
+def test_what_does_not_come_is_named(arm: Arm, make_driver: Make, clock: SimulatedClock) -> None:
     made = arm(lambda number: two_frames(number)[:1])
     driver = make_driver(connection(made.channel, timeout=0.3))
+    begun = clock.now()
     with pytest.raises(ConnectionFailedError) as caught:
         driver.open()
+    assert clock.now() - begun == pytest.approx(0.3, abs=0.03)  # and the receiving thread looks once more
     assert "no frame 0x182 (position of elbow, velocity of elbow) within 0.3 s; heard: 0x181" in caught.value.message
     with pytest.raises(ConnectionFailedError, match="frame 0x080 that begins a cycle"):
         make_driver(connection(arm().channel, timeout=0.3, cycle=0x80)).open()
@@ -212,19 +243,23 @@ def test_a_bus_that_does_not_exist_is_said(make_driver: Make) -> None:
         make_driver(connection("c", interface="nothing")).open()
 
 
-def test_silence_ends_the_session_and_names_the_frame(arm: Arm, make_driver: Make) -> None:
+def test_silence_ends_the_session_and_names_the_frame(
+    arm: Arm, make_driver: Make, read_for: Read, clock: SimulatedClock
+) -> None:
     made = arm()
     driver = started(make_driver(connection(made.channel)))
     read_for(driver, 0.1)
+    begun = clock.now()
     made.cycle = lambda number: two_frames(number)[:1]
     with pytest.raises(
         ConnectionLostError, match=r"no complete row of the joints for 0.5 s: frame 0x182 .* is missing"
     ):
         read_for(driver, 2.0)
+    assert clock.now() - begun == pytest.approx(SILENCE_LIMIT)  # half a period longer since the last row
     driver.stop()
 
 
-def test_a_fault_of_the_arm_is_an_error(arm: Arm, make_driver: Make) -> None:
+def test_a_fault_of_the_arm_is_an_error(arm: Arm, make_driver: Make, read_for: Read) -> None:
     made = arm(lambda number: [*two_frames(number), (0x184, b"\0")])
     keys = connection(made.channel)
     signals: Any = keys["signals"]
@@ -240,13 +275,15 @@ def test_a_fault_of_the_arm_is_an_error(arm: Arm, make_driver: Make) -> None:
     assert said(list(driver.notices()), "info") == "fault of elbow is over"
 
 
-def test_another_rate_than_the_files_is_said(arm: Arm, make_driver: Make) -> None:
+def test_another_rate_than_the_files_is_said(arm: Arm, make_driver: Make, read_for: Read) -> None:
     driver = started(make_driver(connection(arm().channel, rate=150)))
-    read_for(driver, 4.6)
-    assert "but the robot file says 150 Hz" in said(list(driver.notices()), "warning")
+    read_for(driver, RATE_TIMES * RATE_TIME - 0.1)
+    assert said(list(driver.notices()), "warning") == ""
+    read_for(driver, 0.2)
+    assert "cycles come at 100 Hz, but the robot file says 150 Hz" in said(list(driver.notices()), "warning")
 
 
-def test_frames_that_are_too_short_are_said(arm: Arm, make_driver: Make) -> None:
+def test_frames_that_are_too_short_are_said(arm: Arm, make_driver: Make, read_for: Read) -> None:
     made = arm()
     driver = started(make_driver(connection(made.channel)))
     made.cycle = lambda number: [(identifier, data[:3]) for identifier, data in two_frames(number)]
@@ -255,7 +292,9 @@ def test_frames_that_are_too_short_are_said(arm: Arm, make_driver: Make) -> None
     assert "too short for the table" in said(list(driver.notices()), "warning")
 
 
-def test_the_arm_is_enabled_commanded_and_stopped(arm: Arm, make_driver: Make) -> None:
+def test_the_arm_is_enabled_commanded_and_stopped(
+    arm: Arm, make_driver: Make, read_for: Read, clock: SimulatedClock
+) -> None:
     made = arm()
     driver = started(make_driver(moving(made.channel)))
     with pytest.raises(DriverStateError, match="nobody knows where the arm stands"):
@@ -266,7 +305,7 @@ def test_the_arm_is_enabled_commanded_and_stopped(arm: Arm, make_driver: Make) -
     assert made.heard == []
     driver.command(np.array([0.1, -0.2]))
     driver.command(np.array([0.11, -0.19]))
-    time.sleep(0.05)
+    clock.sleep(0.01)
     positions = [values.to_bytes(2, "little", signed=True) for values in (1000, -2000, 1100, -1900)]
     assert made.heard == [
         (0x200, b"\1"),
@@ -278,31 +317,36 @@ def test_the_arm_is_enabled_commanded_and_stopped(arm: Arm, make_driver: Make) -
     for wrong in (np.zeros(3), np.array([np.nan, 0.0])):
         with pytest.raises(ValueError, match="2 finite numbers"):
             driver.command(wrong)
+    begun = clock.now()
     driver.stop()
-    assert made.heard[3:] == [(0x200, b"\0")] * 3
+    assert made.heard[3:] == [(0x200, b"\0")] * STOP_REPEATS
+    assert np.allclose(made.heard_at[3:], begun + STOP_INTERVAL * np.arange(STOP_REPEATS), rtol=0, atol=1e-9)
+    assert clock.now() - begun <= STOP_INTERVAL * (STOP_REPEATS - 1) + REST_WINDOW + 2 * PERIOD
     driver.stop()
-    assert len(made.heard) == 6
+    assert len(made.heard) == 3 + STOP_REPEATS
     assert said(list(driver.notices()), "error") == ""
     with pytest.raises(DriverStateError):
         driver.command(np.array([0.1, -0.2]))
 
 
-def test_an_arm_that_goes_on_moving_is_reported(arm: Arm, make_driver: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rest, "REST_LIMIT", 0.4)
-
+def test_an_arm_that_goes_on_moving_is_reported(
+    arm: Arm, make_driver: Make, read_for: Read, clock: SimulatedClock
+) -> None:
     def cycle(number: int) -> list[tuple[int, bytes]]:
         return [(0x181, (20 * number % 30000).to_bytes(2, "little") + bytes(2)), (0x182, bytes(4))]
 
     driver = started(make_driver(moving(arm(cycle).channel)))
     position = joined(read_for(driver, 0.2), "position")[-1]
     driver.command(position)
+    begun = clock.now()
     driver.stop()
+    assert REST_LIMIT <= clock.now() - begun <= REST_LIMIT + 0.05
     assert "that it stands still" in said(list(driver.notices()), "error")
 
 
-def test_a_bus_that_breaks_while_the_arm_moves(arm: Arm, make_driver: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    import can
-
+def test_a_bus_that_breaks_while_the_arm_moves(
+    arm: Arm, make_driver: Make, monkeypatch: pytest.MonkeyPatch, read_for: Read
+) -> None:
     driver = started(make_driver(moving(arm().channel)))
     read_for(driver, 0.1)
     driver.command(np.array([0.1, -0.2]))
@@ -312,7 +356,7 @@ def test_a_bus_that_breaks_while_the_arm_moves(arm: Arm, make_driver: Make, monk
 
     bus = driver._bus
     monkeypatch.setattr(bus, "send", gone)
-    monkeypatch.setattr(bus, "_recv_internal", gone)
+    monkeypatch.setattr(bus, "recv", gone)
     with pytest.raises(ConnectionLostError):
         driver.command(np.array([0.1, -0.2]))
     with pytest.raises(ConnectionLostError):
@@ -322,7 +366,7 @@ def test_a_bus_that_breaks_while_the_arm_moves(arm: Arm, make_driver: Make, monk
     driver.close()
 
 
-def test_a_table_without_commands_moves_nothing(arm: Arm, make_driver: Make) -> None:
+def test_a_table_without_commands_moves_nothing(arm: Arm, make_driver: Make, read_for: Read) -> None:
     made = arm()
     driver = started(make_driver(connection(made.channel, stop=[{"id": 0x200}])))
     read_for(driver, 0.1)
@@ -332,16 +376,16 @@ def test_a_table_without_commands_moves_nothing(arm: Arm, make_driver: Make) -> 
     assert made.heard == []
 
 
-def test_begin_and_end_frames_frame_the_connection(arm: Arm, make_driver: Make) -> None:
+def test_begin_and_end_frames_frame_the_connection(arm: Arm, make_driver: Make, clock: SimulatedClock) -> None:
     made = arm()
     driver = make_driver(connection(made.channel, begin=[{"id": 1, "data": "aa"}], end=[{"id": 1, "data": "bb"}]))
     driver.open()
     driver.close()
-    time.sleep(0.05)
+    clock.sleep(0.01)
     assert made.heard == [(1, b"\xaa"), (1, b"\xbb")]
 
 
-def test_states_are_kept(arm: Arm, make_driver: Make) -> None:
+def test_states_are_kept(arm: Arm, make_driver: Make, read_for: Read) -> None:
     driver = make_driver(connection(arm().channel))
     for action in (driver.start, driver.streams, lambda: driver.read(0.0)):
         with pytest.raises(DriverStateError):
@@ -354,7 +398,7 @@ def test_states_are_kept(arm: Arm, make_driver: Make) -> None:
     driver.start()
     driver.stop()
     driver.start()
-    assert len(joined(read_for(driver, 0.1), "position")) > 3
+    assert len(joined(read_for(driver, 0.1), "position")) == 0.1 * RATE
     driver.close()
     driver.close()
     with pytest.raises(DriverStateError):

@@ -223,7 +223,7 @@ FULL["signals"].append(
 )
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.sampled_from(places(FULL)), JUNK)
 def test_whatever_stands_in_a_place_is_taken_or_refused_with_words(path: tuple[Any, ...], junk: Any) -> None:
     keys = copy.deepcopy(FULL)
@@ -310,7 +310,7 @@ def test_what_of_a_dbc_file_is_not_supported_is_said_where_it_is_asked_for(tmp_p
         parse_settings(connection(dbc=str(path), signals=[entry]), JOINTS)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.binary(max_size=200))
 def test_rubbish_is_no_dbc_file(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
     path = tmp_path_factory.mktemp("dbc") / "arm.dbc"

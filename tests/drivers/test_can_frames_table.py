@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cantools.database.can import Message, Signal
 from cantools.database.conversion import BaseConversion
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.can_bus import EXTENDED
@@ -54,7 +54,6 @@ def gathered(chosen: list[BitField]) -> list[BitField]:
     return kept
 
 
-@settings(deadline=None)
 @given(st.data())
 def test_frames_are_decoded_as_cantools_decodes_them(data: st.DataObject) -> None:
     chosen = gathered(data.draw(st.lists(fields(), min_size=1, max_size=6)))
@@ -70,7 +69,6 @@ def test_frames_are_decoded_as_cantools_decodes_them(data: st.DataObject) -> Non
         assert np.allclose(ours, theirs, rtol=1e-12, atol=1e-9 * abs(scale), equal_nan=True)
 
 
-@settings(deadline=None)
 @given(st.data())
 def test_cantools_encodes_what_we_encode(data: st.DataObject) -> None:
     chosen = [field for field in gathered(data.draw(st.lists(fields(), min_size=1, max_size=6))) if not field.floating]
@@ -90,7 +88,6 @@ def _bounds(field: BitField) -> tuple[int, int]:
     return math.ceil(max(low, -(2.0**53))), math.floor(min(high, 2.0**53))
 
 
-@settings(deadline=None)
 @given(
     fields(),
     st.sampled_from([1.0, 0.1, -0.25, 1e-4]),

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable, Sequence
 from itertools import count
 
 import can
 
+from drivers.clock import Clock
+
 RATE = 100.0
+ANSWER_TIME = 0.001
+"""What an answer to a poll takes [s]."""
 JOINTS = ("shoulder", "elbow")
 _CHANNELS = count()
 
@@ -57,19 +59,22 @@ class ScriptedCanArm:
     """Sends cycles at `RATE`, or one a poll; keeps what it hears.
 
     Args:
+        clock: of the test.
         cycle: what it sends.
         poll: identifier of the frame that makes it answer; None to send by itself.
     """
 
-    def __init__(self, cycle: Cycle = two_frames, poll: int | None = None) -> None:
+    def __init__(self, clock: Clock, cycle: Cycle = two_frames, poll: int | None = None) -> None:
         self.channel = f"scripted-{next(_CHANNELS)}"
+        self._clock = clock
         self.cycle = cycle
         self.heard: list[tuple[int, bytes]] = []
+        self.heard_at: list[float] = []
         self.number = 0
         self._poll = poll
         self._bus = can.Bus(interface="virtual", channel=self.channel)
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._ending = clock.event()
+        self._thread = clock.thread(self._run, "scripted arm")
         self._thread.start()
 
     def close(self) -> None:
@@ -78,16 +83,18 @@ class ScriptedCanArm:
         self._bus.shutdown()
 
     def _run(self) -> None:
-        due = time.monotonic()
+        begun = self._clock.now()
         while not self._ending.is_set():
-            message = self._bus.recv(max(0.0, min(due - time.monotonic(), 0.01)))
+            due = begun + self.number / RATE
+            message = self._bus.recv(max(0.0, min(due - self._clock.now(), 0.01)) if self._poll is None else 0.01)
             if message is not None:
                 self.heard.append((message.arbitration_id, bytes(message.data)))
+                self.heard_at.append(self._clock.now())
                 if message.arbitration_id == self._poll:
+                    self._clock.sleep(ANSWER_TIME)
                     self._speak()
-            if self._poll is None and time.monotonic() >= due:
+            if self._poll is None and self._clock.now() >= due:
                 self._speak()
-                due += 1.0 / RATE
 
     def _speak(self) -> None:
         for identifier, data in self.cycle(self.number):
