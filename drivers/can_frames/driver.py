@@ -127,7 +127,7 @@ class CanFramesDriver:
             if self._poller is not None and self._poller.failure is not None:
                 raise self._poller.failure
             left = max(0.0, end - self._clock.now())
-            frames = receiver.take(left, at_least=len(self._settings.parts("joints")))
+            frames = receiver.take(left, at_least=self._streams.joints.wanted)
             blocks = self._streams.take(frames, self._poller)
             now = self._clock.now()
             if blocks or now >= end:

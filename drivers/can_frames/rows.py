@@ -107,6 +107,13 @@ class Assembler:
         self._synchronised = False
         self._last: tuple[int, float, bytes] = (-1, 0.0, b"")
 
+    @property
+    def wanted(self) -> int:
+        """At least so many frames are missing until the next row can be given out."""
+        if self._waiting is not None:
+            return 1
+        return len(self._parts) - (0 if self._complete else len(self._row))
+
     def take(self, frames: Sequence[Frame], batches: dict[int, Batch]) -> Rows:
         """The rows that these frames complete; `batches` are the same frames by identifier."""
         events: list[tuple[int, int, FloatArray | None]] = []

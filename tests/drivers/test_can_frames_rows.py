@@ -69,7 +69,7 @@ def test_every_cycle_becomes_a_row(count: int, cycles: int, cuts: list[int], mar
     assert np.allclose(begun, 10.0 + PERIOD * np.arange(cycles) - (SPACING if marker else 0.0))
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.data(), st.integers(2, 5), st.booleans())
 def test_no_row_mixes_cycles_whatever_is_lost(data: st.DataObject, count: int, marker: bool) -> None:
     frames = bus(count, 20, marker=marker)
@@ -83,6 +83,19 @@ def test_no_row_mixes_cycles_whatever_is_lost(data: st.DataObject, count: int, m
     size = count + marker
     whole = {cycle for cycle in range(20) if not dropped & set(range(cycle * size, (cycle + 1) * size))}
     assert whole <= set(rows[:, 0])
+
+
+@given(st.data(), st.integers(1, 5), st.booleans())
+def test_no_row_comes_before_as_many_frames_as_are_wanted(data: st.DataObject, count: int, marker: bool) -> None:
+    frames = bus(count, 10, marker=marker)
+    dropped = data.draw(st.sets(st.integers(0, len(frames) - 1), max_size=4))
+    made, wanted = assembler(count, marker=marker), 1
+    for frame in [frame for number, frame in enumerate(frames) if number not in dropped]:
+        rows = made.take([frame], dict(batches([frame])))
+        assert wanted <= 1 or not len(rows.values)
+        wanted = max(wanted - 1, made.wanted)
+    if not dropped and not marker:
+        assert made.wanted == count  # a whole cycle is behind it
 
 
 @given(st.integers(2, 5), st.integers(3, 12), st.data())
