@@ -2,43 +2,45 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from simulated_clock import START, SimulatedClock
 
 from daq.recorder import Recorder
 from daq.recording import read_recording
 from daq.robot import load_robot
-from daq.safety import Limits, Supervisor
-from daq.session import Play, SessionReport, record
+from daq.safety import STALE_FLOOR, Limits, Supervisor
+from daq.session import READ_TIMEOUT, Play, SessionReport, record
 from daq.trajectories import slow_move
 from drivers.base import DriverSettings
-from drivers.can_frames.driver import CanFramesDriver
+from drivers.can_frames.driver import SILENCE_LIMIT, CanFramesDriver
 from drivers.can_frames.settings import parse_settings
 from drivers.can_frames.table import batches, decode, parts_of
 from drivers.errors import ConnectionLostError, UsageError
 from drivers.gains import DriveGain
-from sim_drivers.can_faults import Drop, Freeze, Garbage, OverTemperature, Truncate
+from drivers.streams import Block
+from sim_drivers.can_faults import BusOff, Drop, Freeze, Garbage, OverTemperature, Truncate
 from sim_drivers.plant import Plant
 from sim_drivers.proprietary_can import ProprietaryCanServer
 from sim_drivers.table_arm import FAULT_COMMAND, TableArm
 from sim_drivers.table_faults import Mute
-
-pytestmark = pytest.mark.usefixtures("punctual")
 
 ROBOT_FILE = load_robot("aubo_i5")
 ROBOT = ROBOT_FILE.robot
 JOINTS = ROBOT.joint_names
 KEYS = dict(ROBOT.connections["can"].model_extra or {})
 STEP = 2 * np.pi * 2.0**-20
-PERIOD = 1 / 200
+RATE = 200.0
+PERIOD = 1 / RATE
 DBC = Path(__file__).resolve().parents[1] / "drivers" / "aubo_i5.dbc"
+LONGEST_FRAME = 135e-6
+"""Of 8 bytes at 1 Mbit/s [s]."""
 POSE = np.array([0.3, -0.2, 1.0, 0.4, -0.5, 0.1])
 _CHANNELS = count()
 
@@ -255,18 +257,31 @@ def test_a_table_that_no_plant_can_fill_is_refused() -> None:
 
 
 @pytest.fixture
-def server() -> Iterator[ProprietaryCanServer]:
+def server(clock: SimulatedClock) -> Iterator[ProprietaryCanServer]:
     plant = Noting()
-    made = ProprietaryCanServer(plant, ROBOT, keys())
+    made = ProprietaryCanServer(plant, ROBOT, keys(), clock=clock)
     plant.talker = made._arm
     with made:
         yield made
     assert made.failure is None
 
 
-def driver_of(connection: dict[str, Any]) -> CanFramesDriver:
+@pytest.fixture
+def driver(server: ProprietaryCanServer, clock: SimulatedClock) -> Iterator[CanFramesDriver]:
+    """Of the server's arm; open."""
+    with opened(connection_of(server), clock) as made:
+        yield made
+
+
+@contextmanager
+def opened(connection: dict[str, Any], clock: SimulatedClock) -> Iterator[CanFramesDriver]:
     gains = tuple(DriveGain(ROBOT.drive(joint).gain, None, ROBOT.drive(joint).signal) for joint in JOINTS)
-    return CanFramesDriver(DriverSettings(JOINTS, connection, gains))
+    driver = CanFramesDriver(DriverSettings(JOINTS, connection, gains, clock=clock))
+    driver.open()
+    try:
+        yield driver
+    finally:
+        driver.close()
 
 
 def connection_of(server: ProprietaryCanServer) -> dict[str, Any]:
@@ -274,105 +289,170 @@ def connection_of(server: ProprietaryCanServer) -> dict[str, Any]:
 
 
 def session(
-    path: Path, driver: CanFramesDriver, play: Play | None = None, duration: float | None = None
+    path: Path, driver: CanFramesDriver, clock: SimulatedClock, play: Play | None = None, duration: float | None = None
 ) -> SessionReport:
-    try:
-        driver.open()
-        layouts = driver.streams()
-        supervisor = Supervisor(Limits.of_robot(ROBOT), layouts)
-        return record(driver, Recorder(path, ROBOT_FILE, layouts), supervisor, play, duration)
-    finally:
-        driver.close()
+    layouts = driver.streams()
+    supervisor = Supervisor(Limits.of_robot(ROBOT), layouts)
+    return record(driver, Recorder(path, ROBOT_FILE, layouts, clock=clock), supervisor, play, duration, clock=clock)
 
 
-def test_a_motion_is_recorded_as_the_plant_made_it(server: ProprietaryCanServer, tmp_path: Path) -> None:
+def noted_by(server: ProprietaryCanServer, quantity: str, cycles: np.ndarray) -> np.ndarray:
+    """What the plant measured (N, n) in some cycles."""
+    noted = server._arm.arm.noted  # type: ignore[attr-defined]
+    return np.array([getattr(noted[cycle], quantity) for cycle in cycles.tolist()])
+
+
+def test_a_motion_is_recorded_as_the_plant_made_it(
+    server: ProprietaryCanServer, driver: CanFramesDriver, clock: SimulatedClock, tmp_path: Path
+) -> None:
     path = tmp_path / "run.h5"
     motion = slow_move(POSE, POSE + 0.15, ROBOT.joints, share=0.1)
-    report = session(path, driver_of(connection_of(server)), Play(motion, ROBOT, 200.0))
+    report = session(path, driver, clock, Play(motion, ROBOT, RATE))
     assert report.stopped_by is None
+    assert report.punctuality is not None
+    assert (report.punctuality.skipped, report.punctuality.max_ms) == (0, 0.0)
     recording = read_recording(path)
     joints = recording.streams["joints"]
-    noted = server._arm.arm.noted  # type: ignore[attr-defined]
     cycles = np.rint(joints.time / PERIOD).astype(int)
-    assert np.allclose(joints.time, cycles * PERIOD)
-    position = joints.channels["position"].values
-    assert np.max(np.abs(position - [noted[cycle].position for cycle in cycles])) <= STEP / 2
-    assert np.ptp(position[:, 0]) > 0.14
-    current = joints.channels["current"].values
-    assert np.max(np.abs(current - [noted[cycle].current for cycle in cycles])) <= 0.0005 + 1e-9
-    assert np.allclose(joints.channels["torque"].values, current * [ROBOT.drive(name).gain for name in JOINTS])
+    assert np.allclose(joints.time, cycles * PERIOD, rtol=0, atol=1e-9)
     # Everything that was sent has come, in order.
     assert np.all(np.diff(cycles) == 1)
     assert report.lost["joints"] == 0
-    assert recording.streams["thermal"].channels["temperature"].values.shape[1] == 6
-    assert len(recording.streams["thermal"].time) == pytest.approx(len(cycles) / 3, abs=3)
+    position = joints.channels["position"].values
+    assert np.max(np.abs(position - noted_by(server, "position", cycles))) <= STEP / 2
+    current = joints.channels["current"].values
+    assert np.max(np.abs(current - noted_by(server, "current", cycles))) <= 0.0005 + 1e-9
+    assert np.allclose(joints.channels["torque"].values, current * [ROBOT.drive(name).gain for name in JOINTS])
+    assert np.all(np.ptp(position, axis=0) > 0.149)
+    thermal = recording.streams["thermal"]
+    assert thermal.channels["temperature"].values.shape == (len(cycles) // 3, 6)
     assert not server.status().enabled
 
 
-def test_dropped_and_garbled_frames_lose_rows_and_nothing_else(server: ProprietaryCanServer) -> None:
-    driver = driver_of(connection_of(server))
-    driver.open()
+def read_for(driver: CanFramesDriver, clock: SimulatedClock, seconds: float) -> list[Block]:
+    """The joints' blocks of so long [s]."""
+    end, blocks = clock.now() + seconds, []
+    while (left := end - clock.now()) > 0.0:
+        blocks += [block for block in driver.read(min(left, 0.02)) if block.stream == "joints"]
+    return blocks
+
+
+def test_a_row_is_handed_out_when_its_last_frame_came(
+    server: ProprietaryCanServer, driver: CanFramesDriver, clock: SimulatedClock
+) -> None:
+    """Frames of other streams among those of the joints, here temperatures, hold nothing back."""
     driver.start()
-    rows: list[tuple[int, np.ndarray]] = []
-    lost = 0
-    for fault in (Drop(3), Garbage(20), Truncate(2), Freeze(0.2), None):
-        if fault is not None:
-            server.cause(fault)
-        end = time.monotonic() + 0.5
-        while time.monotonic() < end:
-            for block in driver.read(0.02):
-                if block.stream == "joints":
-                    lost += block.lost
-                    cycles = np.rint(block.time / PERIOD).astype(int).tolist()
-                    rows += list(zip(cycles, block.values["position"], strict=True))
-    warned = [notice.message for notice in driver.notices() if notice.level == "warning"]
-    driver.close()
-    noted = server._arm.arm.noted  # type: ignore[attr-defined]
-    assert all(np.max(np.abs(position - noted[cycle].position)) <= STEP / 2 for cycle, position in rows)
-    steps = np.diff([cycle for cycle, _ in rows])
-    assert np.all(steps >= 1)
-    assert lost == int(np.sum(steps - 1))
-    assert lost == pytest.approx(42, abs=6)
-    assert any("incomplete row(s)" in message for message in warned)
-    assert any("too short" in message for message in warned)
+    for _ in range(200):
+        for block in driver.read(1.0):
+            if block.stream == "joints":
+                assert len(block.time) == 1
+                assert clock.now() - block.host_time[0] < 8 * LONGEST_FRAME
 
 
-def test_a_fault_on_request_stops_the_session(server: ProprietaryCanServer, tmp_path: Path) -> None:
-    server.cause(OverTemperature(1))
-    report = session(tmp_path / "run.h5", driver_of(connection_of(server)), duration=2.0)
+FAULTS = {
+    "drop": (Drop(3), 1, "incomplete row(s)"),
+    "truncate": (Truncate(2), 1, "2 frame(s) too short for the table"),
+    "freeze": (Freeze(0.2), 40, "1 incomplete row(s); the last lacked frame 0x381"),
+    "mute": (Mute(0x182, 0.2), 40, f"the last lacked frame 0x182 (position of {JOINTS[2]}, position of {JOINTS[3]})"),
+    "bus-off": (BusOff(0.2), 40, "1 error frame(s)"),
+    "garbage": (Garbage(20), 0, ""),
+}
+"""A fault, the rows that it costs, and what is told of it."""
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_costs_its_rows_and_nothing_else(
+    server: ProprietaryCanServer, driver: CanFramesDriver, clock: SimulatedClock, fault: str
+) -> None:
+    caused, costs, told = FAULTS[fault]
+    driver.start()
+    blocks = read_for(driver, clock, 0.3)
+    server.cause(caused)
+    blocks += read_for(driver, clock, 1.2)
+    cycles = np.rint(np.concatenate([block.time for block in blocks]) * RATE).astype(int)
+    position = np.concatenate([block.values["position"] for block in blocks])
+    assert np.max(np.abs(position - noted_by(server, "position", cycles))) <= STEP / 2
+    assert sum(block.lost for block in blocks) == costs
+    assert sum(np.diff(cycles) - 1) == costs
+    assert np.sum(np.diff(cycles) > 1) == (costs > 0)  # all in one go
+    warned = "; ".join(notice.message for notice in driver.notices() if notice.level == "warning")
+    assert told in warned
+    assert bool(told) is bool(warned)
+
+
+def test_a_fault_on_request_stops_the_session_in_its_cycle(
+    server: ProprietaryCanServer, driver: CanFramesDriver, clock: SimulatedClock, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.h5"
+    clock.call_at(START + 1.5 * PERIOD + 1.0, lambda: server.cause(OverTemperature(1)))
+    report = session(path, driver, clock, duration=2.0)
     assert report.stopped_by == f"fault of {JOINTS[1]}: 2"
+    recording = read_recording(path)
+    assert not recording.complete
+    times = recording.streams["joints"].time
+    assert times[-1] == pytest.approx(1.0 + PERIOD)  # cycle 0 is sent a period after the start
+    assert np.allclose(np.diff(times), PERIOD)
+    stopped = recording.events[-1]
+    assert stopped.message == f"stopped: fault of {JOINTS[1]}: 2"
+    assert times[-1] < stopped.time < times[-1] + 0.001  # when the frame that says so came
 
 
-def test_a_silent_arm_is_given_up(server: ProprietaryCanServer, tmp_path: Path) -> None:
-    threading.Timer(1.0, lambda: server.cause(Freeze(3.0))).start()
-    report = session(tmp_path / "run.h5", driver_of(connection_of(server)), duration=5.0)
+def test_a_silent_arm_is_given_up(
+    server: ProprietaryCanServer, driver: CanFramesDriver, clock: SimulatedClock, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.h5"
+    clock.call_at(START + 1.0 + 0.5 * PERIOD, lambda: server.cause(Freeze(3.0)))
+    report = session(path, driver, clock, duration=5.0)
     assert isinstance(report.error, ConnectionLostError)
-    assert "no complete row of the joints" in str(report.stopped_by)
+    assert report.error.message == "no complete row of the joints for 0.5 s"
+    recording = read_recording(path)
+    last = recording.streams["joints"].time[-1]
+    assert last == pytest.approx(1.0 - PERIOD)
+    stale, stopped = (event for event in recording.events if event.source == "session")
+    assert stale.message.startswith("stale data of stream joints")
+    assert STALE_FLOOR < stale.time - last < STALE_FLOOR + READ_TIMEOUT + 0.001
+    assert SILENCE_LIMIT < stopped.time - last < SILENCE_LIMIT + READ_TIMEOUT + 0.001
 
 
-def test_an_arm_that_is_polled_answers() -> None:
+def test_an_arm_that_is_polled_answers(clock: SimulatedClock) -> None:
     connection = keys(poll={"id": 0x100, "data": "01"})
     connection["signals"] = [signal for signal in connection["signals"] if signal["quantity"] != "counter"]
-    with ProprietaryCanServer(Plant(ROBOT_FILE, position=POSE), ROBOT, connection) as server:
-        time.sleep(0.05)
+    with ProprietaryCanServer(Plant(ROBOT_FILE, position=POSE), ROBOT, connection, clock=clock) as server:
+        clock.sleep(0.05)
         assert server.status().cycles == 0
-        driver = driver_of(connection)
-        driver.open()
-        driver.start()
-        count, end = 0, time.monotonic() + 0.5
-        while time.monotonic() < end:
-            count += sum(len(block.time) for block in driver.read(0.02) if block.stream == "joints")
-        driver.close()
-        assert count == pytest.approx(100, abs=15)
+        with opened(connection, clock) as driver:
+            driver.start()
+            blocks = read_for(driver, clock, 0.5 + PERIOD / 2)
+        assert sum(len(block.time) for block in blocks) == 0.5 * RATE
+        assert sum(block.lost for block in blocks) == 0
 
 
-def test_a_bus_that_is_too_slow_loses_frames_as_a_real_one() -> None:
+def test_a_bus_that_is_too_slow_loses_frames_as_a_real_one(clock: SimulatedClock) -> None:
     # Eight frames of some 110 bits, 200 times a second, are 180 kbit/s.
-    with ProprietaryCanServer(Plant(ROBOT_FILE, position=POSE), ROBOT, keys(bitrate=100_000)) as server:
-        time.sleep(0.5)
+    plant = Plant(ROBOT_FILE, position=POSE)
+    with ProprietaryCanServer(plant, ROBOT, keys(bitrate=100_000), clock=clock) as server:
+        clock.sleep(0.5)
         status = server.status()
+    assert status.cycles == 0.5 * RATE
     assert status.lost > 0.3 * 8 * status.cycles
-    assert status.load > 0.9
+    assert status.load == pytest.approx(1.0, abs=0.02)
+    assert status.stalls == 0
+
+
+def test_time_stands_still_for_an_arm_whose_computer_stalls(
+    server: ProprietaryCanServer, clock: SimulatedClock
+) -> None:
+    clock.sleep(0.5)
+    before = server.status()
+    clock.stall(0.2)
+    clock.sleep(0.1)
+    caught_up = server.status()
+    assert caught_up.time - before.time == pytest.approx(0.3, abs=1e-6)
+    assert caught_up.stalls == 0
+    clock.stall(1.0)
+    clock.sleep(0.1)
+    assert server.status().time - caught_up.time == pytest.approx(0.1, abs=PERIOD)
+    assert server.status().stalls == 1
 
 
 def test_typed_faults() -> None:
@@ -387,17 +467,3 @@ def test_typed_faults() -> None:
         assert "garbage FRAMES" in caught.value.hint
     with pytest.raises(UsageError, match="'elbow' is no identifier"):
         server.obey("mute elbow 1")
-
-
-def test_a_frame_that_stays_away_costs_rows_and_is_named(server: ProprietaryCanServer) -> None:
-    driver = driver_of(connection_of(server))
-    driver.open()
-    driver.start()
-    threading.Timer(0.3, lambda: server.cause(Mute(0x182, 0.2))).start()
-    lost, end = 0, time.monotonic() + 1.3
-    while time.monotonic() < end:
-        lost += sum(block.lost for block in driver.read(0.02) if block.stream == "joints")
-    warned = " ".join(notice.message for notice in driver.notices() if notice.level == "warning")
-    driver.close()
-    assert lost == pytest.approx(40, abs=4)
-    assert f"the last lacked frame 0x182 (position of {JOINTS[2]}, position of {JOINTS[3]})" in warned
