@@ -3,65 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
-from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from simulated_clock import START, SimulatedClock
+from simulated_clock import SimulatedClock
+from table_arm_bench import (
+    CYCLE_TIME,
+    JOINTS,
+    KEYS,
+    PERIOD,
+    POSE,
+    RATE,
+    ROBOT,
+    ROBOT_FILE,
+    STEP,
+    Noting,
+    connection_of,
+    keys,
+    noted_by,
+    opened,
+    read_for,
+    served,
+    session,
+)
 
-from daq.recorder import Recorder
 from daq.recording import read_recording
-from daq.robot import load_robot
-from daq.safety import STALE_FLOOR, Limits, Supervisor
-from daq.session import READ_TIMEOUT, Play, SessionReport, record
+from daq.session import Play
 from daq.trajectories import slow_move
-from drivers.base import DriverSettings
-from drivers.can_frames.driver import SILENCE_LIMIT, CanFramesDriver
+from drivers.can_frames.driver import CanFramesDriver
 from drivers.can_frames.settings import parse_settings
 from drivers.can_frames.table import batches, decode, parts_of
-from drivers.errors import ConnectionLostError, UsageError
-from drivers.gains import DriveGain
-from drivers.streams import Block
-from sim_drivers.can_faults import BusOff, Drop, Freeze, Garbage, OverTemperature, Truncate
+from drivers.errors import UsageError
+from sim_drivers.can_faults import BusOff, Drop, Freeze, Garbage, Truncate
 from sim_drivers.plant import Plant
 from sim_drivers.proprietary_can import ProprietaryCanServer
 from sim_drivers.table_arm import FAULT_COMMAND, TableArm
 from sim_drivers.table_faults import Mute
 
-ROBOT_FILE = load_robot("aubo_i5")
-ROBOT = ROBOT_FILE.robot
-JOINTS = ROBOT.joint_names
-KEYS = dict(ROBOT.connections["can"].model_extra or {})
-STEP = 2 * np.pi * 2.0**-20
-RATE = 200.0
-PERIOD = 1 / RATE
 DBC = Path(__file__).resolve().parents[1] / "drivers" / "aubo_i5.dbc"
-LONGEST_FRAME = 135e-6
-"""Of 8 bytes at 1 Mbit/s [s]."""
-POSE = np.array([0.3, -0.2, 1.0, 0.4, -0.5, 0.1])
-_CHANNELS = count()
-
-
-def keys(**more: object) -> dict[str, Any]:
-    return KEYS | {"interface": "virtual", "channel": f"table-{next(_CHANNELS)}", "options": {}} | more
-
-
-class Noting(Plant):
-    """Keeps what it measured, by the number that the table arm's cycle had."""
-
-    def __init__(self) -> None:
-        self.noted: dict[int, Any] = {}
-        self.talker: TableArm | None = None
-        super().__init__(ROBOT_FILE, seed=3, position=POSE)
-
-    def measure(self) -> Any:
-        measured = super().measure()
-        if self.talker is not None:
-            self.noted[self.talker._cycles] = measured
-        return measured
 
 
 def decoded(frames: list[Any]) -> dict[tuple[str, str], float]:
@@ -258,12 +239,8 @@ def test_a_table_that_no_plant_can_fill_is_refused() -> None:
 
 @pytest.fixture
 def server(clock: SimulatedClock) -> Iterator[ProprietaryCanServer]:
-    plant = Noting()
-    made = ProprietaryCanServer(plant, ROBOT, keys(), clock=clock)
-    plant.talker = made._arm
-    with made:
+    with served(clock) as made:
         yield made
-    assert made.failure is None
 
 
 @pytest.fixture
@@ -271,35 +248,6 @@ def driver(server: ProprietaryCanServer, clock: SimulatedClock) -> Iterator[CanF
     """Of the server's arm; open."""
     with opened(connection_of(server), clock) as made:
         yield made
-
-
-@contextmanager
-def opened(connection: dict[str, Any], clock: SimulatedClock) -> Iterator[CanFramesDriver]:
-    gains = tuple(DriveGain(ROBOT.drive(joint).gain, None, ROBOT.drive(joint).signal) for joint in JOINTS)
-    driver = CanFramesDriver(DriverSettings(JOINTS, connection, gains, clock=clock))
-    driver.open()
-    try:
-        yield driver
-    finally:
-        driver.close()
-
-
-def connection_of(server: ProprietaryCanServer) -> dict[str, Any]:
-    return KEYS | {"interface": "virtual", "channel": server.settings.channel, "options": {}}
-
-
-def session(
-    path: Path, driver: CanFramesDriver, clock: SimulatedClock, play: Play | None = None, duration: float | None = None
-) -> SessionReport:
-    layouts = driver.streams()
-    supervisor = Supervisor(Limits.of_robot(ROBOT), layouts)
-    return record(driver, Recorder(path, ROBOT_FILE, layouts, clock=clock), supervisor, play, duration, clock=clock)
-
-
-def noted_by(server: ProprietaryCanServer, quantity: str, cycles: np.ndarray) -> np.ndarray:
-    """What the plant measured (N, n) in some cycles."""
-    noted = server._arm.arm.noted  # type: ignore[attr-defined]
-    return np.array([getattr(noted[cycle], quantity) for cycle in cycles.tolist()])
 
 
 def test_a_motion_is_recorded_as_the_plant_made_it(
@@ -329,14 +277,6 @@ def test_a_motion_is_recorded_as_the_plant_made_it(
     assert not server.status().enabled
 
 
-def read_for(driver: CanFramesDriver, clock: SimulatedClock, seconds: float) -> list[Block]:
-    """The joints' blocks of so long [s]."""
-    end, blocks = clock.now() + seconds, []
-    while (left := end - clock.now()) > 0.0:
-        blocks += [block for block in driver.read(min(left, 0.02)) if block.stream == "joints"]
-    return blocks
-
-
 def test_a_row_is_handed_out_when_its_last_frame_came(
     server: ProprietaryCanServer, driver: CanFramesDriver, clock: SimulatedClock
 ) -> None:
@@ -346,7 +286,7 @@ def test_a_row_is_handed_out_when_its_last_frame_came(
         for block in driver.read(1.0):
             if block.stream == "joints":
                 assert len(block.time) == 1
-                assert clock.now() - block.host_time[0] < 8 * LONGEST_FRAME
+                assert clock.now() - block.host_time[0] < CYCLE_TIME
 
 
 FAULTS = {
@@ -378,40 +318,6 @@ def test_a_fault_costs_its_rows_and_nothing_else(
     warned = "; ".join(notice.message for notice in driver.notices() if notice.level == "warning")
     assert told in warned
     assert bool(told) is bool(warned)
-
-
-def test_a_fault_on_request_stops_the_session_in_its_cycle(
-    server: ProprietaryCanServer, driver: CanFramesDriver, clock: SimulatedClock, tmp_path: Path
-) -> None:
-    path = tmp_path / "run.h5"
-    clock.call_at(START + 1.5 * PERIOD + 1.0, lambda: server.cause(OverTemperature(1)))
-    report = session(path, driver, clock, duration=2.0)
-    assert report.stopped_by == f"fault of {JOINTS[1]}: 2"
-    recording = read_recording(path)
-    assert not recording.complete
-    times = recording.streams["joints"].time
-    assert times[-1] == pytest.approx(1.0 + PERIOD)  # cycle 0 is sent a period after the start
-    assert np.allclose(np.diff(times), PERIOD)
-    stopped = recording.events[-1]
-    assert stopped.message == f"stopped: fault of {JOINTS[1]}: 2"
-    assert times[-1] < stopped.time < times[-1] + 0.001  # when the frame that says so came
-
-
-def test_a_silent_arm_is_given_up(
-    server: ProprietaryCanServer, driver: CanFramesDriver, clock: SimulatedClock, tmp_path: Path
-) -> None:
-    path = tmp_path / "run.h5"
-    clock.call_at(START + 1.0 + 0.5 * PERIOD, lambda: server.cause(Freeze(3.0)))
-    report = session(path, driver, clock, duration=5.0)
-    assert isinstance(report.error, ConnectionLostError)
-    assert report.error.message == "no complete row of the joints for 0.5 s"
-    recording = read_recording(path)
-    last = recording.streams["joints"].time[-1]
-    assert last == pytest.approx(1.0 - PERIOD)
-    stale, stopped = (event for event in recording.events if event.source == "session")
-    assert stale.message.startswith("stale data of stream joints")
-    assert STALE_FLOOR < stale.time - last < STALE_FLOOR + READ_TIMEOUT + 0.001
-    assert SILENCE_LIMIT < stopped.time - last < SILENCE_LIMIT + READ_TIMEOUT + 0.001
 
 
 def test_an_arm_that_is_polled_answers(clock: SimulatedClock) -> None:

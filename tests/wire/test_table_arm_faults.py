@@ -1,104 +1,257 @@
-"""`dynid record` against a simulated arm that speaks a table of CAN frames, with faults typed into the arm."""
+"""Recordings of a simulated arm that speaks a table of CAN frames, with faults, in simulated time; one for real."""
 
 from __future__ import annotations
 
-import struct
+import os
+import subprocess
+import sys
+import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
-from can_record_bench import Arm, Outcome, an_arm, assert_stopped, recorder, simulated, swing
+import yaml
+from simulated_clock import START, SimulatedClock
+from table_arm_bench import (
+    CYCLE_TIME,
+    JOINTS,
+    PERIOD,
+    POSE,
+    RATE,
+    ROBOT,
+    ROBOT_FILE,
+    STEP,
+    connection_of,
+    noted_by,
+    opened,
+    served,
+    session,
+)
 
-from daq.recording import read_recording
+from daq.recording import Event, Recording, read_recording
+from daq.safety import STALE_FLOOR
+from daq.session import READ_TIMEOUT, Play, SessionReport
+from daq.trajectories import slow_move
 from drivers.can_bus import close_bus, open_bus
+from drivers.can_frames.driver import SILENCE_LIMIT
+from drivers.can_frames.rest import REST_LIMIT
+from drivers.errors import ConnectionFailedError
 
-pytestmark = pytest.mark.slow
-
-POSITIONS = (0x181, 0x182, 0x183)
-"""Frames with two positions of 24 bits each, 2^-20 of a turn a count."""
-COUNTS_PER_RADIAN = 2**20 / 6.283185307179586
-
-
-class Listener:
-    """Hears the positions that the arm says."""
-
-    def __init__(self, arm: Arm) -> None:
-        self._bus = open_bus("udp_multicast", arm.group, 1_000_000, {"port": arm.port})
-
-    def __enter__(self) -> Listener:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        close_bus(self._bus)
-
-    def travelled(self, seconds: float, enough: float = float("inf")) -> float:
-        """How far any joint moves within a while [rad]; ends where it is more than `enough`."""
-        while self._bus.recv(0.0) is not None:
-            pass
-        lowest: dict[tuple[int, int], int] = {}
-        highest: dict[tuple[int, int], int] = {}
-        end, most = time.monotonic() + seconds, 0
-        while time.monotonic() < end and most < enough * COUNTS_PER_RADIAN:
-            frame = self._bus.recv(0.1)
-            if frame is None or frame.arbitration_id not in POSITIONS or len(frame.data) < 6:
-                continue
-            for place in (0, 3):
-                (counts,) = struct.unpack("<i", b"\0" + bytes(frame.data[place : place + 3]))
-                key, counts = (frame.arbitration_id, place), counts >> 8
-                lowest[key] = min(counts, lowest.get(key, counts))
-                highest[key] = max(counts, highest.get(key, counts))
-                most = max(most, highest[key] - lowest[key])
-        return most / COUNTS_PER_RADIAN if lowest else float("nan")
+FAULT_AT = 2.0
+"""When a fault comes [s of the arm's counter]; a motion is under way."""
+HALT_TIME = 0.1
+"""What the arm takes to halt from that motion [s]."""
+COMMAND = "import sys; from drivers.command import main; sys.exit(main())"
+MINUTE = 60.0
 
 
-def with_fault(folder: Path, fault: str, duration: float | None = None) -> Outcome:
-    """Record, type a fault once the arm moves (or it has been recorded for a second), and see what comes of it."""
-    arm, out = an_arm(folder), folder / "run.h5"
-    moved = ["--trajectory", str(swing(folder, 8.0))]
-    arguments = moved if duration is None else ["--duration", str(duration)]
-    with simulated(arm, "can") as (_, process), Listener(arm) as listener:
-        with recorder(arm, "can", out, *arguments) as program:
-            while not out.exists() and program.poll() is None:
-                time.sleep(0.01)
-            if duration is None:
-                assert listener.travelled(10.0, enough=0.05) >= 0.05
-            else:
-                time.sleep(1.0)
-            assert process.stdin is not None
-            print(fault, file=process.stdin, flush=True)
-            begun = time.monotonic()
-            errors = program.communicate(timeout=40)[1]
-            seconds = time.monotonic() - begun
-        time.sleep(1.0)
-        rest = listener.travelled(0.4)
-    return Outcome(program.returncode, errors, read_recording(out) if out.exists() else None, seconds, rest, ())
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a recording, and what the plant did meanwhile and afterwards.
+
+    Attributes:
+        report: of the session.
+        recording: the file.
+        position, velocity: (N, 6) of the plant in every cycle since the start.
+    """
+
+    report: SessionReport
+    recording: Recording
+    position: np.ndarray
+    velocity: np.ndarray
+
+    @property
+    def cycles(self) -> np.ndarray:
+        """Those recorded, by their numbers."""
+        return np.rint(self.recording.streams["joints"].time * RATE).astype(int)
+
+    def events(self, level: str) -> list[Event]:
+        return [event for event in self.recording.events if event.level == level]
+
+    def rests_from(self) -> float:
+        """When the arm came to rest for good [s of its counter]."""
+        moving = np.flatnonzero(np.max(np.abs(self.velocity), axis=1) > 0.01)
+        return float(moving[-1] + 1) * PERIOD
 
 
-SILENT = "stale data of stream joints"
+Recorded = Callable[..., Outcome]
 
 
-@pytest.mark.parametrize("fault", ["freeze 1", "bus-off 1", "mute 0x182 1", "over-temperature 3"])
-def test_an_arm_silent_or_in_fault_comes_to_rest(tmp_path: Path, fault: str) -> None:
-    outcome = with_fault(tmp_path, fault)
-    assert_stopped(outcome, SILENT, "fault of elbow_joint: 2")
-    assert outcome.moved < 1e-3
+@pytest.fixture
+def recorded(clock: SimulatedClock, tmp_path: Path) -> Recorded:
+    """Records the arm in a motion, or for some seconds; a fault comes in the cycle of `FAULT_AT`."""
+
+    def record(fault: str, duration: float | None = None, stall: float = 0.0) -> Outcome:
+        play = None if duration is not None else Play(slow_move(POSE, POSE + 0.6, ROBOT.joints), ROBOT, RATE)
+        with served(clock) as server, opened(connection_of(server), clock) as driver:
+            if fault:
+                # Cycle 0 is a period after the start; a fault is obeyed at the next cycle.
+                clock.call_at(START + FAULT_AT + PERIOD / 2, lambda: server.obey(fault))
+            if stall:
+                clock.call_at(START + FAULT_AT, lambda: clock.stall(stall))
+            report = session(tmp_path / "run.h5", driver, clock, play, duration)
+            clock.sleep(1.5)
+            cycles = np.arange(server.status().cycles)
+            position, velocity = (noted_by(server, quantity, cycles) for quantity in ("position", "velocity"))
+        return Outcome(report, read_recording(tmp_path / "run.h5"), position, velocity)
+
+    return record
 
 
-def test_a_frame_that_stays_away_while_only_recorded_ends_the_session(tmp_path: Path) -> None:
-    outcome = with_fault(tmp_path, "mute 0x182 2", 10.0)
-    assert_stopped(outcome, "no complete row of the joints for 0.5 s: frame 0x182 (position of elbow_joint, ")
+def assert_true(outcome: Outcome) -> None:
+    """What was recorded is what the plant did."""
+    recorded = outcome.recording.streams["joints"].channels["position"].values
+    assert np.max(np.abs(recorded - outcome.position[outcome.cycles])) <= STEP / 2
 
 
-# Without a motion: there the rows lost and a stall of a busy computer together pass 50 ms, and rightly stop the arm.
-@pytest.mark.parametrize("fault", ["truncate 8", "garbage 50"])
-def test_damaged_frames_cost_their_rows_and_end_nothing(tmp_path: Path, fault: str) -> None:
-    outcome = with_fault(tmp_path, fault, 3.0)
-    assert outcome.status == 0, outcome.errors
-    assert outcome.recording is not None
+@pytest.mark.parametrize(
+    ("fault", "rests"),
+    [("freeze 1", 0.65), ("bus-off 1", 0.65), ("mute 0x182 1", STALE_FLOOR + READ_TIMEOUT + HALT_TIME)],
+)
+def test_an_arm_that_falls_silent_in_motion_is_stopped_and_comes_to_rest(
+    recorded: Recorded, fault: str, rests: float
+) -> None:
+    """An arm that hears no stop frame either comes to rest by itself, where commands stay away."""
+    outcome = recorded(fault)
+    assert_true(outcome)
+    silent = round(FAULT_AT * RATE)
+    assert np.max(np.abs(outcome.velocity[silent])) > 0.3
+    assert outcome.cycles[-1] == silent - 1
+    assert not outcome.recording.complete
+    (stopped,) = outcome.events("error")
+    assert stopped.message.startswith("stopped: stale data of stream joints: ")
+    assert outcome.report.stopped_by == stopped.message.removeprefix("stopped: ")
+    silence = stopped.time - outcome.cycles[-1] * PERIOD
+    assert STALE_FLOOR < silence < STALE_FLOOR + READ_TIMEOUT + CYCLE_TIME
+    assert outcome.recording.events[-1].message == "arm halted"
+    assert outcome.rests_from() < FAULT_AT + rests
+
+
+def test_an_arm_that_does_not_show_that_it_rests_is_told(recorded: Recorded) -> None:
+    outcome = recorded("freeze 4")
+    stopped, unknown = outcome.events("error")
+    assert stopped.message.startswith("stopped: stale data of stream joints: ")
+    assert unknown.message == f"the arm did not show within {REST_LIMIT:g} s of the stop frames that it stands still"
+
+
+def test_a_fault_that_the_arm_tells_stops_the_motion_in_its_cycle(recorded: Recorded) -> None:
+    outcome = recorded("over-temperature 3")
+    assert_true(outcome)
+    assert outcome.report.stopped_by == f"fault of {JOINTS[2]}: 2"
+    assert outcome.cycles[-1] == round(FAULT_AT * RATE)
+    told, stopped = outcome.events("error")
+    assert (told.source, told.message) == ("driver", f"fault of {JOINTS[2]}: 2")
+    assert stopped.message == f"stopped: fault of {JOINTS[2]}: 2"
+    assert FAULT_AT < told.time == stopped.time < FAULT_AT + CYCLE_TIME
+    assert outcome.recording.events[-1].message == "arm halted"
+    assert outcome.rests_from() < FAULT_AT + HALT_TIME
+
+
+@pytest.mark.parametrize(
+    ("fault", "stall", "costs"),
+    [("drop 8", 0.0, 1), ("truncate 8", 0.0, 1), ("freeze 0.03", 0.0, 6), ("", 0.03, 0), ("", 0.1, 0)],
+)
+def test_what_is_over_in_time_costs_its_rows_and_stops_nothing(
+    recorded: Recorded, fault: str, stall: float, costs: int
+) -> None:
+    outcome = recorded(fault, stall=stall)
+    assert outcome.report.stopped_by is None
     assert outcome.recording.complete
-    told = [event for event in outcome.events() if "frame(s) too short for the table" in event]
-    assert bool(told) is fault.startswith("truncate")
-    # The arm's motion, or its rest: no value of a damaged frame.
-    position = outcome.recording.streams["joints"].channels["position"].values
-    assert np.max(np.abs(np.diff(position, axis=0))) < 0.05
+    assert_true(outcome)
+    assert outcome.report.lost["joints"] == costs == np.sum(np.diff(outcome.cycles) - 1)
+    assert np.allclose(outcome.position[-1], POSE + 0.6, atol=2e-3)
+
+
+def test_random_frames_put_no_value_into_the_recording(recorded: Recorded) -> None:
+    outcome = recorded("garbage 50", 3.0)
+    assert outcome.report.stopped_by is None
+    assert_true(outcome)
+
+
+@pytest.mark.parametrize(
+    ("fault", "missing"),
+    [
+        ("freeze 1", ""),
+        ("mute 0x182 1", f": frame 0x182 (position of {JOINTS[2]}, position of {JOINTS[3]}) is missing"),
+    ],
+)
+def test_a_silence_while_only_recorded_is_told_then_ends_the_session(
+    recorded: Recorded, fault: str, missing: str
+) -> None:
+    outcome = recorded(fault, 5.0)
+    assert_true(outcome)
+    assert outcome.cycles[-1] == round(FAULT_AT * RATE) - 1
+    assert outcome.report.error is not None
+    assert outcome.report.error.message == f"no complete row of the joints for {SILENCE_LIMIT:g} s{missing}"
+    stale, *_ = [event for event in outcome.events("warning") if event.source == "session"]
+    (stopped,) = outcome.events("error")
+    last = outcome.cycles[-1] * PERIOD
+    assert stale.message.startswith("stale data of stream joints: ")
+    for event, limit in ((stale, STALE_FLOOR), (stopped, SILENCE_LIMIT)):
+        assert limit < event.time - last < limit + READ_TIMEOUT + CYCLE_TIME
+
+
+@contextmanager
+def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """`dynid` in a process of its own, for a minute at most."""
+    pipes: dict[str, int] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2]), "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-c", COMMAND, *arguments, "--no-ui"]
+    process = subprocess.Popen(command, text=True, env=environment, **pipes)  # type: ignore[call-overload]
+    limit = threading.Timer(MINUTE, process.kill)
+    limit.start()
+    try:
+        yield process
+    finally:
+        limit.cancel()
+        process.kill()
+        process.communicate()
+
+
+def slow_arm(path: Path) -> can.BusABC:
+    """Write the file of an arm so slow that no stall of a computer counts as silence; its bus. Needs multicast."""
+    content = yaml.safe_load(ROBOT_FILE.text)
+    pid = os.getpid()
+    group, port = f"239.76.{pid % 250}.{pid // 250 % 250 + 1}", 20000 + pid % 30000
+    place = {"channel": group, "options": {"hop_limit": 0, "port": port}, "rate": 2, "timeout": MINUTE}
+    content["connections"]["can"] |= place
+    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    try:
+        bus = open_bus("udp_multicast", group, 1_000_000, {"port": port})
+        bus.send(can.Message(arbitration_id=0x7FF, is_extended_id=False))
+    except (ConnectionFailedError, can.CanOperationError) as error:
+        pytest.skip(f"no multicast here: {error}")
+    return bus
+
+
+@pytest.mark.realtime
+def test_a_recording_of_an_arm_in_another_process_ends_by_its_fault(tmp_path: Path) -> None:
+    arm, out = tmp_path / "arm.yaml", tmp_path / "run.h5"
+    bus = slow_arm(arm)
+    with program("sim", str(arm), "--wire", "can") as simulator:
+        assert simulator.stdin is not None
+        assert simulator.stdout is not None
+        assert '"ready": true' in simulator.stdout.readline()
+        with program("record", str(arm), "--wire", "can", "--duration", "50", "-o", str(out)) as recorder:
+            while not out.exists() and recorder.poll() is None:
+                time.sleep(0.01)
+            while bus.recv(0.0) is not None:
+                pass
+            heard = 0
+            while heard < 2 and recorder.poll() is None:
+                frame = bus.recv(0.1)
+                heard += frame is not None and frame.arbitration_id == 0x181
+            print("over-temperature 3", file=simulator.stdin, flush=True)
+            errors = recorder.communicate()[1]
+            assert recorder.returncode == 1
+            assert errors == f"dynid: fault of {JOINTS[2]}: 2\n"
+    close_bus(bus)
+    recording = read_recording(out)
+    assert not recording.complete
+    assert f"stopped: fault of {JOINTS[2]}: 2" in [event.message for event in recording.events]
+    assert np.allclose(np.diff(recording.streams["joints"].time), 0.5)  # by the arm's own counter: none is lost

@@ -1,0 +1,108 @@
+"""A simulated arm that speaks a table of CAN frames, and recordings of it, in one process and in simulated time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from simulated_clock import SimulatedClock
+
+from daq.recorder import Recorder
+from daq.robot import load_robot
+from daq.safety import Limits, Supervisor
+from daq.session import Play, SessionReport, record
+from drivers.base import DriverSettings
+from drivers.can_frames.driver import CanFramesDriver
+from drivers.gains import DriveGain
+from drivers.streams import Block
+from sim_drivers.plant import Plant
+from sim_drivers.proprietary_can import ProprietaryCanServer
+from sim_drivers.table_arm import TableArm
+
+ROBOT_FILE = load_robot("aubo_i5")
+ROBOT = ROBOT_FILE.robot
+JOINTS = ROBOT.joint_names
+KEYS = dict(ROBOT.connections["can"].model_extra or {})
+STEP = 2 * np.pi * 2.0**-20
+"""Of a position in a frame [rad]."""
+RATE = 200.0
+PERIOD = 1 / RATE
+CYCLE_TIME = 9 * 135e-6
+"""What the frames of a cycle take at most [s]."""
+POSE = np.array([0.3, -0.2, 1.0, 0.4, -0.5, 0.1])
+_CHANNELS = count()
+
+
+def keys(**more: object) -> dict[str, Any]:
+    """Of a connection on a bus of its own."""
+    return KEYS | {"interface": "virtual", "channel": f"table-{next(_CHANNELS)}", "options": {}} | more
+
+
+class Noting(Plant):
+    """Keeps what it measured, by the number that the table arm's cycle had."""
+
+    def __init__(self) -> None:
+        self.noted: dict[int, Any] = {}
+        self.talker: TableArm | None = None
+        super().__init__(ROBOT_FILE, seed=3, position=POSE)
+
+    def measure(self) -> Any:
+        measured = super().measure()
+        if self.talker is not None:
+            self.noted[self.talker._cycles] = measured
+        return measured
+
+
+@contextmanager
+def served(clock: SimulatedClock) -> Iterator[ProprietaryCanServer]:
+    """The arm, from now on; its plant is a `Noting`."""
+    plant = Noting()
+    server = ProprietaryCanServer(plant, ROBOT, keys(), clock=clock)
+    plant.talker = server._arm
+    with server:
+        yield server
+    assert server.failure is None
+
+
+@contextmanager
+def opened(connection: dict[str, Any], clock: SimulatedClock) -> Iterator[CanFramesDriver]:
+    """The driver of an arm."""
+    gains = tuple(DriveGain(ROBOT.drive(joint).gain, None, ROBOT.drive(joint).signal) for joint in JOINTS)
+    driver = CanFramesDriver(DriverSettings(JOINTS, connection, gains, clock=clock))
+    driver.open()
+    try:
+        yield driver
+    finally:
+        driver.close()
+
+
+def connection_of(server: ProprietaryCanServer) -> dict[str, Any]:
+    """The keys that reach it."""
+    return KEYS | {"interface": "virtual", "channel": server.settings.channel, "options": {}}
+
+
+def session(
+    path: Path, driver: CanFramesDriver, clock: SimulatedClock, play: Play | None = None, duration: float | None = None
+) -> SessionReport:
+    """Record as `dynid record` does."""
+    layouts = driver.streams()
+    supervisor = Supervisor(Limits.of_robot(ROBOT), layouts)
+    return record(driver, Recorder(path, ROBOT_FILE, layouts, clock=clock), supervisor, play, duration, clock=clock)
+
+
+def noted_by(server: ProprietaryCanServer, quantity: str, cycles: np.ndarray) -> np.ndarray:
+    """What the plant measured (N, n) in some cycles."""
+    noted = server._arm.arm.noted  # type: ignore[attr-defined]
+    return np.array([getattr(noted[cycle], quantity) for cycle in cycles.tolist()])
+
+
+def read_for(driver: CanFramesDriver, clock: SimulatedClock, seconds: float) -> list[Block]:
+    """The joints' blocks of so long [s]."""
+    end, blocks = clock.now() + seconds, []
+    while (left := end - clock.now()) > 0.0:
+        blocks += [block for block in driver.read(min(left, 0.02)) if block.stream == "joints"]
+    return blocks
