@@ -6,15 +6,15 @@ import contextlib
 import errno
 import os
 import re
-import select
 import threading
-import time
 import tty
 from collections import deque
-from typing import Self
+from typing import Protocol, Self
 
 import can
 import numpy as np
+
+from drivers.clock import SYSTEM_CLOCK, Clock
 
 BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 """[bit/s] of the commands S0 to S8."""
@@ -63,28 +63,70 @@ def format_frame(message: can.Message, stamp: int | None = None) -> bytes:
     return f"{letter}{identifier}{message.dlc}{data}{tail}\r".encode()
 
 
+class SerialPort(Protocol):
+    """The adapter's end of a serial line that does not block.
+
+    Attributes:
+        path: what a client opens.
+    """
+
+    path: str
+
+    def fileno(self) -> int:
+        """Its descriptor."""
+
+    def close(self) -> None:
+        """Pull the plug."""
+
+
+class PseudoTerminal:
+    """A serial port that any program on this computer can open."""
+
+    def __init__(self) -> None:
+        self._host, self._device = os.openpty()
+        self.path = os.ttyname(self._device)
+        # Bytes as they are: no echo, no line editing, on either side.
+        tty.setraw(self._host)
+        tty.setraw(self._device)
+        os.set_blocking(self._host, False)
+
+    def fileno(self) -> int:
+        """Its descriptor."""
+        return self._host
+
+    def close(self) -> None:
+        """Pull the plug."""
+        os.close(self._host)
+        os.close(self._device)
+
+
 class SlcanAdapter:
     """An adapter that is plugged in by `start` and let go of by `stop`.
 
     Args:
         bus: what it stands in front of; closed with it.
         bitrate: of that bus [bit/s]; an adapter set to another gets nothing across.
+        port: where clients reach it; closed with it. A pseudo-terminal where None.
+        clock: the host's.
     """
 
-    def __init__(self, bus: can.BusABC, bitrate: int = 1_000_000) -> None:
+    def __init__(
+        self,
+        bus: can.BusABC,
+        bitrate: int = 1_000_000,
+        port: SerialPort | None = None,
+        clock: Clock = SYSTEM_CLOCK,
+    ) -> None:
         self._bus = bus
         self._bitrate = bitrate
-        self._host, self._device = os.openpty()
-        self.path = os.ttyname(self._device)
+        self._port = PseudoTerminal() if port is None else port
+        self.path = self._port.path
         """The serial port that a client opens."""
-        # Bytes as they are: no echo, no line editing, on either side.
-        tty.setraw(self._host)
-        tty.setraw(self._device)
-        os.set_blocking(self._host, False)
+        self._clock = clock
         self._lock = threading.Lock()
         self._backlog = bytearray()
         self._plugged = True
-        self._ending = threading.Event()
+        self._ending = clock.event()
         self._threads: list[threading.Thread] = []
         self._open = self._listen_only = self._stamped = False
         self._setting: int | None = None
@@ -104,7 +146,7 @@ class SlcanAdapter:
     def start(self) -> None:
         """Plug it in."""
         for name, work in (("slcan-commands", self._serve_host), ("slcan-frames", self._serve_bus)):
-            thread = threading.Thread(target=work, name=name, daemon=True)
+            thread = self._clock.thread(work, name)
             thread.start()
             self._threads.append(thread)
 
@@ -123,8 +165,7 @@ class SlcanAdapter:
         with self._lock:
             if self._plugged:
                 self._plugged = False
-                os.close(self._host)
-                os.close(self._device)
+                self._port.close()
 
     def truncate(self, lines: int) -> None:
         """Cut the next lines of received frames short."""
@@ -149,7 +190,7 @@ class SlcanAdapter:
     def _flush(self) -> None:
         while self._backlog:
             try:
-                written = os.write(self._host, self._backlog)
+                written = os.write(self._port.fileno(), self._backlog)
             except BlockingIOError:
                 return
             except OSError as error:
@@ -172,7 +213,7 @@ class SlcanAdapter:
                 self._pass_on(message)
 
     def _pass_on(self, message: can.Message) -> None:
-        stamp = int(1e3 * time.monotonic()) % STAMP_PERIOD if self._stamped else None
+        stamp = int(1e3 * self._clock.now()) % STAMP_PERIOD if self._stamped else None
         line = format_frame(message, stamp)
         if self._truncate > 0 and len(message.data) > 1:
             self._truncate -= 1
@@ -200,14 +241,14 @@ class SlcanAdapter:
     def _read(self) -> bytes:
         try:
             with self._lock:
-                writers = [self._host] if self._backlog and self._plugged else []
-            readable, writable, _ = select.select([self._host], writers, [], POLL)
+                writers = [self._port] if self._backlog and self._plugged else []
+            readable, writable = self._clock.select([self._port], writers, POLL)
             if writable:
                 with self._lock:
                     if self._plugged:
                         self._flush()
             with self._lock:
-                return os.read(self._host, 4096) if readable and self._plugged else b""
+                return os.read(self._port.fileno(), 4096) if readable and self._plugged else b""
         except (OSError, ValueError):
             # Pulled out, or nobody has the port open at the moment.
             self._ending.wait(POLL)
