@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import can.bus
+import pytest
 import serial
 from simulated_clock import SimulatedClock
 
@@ -99,18 +101,19 @@ class SerialPort:
 
 @contextmanager
 def simulated_line(clock: SimulatedClock) -> Iterator[SimulatedLine]:
-    """A line that pyserial opens by its path, and whose time-outs are of this clock."""
+    """A line that pyserial opens by its path; the time-outs of python-can are of this clock meanwhile."""
     line = SimulatedLine(clock)
 
     def open_port(url: str, *_: object, timeout: float, **__: object) -> Any:
         assert url == line.path
         return SerialPort(line, clock, timeout)
 
-    before, time = serial.serial_for_url, serial.serialutil.Timeout.TIME
-    serial.serial_for_url, serial.serialutil.Timeout.TIME = open_port, staticmethod(clock.now)
-    try:
-        yield line
-    finally:
-        serial.serial_for_url, serial.serialutil.Timeout.TIME = before, staticmethod(time)
-        line.close()
-        line.near.close()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(serial, "serial_for_url", open_port)
+        patch.setattr(serial.serialutil.Timeout, "TIME", staticmethod(clock.now))
+        patch.setattr(can.bus, "time", clock.now)
+        try:
+            yield line
+        finally:
+            line.close()
+            line.near.close()
