@@ -139,6 +139,7 @@ def serve_until_interrupted(served: Served, name: str, *, live: bool) -> None:
         gc.collect()
         gc.freeze()
         print(json.dumps({"ready": True, "robot": name, **served.ready()}), flush=True)
+        # A person types and looks at this: the terminal's time is nobody else's.
         threading.Thread(target=_obey_typed_faults, args=(served,), name="faults", daemon=True).start()
         with contextlib.suppress(KeyboardInterrupt):
             while served.failure is None:
