@@ -60,12 +60,14 @@ class Outcome:
         report: of the session.
         recording: the file.
         position, velocity: (N, 6) of the plant in every cycle since the start.
+        enabled: whether the arm would follow commands afterwards.
     """
 
     report: SessionReport
     recording: Recording
     position: np.ndarray
     velocity: np.ndarray
+    enabled: bool
 
     @property
     def cycles(self) -> np.ndarray:
@@ -100,7 +102,8 @@ def recorded(clock: SimulatedClock, tmp_path: Path) -> Recorded:
             clock.sleep(0.5)
             cycles = np.arange(server.status().cycles)
             position, velocity = (noted_by(server, quantity, cycles) for quantity in ("position", "velocity"))
-        return Outcome(report, read_recording(tmp_path / "run.h5"), position, velocity)
+            enabled = server.status().enabled
+        return Outcome(report, read_recording(tmp_path / "run.h5"), position, velocity, enabled)
 
     return record
 
@@ -132,6 +135,7 @@ def test_an_arm_that_falls_silent_in_motion_is_stopped_and_comes_to_rest(
     assert STALE_FLOOR < silence < STALE_FLOOR + READ_TIMEOUT + CYCLE_TIME
     assert outcome.recording.events[-1].message == "arm halted"
     assert outcome.rests_from() < FAULT_AT + rests
+    assert outcome.enabled != fault.startswith("mute")  # a muted arm still hears
 
 
 def test_an_arm_that_does_not_show_that_it_rests_is_told(recorded: Recorded) -> None:
@@ -152,6 +156,7 @@ def test_a_fault_that_the_arm_tells_stops_the_motion_in_its_cycle(recorded: Reco
     assert FAULT_AT < told.time == stopped.time < FAULT_AT + CYCLE_TIME
     assert outcome.recording.events[-1].message == "arm halted"
     assert outcome.rests_from() < FAULT_AT + HALT_TIME
+    assert not outcome.enabled
 
 
 @pytest.mark.parametrize(
@@ -167,6 +172,7 @@ def test_what_is_over_in_time_costs_its_rows_and_stops_nothing(
     assert_true(outcome)
     assert outcome.report.lost["joints"] == costs == np.sum(np.diff(outcome.cycles) - 1)
     assert np.allclose(outcome.position[-1], POSE + WAY, atol=2e-3)
+    assert not outcome.enabled
 
 
 def test_random_frames_put_no_value_into_the_recording(recorded: Recorded) -> None:
