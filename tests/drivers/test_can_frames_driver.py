@@ -283,6 +283,13 @@ def test_another_rate_than_the_files_is_said(arm: Arm, make_driver: Make, read_f
     assert "cycles come at 100 Hz, but the robot file says 150 Hz" in said(list(driver.notices()), "warning")
 
 
+def test_one_pause_is_no_other_rate(arm: Arm, make_driver: Make, read_for: Read) -> None:
+    made = arm(lambda number: [] if 60 <= number < 90 else two_frames(number))
+    driver = started(make_driver(connection(made.channel)))
+    assert len(joined(read_for(driver, 3.0 * RATE_TIME), "position")) == 3.0 * RATE_TIME * RATE - 30
+    assert said(list(driver.notices()), "warning") == ""
+
+
 def test_frames_that_are_too_short_are_said(arm: Arm, make_driver: Make, read_for: Read) -> None:
     made = arm()
     driver = started(make_driver(connection(made.channel)))
