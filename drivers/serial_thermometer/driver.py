@@ -7,7 +7,6 @@ the bytes of a chunk and the baud rate.
 from __future__ import annotations
 
 import math
-import time
 from collections import deque
 from collections.abc import Sequence
 
@@ -45,10 +44,11 @@ class SerialThermometerDriver:
 
     def __init__(self, settings: DriverSettings) -> None:
         self._settings = parse_settings(settings.connection, settings.joints)
+        self._clock = settings.clock
         mapped = self._settings.channels.values()
         self._silent_after = max(SILENT_PERIODS / self._settings.rate, SILENT_FLOOR)
         self._joints = tuple(joint for joint in settings.joints if joint in mapped)
-        self._port = SerialPort(self._settings.url, self._settings.baudrate)
+        self._port = SerialPort(self._settings.url, self._settings.baudrate, self._clock)
         self._parser = LineParser(self._settings)
         self._rows = RowAssembler(self._joints)
         self._state: State = "closed"
@@ -100,7 +100,7 @@ class SerialThermometerDriver:
         self._port.clear()
         self._parser.restart()
         self._rows.clear()
-        self._heard = self._opened = time.monotonic()
+        self._heard = self._opened = self._clock.now()
         self._silent = False
         self._state = "running"
 
@@ -130,7 +130,7 @@ class SerialThermometerDriver:
                     self._lose(arrival)
                 case Restored():
                     self._restore(arrival)
-        now = time.monotonic()
+        now = self._clock.now()
         if not arrivals:
             rows.extend(self._rows.flush(before=now - max(1.0 / self._settings.rate, ROW_PATIENCE)))
         self._watch(now)
@@ -160,7 +160,7 @@ class SerialThermometerDriver:
         """End the samples; safe in every state, never raises."""
         if self._state == "running":
             self._state = "open"
-            self._tell_rejected(time.monotonic(), at_once=True)
+            self._tell_rejected(self._clock.now(), at_once=True)
 
     def close(self) -> None:
         """Let go of the port; safe in every state."""
@@ -169,10 +169,10 @@ class SerialThermometerDriver:
         self._state = "closed"
 
     def _await_temperature(self) -> None:
-        deadline = time.monotonic() + self._settings.timeout
+        deadline = self._clock.now() + self._settings.timeout
         self._parser.restart()
         received = 0
-        while (left := deadline - time.monotonic()) > 0.0:
+        while (left := deadline - self._clock.now()) > 0.0:
             for arrival in self._port.take(left):
                 if isinstance(arrival, Chunk):
                     received += len(arrival.data)

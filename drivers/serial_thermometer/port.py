@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-import time
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import serial
 
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError, UsageError
 
 READ_TIMEOUT = 0.01
@@ -60,21 +59,23 @@ class SerialPort:
     Args:
         url: device or pyserial URL.
         baudrate: [bit/s].
+        clock: the host's.
 
     Attributes:
         dropped: bytes that were thrown away because `take` stayed away.
         attempts: to open a port that has gone, since it went.
     """
 
-    def __init__(self, url: str, baudrate: int) -> None:
+    def __init__(self, url: str, baudrate: int, clock: Clock = SYSTEM_CLOCK) -> None:
         self.url = url
         self.dropped = 0
         self.attempts = 0
         self._baudrate = baudrate
+        self._clock = clock
         self._arrivals: deque[Arrival] = deque()
         self._waiting = 0
-        self._changed = threading.Condition()
-        self._closing = threading.Event()
+        self._changed = clock.condition()
+        self._closing = clock.event()
         self._thread: threading.Thread | None = None
 
     def open(self) -> None:
@@ -95,10 +96,8 @@ class SerialPort:
                 hint="is it plugged in, and are you in the group that owns it (dialout)?",
             ) from error
         self.clear()
-        self._closing = threading.Event()
-        self._thread = threading.Thread(
-            target=self._run, args=(port, self._closing), name=f"thermometer {self.url}", daemon=True
-        )
+        self._closing = self._clock.event()
+        self._thread = self._clock.thread(self._run, f"thermometer {self.url}", (port, self._closing))
         self._thread.start()
 
     def take(self, timeout: float) -> list[Arrival]:
@@ -133,12 +132,12 @@ class SerialPort:
     def _run(self, port: serial.SerialBase, closing: threading.Event) -> None:
         try:
             while not closing.is_set():
-                reason = _read_until_lost(port, closing, self._put)
+                reason = self._read_until_lost(port, closing)
                 with contextlib.suppress(Exception):
                     port.close()
                 if closing.is_set():
                     return
-                self._put(Lost(time.monotonic(), reason))
+                self._put(Lost(self._clock.now(), reason))
                 found = self._open_again(closing)
                 if found is None:
                     return
@@ -147,13 +146,26 @@ class SerialPort:
             with contextlib.suppress(Exception):
                 port.close()
 
+    def _read_until_lost(self, port: serial.SerialBase, closing: threading.Event) -> str:
+        since = self._clock.now()
+        while not closing.is_set():
+            try:
+                data = port.read(CHUNK_BYTES)
+            except Exception as error:  # OSError, termios.error, and whatever protocols' modules raise
+                return _reason(error)
+            until = self._clock.now()
+            if data:
+                self._put(Chunk(bytes(data), since, until))
+            since = until
+        return ""
+
     def _open_again(self, closing: threading.Event) -> serial.SerialBase | None:
         self.attempts = 0
         while not closing.wait(RETRY_PERIOD):
             self.attempts += 1
             with contextlib.suppress(Exception):  # whatever it is, the next attempt may succeed
                 port = self._open()
-                self._put(Restored(time.monotonic(), self.attempts))
+                self._put(Restored(self._clock.now(), self.attempts))
                 return port
         return None
 
@@ -168,20 +180,6 @@ class SerialPort:
                     self.dropped += len(oldest.data)
             self._arrivals.append(arrival)
             self._changed.notify()
-
-
-def _read_until_lost(port: serial.SerialBase, closing: threading.Event, put: Callable[[Arrival], None]) -> str:
-    since = time.monotonic()
-    while not closing.is_set():
-        try:
-            data = port.read(CHUNK_BYTES)
-        except Exception as error:  # SerialException, OSError, termios.error, and what other protocols' modules raise
-            return _reason(error)
-        until = time.monotonic()
-        if data:
-            put(Chunk(bytes(data), since, until))
-        since = until
-    return ""
 
 
 def _reason(error: Exception) -> str:
