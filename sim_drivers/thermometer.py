@@ -1,32 +1,29 @@
-"""A simulated serial thermometer: lines of text on a pseudo-terminal, as fast as its baud rate lets them through.
+"""A simulated serial thermometer: lines of text, as fast as its baud rate lets them through.
 
-A pseudo-terminal itself carries any number of characters a second; so the characters are handed over one bit time after
-the other, ten bits each.
+What it is plugged into carries any number of characters a second; so they are handed over one after the other, ten bit
+times each.
 """
 
 from __future__ import annotations
 
-import contextlib
+import math
 import os
 import random
-import select
-import tempfile
 import threading
-import time
-import tty
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Self
+from typing import Protocol, Self
 
 import numpy as np
 
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import UsageError
 from drivers.serial_thermometer.port import BITS_A_CHARACTER
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
 from drivers.streams import FloatArray
 from drivers.units import ZERO_CELSIUS
 from sim_drivers.plant import Plant
+from sim_drivers.pseudo_terminal import PseudoTerminal
 
 SLICE = 0.002
 """[s] between two portions of characters."""
@@ -69,24 +66,44 @@ class SimulatedThermometer:
         return (self.separator.join(values) + "\r\n").encode("ascii")
 
 
+class Plug(Protocol):
+    """One end of a serial line, which may be pulled out; no two of its methods run at a time."""
+
+    @property
+    def path(self) -> str:
+        """What a reader opens."""
+
+    def plug_in(self) -> None:
+        """Let the port be there; nothing where it is."""
+
+    def pull_out(self) -> None:
+        """Take the port away; nothing where there is none."""
+
+    def write(self, data: bytes) -> int:
+        """Send without waiting; how many characters somebody took."""
+
+    def remove(self) -> None:
+        """Leave nothing behind."""
+
+
 class ThermometerServer:
-    """A thermometer on a pseudo-terminal; `start` plugs it in, `stop` ends it.
+    """A thermometer on a serial line; `start` plugs it in, `stop` ends it.
 
     Args:
         source: an arm whose joints' housings are measured, all of them in their order, or a function that gives the
             temperatures [°C], one a channel.
         settings: what is sent.
         seed: of the garbage.
-        path: where the port appears; a folder of its own where None.
+        plug: its end of the line; a pseudo-terminal where None.
+        clock: the host's.
 
     Attributes:
-        path: of the port; it stays the same when the thermometer is unplugged and plugged in again.
         lines: sent whole, garbage not counted.
         lost: lines that nobody took.
         failure: what ended it; None while all is well.
 
     Raises:
-        UsageError: so many lines do not fit through the baud rate, or something else is at `path`.
+        UsageError: so many lines do not fit through the baud rate.
     """
 
     def __init__(
@@ -94,7 +111,8 @@ class ThermometerServer:
         source: Plant | Callable[[], Sequence[float] | FloatArray],
         settings: SimulatedThermometer,
         seed: int = 0,
-        path: str | None = None,
+        plug: Plug | None = None,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self.settings = settings
         self.lines = 0
@@ -108,19 +126,18 @@ class ThermometerServer:
                 hint=f"at most {settings.baudrate / (BITS_A_CHARACTER * length):.3g} lines a second",
             )
         self._random = random.Random(seed)
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
-        if path is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="dynid-thermometer-")
-            path = str(Path(self._folder.name) / "port")
-        elif os.path.exists(path):
-            raise UsageError("there is something already", where=path, hint="choose another path, or remove it")
-        self.path = path
-        self._master: int | None = None
-        self._lock = threading.Lock()
-        self._stopping = threading.Event()
+        self._plug = PseudoTerminal() if plug is None else plug
+        self._clock = clock
+        self._changed = clock.condition()
+        self._stopping = False
         self._silent_until = self._garbage_until = 0.0
-        self._replug_at: float | None = None
+        self._replug_at = math.inf
         self._thread: threading.Thread | None = None
+
+    @property
+    def path(self) -> str:
+        """Of the port; it stays the same when the thermometer is unplugged and plugged in again."""
+        return self._plug.path
 
     def __enter__(self) -> Self:
         self.start()
@@ -134,51 +151,38 @@ class ThermometerServer:
         if self._thread is not None:
             raise RuntimeError("started already")
         self.replug()
-        self._thread = threading.Thread(target=self._run, name="thermometer", daemon=True)
+        self._thread = self._clock.thread(self._run, "thermometer")
         self._thread.start()
 
     def stop(self) -> None:
         """End it; safe to call twice."""
-        self._stopping.set()
+        with self._changed:
+            self._stopping = True
+            self._changed.notify_all()
         if self._thread is not None:
             self._thread.join(STOP_LIMIT)
         self.unplug()
-        if self._folder is not None:
-            self._folder.cleanup()
+        self._plug.remove()
 
     def silent(self, duration: float) -> None:
         """Send nothing for a while [s]."""
-        self._silent_until = time.monotonic() + duration
+        self._silent_until = self._clock.now() + duration
 
     def garbage(self, duration: float) -> None:
         """Send any bytes in place of lines for a while [s], as at a wrong baud rate."""
-        self._garbage_until = time.monotonic() + duration
+        self._garbage_until = self._clock.now() + duration
 
     def unplug(self, duration: float | None = None) -> None:
         """Pull it out; it comes back after `duration` [s], or with `replug`."""
-        self._replug_at = None if duration is None else time.monotonic() + duration
-        with self._lock:
-            master, self._master = self._master, None
-            if master is not None:
-                os.close(master)
-                with contextlib.suppress(FileNotFoundError):
-                    os.unlink(self.path)
+        with self._changed:
+            self._replug_at = math.inf if duration is None else self._clock.now() + duration
+            self._plug.pull_out()
+            self._changed.notify_all()
 
     def replug(self) -> None:
         """Plug it in again; nothing where it is plugged in."""
-        self._replug_at = None
-        with self._lock:
-            if self._master is not None:
-                return
-            master, slave = os.openpty()
-            tty.setraw(slave)
-            with contextlib.suppress(FileNotFoundError):
-                if os.path.islink(self.path):
-                    os.unlink(self.path)  # left by one that was killed
-            os.symlink(os.ttyname(slave), self.path)
-            os.close(slave)
-            os.set_blocking(master, False)
-            self._master = master
+        with self._changed:
+            self._plug_in()
 
     def obey(self, line: str) -> None:
         """Cause a fault as a person types it, without the word `thermometer`.
@@ -209,26 +213,32 @@ class ThermometerServer:
     def _send(self) -> None:
         period = 1.0 / self.settings.rate
         byte_time = BITS_A_CHARACTER / self.settings.baudrate
-        due = free = time.monotonic()
+        due = free = self._clock.now()
         waiting = bytearray()
-        while not self._stopping.is_set():
-            now = time.monotonic()
-            if self._replug_at is not None and now >= self._replug_at:
-                self.replug()
+        while not self._stopping:
+            now = self._clock.now()
+            with self._changed:
+                if now >= self._replug_at:
+                    self._plug_in()
             while due <= now:
                 if not waiting:
                     free = max(free, due)
-                waiting += self._next_line()
+                waiting += self._next_line(now)
                 due += period
             count = min(int((now - free) / byte_time), len(waiting))
             if count > 0:
                 self._write(bytes(waiting[:count]))
                 del waiting[:count]
                 free += count * byte_time
-            self._stopping.wait(SLICE if waiting else min(max(due - now, 0.0), 0.05))
+            with self._changed:
+                if not self._stopping:
+                    self._changed.wait(min(now + SLICE if waiting else due, self._replug_at) - now)
 
-    def _next_line(self) -> bytes:
-        now = time.monotonic()
+    def _plug_in(self) -> None:
+        self._replug_at = math.inf
+        self._plug.plug_in()
+
+    def _next_line(self, now: float) -> bytes:
         if now < self._silent_until:
             return b""
         line = self.settings.line(self._temperatures())
@@ -237,23 +247,10 @@ class ThermometerServer:
         return line
 
     def _write(self, data: bytes) -> None:
-        with self._lock:
-            if self._master is None:
-                self.lost += data.count(b"\n")
-                return
-            poll = select.poll()
-            poll.register(self._master, select.POLLHUP)
-            if any(event & select.POLLHUP for _, event in poll.poll(0)):  # nobody has the port open
-                self.lost += data.count(b"\n")
-                return
-            with contextlib.suppress(BlockingIOError, OSError):
-                os.read(self._master, 4096)  # whatever is said to it
-            try:
-                written = os.write(self._master, data)
-            except OSError:
-                written = 0
-            self.lines += data[:written].count(b"\n")
-            self.lost += data[written:].count(b"\n")
+        with self._changed:
+            taken = self._plug.write(data)
+        self.lines += data[:taken].count(b"\n")
+        self.lost += data[taken:].count(b"\n")
 
 
 def simulated_thermometer(connection: Mapping[str, object], joints: Sequence[str]) -> SimulatedThermometer:
@@ -276,24 +273,35 @@ def simulated_thermometer(connection: Mapping[str, object], joints: Sequence[str
     return simulated
 
 
-def serve_thermometer(plant: Plant, connection: Mapping[str, object], seed: int = 0) -> ThermometerServer:
+def serve_thermometer(
+    plant: Plant,
+    connection: Mapping[str, object],
+    seed: int = 0,
+    plug: Plug | None = None,
+    clock: Clock = SYSTEM_CLOCK,
+) -> ThermometerServer:
     """A thermometer, not yet started, on an arm: the joints that a robot file's connection names.
 
-    Its port appears where the connection's `url` says, if that is the path of no device.
+    Args:
+        plant: the arm.
+        connection: the keys of the robot file's connection.
+        seed: of the garbage.
+        plug: its end of the line; where None a pseudo-terminal, which appears where the connection's `url` says, if
+            that is the path of no device.
+        clock: the host's.
 
     Raises:
-        UsageError: as `simulated_thermometer`, or so many lines do not fit through the baud rate.
+        UsageError: as `simulated_thermometer`, so many lines do not fit through the baud rate, or something else is
+            where the port should appear.
     """
     joints = plant.robot.joint_names
     settings = parse_settings({key: value for key, value in connection.items() if key != "with"}, joints)
     columns = [joints.index(joint) for joint in _by_joint(settings, joints).values()]
-    own = os.path.isabs(settings.url) and not settings.url.startswith("/dev/")
-    return ThermometerServer(
-        lambda: plant.thermal.housing[columns],
-        simulated_thermometer(connection, joints),
-        seed,
-        settings.url if own else None,
-    )
+    simulated = simulated_thermometer(connection, joints)
+    if plug is None:
+        own = os.path.isabs(settings.url) and not settings.url.startswith("/dev/")
+        plug = PseudoTerminal(settings.url if own else None)
+    return ThermometerServer(lambda: plant.thermal.housing[columns], simulated, seed, plug, clock)
 
 
 def _by_joint(settings: ThermometerSettings, joints: Sequence[str]) -> dict[str, str]:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import threading
+import itertools
 from collections import deque
 from collections.abc import Mapping
 from typing import Self
 
 from daq.robot import Robot, RobotFile
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import UsageError
 from sim_drivers.faults import joint_number
 from sim_drivers.plant import Plant
 from sim_drivers.serve import Served
-from sim_drivers.thermometer import USAGE, ThermometerServer, serve_thermometer
-from sim_drivers.wall_clock import periods
+from sim_drivers.thermometer import USAGE, Plug, ThermometerServer, serve_thermometer
 
 DRIVER = "serial_thermometer"
 WORD = "thermometer"
@@ -74,19 +74,21 @@ class BesideThermometer:
 
 
 class ThermometerAlone:
-    """A thermometer on an arm at rest, in wall-clock time; `heat JOINT CELSIUS` warms a joint up.
+    """A thermometer on an arm at rest; `heat JOINT CELSIUS` warms a joint up.
 
     Args:
         plant: the arm.
         thermometer: on it.
+        clock: the host's.
     """
 
-    def __init__(self, plant: Plant, thermometer: ThermometerServer) -> None:
+    def __init__(self, plant: Plant, thermometer: ThermometerServer, clock: Clock = SYSTEM_CLOCK) -> None:
         self._plant, self._thermometer = plant, thermometer
         self._failure: BaseException | None = None
         self._heat: deque[tuple[int, float]] = deque()
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="plant", daemon=True)
+        self._clock = clock
+        self._ending = clock.event()
+        self._thread = clock.thread(self._run, "plant")
         self.messages: deque[str] = deque()
 
     @property
@@ -135,8 +137,9 @@ class ThermometerAlone:
 
     def _run(self) -> None:
         try:
-            for _ in periods(PERIOD):
-                if self._ending.is_set():
+            begun = self._clock.now()
+            for count in itertools.count(1):  # on a grid, so that no lateness accumulates
+                if self._ending.wait(begun + count * PERIOD - self._clock.now()):
                     return
                 while self._heat:
                     self._plant.heat(*self._heat.popleft())
@@ -145,8 +148,16 @@ class ThermometerAlone:
             self._failure = error
 
 
-def thermometer_alone(robot_file: RobotFile, seed: int) -> ThermometerAlone:
+def thermometer_alone(
+    robot_file: RobotFile, seed: int, plug: Plug | None = None, clock: Clock = SYSTEM_CLOCK
+) -> ThermometerAlone:
     """The thermometer of a robot file, on its arm at rest.
+
+    Args:
+        robot_file: of the arm.
+        seed: of noise and garbage.
+        plug: the thermometer's end of the line; a pseudo-terminal where None.
+        clock: the host's.
 
     Raises:
         UsageError: the robot file has no serial thermometer, or its keys are wrong.
@@ -154,7 +165,7 @@ def thermometer_alone(robot_file: RobotFile, seed: int) -> ThermometerAlone:
     """
     keys = thermometer_keys(robot_file.robot)
     plant = Plant(robot_file, seed=seed)
-    return ThermometerAlone(plant, serve_thermometer(plant, keys, seed))
+    return ThermometerAlone(plant, serve_thermometer(plant, keys, seed, plug, clock), clock)
 
 
 def thermometer_keys(robot: Robot) -> Mapping[str, object]:

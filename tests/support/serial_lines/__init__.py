@@ -35,17 +35,17 @@ class SerialLine:
         self.said: list[tuple[float, bytes]] = []
         self.opened = False
         self._plugs = 0
-        self._plugged = False
+        self.plugged = False
         self._arrived = bytearray()
         LINES[self.path] = self
 
     def plug_in(self) -> None:
-        if not self._plugged:
-            self._plugged = True
+        if not self.plugged:
+            self.plugged = True
             self._plugs += 1
 
     def pull_out(self) -> None:
-        self._plugged = self.opened = False
+        self.plugged = self.opened = False
         self._arrived.clear()
 
     def write(self, data: bytes) -> int:
@@ -66,7 +66,7 @@ class SerialLine:
 
     def open(self) -> int:
         """Open the port; which plugging-in of it that is."""
-        if not self._plugged:
+        if not self.plugged:
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), self.path)
         if self.opened:
             raise serial.SerialException("Could not exclusively lock port")
@@ -89,4 +89,4 @@ class SerialLine:
         return data
 
     def _gone(self, plug: int) -> bool:
-        return not self._plugged or plug != self._plugs
+        return not self.plugged or plug != self._plugs
