@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from daq.console import print_json, print_table
-from daq.recording import JOINTS_STREAM, read_recording
+from daq.recording import read_recording
 from daq.robot import RobotFile, load_robot
 from daq.trajectory_file import dump_trajectory, load_trajectory
 from drivers.errors import UsageError
@@ -27,7 +28,7 @@ from ident.report import TruthTable, write_report
 from ident.result import Result, write_result
 from ident.reversals import ADVISED_SHARE
 from ident.summary import summarise
-from sim_drivers.simulated_arm import record_over_wire, simulated_arm
+from sim_drivers.simulated_arm import Record, over_rtde
 
 PERIOD = 15.0
 """Period of the demonstration's motions [s]."""
@@ -73,7 +74,12 @@ class Demo:
 
 
 def run_demo(
-    folder: Path, robot: str, duration: float, seed: int, progress: Callable[[str], None] = lambda step: None
+    folder: Path,
+    robot: str,
+    duration: float,
+    seed: int,
+    progress: Callable[[str], None] = lambda step: None,
+    arm: Callable[[str, int], AbstractContextManager[Record]] = over_rtde,
 ) -> Demo:
     """Serve a simulated arm, move and record it over RTDE, identify, validate and report it.
 
@@ -83,6 +89,7 @@ def run_demo(
         duration: of the identification motion [s], rounded to whole periods.
         seed: of the motions and of the noise.
         progress: called before each step.
+        arm: serves a robot, with noise of a seed, and gives what records it.
 
     Raises:
         RobotFileError: the robot file has no truth.
@@ -110,16 +117,16 @@ def run_demo(
     }
     paths = []
     lost = samples = 0
-    with simulated_arm(robot, seed) as host:
+    with arm(robot, seed) as record:
         for name, trajectory_text in trajectories.items():
             trajectory = folder / f"{name}.yaml"
             trajectory.write_text(trajectory_text, encoding="utf-8")
             paths.append(folder / f"{name}.h5")
             seconds = load_trajectory(trajectory, robot_file.robot).motion.duration
-            progress(f"recording {seconds:.0f} s for {name} over RTDE from {host}")
-            told = record_over_wire(robot, host, trajectory, paths[-1])
-            lost += told["streams"][JOINTS_STREAM]["lost"]
-            samples += told["streams"][JOINTS_STREAM]["samples"]
+            progress(f"recording {seconds:.0f} s for {name} over RTDE")
+            recorded = record(trajectory, paths[-1])
+            lost += recorded.lost
+            samples += recorded.samples
     # From here on it is what a user does: two recordings on disk, nothing known but their content.
     recordings = [[read_recording(path)] for path in paths]
     found = identify(recordings[0], recordings[1], IdentifyChoices(reversals=ADVISED_SHARE), progress=progress)

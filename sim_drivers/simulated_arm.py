@@ -7,21 +7,51 @@ import queue
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from daq.realtime import may_have_realtime
+from daq.streams import JOINTS_STREAM
 from drivers.errors import ConnectionFailedError, WorkError
 
 HOSTS = tuple(f"127.0.0.{number}" for number in (1, 2, 3, 4, 5))
 """Loopback addresses that are tried in turn: the ports are fixed, another simulated arm may have them."""
 
-START_LIMIT = 30.0
+START_LIMIT = 60.0
 """How long [s] the simulator may take until it listens."""
 
 STOP_LIMIT = 10.0
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """How many samples of the joints a recording holds, and how many were lost."""
+
+    samples: int
+    lost: int
+
+
+Record = Callable[[Path, Path], Recorded]
+"""Plays a trajectory file and writes the recording."""
+
+
+@contextmanager
+def over_rtde(robot: str, seed: int) -> Iterator[Record]:
+    """Serve a simulated arm over RTDE while the block runs; gives what moves and records it from another process.
+
+    Raises:
+        ConnectionFailedError: it could not be started.
+    """
+    with simulated_arm(robot, seed) as host:
+
+        def record(trajectory: Path, out: Path) -> Recorded:
+            joints = record_over_wire(robot, host, trajectory, out)["streams"][JOINTS_STREAM]
+            return Recorded(joints["samples"], joints["lost"])
+
+        yield record
 
 
 @contextmanager
@@ -63,6 +93,7 @@ def _ready(process: subprocess.Popen[str]) -> bool:
     out = process.stdout
     if out is None:
         raise ValueError("the process has no pipe")
+    # Another process is waited for: no clock but the computer's will do.
     threading.Thread(target=lambda: lines.put(out.readline()), daemon=True).start()
     try:
         return bool(lines.get(timeout=START_LIMIT))

@@ -1,0 +1,92 @@
+"""A simulated arm recorded in simulated time: its plant behind servoj, without the wire in between."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from simulated_clock import simulated_time
+
+from daq.recorder import Recorder
+from daq.robot import load_robot
+from daq.safety import Limits, Supervisor
+from daq.session import Play, record
+from daq.trajectory_file import load_trajectory
+from drivers.base import Notice
+from drivers.clock import Clock
+from drivers.streams import Block, ChannelLayout, StreamLayout
+from sim_drivers.joint_motion import Reference, ServoJ
+from sim_drivers.plant import Plant
+from sim_drivers.simulated_arm import Record, Recorded
+
+RATE = 500.0
+LOOKAHEAD = 0.03
+"""Of servoj [s]."""
+QUANTITIES = ("position", "velocity", "current", "temperature")
+
+
+class ServoedPlant:
+    """Implements drivers.base.Driver; a sample each period, none late."""
+
+    def __init__(self, plant: Plant, clock: Clock) -> None:
+        self._plant, self._clock = plant, clock
+        self._servo = ServoJ(Reference.at_rest(plant.measure().target_position))
+        self._begun = 0.0
+        self._count = 0
+
+    def open(self) -> None: ...
+
+    def streams(self) -> tuple[StreamLayout, ...]:
+        joints = self._plant.robot.joint_names
+        return (StreamLayout("joints", tuple(ChannelLayout(quantity, joints) for quantity in QUANTITIES), RATE),)
+
+    def start(self) -> None:
+        self._begun, self._count = self._clock.now(), 0
+
+    def read(self, timeout: float) -> tuple[Block, ...]:
+        self._clock.sleep(min(self._begun + (self._count + 1) / RATE - self._clock.now(), timeout))
+        due = int((self._clock.now() - self._begun) * RATE + 1e-6)
+        samples = []
+        for _ in range(self._count, due):
+            reference = self._servo.step(1.0 / RATE)
+            self._plant.set_target(reference.position, reference.velocity, reference.acceleration)
+            self._plant.advance(1.0 / RATE)
+            samples.append(self._plant.measure())
+        if not samples:
+            return ()
+        host_time = self._begun + np.arange(self._count + 1, due + 1) / RATE
+        self._count = due
+        values = {quantity: np.array([getattr(one, quantity) for one in samples]) for quantity in QUANTITIES}
+        return (Block("joints", np.array([one.time for one in samples]), host_time, values),)
+
+    def notices(self) -> tuple[Notice, ...]:
+        return ()
+
+    def command(self, position: np.ndarray) -> None:
+        self._servo.retarget(position, LOOKAHEAD)
+
+    def stop(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+@contextmanager
+def in_simulated_time(robot: str, seed: int) -> Iterator[Record]:
+    """In place of `sim_drivers.simulated_arm.over_rtde`."""
+    robot_file = load_robot(robot)
+    plant = Plant(robot_file, seed=seed)
+
+    def recorded(trajectory: Path, out: Path) -> Recorded:
+        played = load_trajectory(trajectory, robot_file.robot)
+        with simulated_time() as clock:
+            driver = ServoedPlant(plant, clock)
+            layouts = driver.streams()
+            recorder = Recorder(out, robot_file, layouts, trajectory=played.text, clock=clock)
+            supervisor = Supervisor(Limits.of_robot(robot_file.robot), layouts)
+            report = record(driver, recorder, supervisor, Play(played.motion, robot_file.robot, RATE), clock=clock)
+        assert report.stopped_by is None, report.stopped_by
+        return Recorded(report.samples["joints"], report.lost["joints"])
+
+    yield recorded
