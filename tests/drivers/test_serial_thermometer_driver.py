@@ -306,11 +306,16 @@ def test_what_nobody_reads_is_dropped_and_told(opened: Make, clock: SimulatedClo
     driver = opened()
     spoken = "T1=20.125 T2=30.125\n" * (CHUNK_BYTES // 10)
     kept = BUFFER_BYTES // CHUNK_BYTES
+    line.say("\nT1=99")  # goes on in what will be dropped
+    listen(driver, clock, 0.02)
     for number in range(kept + 10):
         line.say(spoken[number * CHUNK_BYTES % 20 :][:CHUNK_BYTES])
         clock.sleep(READ_TIMEOUT)
     blocks, notices = listen(driver, clock, 0.1)
-    assert told(notices) == [f"warning: {10 * CHUNK_BYTES} characters were dropped because nobody read them"]
+    assert told(notices) == [
+        "warning: 1 line(s) ignored: 1 were cut off; the last one: 'T1=99'",
+        f"warning: {10 * CHUNK_BYTES} characters were dropped because nobody read them",
+    ]
     np.testing.assert_array_equal(rows(blocks), [[30.125, 20.125]] * (BUFFER_BYTES // 20 - 1))
 
 

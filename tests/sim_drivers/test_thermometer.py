@@ -38,7 +38,7 @@ from sim_drivers.thermometer import (
     serve_thermometer,
     simulated_thermometer,
 )
-from sim_drivers.thermometer_wire import BesideThermometer, thermometer_alone, thermometer_keys
+from sim_drivers.thermometer_wire import PERIOD, BesideThermometer, thermometer_alone, thermometer_keys
 
 PATTERN = r"T(?P<channel>\w+)=(?P<value>[-+.\d]+)"
 JOINTS = ("shoulder", "elbow")
@@ -194,8 +194,10 @@ def test_it_comes_back_after_the_time_that_was_said_last(clock: SimulatedClock, 
             begun = clock.now()
             return clock.now() - begun if clock.wait(lambda: line.plugged, limit) else None
 
-        server.unplug(0.123)
-        assert plugged_after(1.0) == pytest.approx(0.123, abs=1e-9)
+        clock.sleep(0.021)  # between two lines
+        for duration in (0.003, 0.123):
+            server.unplug(duration)
+            assert plugged_after(1.0) == pytest.approx(duration, abs=1e-9)
         server.unplug(0.123)
         server.unplug()
         assert plugged_after(100.0) is None
@@ -248,11 +250,11 @@ def test_its_port_is_where_the_robot_file_says(pendulum, tmp_path) -> None:
     assert not Path(elsewhere.path).parent.exists()
 
 
-def on_bench(pendulum, url: str):
-    """A pendulum's robot file with a thermometer, its keys, and its joint."""
-    robot_file = pendulum()
+def on_bench(pendulum):
+    """The robot file of a pendulum that cools within seconds and has a thermometer, its keys, and its joint."""
+    robot_file = pendulum(thermal="winding_capacity: 5, housing_capacity: 5")
     (joint,) = robot_file.robot.joint_names
-    keys = {**KEYS, "url": url, "channels": {1: joint}}
+    keys = {**KEYS, "channels": {1: joint}}
     robot = robot_file.robot.model_copy(
         update={"connections": {"oven": Connection(driver="serial_thermometer", **keys)}}
     )
@@ -260,18 +262,24 @@ def on_bench(pendulum, url: str):
 
 
 def test_dynid_sim_serves_it_alone(pendulum, opened: Make, clock: SimulatedClock, line: SerialLine) -> None:
-    robot_file, _, joint = on_bench(pendulum, "x")
+    robot_file, _, joint = on_bench(pendulum)
     with pytest.raises(UsageError, match="has no serial thermometer"):
         thermometer_keys(pendulum().robot)
+    begun = clock.now()
     with thermometer_alone(robot_file, 1, line, clock) as alone:
         assert alone.ready() == {"thermometer": line.path, "thermometer_baudrate": 9600}
         driver = opened(joints=(joint,), channels={1: joint})
-        before, _, _ = listen(driver, clock, 1.0)
-        alone.obey(f"heat {joint} 20")
-        listen(driver, clock, 0.1)
-        after, _, _ = listen(driver, clock, 1.0)
-        np.testing.assert_allclose(after, before + 20.0, rtol=0, atol=0.1)
-        assert alone.live_line() == f"thermometer {line.path}: 43 lines"
+        twin = Plant(robot_file, seed=1)
+        clock.sleep_until(begun + 5.5 * PERIOD)
+        alone.obey(f"heat {joint} 20")  # at the plant's next period
+        twin.advance(5 * PERIOD)
+        twin.heat(0, 20.0)
+        for end in (0.5, 2.0, 10.0):  # it cools
+            rows, _, _ = listen(driver, clock, begun + end + 0.03 - clock.now())
+            twin.advance(end - twin.time)
+            assert rows[-1, 0] == pytest.approx(twin.thermal.housing[0], abs=0.1)  # half a period's fall
+        assert rows[-1, 0] < rows[0, 0] - 5.0
+        assert alone.live_line() == f"thermometer {line.path}: 201 lines"
         for wrong in ("heat 7 1", "heat 1 cold", "explode", "thermometer explode"):
             with pytest.raises(UsageError):
                 alone.obey(wrong)
@@ -305,7 +313,7 @@ def test_dynid_sim_serves_it_beside_an_arm(pendulum, clock: SimulatedClock, line
         def obey(self, line):
             self.obeyed.append(line)
 
-    robot_file, keys, _ = on_bench(pendulum, "x")
+    robot_file, keys, _ = on_bench(pendulum)
     arm = Arm()
     with BesideThermometer(arm, serve_thermometer(Plant(robot_file), keys, plug=line, clock=clock)) as both:
         assert both.ready() == {"interface": "virtual", "thermometer": line.path, "thermometer_baudrate": 9600}
