@@ -6,7 +6,6 @@ import multiprocessing
 import os
 import queue
 import signal
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import DynidError, IdentificationError
 from drivers.streams import FloatArray
 from ident.excite.problem import Problem
@@ -32,7 +32,7 @@ class SearchChoices:
     Attributes:
         seed: of the random starts; start k is the same whatever the number of processes.
         starts: how many; None for as many as `seconds` allow, which depends on the machine.
-        seconds: wall time after which the search ends with what it has; None for no limit.
+        seconds: after which the search ends with what it has; None for no limit.
         workers: processes; one a core where None, none but this one where 1.
         solver: of the local problems.
     """
@@ -81,7 +81,7 @@ class Found:
         best: the feasible candidate of the least cost; None where no start became feasible.
         least_use: the candidate that came nearest to the limits, for the message where none is feasible.
         finished: starts that went through all rounds.
-        seconds: wall time.
+        seconds: that the search took.
         interrupted: whether Ctrl-C ended it.
     """
 
@@ -94,6 +94,7 @@ class Found:
 
 @dataclass
 class _Ledger:
+    clock: Clock
     begun: float
     best: Candidate | None = None
     least_use: Candidate | None = None
@@ -110,7 +111,7 @@ class _Ledger:
             self.best = candidate
 
     def found(self, *, interrupted: bool) -> Found:
-        return Found(self.best, self.least_use, self.finished, time.monotonic() - self.begun, interrupted)
+        return Found(self.best, self.least_use, self.finished, self.clock.now() - self.begun, interrupted)
 
 
 def search(
@@ -118,6 +119,7 @@ def search(
     choices: SearchChoices,
     first: FloatArray | None = None,
     progress: Callable[[Found], None] = lambda found: None,
+    clock: Clock = SYSTEM_CLOCK,
 ) -> Found:
     """Search from `choices.starts` random starts, or for `choices.seconds`; Ctrl-C ends it with the best so far.
 
@@ -126,6 +128,7 @@ def search(
         choices: see there. One of `starts` and `seconds` must be given.
         first: variables of start 0, in place of random ones.
         progress: told whenever a start has finished a round.
+        clock: the host's.
 
     Raises:
         IdentificationError: a process died.
@@ -133,8 +136,10 @@ def search(
     """
     if choices.starts is None and choices.seconds is None:
         raise ValueError("a search needs a number of starts or a time limit")
-    ledger = _Ledger(time.monotonic())
-    source = (_own_candidates if choices.processes <= 1 else _their_candidates)(make, choices, first)
+    begun = clock.now()
+    end = np.inf if choices.seconds is None else begun + choices.seconds
+    ledger = _Ledger(clock, begun)
+    source = (_own_candidates if choices.processes <= 1 else _their_candidates)(make, choices, first, clock, end)
     interrupted = False
     try:
         for candidate in source:
@@ -176,21 +181,21 @@ def random_start(problem: Problem, seed: Sequence[int], draws: int = DRAWS) -> F
 
 
 def _own_candidates(
-    make: Callable[[], Problem], choices: SearchChoices, first: FloatArray | None
+    make: Callable[[], Problem], choices: SearchChoices, first: FloatArray | None, clock: Clock, end: float
 ) -> Any:  # a generator, whose close() the caller needs
-    end = np.inf if choices.seconds is None else time.monotonic() + choices.seconds
     problem = make()
     start = 0
-    while (choices.starts is None or start < choices.starts) and time.monotonic() < end:
+    while (choices.starts is None or start < choices.starts) and clock.now() < end:
         for candidate in candidates(problem, choices, start, first):
             yield candidate
-            if time.monotonic() >= end:
+            if clock.now() >= end:
                 return
         start += 1
 
 
-def _their_candidates(make: Callable[[], Problem], choices: SearchChoices, first: FloatArray | None) -> Any:
-    end = np.inf if choices.seconds is None else time.monotonic() + choices.seconds
+def _their_candidates(
+    make: Callable[[], Problem], choices: SearchChoices, first: FloatArray | None, clock: Clock, end: float
+) -> Any:
     # spawn: a forked child would inherit the threads' locks of whatever this process has been doing.
     context = multiprocessing.get_context("spawn")
     results: Any = context.Queue()
@@ -203,9 +208,10 @@ def _their_candidates(make: Callable[[], Problem], choices: SearchChoices, first
         process.start()
     try:
         running = len(processes)
-        while running and time.monotonic() < end:
+        while running and clock.now() < end:
             try:
-                message = results.get(timeout=min(_POLL, max(end - time.monotonic(), 0.0)))
+                # Other processes run by the computer's clock, whatever ours is.
+                message = results.get(timeout=min(_POLL, max(end - clock.now(), 0.0)))
             except queue.Empty:
                 _check_alive(processes)
                 continue

@@ -9,7 +9,7 @@ import pytest
 from toy_design import BEST, maker, toy_problem
 
 from drivers.errors import IdentificationError, UsageError
-from ident.excite.search import SearchChoices, search
+from ident.excite.search import Found, SearchChoices, search
 from ident.excite.solve import solve
 
 OPTIMUM = np.array([BEST[0], 0.99])  # the second joint's best place lies beyond its limit
@@ -65,12 +65,30 @@ def test_the_first_start_can_be_given():
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_time_ends_a_search_that_has_no_end(workers):
-    found = search(maker(), SearchChoices(starts=None, seconds=4.0, workers=workers))
-    assert found.best is not None
-    assert found.finished > 1
-    assert 3.0 < found.seconds < 8.0
+def test_time_ends_a_search_that_has_no_end(clock, workers):
+    """At once: here every candidate takes a second, and the search has forty."""
+    seen = []
+
+    def second_later(found):
+        seen.append(found)
+        clock.stall(1.0)
+
+    choices = SearchChoices(starts=None, seconds=40.0, workers=workers)
+    found = search(maker(), choices, progress=second_later, clock=clock)
+    assert [each.seconds for each in seen] == list(range(40))
+    assert found.seconds == 40.0
+    assert found.best == seen[-1].best is not None
+    assert found.finished == 13 if workers == 1 else found.finished >= 12  # three rounds a start
     assert not found.interrupted
+
+
+def test_a_search_whose_problem_takes_all_its_time_finds_nothing(clock):
+    def slow():
+        clock.stall(5.0)
+        return toy_problem()
+
+    found = search(slow, SearchChoices(starts=None, seconds=4.0, workers=1), clock=clock)
+    assert found == Found(None, None, 0, 5.0, False)
 
 
 @pytest.mark.parametrize("workers", [1, 2])

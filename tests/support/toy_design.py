@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from functools import partial
 
 import numpy as np
@@ -61,13 +60,12 @@ class Below:
         return bound, gradient
 
 
-def toy_problem(pause: float = 0.0, fault: str = "") -> Problem:
-    """The problem; building it may take time, raise, or end the process."""
+def toy_problem(fault: str = "") -> Problem:
+    """The problem; building it may raise, or end the process."""
     if fault == "raise":
         raise UsageError("refused on purpose")
     if fault == "die":
         os._exit(3)
-    time.sleep(pause)
     return Problem(Still(), Distance(), Distance(), (Below(),), np.linspace(0.0, 1.0, 4), 0.99)
 
 
