@@ -5,6 +5,7 @@ Units: m, rad, s, kg, N·m, A, °C. Angles of the geometry may be written as mul
 
 from __future__ import annotations
 
+from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -350,12 +351,18 @@ def parse_robot(text: str, *, where: str, folder: Path | None, urdf_text: str | 
     Raises:
         RobotFileError: names the key path, what was found and what is allowed.
     """
-    hint = "see a built-in one: dynid robot show ur5e --yaml"
-    content = read_mapping(text, kind="a robot file", where=where, refusal=RobotFileError, hint=hint)
-    robot = validated(content, Robot, where=where, refusal=RobotFileError)
+    robot = _robot(text, where)
     if robot.model.urdf is not None and urdf_text is None:
         urdf_text = _read_urdf(robot.model.urdf, folder, where)
     return RobotFile(robot=robot, text=text, folder=folder, urdf_text=urdf_text)
+
+
+# Reading the YAML takes 15 ms, and whoever asks a recording for its robot asks several times.
+@lru_cache(maxsize=64)
+def _robot(text: str, where: str) -> Robot:
+    hint = "see a built-in one: dynid robot show ur5e --yaml"
+    content = read_mapping(text, kind="a robot file", where=where, refusal=RobotFileError, hint=hint)
+    return validated(content, Robot, where=where, refusal=RobotFileError)
 
 
 def _read_urdf(urdf: str, folder: Path | None, where: str) -> str:
