@@ -446,20 +446,24 @@ def test_progress_names_the_steps(recorded):
 
 @pytest.mark.slow
 def test_error_bars_cover_the_truth_of_simulated_arms():
-    """95 % intervals over all base parameters of four arms and eight seeds; classical ones are too short."""
+    """95 % intervals over all base parameters of four arms and three seeds; classical ones are far too short.
+
+    From run to run the share varies by 0.035, the mean of twelve runs by 0.01.
+    """
     corrected, classical = [], []
     for name in ("ur5e", "rocr6", "aubo_i5", "panda"):
         robot_file = load_robot(name)
         model, truth = build_model(robot_file), truth_of(robot_file)
-        for seed in range(8):
-            recording = simulate_recording(robot_file, random_fourier_motion(model, 20.0, seed), 29.0, seed)
+        for seed in range(3):
+            motion = random_fourier_motion(model, 20.0, seed, candidates=5)
+            recording = simulate_recording(robot_file, motion, 22.0, seed)
             found = identify([recording], [], IdentifyChoices(split=20.0))
             error = np.abs(found.solution.parameters - truth)
             corrected.append(error <= 1.96 * found.std)
             classical.append(error <= 1.96 * found.solution.std)
     share, naive = np.mean(np.concatenate(corrected)), np.mean(np.concatenate(classical))
-    assert 0.90 <= share <= 0.99
-    assert naive < share - 0.05
+    assert 0.93 <= share <= 0.98
+    assert naive < share - 0.1
 
 
 def test_recordings_of_different_rates_get_the_same_cut_offs(three_joint):

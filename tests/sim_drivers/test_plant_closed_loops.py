@@ -85,7 +85,8 @@ def test_the_truth_is_found_from_ten_seconds_of_the_controlled_arm() -> None:
     robot_file = four_bar_arm()
     base = base_parameters(build_model(robot_file))
     truth = base.projection @ truth_vector(robot_file)
-    found = identify([follow(robot_file, 1, 10.0)], [follow(robot_file, 2, 5.0)], IdentifyChoices())
+    recordings = [[follow(robot_file, seed, seconds, rate=250.0)] for seed, seconds in ((1, 10.0), (2, 5.0))]
+    found = identify(*recordings, IdentifyChoices())
     assert found.validation.relative_error < 0.05
     deviations = np.abs(found.solution.parameters - truth) / found.std
     assert np.mean(deviations <= 1.96) >= 0.85, dict(zip(base.names, deviations, strict=True))
