@@ -115,6 +115,7 @@ class SerialThermometerDriver:
         """
         require_state(self._state, "running", "read")
         rows: list[tuple[float, FloatArray]] = []
+        read_until = self._port.read_until  # asked first: what came until then is in the arrivals
         arrivals = self._port.take(timeout)
         if self._port.dropped != self._dropped:  # what was read before and what comes now are not one line
             self._dropped = self._port.dropped
@@ -133,7 +134,7 @@ class SerialThermometerDriver:
         now = self._clock.now()
         if not arrivals:
             rows.extend(self._rows.flush(before=now - max(1.0 / self._settings.rate, ROW_PATIENCE)))
-        self._watch(now)
+        self._watch(now, read_until)
         if not rows:
             return ()
         stamps = np.array([when for when, _ in rows])
@@ -214,15 +215,16 @@ class SerialThermometerDriver:
         gone = restored.time - since
         self._tell("info", f"the port is open again after {gone:.1f} s, attempt {restored.attempts}", restored.time)
 
-    def _watch(self, now: float) -> None:
+    def _watch(self, now: float, read_until: float) -> None:
         if self._lost_since is not None:
             if now - self._told_gone >= STILL_GONE_PERIOD:
                 self._told_gone = now
                 gone = now - self._lost_since
                 self._tell("warning", f"the port is still gone after {gone:.0f} s, {self._port.attempts} attempts", now)
-        elif not self._silent and now - max(self._heard, self._opened) > self._silent_after:
+        elif not self._silent and read_until - max(self._heard, self._opened) > self._silent_after:
+            # Not `now`: where this computer was stalled, the port's thread may not have had its turn since.
             self._silent = True
-            self._tell(self._loss_level, f"no temperature for {now - self._heard:.2f} s", now)
+            self._tell(self._loss_level, f"no temperature for {read_until - self._heard:.2f} s", now)
         self._tell_rejected(now, at_once=False)
 
     def _tell_rejected(self, now: float, *, at_once: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import threading
 from collections import deque
@@ -64,12 +65,14 @@ class SerialPort:
     Attributes:
         dropped: bytes that were thrown away because `take` stayed away.
         attempts: to open a port that has gone, since it went.
+        read_until: until when what arrived has been handed on [s, host's monotonic clock].
     """
 
     def __init__(self, url: str, baudrate: int, clock: Clock = SYSTEM_CLOCK) -> None:
         self.url = url
         self.dropped = 0
         self.attempts = 0
+        self.read_until = -math.inf
         self._baudrate = baudrate
         self._clock = clock
         self._arrivals: deque[Arrival] = deque()
@@ -156,7 +159,7 @@ class SerialPort:
             until = self._clock.now()
             if data:
                 self._put(Chunk(bytes(data), since, until))
-            since = until
+            self.read_until = since = until
         return ""
 
     def _open_again(self, closing: threading.Event) -> serial.SerialBase | None:

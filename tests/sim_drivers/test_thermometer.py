@@ -153,7 +153,7 @@ def test_faults_are_seen_and_passed(opened: Make, clock: SimulatedClock, line: S
 
         server.obey("silent 0.5")
         times, notices = until(1.545)
-        assert messages(notices) == ["no temperature for 0.26 s", "speaks again after 0.5 s"]
+        assert messages(notices) == ["no temperature for 0.25 s", "speaks again after 0.5 s"]
         assert len(times) == 20 - 10
 
         server.obey("garbage 0.5")
