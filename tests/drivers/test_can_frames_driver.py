@@ -336,6 +336,28 @@ def test_the_arm_is_enabled_commanded_and_stopped(
         driver.command(np.array([0.1, -0.2]))
 
 
+@pytest.mark.parametrize("when", [0.5 * STOP_INTERVAL, STOP_INTERVAL * STOP_REPEATS])
+def test_a_command_during_a_stop_does_not_start_the_arm_again(
+    arm: Arm, make_driver: Make, read_for: Read, clock: SimulatedClock, when: float
+) -> None:
+    made = arm()
+    driver = started(make_driver(moving(made.channel)))
+    read_for(driver, 0.1)
+    driver.command(np.array([0.1, -0.2]))
+    refused: list[str] = []
+
+    def command() -> None:
+        with pytest.raises(DriverStateError) as caught:
+            driver.command(np.array([0.1, -0.2]))
+        refused.append(caught.value.message)
+
+    late = clock.call_at(clock.now() + when, command)
+    driver.stop()
+    late.join()
+    assert refused == ["the arm is being stopped"]
+    assert made.heard[2:] == [(0x200, b"\0")] * STOP_REPEATS
+
+
 def test_an_arm_that_goes_on_moving_is_reported(
     arm: Arm, make_driver: Make, read_for: Read, clock: SimulatedClock
 ) -> None:
