@@ -10,7 +10,6 @@ import pytest
 from hypothesis import settings
 from simulated_clock import SimulatedClock, simulated_time
 
-from daq.realtime import PRIORITY, give_realtime_back, may_have_realtime
 from drivers.clock import Clock
 
 # A busy computer makes any single example slow: time is no property that a test of values may fail by.
@@ -27,23 +26,6 @@ def data_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real recordings in {folder}; set DYNID_DATA")
     return folder
-
-
-@pytest.fixture
-def punctual() -> Iterator[None]:
-    """Real-time priority for this test and all that it starts, where the system allows it.
-
-    Robot and recorder share this computer with the other tests: a stall of 50 ms, rightly, stops a motion.
-    """
-    allowed = may_have_realtime()
-    if allowed:
-        # Below what the demonstration's own processes ask for, and in turns: equals of SCHED_FIFO starve each other.
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(PRIORITY // 2))
-    try:
-        yield
-    finally:
-        if allowed:
-            give_realtime_back()
 
 
 @pytest.fixture
