@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import EntryPoint
@@ -154,6 +155,16 @@ def test_a_gap_is_counted_in_every_stream(controller: Make, make_driver: MakeDri
     for name, period in (("thermal", 25), ("status", 50)):
         ticks = np.rint(times(blocks[name]) * 500).astype(int)
         assert len(set(ticks // period)) == len(ticks)
+
+
+def test_a_clock_that_adds_up_its_periods_shifts_no_slow_sample(controller: Make, make_driver: MakeDriver) -> None:
+    stamps = list(itertools.accumulate([PERIOD] * 1200))[899:]  # from 1.8 s on; 2.05 s has become 1024.9999 periods
+    driver = make_driver(controller(lambda number: [*map(Sample, stamps), Never()]))
+    driver.open()
+    driver.start()
+    blocks = read_all(driver, len(stamps))
+    assert np.rint(times(blocks["thermal"]) / PERIOD).tolist() == list(range(900, 1201, 25))
+    assert np.rint(times(blocks["status"]) / PERIOD).tolist() == list(range(900, 1201, 50))
 
 
 def test_refused_variables_leave_their_channels_out(controller: Make, make_driver: MakeDriver) -> None:

@@ -242,6 +242,24 @@ def test_what_came_before_a_failure_is_handed_out_and_then_nothing(
             receiver.take(0.1)
 
 
+def test_a_flood_of_what_is_known_already_does_not_outlast_the_silence_limit(
+    clock: SimulatedClock, controller: Make, connect: Connect
+) -> None:
+    def flood(number: int) -> Iterator[Step]:
+        yield from steady(1.0, 20)
+        for _ in range(200):
+            clock.stall(0.01)  # whenever the receiver looks, there is something
+            server.send(data_package(VARIABLES, Sample(1.0 + 19 / 500)))
+            yield Wait(0.0)
+
+    server = controller(flood)
+    receiver = connect(server)
+    receiver.start()
+    begun = clock.now()
+    assert "no data for 0.5 s" in take_all(receiver)[1]
+    assert clock.now() - begun == pytest.approx(0.5, abs=0.021)
+
+
 def test_repeated_packages_are_left_out(controller: Make, connect: Connect) -> None:
     twice = [sample for sample in steady(1.0, 50) for _ in range(2)]
     receiver = connect(controller(lambda number: [*twice, Never()]))
