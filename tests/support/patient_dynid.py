@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import sys
 
-from daq import safety
+from daq import player, safety, session
 from drivers.rtde import motion, receiver
 
 PATIENCE = 60.0
 
 safety.STALE_FLOOR = safety.TRACKING_WINDOW = PATIENCE
 safety.Limits.of_robot.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defined]
+player.DRY_RUN_PERIODS = 10_000
+session.FIRST_SAMPLE_LIMIT = PATIENCE
 receiver.SILENCE_LIMIT = PATIENCE
 motion.SILENCE_LIMIT = motion.PATIENCE = motion.STOP_LIMIT = PATIENCE
 motion.WATCHDOG_RATE = 0.25

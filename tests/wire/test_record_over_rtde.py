@@ -61,9 +61,10 @@ def ur5e() -> RobotFile:
     return load_robot("ur5e")
 
 
-def changed_robot(folder: Path, change: dict[str, Any]) -> RobotFile:
-    """The UR5e with every joint changed."""
+def changed_robot(folder: Path, change: dict[str, Any], timeout: float = 5.0) -> RobotFile:
+    """The UR5e with every joint changed, and a time limit [s] for taking control of it."""
     content = yaml.safe_load(ur5e().text)
+    content["connections"]["rtde"]["timeout"] = timeout
     for joint in content["joints"]:
         joint.update(change)
     path = folder / "changed.yaml"
@@ -362,7 +363,7 @@ SIMULATOR = ("-c", "import sys; from drivers.command import main; sys.exit(main(
 @contextmanager
 def recording(host: str, out: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     """`dynid record` in processes of its own, which are ended with the block; no limit of torque stops it."""
-    changed_robot(out.parent, {"torque": None})
+    changed_robot(out.parent, {"torque": None}, timeout=LIMIT)
     robot = str(out.with_name("changed.yaml"))
     command = [sys.executable, "tests/support/patient_dynid.py", "record", robot, "--host", host, "-o", str(out)]
     process = subprocess.Popen(
@@ -382,10 +383,14 @@ def recording(host: str, out: Path, *arguments: str) -> Iterator[subprocess.Pope
         process.communicate()
 
 
-def wait_for_motion(host: str) -> None:
+def wait_for_motion(host: str, process: subprocess.Popen[str]) -> None:
+    def moves(row: np.ndarray) -> bool:
+        assert process.poll() is None, process.communicate()
+        return bool(row["runtime_state"] == PLAYING and np.any(np.abs(row["actual_qd"]) > 0.03))
+
     with connected(host) as client:
         client.stream(["runtime_state", "actual_qd"])
-        client.until(lambda row: row["runtime_state"] == PLAYING and np.any(np.abs(row["actual_qd"]) > 0.03))
+        client.until(moves)
 
 
 def wait_for_rest(host: str) -> None:
@@ -420,7 +425,7 @@ def test_ctrl_c_in_mid_motion_halts_the_arm_and_closes_the_file(tmp_path: Path) 
         served(*SIMULATOR, host),
         recording(host, out, "--trajectory", str(trajectory(tmp_path, 600.0, *SLOW))) as process,
     ):
-        wait_for_motion(host)
+        wait_for_motion(host, process)
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: the motion process gets it, too
         output, _ = process.communicate(timeout=LIMIT)
         assert process.returncode == 130
@@ -440,7 +445,7 @@ def test_the_controllers_watchdog_ends_the_program_when_all_of_dynid_is_killed(t
         served(*SIMULATOR, host),
         recording(host, out, "--trajectory", str(trajectory(tmp_path, 600.0, *SLOW))) as process,
     ):
-        wait_for_motion(host)
+        wait_for_motion(host, process)
         os.killpg(process.pid, signal.SIGKILL)  # the motion process, too
         process.wait(LIMIT)
         wait_for_rest(host)
