@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 from dataclasses import replace
 from itertools import pairwise
@@ -9,9 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sampled_arm import sampled
 
 from daq.recording import JOINTS_STREAM, Recording
 from daq.robot import load_robot, parse_robot
+from daq.trajectories import FourierSeries
 from drivers.errors import DataError, UsageError
 from ident.base_parameters import base_parameters
 from ident.comparison import compare_torques
@@ -55,8 +58,13 @@ def perfect(noise_free) -> Recording:
 
 
 def recorded(robot_file, seed: int, seconds: float = 28.0) -> Recording:
-    motion = random_fourier_motion(build_model(robot_file), 20.0, seed)
-    return simulate_recording(robot_file, motion, seconds, seed)
+    return simulate_recording(robot_file, motion_of(robot_file.text, seed), seconds, seed)
+
+
+@functools.cache
+def motion_of(text: str, seed: int) -> FourierSeries:
+    model = build_model(parse_robot(text, where="arm", folder=None))
+    return random_fourier_motion(model, 20.0, seed)
 
 
 def truth_of(robot_file):
@@ -306,7 +314,7 @@ def test_the_example_runs(capsys, monkeypatch):
     """On little data: each of its tables in small; and what it is there to show."""
     monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "examples")
     example = importlib.import_module("energy_vs_dynamic")
-    arm = load_robot("sr400")
+    arm = sampled(load_robot("sr400"), 250.0)
     models = example.compare_parameters(arm, moves=8)
     assert [found.solution.method for found in models] == ["wls", *METHODS]
     assert all(len(found.solution.active) == 17 for found in models)

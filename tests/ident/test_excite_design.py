@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -13,11 +13,11 @@ from drivers.errors import UsageError
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.criteria import RegressorCriterion
-from ident.excite.design import DENSER, design
+from ident.excite.design import DENSER, Design, design
 from ident.excite.path import Path
 from ident.excite.prior import find_prior
 from ident.excite.search import SearchChoices
-from ident.excite.solve import solve
+from ident.excite.solve import solve, tighten
 
 QUICK = SearchChoices(seed=1, starts=1, workers=1)
 UP6 = load_robot("up6")
@@ -38,6 +38,12 @@ def made(robot_file, search=QUICK, **choices):
     return design(robot_file, find_prior(robot_file), DesignChoices(**choices), search)
 
 
+@functools.cache
+def designed(**choices) -> Design:
+    """Designs for `UP6`, each made once."""
+    return made(UP6, **choices)
+
+
 def with_joint(robot_file, number, **changes):
     joints = list(robot_file.robot.joints)
     joints[number] = joints[number].model_copy(update=changes)
@@ -46,7 +52,7 @@ def with_joint(robot_file, number, **changes):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_keeps_every_limit_from_rest_to_rest(kind):
-    found = made(UP6, kind=kind, harmonics=3, points=6)
+    found = designed(kind=kind, harmonics=3, points=6)
     assert found.use.max() <= 1.0
     assert len(found.use) == len(found.limits)
     check_limits(found.motion, UP6.robot.joints, kind)
@@ -58,8 +64,7 @@ def test_every_criterion_is_improved(criterion):
     choices = DesignChoices(criterion=criterion, harmonics=3)
     problem = build_problem(UP6, find_prior(UP6), choices)
     begin = problem.family.random(np.random.default_rng([1, 0]))
-    found = made(UP6, criterion=criterion, harmonics=3)
-    assert found.cost < np.exp(problem.cost(begin))
+    assert designed(criterion=criterion, harmonics=3).cost < np.exp(problem.cost(begin))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -78,18 +83,13 @@ def test_derivatives_of_whole_problems_equal_finite_differences(kind):
 
 
 def test_the_design_beats_the_best_of_many_random_motions():
-    problem = build_problem(UP6, find_prior(UP6), DesignChoices())
+    problem = build_problem(UP6, find_prior(UP6), DesignChoices(harmonics=2))
     generator = np.random.default_rng(0)
     random = min(problem.cost(problem.family.random(generator)) for _ in range(100))
-    assert made(UP6).cost < np.exp(random)
+    assert designed(harmonics=2).cost < np.exp(random)
 
 
-def test_the_same_seed_gives_the_same_trajectory():
-    first, second = (made(UP6, harmonics=2) for _ in range(2))
-    assert np.array_equal(first.variables, second.variables)
-
-
-def test_one_process_builds_the_problem_once(monkeypatch):
+def test_the_same_seed_gives_the_same_trajectory_and_one_process_builds_the_problem_once(monkeypatch):
     built = []
 
     def counted(*arguments):
@@ -97,36 +97,42 @@ def test_one_process_builds_the_problem_once(monkeypatch):
         return built[-1]
 
     monkeypatch.setattr("ident.excite.design.build_problem", counted)
-    made(UP6, kind="sines", harmonics=2)
+    assert np.array_equal(made(UP6, harmonics=2).variables, designed(harmonics=2).variables)
     assert len(built) == 1
 
 
-def test_a_narrow_margin_is_made_up_for_between_the_points():
-    coarse = dataclasses.replace(DesignChoices(), margin=0.0)
-    found = design(UP6, find_prior(UP6), coarse, QUICK)
-    assert found.use.max() <= 1.0
+def test_a_narrow_margin_is_made_up_for_between_the_points(monkeypatch):
+    narrowed = []
+
+    def counted(*arguments):
+        narrowed.append(arguments)
+        return tighten(*arguments)
+
+    monkeypatch.setattr("ident.excite.design.tighten", counted)
+    assert made(UP6, kind="sines", harmonics=2, margin=0.0).use.max() <= 1.0
+    assert narrowed  # on the design's own grid it kept to them already
 
 
 @pytest.mark.parametrize("margin", [0.1, 0.25])
 def test_the_margin_is_left(margin):
-    found = made(UP6, margin=margin)
+    found = designed(harmonics=2, margin=margin)
     assert found.use.max() <= 1.0 - margin + 0.01  # what lies between the grid's points
 
 
 def test_an_earlier_motion_is_refined():
-    earlier = made(UP6)
-    again = design(UP6, find_prior(UP6), DesignChoices(), QUICK, earlier=earlier.motion)
+    earlier = designed(harmonics=2)
+    again = design(UP6, find_prior(UP6), DesignChoices(harmonics=2), QUICK, earlier=earlier.motion)
     assert again.cost <= earlier.cost * 1.01
 
 
 def test_an_earlier_motion_of_another_kind_is_refused():
-    earlier = made(UP6, kind="points", points=4)
+    earlier = designed(kind="points", harmonics=3, points=6)
     with pytest.raises(UsageError):
         design(UP6, find_prior(UP6), DesignChoices(), QUICK, earlier=earlier.motion)
 
 
 def test_some_joints_can_move_alone():
-    found = made(UP6, moving=("L", "U"))
+    found = designed(harmonics=2, moving=("L", "U"))
     time = np.linspace(0.0, found.motion.duration, 500)
     position, _, _ = found.motion.evaluate(time)
     assert np.ptp(position[0]) == 0.0
@@ -147,12 +153,12 @@ def test_a_payload_is_designed_for_by_the_last_links_parameters():
 
 
 def test_torque_limits_are_kept_where_a_prior_is_known():
-    free = made(UP6)
+    free = designed(kind="sines", harmonics=2)
     tight = with_joint(UP6, 1, torque=400.0)
-    found = made(tight)
+    found = made(tight, kind="sines", harmonics=2)
     assert any(name.startswith("torque") for name in found.limits)
     assert found.use.max() <= 1.0
-    check = build_problem(tight, find_prior(tight), DesignChoices())
+    check = build_problem(tight, find_prior(tight), DesignChoices(kind="sines", harmonics=2))
     torque = next(c for c in check.constraints if c.names[0].startswith("torque of L"))
     time = np.linspace(0.0, free.motion.duration, 2000)
     assert torque.use(Path(time, *free.motion.evaluate(time)))[0] > 1.0  # otherwise the limit would not have mattered
@@ -187,12 +193,18 @@ def test_deviations_need_a_prior():
 
 
 def test_limits_that_exclude_every_motion_are_named():
+    """A single joint moves: a search that finds nothing goes through all its iterations."""
     with pytest.raises(UsageError, match="torque of L"):
-        made(with_joint(UP6, 1, torque=5.0))
+        made(with_joint(UP6, 1, torque=5.0), harmonics=1, moving=("S",))
+
+
+def test_no_time_at_all_is_told():
+    with pytest.raises(UsageError, match="too short for a single round"):
+        made(UP6, SearchChoices(starts=None, seconds=0.0, workers=1), harmonics=1)
 
 
 def test_the_dense_grid_is_denser_than_the_designs():
-    problem = build_problem(UP6, find_prior(UP6), DesignChoices())
+    problem = build_problem(UP6, find_prior(UP6), DesignChoices(harmonics=2))
     *_, x = solve(problem, problem.family.random(np.random.default_rng(0)), "slsqp")
     dense = problem.family.grid(DENSER * len(problem.time))
     assert len(dense) >= 10 * len(problem.time)

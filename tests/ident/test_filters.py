@@ -44,12 +44,12 @@ def scipy_filtered(zero_phase: ZeroPhaseFilter, rows: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("zero_phase", FILTERS, ids=lambda f: f.description)
-@pytest.mark.parametrize("samples", [31, 95, 96, 97, 1003, 6000])
-def test_apply_equals_sosfiltfilt(zero_phase: ZeroPhaseFilter, samples: int) -> None:
-    rows = walk(3, samples)
-    ours = zero_phase.apply(rows)
-    assert ours.shape == (3, -(-samples // zero_phase.factor))
-    np.testing.assert_allclose(ours, scipy_filtered(zero_phase, rows), rtol=0, atol=1e-12 * np.abs(rows).max())
+def test_apply_equals_sosfiltfilt(zero_phase: ZeroPhaseFilter) -> None:
+    for samples in (31, 95, 96, 97, 1003, 6000):
+        rows = walk(3, samples)
+        ours = zero_phase.apply(rows)
+        assert ours.shape == (3, -(-samples // zero_phase.factor))
+        np.testing.assert_allclose(ours, scipy_filtered(zero_phase, rows), rtol=0, atol=1e-12 * np.abs(rows).max())
 
 
 @pytest.mark.parametrize("factor", [2, 5, 10])
@@ -145,13 +145,12 @@ def test_stream_is_not_used_after_its_end() -> None:
 
 
 @pytest.mark.parametrize("zero_phase", FILTERS, ids=lambda f: f.description)
-@pytest.mark.parametrize("samples", [1, 2, 3, 5, 12])
-def test_signals_shorter_than_the_extension(zero_phase: ZeroPhaseFilter, samples: int) -> None:
-    rows = walk(2, samples)
-    expected = scipy.signal.sosfiltfilt(
-        zero_phase.sos.copy(), rows, axis=1, padlen=min(zero_phase.extension, samples - 1)
-    )[:, :: zero_phase.factor]
-    np.testing.assert_allclose(zero_phase.apply(rows), expected, atol=1e-12 * np.abs(rows).max())
+def test_signals_shorter_than_the_extension(zero_phase: ZeroPhaseFilter) -> None:
+    for samples in (1, 2, 3, 5, 12):
+        rows = walk(2, samples)
+        pad = min(zero_phase.extension, samples - 1)
+        expected = scipy.signal.sosfiltfilt(zero_phase.sos.copy(), rows, axis=1, padlen=pad)[:, :: zero_phase.factor]
+        np.testing.assert_allclose(zero_phase.apply(rows), expected, atol=1e-12 * np.abs(rows).max())
 
 
 @pytest.mark.parametrize("zero_phase", FILTERS, ids=lambda f: f.description)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -30,12 +31,18 @@ def noise_free(three_joint):
 
 
 @pytest.fixture(scope="module")
+def clean(recorded):
+    """What `identify` makes of the usual recording."""
+    return identify([recorded()], [], IdentifyChoices())
+
+
+@pytest.fixture(scope="module")
 def recorded(three_joint):
     """Factory of noisy recordings; another seed is another motion and another noise."""
-    model = build_model(three_joint)
+    motion = functools.cache(functools.partial(random_fourier_motion, build_model(three_joint), 10.0))
 
     def make(seconds: float = 14.0, seed: int = 1) -> Recording:
-        return simulate_recording(three_joint, random_fourier_motion(model, 10.0, seed), seconds, seed)
+        return simulate_recording(three_joint, motion(seed), seconds, seed)
 
     return make
 
@@ -149,12 +156,12 @@ def test_several_recordings_stack(recorded, three_joint):
     assert len(together.validation_runs) == 1
 
 
-def test_held_out_part_is_the_end_of_each_recording_and_takes_no_part(recorded):
+def test_held_out_part_is_the_end_of_each_recording_and_takes_no_part(recorded, clean):
     spoilt = recorded()
     stream = spoilt.streams[JOINTS_STREAM]
     border = (1 - HELD_OUT_SHARE) * stream.time[-1]
     stream.channels["current"].values[stream.time > border] += 3.0
-    clean, found = identify([recorded()], [], IdentifyChoices()), identify([spoilt], [], IdentifyChoices())
+    found = identify([spoilt], [], IdentifyChoices())
     assert np.array_equal(found.solution.parameters, clean.solution.parameters)
     assert found.validation.relative_error > 3 * clean.validation.relative_error
     assert "last 30 %" in found.validation_source
@@ -162,12 +169,12 @@ def test_held_out_part_is_the_end_of_each_recording_and_takes_no_part(recorded):
     assert not any("by heart" in warning for warning in clean.warnings)
 
 
-def test_another_recording_may_be_held_out(recorded):
+def test_another_recording_may_be_held_out(recorded, clean):
     found = identify([recorded()], [recorded(8.0, 5)], IdentifyChoices())
     assert found.validation_source == "recording in memory"
     assert found.runs[0].choices.stop is None
     whole = sum(segment.position.shape[1] for segment in found.runs[0].prepared.segments)
-    part = identify([recorded()], [], IdentifyChoices()).runs[0]
+    part = clean.runs[0]
     assert whole > 1.3 * sum(segment.position.shape[1] for segment in part.prepared.segments)
 
 
@@ -215,8 +222,8 @@ def test_a_delay_is_found_and_used(recorded, three_joint):
     assert given.validation.relative_error == pytest.approx(found.validation.relative_error, rel=0.1)
 
 
-def test_short_recordings_are_warned_of(recorded):
-    assert any("equations for 25 parameters" in text for text in identify([recorded()], [], IdentifyChoices()).warnings)
+def test_short_recordings_are_warned_of(recorded, clean):
+    assert any("equations for 25 parameters" in text for text in clean.warnings)
     long = identify([recorded(40.0)], [], IdentifyChoices(preprocess=PreprocessChoices(decimate=1)))
     assert not any("equations for" in text for text in long.warnings)
 
@@ -332,16 +339,15 @@ def test_an_arm_that_does_not_move_is_refused(recorded):
     assert "recording in memory" in str(caught.value)
 
 
-def test_a_given_robot_file_goes_before_the_recordings(recorded, three_joint):
+def test_a_given_robot_file_goes_before_the_recordings(recorded, clean, three_joint):
     doubled = parse_robot(three_joint.text.replace("gain: 10,", "gain: 20,"), where="doubled", folder=None)
     found = identify([recorded()], [], IdentifyChoices(), robot_file=doubled)
-    plain = identify([recorded()], [], IdentifyChoices())
     place = found.base.names.index("Fs1")
-    assert found.solution.parameters[place] == pytest.approx(2 * plain.solution.parameters[place], rel=0.02)
+    assert found.solution.parameters[place] == pytest.approx(2 * clean.solution.parameters[place], rel=0.02)
     nameless = replace(recorded(), robot_text="")
     assert np.allclose(
         identify([nameless], [], IdentifyChoices(), robot_file=three_joint).solution.parameters,
-        plain.solution.parameters,
+        clean.solution.parameters,
         rtol=1e-12,
     )
     with pytest.raises(RecordingError, match="no robot file"):

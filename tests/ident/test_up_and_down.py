@@ -275,6 +275,7 @@ def test_the_example_runs(capsys, monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "examples")
     example = importlib.import_module("up_and_down")
     monkeypatch.setattr(example, "FRICTIONS", {"load": example.FRICTIONS["and 5 % of the load"]})
+    monkeypatch.setattr(example, "RATE", 25.0)
     example.main(1)
     out = capsys.readouterr().out
     half_sums = next(line for line in out.splitlines() if "half sums, com known" in line)

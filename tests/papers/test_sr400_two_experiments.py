@@ -8,6 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sampled_arm import sampled
+
+from daq.robot import load_robot
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "two_experiments.py"
 
@@ -22,6 +25,7 @@ def test_two_experiments_give_the_arm_and_know_whether_they_agree(
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, spec.name, module)  # its dataclasses look there for their module
     spec.loader.exec_module(module)
+    monkeypatch.setattr(module, "load_robot", lambda name: sampled(load_robot(name), 250.0))
     found = module.main(1, 16)
     assert len(found.names) == 56
     assert np.all(np.isfinite(found.values))
