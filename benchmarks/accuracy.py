@@ -10,14 +10,14 @@ import numpy as np
 
 from benchmarks.arm import PERIOD, arm, true_parameters
 from drivers.streams import FloatArray
-from ident.base_parameters import base_parameters
-from ident.filters import no_filter
-from ident.least_squares import ordinary_least_squares
-from ident.model import DynamicModel
-from ident.observation import JointFactor, Reduction, estimate_condition, reduce_segments
-from ident.prepared import Segment
-from ident.regressor import RegressorKernel, evaluate_in_chunks, regressor
-from ident.triangular import GRAM_CONDITION_LIMIT, GramAccumulator
+from ident.linear_algebra.triangular import GRAM_CONDITION_LIMIT, GramAccumulator
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import DynamicModel
+from ident.model.regressor import RegressorKernel, evaluate_in_chunks, regressor
+from ident.regression.least_squares import ordinary_least_squares
+from ident.regression.observation_matrix import JointFactor, Reduction, estimate_condition, reduce_segments
+from ident.signals.filters import no_filter
+from ident.signals.prepared import Segment
 from sim_drivers.motion import random_fourier_motion
 
 CONDITION = 1e6

@@ -12,10 +12,11 @@ import numpy as np
 
 from daq.robot import load_robot
 from drivers.streams import FloatArray
-from ident.model import INERTIAL, DynamicModel, build_model, truth_vector
-from ident.pinocchio_model import PINOCCHIO_ORDER
-from ident.prepared import Segment
-from ident.regressor import model_torque
+from ident.model.dynamics import DynamicModel, build_model, truth_vector
+from ident.model.parameters import INERTIAL
+from ident.model.pinocchio_model import PINOCCHIO_ORDER
+from ident.model.regressor import model_torque
+from ident.signals.prepared import Segment
 from sim_drivers.motion import random_fourier_motion
 
 PERIOD = 20.0

@@ -12,8 +12,8 @@ from benchmarks.arm import arm, data
 from benchmarks.regressor import fill_rows, unpacked
 from benchmarks.timing import medians
 from drivers.streams import FloatArray
-from ident.filters import chebyshev_decimation
-from ident.regressor import RegressorKernel
+from ident.model.regressor import RegressorKernel
+from ident.signals.filters import chebyshev_decimation
 
 FACTOR = 10
 

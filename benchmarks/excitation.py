@@ -29,8 +29,9 @@ from ident.excite.prior import Prior
 from ident.excite.problem import Problem
 from ident.excite.search import SearchChoices
 from ident.excite.solve import ROUNDS, solve
-from ident.model import INERTIAL, build_model
-from ident.pinocchio_model import PINOCCHIO_ORDER
+from ident.model.dynamics import build_model
+from ident.model.parameters import INERTIAL
+from ident.model.pinocchio_model import PINOCCHIO_ORDER
 
 TARGET = 12.0
 """The condition number whose time is taken."""

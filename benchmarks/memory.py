@@ -15,7 +15,7 @@ from pathlib import Path
 
 from benchmarks.arm import arm, data
 from benchmarks.parameters import ours
-from ident.base_parameters import base_parameters
+from ident.model.base_parameters import base_parameters
 
 COMPARED = """\
 memory_growth_mb_2m: highest resident set during the reduction and the solution of 2,000,000 samples, minus the

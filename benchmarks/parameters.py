@@ -11,13 +11,13 @@ from benchmarks.arm import Data, arm, data, pinocchio_columns
 from benchmarks.peers import Motion, PinocchioLoop, figaroh_regressor, figaroh_robot
 from benchmarks.timing import medians
 from drivers.streams import FloatArray
-from ident import base_parameters as base_module
-from ident.base_parameters import base_parameters
-from ident.filters import no_filter
-from ident.least_squares import ordinary_least_squares
-from ident.model import DynamicModel
-from ident.observation import Reduction, reduce_segments
-from ident.regressor import RegressorKernel, model_torque
+from ident.model import base_parameters as base_module
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import DynamicModel
+from ident.model.regressor import RegressorKernel, model_torque
+from ident.regression.least_squares import ordinary_least_squares
+from ident.regression.observation_matrix import Reduction, reduce_segments
+from ident.signals.filters import no_filter
 
 COMPARED = """\
 parameters_vs_pin_lstsq_200k: 200,000 samples to 54 base parameters with their covariance. The choice of the base

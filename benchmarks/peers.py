@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from drivers.streams import FloatArray
-from ident.model import DynamicModel
-from ident.pinocchio_model import pinocchio_model
+from ident.model.dynamics import DynamicModel
+from ident.model.pinocchio_model import pinocchio_model
 
 Motion = tuple[FloatArray, FloatArray, FloatArray]
 """Position, velocity, acceleration (N, n): a row a sample, as the peers take them."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from benchmarks.timing import medians
 from daq.robot import load_robot
-from ident.identify import IdentifyChoices, identify
-from ident.model import build_model
+from ident.identify.identification import IdentifyChoices
+from ident.identify.identify import identify
+from ident.model.dynamics import build_model
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion
 

@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.agreement import DisagreementError
 from benchmarks.timing import medians
 from daq.robot import load_robot
-from ident.model import build_model
+from ident.model.dynamics import build_model
 from sim_drivers.motion import random_fourier_motion
 from sim_drivers.plant import Plant
 

@@ -11,7 +11,7 @@ from benchmarks.arm import Data, arm, data, pinocchio_columns
 from benchmarks.peers import PinocchioLoop, figaroh_regressor, figaroh_robot
 from benchmarks.timing import medians
 from drivers.streams import FloatArray
-from ident.regressor import RegressorKernel
+from ident.model.regressor import RegressorKernel
 
 COMPARED = """\
 regressor_vs_pin_loop: the 60 inertial columns of 20,000 samples into memory that is there already. Pinocchio: a loop

@@ -12,7 +12,7 @@ from drivers.streams import FloatArray
 
 @dataclass(frozen=True)
 class FourierQuintic:
-    """A modified Fourier series (as in UP6 §4.1, references 14 and 15): every period begins and ends at rest.
+    """A modified Fourier series (as in UP6 .4.1, references 14 and 15): every period begins and ends at rest.
 
     q_i(t) = offset_i + f_i(t) + p_i(t), where f_i is the sum of ROCR6 eq. 21 and p_i the only polynomial of fifth order
     that vanishes at both ends of the period and there has the opposite velocity and acceleration of f_i. With u =

@@ -1,6 +1,6 @@
 """Sections `model.loops` and `model.coupling` of a robot file: joints without a motor, motors of several joints.
 
-SR400 §2-3: a closed loop is opened at one joint, which leaves a tree; the joints without a motor follow the others by
+SR400 .2-3: a closed loop is opened at one joint, which leaves a tree; the joints without a motor follow the others by
 q_passive = A·q_active + b, or, where they do not follow linearly, so that the opened joint's two frames meet. Where
 motors move several joints, q_motor = R·q_joint.
 """
@@ -23,7 +23,7 @@ SINGULAR_CONDITION = 1e10
 
 
 class ClosingFrame(Section):
-    """A frame that is fixed on a link, in the notation of an `mdh` row (SR400 §2: two frames on each opened joint)."""
+    """A frame that is fixed on a link, in the notation of an `mdh` row (SR400 .2: two frames on each opened joint)."""
 
     antecedent: str = Field(description="joint behind which the link lies; of loops with `passive` also 'base'")
     gamma: Angle = Field(default=0.0, description="[rad]")

@@ -109,7 +109,7 @@ class JointLimits(Section):
 
 
 class Drive(Section):
-    """How a motor's signal becomes joint torque: Γ = gain · signal (SR400 §4.3 point 1, AUBO eq. 2)."""
+    """How a motor's signal becomes joint torque: Γ = gain · signal (SR400 .4.3 point 1, AUBO eq. 2)."""
 
     joint: str
     gain: Finite | None = Field(

@@ -141,7 +141,7 @@ class SumOfSines:
 
 @dataclass(frozen=True)
 class PointToPoint:
-    """From point to point by fifth-order polynomials, at rest in each (SR400 §4.3).
+    """From point to point by fifth-order polynomials, at rest in each (SR400 .4.3).
 
     Between points a and b, with u = t/T: q = a + (b − a)(10u³ − 15u⁴ + 6u⁵); then it waits for `dwell`.
 

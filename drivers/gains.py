@@ -1,4 +1,4 @@
-"""Motor signals and joint torque: Γ = G_T·V (SR400 §4.3 point 1), τ = K·I (AUBO eq. 2)."""
+"""Motor signals and joint torque: Γ = G_T·V (SR400 .4.3 point 1), τ = K·I (AUBO eq. 2)."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ encoder steps, current noise and ripple, unloaded and with Table 3's load. The d
 here, so that the methods' own errors show; what uncertain gains do is in `sr400_table4.py`. Run it as
 python examples/energy_vs_dynamic.py [seeds [which tables, as 13]]. With 3 seeds about a quarter of an hour. Tables:
 
-1. Links 5 and 6 from the wrist's motion, the other joints locked, as the paper validates them (§4.4): each model's
+1. Links 5 and 6 from the wrist's motion, the other joints locked, as the paper validates them (.4.4): each model's
    values with two standard deviations, beside the truth, of the base parameters that are left with these joints locked.
 2. The whole arm, by the number of moves, and by a Fourier motion of five harmonics as a contrast: the error of the
    identified model's torque along another motion, known exactly, ‖Y·(π̂ − π)‖/‖Y·π‖; the condition number; how many
@@ -31,11 +31,12 @@ from daq.robot import RobotFile, load_robot
 from daq.trajectories import Motion
 from drivers.errors import IdentificationError
 from drivers.streams import FloatArray
-from ident.identify import Identification, IdentifyChoices, identify
-from ident.least_squares import Method
-from ident.model import build_model, truth_vector
-from ident.preprocess import PreprocessChoices
-from ident.regressor import model_torque
+from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identify import identify
+from ident.model.dynamics import build_model, truth_vector
+from ident.model.regressor import model_torque
+from ident.regression.least_squares import Method
+from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion
 from sim_drivers.random_points import random_points_motion

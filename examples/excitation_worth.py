@@ -18,14 +18,15 @@ from up6_excitation import DURATION, PAPER
 
 from daq.robot import RobotFile, load_robot
 from daq.trajectories import Motion, RestToRest
-from ident.base_parameters import base_parameters
 from ident.excite.build import DEVIATION_FLOOR
 from ident.excite.choices import CriterionName, DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
 from ident.excite.search import SearchChoices
-from ident.identify import IdentifyChoices, identify
-from ident.model import build_model, truth_vector
+from ident.identify.identification import IdentifyChoices
+from ident.identify.identify import identify
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import build_model, truth_vector
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion
 

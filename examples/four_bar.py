@@ -20,15 +20,16 @@ import numpy as np
 from daq.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot import RobotFile, load_robot
 from daq.trajectories import Motion, RestToRest
-from ident.base_parameters import base_parameters, random_states
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
 from ident.excite.search import SearchChoices
-from ident.identify import Identification, IdentifyChoices, identify
-from ident.loops import loop_ends, place_tree
-from ident.model import build_model, truth_vector
-from ident.regressor import RegressorKernel
+from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identify import identify
+from ident.model.base_parameters import base_parameters, random_states
+from ident.model.dynamics import build_model, truth_vector
+from ident.model.loops import loop_ends, place_tree
+from ident.model.regressor import RegressorKernel
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion
 from sim_drivers.plant import Plant

@@ -18,13 +18,13 @@ from daq.recording import Recording
 from daq.robot import load_robot
 from daq.trajectories import FourierSeries
 from drivers.streams import FloatArray
-from ident.drive_gains import DriveGains, identify_gains
-from ident.load import KnownLoad, load_effect
-from ident.model import build_model
-from ident.payload import identify_payload
-from ident.payload_summary import payload_sentences
-from ident.run_pair import LOADED, widened
-from ident.triangular import triangular
+from ident.experiments.drive_gains import DriveGains, identify_gains
+from ident.experiments.payload import identify_payload
+from ident.experiments.payload_summary import payload_sentences
+from ident.experiments.run_pair import LOADED, widened
+from ident.linear_algebra.triangular import triangular
+from ident.model.dynamics import build_model
+from ident.model.load import KnownLoad, load_effect
 from sim_drivers.altered_arm import with_gains, with_load
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion

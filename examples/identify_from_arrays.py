@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from daq.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot import load_robot
-from ident.identify import Identification, IdentifyChoices, identify
-from ident.model import build_model
+from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identify import identify
+from ident.model.dynamics import build_model
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion
 

@@ -14,9 +14,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from daq.robot import load_robot
-from ident.load import KnownLoad
-from ident.model import build_model
-from ident.payload import Payload, identify_payload
+from ident.experiments.payload import Payload, identify_payload
+from ident.model.dynamics import build_model
+from ident.model.load import KnownLoad
 from sim_drivers.altered_arm import with_load
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion

@@ -19,15 +19,16 @@ import numpy as np
 from daq.recording import Recording
 from daq.robot import RobotFile, load_robot
 from daq.trajectories import RestToRest
-from ident.base_parameters import base_parameters
+from ident.assessment.recorded_motion import recorded_motion
 from ident.excite.figures import excitation_figures
 from ident.excite.prior import Prior, find_prior
 from ident.excite.sufficiency import motion_sufficiency
-from ident.identify import IdentifyChoices, identify
-from ident.model import build_model, truth_vector
-from ident.recorded_motion import recorded_motion
-from ident.result import write_result
-from ident.summary import summarise
+from ident.identify.identification import IdentifyChoices
+from ident.identify.identify import identify
+from ident.identify.summary import summarise
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import build_model, truth_vector
+from ident.result.schema import write_result
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion
 

@@ -20,14 +20,15 @@ import numpy as np
 from daq.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot import RobotFile, load_robot
 from daq.trajectories import Motion
-from ident.base_parameters import base_parameters
-from ident.chance import WITHIN_95_PERCENT
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
 from ident.excite.search import SearchChoices
-from ident.identify import IdentifyChoices, identify
-from ident.model import build_model, truth_vector
+from ident.identify.identification import IdentifyChoices
+from ident.identify.identify import identify
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import build_model, truth_vector
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.plant import Plant
 

@@ -27,9 +27,11 @@ import numpy as np
 from daq.recording import Recording
 from daq.robot import RobotFile, load_robot
 from drivers.streams import FloatArray
-from ident.gain_uncertainty import gain_sensitivity, relative_gain_std
-from ident.identify import Identification, IdentifyChoices, identify
-from ident.model import INERTIAL, build_model, link_parameters, truth_vector
+from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identify import identify
+from ident.model.dynamics import build_model, truth_vector
+from ident.model.parameters import INERTIAL, link_parameters
+from ident.regression.gain_uncertainty import gain_sensitivity, relative_gain_std
 from sim_drivers.altered_arm import with_gains, with_load
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.random_points import random_points_motion

@@ -26,9 +26,9 @@ import yaml
 
 from daq.realtime import may_have_realtime
 from daq.robot import load_robot
-from ident.base_parameters import base_parameters
-from ident.model import build_model, truth_vector
-from ident.result import BaseParameterResult, read_result
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import build_model, truth_vector
+from ident.result.schema import BaseParameterResult, read_result
 
 WIRES = ("rtde", "canopen", "can")
 SYNC_RATE = 250

@@ -1,6 +1,6 @@
 """Two experiments against one, on a simulated SR400: python examples/two_experiments.py [seeds [moves]].
 
-SR400 §4.3 point 7. Quintic point-to-point motions, 1 kHz, encoder steps, torque noise and ripple of the built-in robot
+SR400 .4.3 point 7. Quintic point-to-point motions, 1 kHz, encoder steps, torque noise and ripple of the built-in robot
 file. Three ways to spend the same number of moves on the arm:
 
 - one experiment: every joint moves, every motor's torque is used;
@@ -25,14 +25,15 @@ import numpy as np
 from daq.recording import Recording
 from daq.robot import RobotFile, load_robot
 from drivers.streams import FloatArray
-from ident.base_parameters import base_parameters
-from ident.experiment import ExperimentChoices
-from ident.identify import IdentifyChoices, identify
-from ident.least_squares import Method
-from ident.merged_result import merge_results
-from ident.model import build_model, truth_vector
-from ident.result import Result
-from ident.summary import summarise
+from ident.experiments.merged_result import merge_results
+from ident.identify.identification import IdentifyChoices
+from ident.identify.identify import identify
+from ident.identify.summary import summarise
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import build_model, truth_vector
+from ident.regression.least_squares import Method
+from ident.regression.observability import ExperimentChoices
+from ident.result.schema import Result
 from sim_drivers.altered_arm import with_load
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.random_points import random_points_motion

@@ -15,16 +15,16 @@ import numpy as np
 
 from daq.robot import load_robot
 from daq.trajectories import Motion, SumOfSines, motion_extremes
-from ident.base_parameters import base_parameters
 from ident.excite.choices import DesignChoices
 from ident.excite.criteria import MotionSize
 from ident.excite.design import design
 from ident.excite.path import Path
 from ident.excite.prior import find_prior
 from ident.excite.search import SearchChoices
-from ident.model import build_model
-from ident.regressor import RegressorKernel, motion_factor
-from ident.triangular import scaled_condition
+from ident.linear_algebra.triangular import scaled_condition
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import build_model
+from ident.model.regressor import RegressorKernel, motion_factor
 
 DURATION = 10.0
 SAMPLES = 1000

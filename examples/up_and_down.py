@@ -4,8 +4,8 @@ A simulated UR10e whose true gains are hidden, 2.8 kg load. One joint after the 
 rest in a few poses, once without and once with the load. To the file's Coulomb and viscous friction is added, in turn:
 nothing; Stribeck friction, half of the Coulomb friction more below some 0.05 rad/s; and 5 % of the gravity torque that
 the joint carries. Joints at rest are held by static friction, anything between ± their Coulomb friction. Printed for
-each: errors of the gains by half sums (`ident.up_and_down`), with the centre of mass known and unknown, and by total
-least squares over the model (`ident.drive_gains`), the same recordings and, as that method wants it, recordings in
+each: errors of the gains by half sums (`up_and_down`), with the centre of mass known and unknown, and by total
+least squares over the model (`drive_gains`), the same recordings and, as that method wants it, recordings in
 which all joints move slowly. Some minutes.
 """
 
@@ -27,11 +27,11 @@ from daq.robot import RobotFile, load_robot
 from daq.trajectories import Motion, PointToPoint
 from drivers.errors import DynidError
 from drivers.streams import FloatArray
-from ident.drive_gains import identify_gains
-from ident.load import KnownLoad
-from ident.model import build_model, truth_vector
-from ident.regressor import model_torque
-from ident.up_and_down import identify_slow_gains
+from ident.experiments.drive_gains import identify_gains
+from ident.experiments.up_and_down import identify_slow_gains
+from ident.model.dynamics import build_model, truth_vector
+from ident.model.load import KnownLoad
+from ident.model.regressor import model_torque
 from sim_drivers.altered_arm import with_gains, with_load
 from sim_drivers.measurement import simulate_recording
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from daq.robot import RobotFile, TruthLink
 from drivers.errors import RobotFileError
-from ident.model import build_model
+from ident.model.dynamics import build_model
 
 
 def with_load(robot_file: RobotFile, mass: float, com: Sequence[float], inertia: Sequence[float]) -> RobotFile:

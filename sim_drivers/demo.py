@@ -15,19 +15,20 @@ from daq.robot import RobotFile, load_robot
 from daq.trajectory_file import dump_trajectory, load_trajectory
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
-from ident.base_parameters import base_parameters
-from ident.chance import WITHIN_95_PERCENT
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
 from ident.excite.search import SearchChoices, random_start
-from ident.identify import Identification, IdentifyChoices, identify
-from ident.model import build_model, truth_vector
+from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identify import identify
+from ident.identify.summary import summarise
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import build_model, truth_vector
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.regression.velocity_reversals import ADVISED_SHARE
 from ident.report import TruthTable, write_report
-from ident.result import Result, write_result
-from ident.reversals import ADVISED_SHARE
-from ident.summary import summarise
+from ident.result.schema import Result, write_result
 from sim_drivers.simulated_arm import Record, over_rtde
 
 PERIOD = 15.0

@@ -11,8 +11,8 @@ from daq.recording import JOINTS_STREAM, Channel, Recording, Stream, software_ve
 from daq.robot import RobotFile
 from daq.trajectories import Motion
 from drivers.streams import UNITS, FloatArray
-from ident.model import build_model, truth_vector
-from ident.regressor import model_torque
+from ident.model.dynamics import build_model, truth_vector
+from ident.model.regressor import model_torque
 
 
 def simulate_recording(

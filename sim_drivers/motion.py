@@ -6,10 +6,10 @@ import numpy as np
 
 from daq.trajectories import FourierSeries
 from drivers.streams import FloatArray
-from ident.base_parameters import base_parameters
-from ident.model import DynamicModel
-from ident.regressor import RegressorKernel, motion_factor
-from ident.triangular import scaled_condition
+from ident.linear_algebra.triangular import scaled_condition
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import DynamicModel
+from ident.model.regressor import RegressorKernel, motion_factor
 
 CANDIDATES = 30
 HARMONICS = 5

@@ -18,7 +18,7 @@ from daq.loops import coupling_matrix
 from daq.robot import RobotFile, TruthJoint
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
-from ident.model import build_model, truth_vector
+from ident.model.dynamics import build_model, truth_vector
 from sim_drivers.controllers import Braking, ComputedTorque, Controller, Pid, Target, independent_inertia
 from sim_drivers.friction import Friction, bristle_stiffness, friction_parameters, steepest_slope
 from sim_drivers.pair_friction import PairFriction

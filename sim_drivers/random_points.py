@@ -13,7 +13,7 @@ LIMIT_SHARE = 0.9
 
 
 def random_points_motion(robot: Robot, seed: int, moves: int, moving: Collection[str] = ()) -> PointToPoint:
-    """Fifth-order moves through random points within the position limits (SR400 §4.3), without a rest between them.
+    """Fifth-order moves through random points within the position limits (SR400 .4.3), without a rest between them.
 
     Each move is as fast as 90 % of the velocity and acceleration limits allow; all joints start and arrive together.
 

@@ -11,15 +11,17 @@ With general loops q_tree and T are functions of q_m, and the tree's acceleratio
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from drivers.streams import FloatArray
-from ident.closed_loops import ClosedLoops
-from ident.model import DynamicModel
-from ident.pinocchio_model import pinocchio_model
-from ident.transmission import LinearTransmission, Transmission, TreeMotion
+from ident.model.dynamics import DynamicModel
+from ident.model.pinocchio_model import pinocchio_model
+from ident.model.transmission import LinearTransmission, Transmission, TreeMotion
+
+if TYPE_CHECKING:
+    from ident.model.linkages.closed_loops import ClosedLoops
 
 
 class RigidArm(Protocol):
@@ -60,6 +62,8 @@ def rigid_arm(
     transmission = model.transmission
     if isinstance(transmission, LinearTransmission):
         return _Linear(model, transmission, inertial, armature, pair_inertia)
+    from ident.model.linkages.closed_loops import ClosedLoops  # only arms that have such loops pay for it
+
     if isinstance(transmission, ClosedLoops):
         return _Closed(model, transmission, inertial, armature, pair_inertia)
     raise TypeError(f"no dynamics for {type(transmission).__name__}")

@@ -10,11 +10,12 @@ from daq.closest import did_you_mean
 from daq.robot import RobotFile
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
-from ident.base_parameters import BaseParameters, base_parameters
 from ident.excite.choices import DesignChoices
-from ident.excite.constraints import constraints_of
+from ident.excite.constraints.constraints import constraints_of
+from ident.excite.constraints.within_limits import constraints_within_limits, criterion_within_limits
 from ident.excite.criteria import Criterion, MotionSize, RegressorCriterion
-from ident.excite.families import FourierFamily, FourierQuinticFamily, PointsFamily, SinesFamily
+from ident.excite.families.families import FourierFamily, FourierQuinticFamily, PointsFamily, SinesFamily
+from ident.excite.families.moving_joints import middle_of_range
 from ident.excite.measures import (
     Measure,
     condition,
@@ -25,15 +26,15 @@ from ident.excite.measures import (
     moments_apart,
     plain_condition,
 )
-from ident.excite.moving_joints import middle_of_range
 from ident.excite.path import Family
 from ident.excite.prior import Prior
 from ident.excite.problem import Problem
-from ident.excite.within_limits import constraints_within_limits, criterion_within_limits
-from ident.independent_columns import independent_columns
-from ident.least_squares import EXCITATION_TOLERANCE
-from ident.model import INERTIAL, DynamicModel, build_model
-from ident.regressor import RegressorKernel, motion_factor
+from ident.linear_algebra.independent_columns import independent_columns
+from ident.model.base_parameters import BaseParameters, base_parameters
+from ident.model.dynamics import DynamicModel, build_model
+from ident.model.parameters import INERTIAL
+from ident.model.regressor import RegressorKernel, motion_factor
+from ident.regression.least_squares import EXCITATION_TOLERANCE
 
 POINTS_PER_WAVE = 20
 """Grid points of the design in the shortest period of a motion."""

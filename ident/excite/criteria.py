@@ -11,9 +11,9 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.excite.measures import Measure
 from ident.excite.path import Path
-from ident.model import DynamicModel
-from ident.regressor import RegressorKernel
-from ident.regressor_gradient import pull_back_regressor
+from ident.model.dynamics import DynamicModel
+from ident.model.regressor import RegressorKernel
+from ident.model.regressor_gradient import pull_back_regressor
 
 SIGN_SMOOTHING = 0.05
 """Least ε [rad/s] of tanh(q̇/ε) in place of sign(q̇) while designing: a step has no derivative to follow."""

@@ -15,17 +15,18 @@ import numpy as np
 from daq.robot import RobotFile
 from daq.trajectories import Extremes, Motion, motion_extremes
 from drivers.streams import FloatArray
-from ident.base_parameters import BaseParameters, base_parameters
 from ident.excite.prior import Prior, recording_rate
-from ident.filters import no_filter
-from ident.least_squares import excited_columns
-from ident.model import DynamicModel, Kind, build_model
-from ident.observation import Reduction, reduce_segments
-from ident.prepared import Segment
-from ident.pruning import relative_std
-from ident.regressor import RegressorKernel, model_torque
-from ident.result import UNITS
-from ident.triangular import scaled_condition
+from ident.linear_algebra.triangular import scaled_condition
+from ident.model.base_parameters import BaseParameters, base_parameters
+from ident.model.dynamics import DynamicModel, build_model
+from ident.model.parameters import Kind
+from ident.model.regressor import RegressorKernel, model_torque
+from ident.regression.least_squares import excited_columns
+from ident.regression.observation_matrix import Reduction, reduce_segments
+from ident.regression.pruning import relative_std
+from ident.result.schema import UNITS
+from ident.signals.filters import no_filter
+from ident.signals.prepared import Segment
 
 MOST_SAMPLES = 400_000
 """A longer motion is looked at on a coarser grid than that of its recording."""

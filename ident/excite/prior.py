@@ -11,9 +11,9 @@ import numpy as np
 from daq.robot import JointLimits, Robot, RobotFile
 from drivers.errors import ResultFileError, UsageError
 from drivers.streams import FloatArray
-from ident.base_parameters import BaseParameters, base_parameters
-from ident.model import build_model, truth_vector
-from ident.result import Result, read_result
+from ident.model.base_parameters import BaseParameters, base_parameters
+from ident.model.dynamics import build_model, truth_vector
+from ident.result.schema import Result, read_result
 
 ASSUMED_NOISE_SHARE = 0.01
 """Torque noise of a joint of which nothing is known, as a share of its torque limit."""

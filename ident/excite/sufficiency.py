@@ -9,16 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.errors import DynidError, UsageError
-from ident.comparison import compare_torques
-from ident.covariance import FilteredRun, block_jackknife
-from ident.excitation import excited_base_columns
+from ident.assessment.excitation import excited_base_columns
+from ident.assessment.recorded_motion import RecordedMotion
 from ident.excite.figures import Forecast, forecast
 from ident.excite.prior import Prior, find_prior, least_noise
-from ident.least_squares import weighted_least_squares
-from ident.measured import MeasuredMotion
-from ident.preprocess import PreprocessChoices, prepare
-from ident.pruning import SIGNIFICANT_RSD
-from ident.recorded_motion import RecordedMotion
+from ident.regression.comparison import compare_torques
+from ident.regression.jackknife import FilteredRun, block_jackknife
+from ident.regression.least_squares import weighted_least_squares
+from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.signals.joint_signals import MeasuredMotion
+from ident.signals.pipeline import PreprocessChoices, prepare
 
 OWN_TORQUE = "a quick identification of this recording"
 """Source of parameters and noise where the recording holds torque."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from ident.result import BaseParameterResult
+from ident.result.schema import BaseParameterResult
 
 MEASURED = "#0072B2"
 PREDICTED = "#D55E00"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from drivers.errors import UsageError
 from ident.report import number_text
-from ident.result import replace_file
+from ident.result.schema import replace_file
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from ident.comparison import TorqueSeries
+from ident.regression.comparison import TorqueSeries
 from ident.report.html_file import page_templates, write_html
 from ident.report.section import ReportData, Section, TruthTable
 from ident.report.sections import (
@@ -20,7 +20,7 @@ from ident.report.sections import (
     torques_validation,
     truth,
 )
-from ident.result import Result
+from ident.result.schema import Result
 
 SECTIONS: tuple[Callable[[ReportData], Section | None], ...] = (
     summary.section,

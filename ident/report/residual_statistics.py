@@ -1,4 +1,4 @@
-"""What residuals look like, joint by joint: the numbers behind the plots (AUBO §3.2, figures 5, 7 and 8)."""
+"""What residuals look like, joint by joint: the numbers behind the plots (AUBO .3.2, figures 5, 7 and 8)."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.streams import FloatArray
-from ident.chance import WITHIN_95_PERCENT
-from ident.comparison import TorqueSeries
+from ident.regression.comparison import TorqueSeries
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
 HISTOGRAM_EDGES = np.linspace(-5.0, 5.0, 51)
 """In standard deviations; what lies beyond counts for the first and the last bin."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.streams import FloatArray
-from ident.comparison import TorqueSeries
-from ident.result import Result
+from ident.regression.comparison import TorqueSeries
+from ident.result.schema import Result
 
 
 @dataclass(frozen=True)

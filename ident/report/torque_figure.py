@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.comparison import TorqueSeries
+from ident.regression.comparison import TorqueSeries
 from ident.report.figures import (
     BOTTOM,
     MEASURED,
@@ -25,7 +25,7 @@ from ident.report.figures import (
 )
 from ident.report.number_text import number, percent, whole
 from ident.report.traces import broken_line, lay_out, packed, points_per_trace
-from ident.result import Fit
+from ident.result.schema import Fit
 
 PANEL, GAP = 150, 30
 

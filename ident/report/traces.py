@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.streams import FloatArray
-from ident.comparison import TorqueSeries
+from ident.regression.comparison import TorqueSeries
 
 POINTS_PER_TRACE = 4000
 """A trace holds about this many points at most."""

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from daq.robot import RobotFile, TruthLink, builtin_robots, load_robot
-from ident.model import build_model, truth_vector
-from ident.pinocchio_model import pinocchio_model
+from ident.model.dynamics import build_model, truth_vector
+from ident.model.pinocchio_model import pinocchio_model
 
 UR_JOINTS = (
     "shoulder_pan_joint",

@@ -9,12 +9,12 @@ import pytest
 
 from daq.robot import JointLimits, RobotFile, parse_robot
 from drivers.streams import FloatArray
-from ident.kinematics import Joint
-from ident.model import DynamicModel
-from ident.observation import JointFactor, Reduction
-from ident.preprocess import Segment
-from ident.regressor import model_torque
-from ident.triangular import triangular
+from ident.linear_algebra.triangular import triangular
+from ident.model.dynamics import DynamicModel
+from ident.model.joints import Joint
+from ident.model.regressor import model_torque
+from ident.regression.observation_matrix import JointFactor, Reduction
+from ident.signals.pipeline import Segment
 
 UR_LIKE = """
 name: ur_like

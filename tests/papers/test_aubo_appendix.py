@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from daq.robot import load_robot
-from ident.base_parameters import base_parameters
-from ident.model import build_model
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import build_model
 
 SYMBOLS = {
     "Ixx": "XX",

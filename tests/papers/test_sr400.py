@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from daq.robot import RobotFile, load_robot
-from ident.base_parameters import BaseParameters, base_parameters
-from ident.model import DynamicModel, build_model, link_parameters, truth_vector
-from ident.regressor import regressor
-from ident.symbols import symbolic_expressions
+from ident.model.base_parameters import BaseParameters, base_parameters
+from ident.model.dynamics import DynamicModel, build_model, truth_vector
+from ident.model.parameters import link_parameters
+from ident.model.regressor import regressor
+from ident.model.symbols import symbolic_expressions
 
 NO_EFFECT = ("XX1", "XY1", "XZ1", "YY1", "YZ1", "MX1", "MY1", "MZ1", "M1", "MZ2", "MZ7")
 

@@ -1,4 +1,4 @@
-"""SR400 §4.4: the load of Table 3 on the simulated arm, the base parameters it changes, and the drive chains' gains."""
+"""SR400 .4.4: the load of Table 3 on the simulated arm, the base parameters it changes, and the drive chains' gains."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from daq.robot import load_robot
-from ident.base_parameters import base_parameters
-from ident.drive_gains import identify_gains
-from ident.load import KnownLoad, load_columns, load_effect
-from ident.model import build_model
-from ident.payload import identify_payload
+from ident.experiments.drive_gains import identify_gains
+from ident.experiments.payload import identify_payload
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import build_model
+from ident.model.load import KnownLoad, load_columns, load_effect
 from sim_drivers.altered_arm import with_gains, with_load
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion

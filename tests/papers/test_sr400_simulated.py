@@ -1,4 +1,4 @@
-"""The SR400 paper's experiment with a simulated arm: free, loaded, and what the one predicts of the other (§4.4)."""
+"""The SR400 paper's experiment with a simulated arm: free, loaded, and what the one predicts of the other (.4.4)."""
 
 from __future__ import annotations
 

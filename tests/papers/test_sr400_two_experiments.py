@@ -1,4 +1,4 @@
-"""SR400 §4.3 point 7 with a simulated arm: joints locked, the wrist's torques only, merged; against one experiment."""
+"""SR400 .4.3 point 7 with a simulated arm: joints locked, the wrist's torques only, merged; against one experiment."""
 
 from __future__ import annotations
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from daq.robot import load_robot
-from ident.model import build_model, truth_vector
-from ident.pinocchio_model import pinocchio_model
+from ident.model.dynamics import build_model, truth_vector
+from ident.model.pinocchio_model import pinocchio_model
 
 pytestmark = pytest.mark.realdata
 

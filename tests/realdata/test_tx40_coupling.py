@@ -8,8 +8,9 @@ import pytest
 
 from daq.importers import ImportChoices, import_file
 from daq.robot import RobotFile, parse_robot
-from ident.identify import Identification, IdentifyChoices, identify
-from ident.preprocess import PreprocessChoices
+from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identify import identify
+from ident.signals.pipeline import PreprocessChoices
 
 pytestmark = pytest.mark.realdata
 

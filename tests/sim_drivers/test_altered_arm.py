@@ -7,7 +7,8 @@ import pytest
 
 from daq.robot import load_robot
 from drivers.errors import RobotFileError
-from ident.model import link_parameters, truth_vector
+from ident.model.dynamics import truth_vector
+from ident.model.parameters import link_parameters
 from sim_drivers.altered_arm import with_gains, with_load
 
 COM, INERTIA = (0.03, -0.02, 0.08), (0.01, 0.001, 0.0, 0.012, 0.0, 0.009)

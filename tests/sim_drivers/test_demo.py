@@ -12,9 +12,9 @@ from servoed_plant import in_simulated_time
 from daq.recording import JOINTS_STREAM, read_recording
 from daq.robot import load_robot
 from drivers.errors import ConnectionFailedError, RobotFileError, UsageError, WorkError
-from ident.chance import WITHIN_95_PERCENT
-from ident.model import build_model, truth_vector
-from ident.result import read_result
+from ident.model.dynamics import build_model, truth_vector
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.result.schema import read_result
 from sim_drivers.demo import print_demo, run_demo
 from sim_drivers.simulated_arm import over_rtde, simulated_arm
 

@@ -16,7 +16,7 @@ from daq.robot import load_robot
 from drivers.canopen402.settings import parse_settings
 from drivers.canopen402.target_path import TargetPath
 from drivers.streams import FloatArray
-from ident.model import build_model
+from ident.model.dynamics import build_model
 from sim_drivers.drive_network import DriveNetwork
 from sim_drivers.motion import random_fourier_motion
 from sim_drivers.plant import Plant

@@ -8,9 +8,9 @@ import pytest
 from daq.recording import JOINTS_STREAM, read_recording, write_recording
 from daq.robot import builtin_robots, load_robot, parse_robot
 from drivers.errors import RobotFileError
-from ident.measured import measured_motion
-from ident.model import build_model, truth_vector
-from ident.pinocchio_model import pinocchio_model
+from ident.model.dynamics import build_model, truth_vector
+from ident.model.pinocchio_model import pinocchio_model
+from ident.signals.joint_signals import measured_motion
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion
 

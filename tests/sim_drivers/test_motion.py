@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from daq.robot import builtin_robots, load_robot
-from ident.base_parameters import base_parameters
-from ident.model import build_model
-from ident.regressor import RegressorKernel, motion_factor
-from ident.triangular import scaled_condition
+from ident.linear_algebra.triangular import scaled_condition
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import build_model
+from ident.model.regressor import RegressorKernel, motion_factor
 from sim_drivers.motion import LIMIT_SHARE, random_fourier_motion
 
 DENSE = 4000  # points a period, ten times what the motion was scaled on

@@ -10,8 +10,8 @@ import pytest
 
 from daq.robot import builtin_robots, load_robot, parse_robot
 from drivers.errors import RobotFileError
-from ident.model import build_model, truth_vector
-from ident.pinocchio_model import pinocchio_model
+from ident.model.dynamics import build_model, truth_vector
+from ident.model.pinocchio_model import pinocchio_model
 from sim_drivers.motion import random_fourier_motion
 from sim_drivers.plant import Plant, PlantSettings
 

@@ -7,9 +7,10 @@ import pytest
 from controlled_arm import follow
 
 from daq.robot import load_robot
-from ident.base_parameters import base_parameters
-from ident.identify import IdentifyChoices, identify
-from ident.model import build_model, truth_vector
+from ident.identify.identification import IdentifyChoices
+from ident.identify.identify import identify
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import build_model, truth_vector
 from sim_drivers.motion import CANDIDATES
 
 

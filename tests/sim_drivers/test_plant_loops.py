@@ -11,11 +11,12 @@ from controlled_arm import follow
 
 from daq.loops import coupling_matrix
 from daq.robot import RobotFile, load_robot
-from ident.base_parameters import base_parameters
-from ident.identify import IdentifyChoices, identify
-from ident.model import build_model, truth_vector
-from ident.pinocchio_model import pinocchio_model
-from ident.regressor import model_torque
+from ident.identify.identification import IdentifyChoices
+from ident.identify.identify import identify
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import build_model, truth_vector
+from ident.model.pinocchio_model import pinocchio_model
+from ident.model.regressor import model_torque
 from sim_drivers.plant import Plant, PlantSettings
 from sim_drivers.rigid_arm import rigid_arm
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from daq.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot import RobotFile
-from ident.model import build_model
+from ident.model.dynamics import build_model
 from sim_drivers.motion import random_fourier_motion
 from sim_drivers.plant import Plant, PlantSettings
 

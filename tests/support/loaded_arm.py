@@ -7,8 +7,8 @@ from functools import lru_cache
 
 from daq.recording import Recording
 from daq.robot import RobotFile, load_robot
-from ident.load import KnownLoad
-from ident.model import build_model
+from ident.model.dynamics import build_model
+from ident.model.load import KnownLoad
 from sim_drivers.altered_arm import with_gains, with_load
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion

@@ -8,9 +8,9 @@ from functools import partial
 import numpy as np
 
 from drivers.errors import UsageError
+from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.path import Path
 from ident.excite.problem import Problem
-from ident.excite.soft_maximum import soft_maximum
 
 BEST = np.array([0.5, 2.0])
 LIMIT = 1.0

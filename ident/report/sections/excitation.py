@@ -7,7 +7,7 @@ import math
 from ident.report.figures import ACCENT, BOTTOM, TOP, Figure, base_layout
 from ident.report.number_text import number
 from ident.report.section import ReportData, Section, Tile
-from ident.result import Result
+from ident.result.schema import Result
 
 PANEL = 260
 

@@ -20,7 +20,7 @@ from ident.report.figures import (
 )
 from ident.report.number_text import number, setting
 from ident.report.section import ReportData, Section
-from ident.result import BaseParameterResult, Result
+from ident.result.schema import BaseParameterResult, Result
 
 ROW = 15
 TWO_SIGMA = 2.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ident.report.section import ReportData, Section
-from ident.result import Result
+from ident.result.schema import Result
 
 
 def section(data: ReportData) -> Section:

@@ -1,4 +1,4 @@
-"""Residuals of the fit, and what they say of the assumptions behind least squares (AUBO §3.2)."""
+"""Residuals of the fit, and what they say of the assumptions behind least squares (AUBO .3.2)."""
 
 from __future__ import annotations
 

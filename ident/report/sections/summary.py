@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from ident.assessment.validation import LOW_SPEED
 from ident.report.number_text import DASH, number, percent, whole
 from ident.report.section import ReportData, Section, Tile
-from ident.result import Fit, Result
-from ident.validation import LOW_SPEED
+from ident.result.schema import Fit, Result
 
 
 def section(data: ReportData) -> Section:

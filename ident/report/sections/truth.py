@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ident.chance import WITHIN_95_PERCENT
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures import BOTTOM, REFERENCE, TOP, Figure, base_layout, kind_markers, vertical_line
 from ident.report.number_text import DASH, number, percent
 from ident.report.section import ReportData, Section, Tile
-from ident.result import BaseParameterResult
+from ident.result.schema import BaseParameterResult
 
 ROW = 15
 

@@ -1,0 +1,113 @@
+"""Checks that a small residual does not replace: gravity's sign, a positive inertia matrix, friction that brakes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.model.base_parameters import BaseParameters, random_states
+from ident.model.dynamics import DynamicModel
+from ident.model.regressor import RegressorKernel, regressor
+from ident.regression.least_squares import LeastSquares, excited_columns, ordinary_least_squares
+from ident.regression.observation_matrix import Reduction, only_torques, reduce_segments, stack_reductions
+from ident.signals.filters import ZeroPhaseFilter
+from ident.signals.pipeline import Segment
+
+POSES = 200
+CLEARLY_SMALLER = 0.99
+"""What the opposite gravity's sum of squared residuals must fall below, relative to the file's: not by rounding."""
+
+CHANCE = 0.01
+"""Level of the test that tells a better fit from luck."""
+
+SURE_DEVIATIONS = 3.0
+"""A wrong sign counts once it is this many standard deviations away from 0."""
+
+
+def inertia_matrices(
+    model: DynamicModel, base: BaseParameters, parameters: FloatArray, position: FloatArray
+) -> FloatArray:
+    """Joint-space inertia matrices (N, n, n), motor inertias included, at positions (n, N)."""
+    count = position.shape[1]
+    weightless = replace(model, gravity=np.zeros(3))
+    still = np.zeros_like(position)
+    matrices = np.empty((count, model.dof, model.dof))
+    inertial = np.array([kind in ("inertial", "motor_inertia") for kind in base.kinds])
+    inertial |= np.array([name.startswith("Iac") for name in base.names])
+    for joint in range(model.dof):
+        acceleration = np.zeros_like(position)
+        acceleration[joint] = 1.0
+        rows = regressor(weightless, position, still, acceleration, base.columns)
+        # The offset column is 1 whatever moves, and no torque of inertia.
+        matrices[:, :, joint] = np.einsum("nbN,b->Nn", rows, np.where(inertial, parameters, 0.0))
+    if model.transmission is not None:  # from the motors to the joints
+        matrices = model.transmission.coupling.T @ matrices
+    return matrices
+
+
+def indefinite_share(model: DynamicModel, base: BaseParameters, parameters: FloatArray) -> float:
+    """Share of random poses at which the inertia matrix is not positive definite; 0 for every arm that exists."""
+    position, _, _ = random_states(model, POSES)
+    matrices = inertia_matrices(model, base, parameters, position)
+    smallest = np.linalg.eigvalsh(0.5 * (matrices + matrices.transpose(0, 2, 1)))[:, 0]
+    return float(np.mean(smallest <= 0.0))
+
+
+def fits_opposite_gravity(
+    model: DynamicModel,
+    base: BaseParameters,
+    runs: Sequence[tuple[Sequence[Segment], ZeroPhaseFilter]],
+    active: Sequence[int],
+    residual_sum: float,
+    torques_of: Sequence[int],
+) -> bool:
+    """Whether gravity of the opposite sign leaves a clearly smaller sum of squared residuals than `residual_sum`.
+
+    Both are least squares over the `active` base columns, with the rows of the motors `torques_of`; an arm that does
+    not feel gravity fits either sign alike.
+    """
+    kernel = RegressorKernel(replace(model, gravity=-model.gravity), base.columns)
+    reduction = stack_reductions([reduce_segments(kernel, segments, parallel) for segments, parallel in runs])
+    return refitted(only_torques(reduction, torques_of), active).residual_sum < CLEARLY_SMALLER * residual_sum
+
+
+def refitted(reduction: Reduction, active: Sequence[int]) -> LeastSquares:
+    """Least squares over those `active` columns that are excited in this system as well."""
+    return ordinary_least_squares(reduction, [column for column in excited_columns(reduction) if column in active])
+
+
+def share_by_chance(freedom: float) -> float:
+    """Smallest ratio of two residual variances of so many degrees of freedom that chance brings (F-test, `CHANCE`).
+
+    With few independent equations for many parameters, as the energy model has, one sign of gravity leaves a little
+    less than the other whatever the truth.
+    """
+    from scipy.stats import f as f_distribution
+
+    return float(min(CLEARLY_SMALLER, f_distribution.ppf(CHANCE, freedom, freedom))) if freedom >= 1 else 0.0
+
+
+def sign_warnings(base: BaseParameters, parameters: FloatArray, std: FloatArray) -> list[str]:
+    """Warnings for friction and motor inertia that are clearly negative."""
+    wrong = [
+        number
+        for number, kind in enumerate(base.kinds)
+        if kind in ("viscous", "coulomb", "motor_inertia") and parameters[number] < -SURE_DEVIATIONS * std[number]
+    ]
+    warnings = []
+    friction = [base.names[i] for i in wrong if base.kinds[i] != "motor_inertia"]
+    if friction:
+        warnings.append(
+            f"{', '.join(friction)} came out negative: friction that drives. The sign of a drive gain, or a model that "
+            "lacks a friction term, is the usual reason"
+        )
+    motors = [base.names[i] for i in wrong if base.kinds[i] == "motor_inertia"]
+    if motors:
+        warnings.append(
+            f"{', '.join(motors)} came out negative: where torque sensors sit behind the gearbox they do not see the "
+            "motor; set `inertia: false` for these drives or use --no-motor-inertia"
+        )
+    return warnings

@@ -1,0 +1,72 @@
+"""A recording's motion prepared once, for all that `dynid info` tells of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from daq.recording import Recording
+from daq.robot import RobotFile
+from drivers.errors import DataError, DynidError, RobotFileError, UsageError
+from ident.model.base_parameters import BaseParameters, base_parameters
+from ident.model.dynamics import DynamicModel, build_model
+from ident.model.regressor import RegressorKernel
+from ident.regression.observation_matrix import Reduction, reduce_segments
+from ident.signals.joint_signals import JointPositions, MeasuredMotion, joint_positions, measured_motion
+from ident.signals.pipeline import Prepared, PreprocessChoices, prepare
+
+
+@dataclass(frozen=True)
+class RecordedMotion:
+    """A recorded motion beside the model of its arm.
+
+    Attributes:
+        robot_file: of the arm.
+        model: of the arm.
+        base: its base parameters.
+        kernel: of their columns.
+        positions: as recorded.
+        measured: positions and torques as recorded; None where no torque is known.
+        prepared: by the default choices, torque not shifted; the torque is 0 where none is known.
+    """
+
+    robot_file: RobotFile
+    model: DynamicModel
+    base: BaseParameters
+    kernel: RegressorKernel
+    positions: JointPositions
+    measured: MeasuredMotion | None
+    prepared: Prepared
+
+    @cached_property
+    def reduction(self) -> Reduction:
+        """Of `prepared`."""
+        return reduce_segments(self.kernel, self.prepared.segments, self.prepared.parallel_filter)
+
+
+def recorded_motion(recording: Recording, robot_file: RobotFile) -> RecordedMotion | None:
+    """The motion of a recording; None where it holds none that could be analysed.
+
+    Raises:
+        IdentificationError: the number of the arm's base parameters cannot be decided.
+    """
+    try:
+        positions = joint_positions(recording, robot_file.robot)
+        measured = _measured(recording, robot_file)
+        torque = np.zeros_like(positions.position) if measured is None else measured.torque
+        prepared = prepare(positions.time, positions.position, torque, PreprocessChoices())
+        model = build_model(robot_file)
+    except (DataError, UsageError, RobotFileError):
+        return None
+    base = base_parameters(model)
+    kernel = RegressorKernel(model, base.columns)
+    return RecordedMotion(robot_file, model, base, kernel, positions, measured, prepared)
+
+
+def _measured(recording: Recording, robot_file: RobotFile) -> MeasuredMotion | None:
+    try:
+        return measured_motion(recording, robot_file.robot)
+    except DynidError:  # no torque, or no gain that makes one of the motors' signals
+        return None

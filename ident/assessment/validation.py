@@ -1,0 +1,76 @@
+"""How well a model predicts torque: per joint, at low and at high speed apart (AUBO .3.4, Tables III and IV)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.errors import DataError
+from drivers.streams import FloatArray
+from ident.regression.comparison import TorqueSeries
+
+LOW_SPEED = 0.1
+"""Joint speed [rad/s or m/s] below which a static friction model is not valid (AUBO .3.4)."""
+
+HELD_OUT_SHARE = 0.3
+"""Last part of a recording that is kept for validation where no other recording is given."""
+
+
+@dataclass(frozen=True)
+class FitFigures:
+    """Errors of filtered torques.
+
+    Attributes:
+        relative_error: ‖τ − Ŵx‖ / ‖τ‖ over all samples of the joints whose torque is predicted.
+        joint_relative_error: (n,) the same of each joint; nan where it bears no torque.
+        rmse: (n,) root mean square error [N·m]; nan, as all errors, where the model predicts no torque.
+        low_speed_rmse, high_speed_rmse: (n,) below and above `LOW_SPEED` [N·m]; nan where there is no such sample.
+        max_error: (n,) largest error [N·m].
+        samples: filtered samples that count.
+    """
+
+    relative_error: float
+    joint_relative_error: FloatArray
+    rmse: FloatArray
+    low_speed_rmse: FloatArray
+    high_speed_rmse: FloatArray
+    max_error: FloatArray
+    samples: int
+
+
+def fit_figures(series: Sequence[TorqueSeries]) -> FitFigures:
+    """Errors over all stretches together.
+
+    Raises:
+        DataError: no sample counts (the arm never moves).
+    """
+    measured = np.concatenate([part.measured[:, part.used] for part in series], axis=1)
+    error = measured - np.concatenate([part.predicted[:, part.used] for part in series], axis=1)
+    speed = np.abs(np.concatenate([part.velocity[:, part.used] for part in series], axis=1))
+    if measured.shape[1] == 0:
+        raise DataError("the arm does not move in these data", hint="choose another window with --start and --stop")
+    slow = speed < LOW_SPEED
+    torque_norms, error_norms = np.linalg.norm(measured, axis=1), np.linalg.norm(error, axis=1)
+    predicted = ~np.isnan(error_norms)
+    total = float(np.linalg.norm(torque_norms[predicted]))
+    return FitFigures(
+        relative_error=float(np.linalg.norm(error_norms[predicted])) / total if total > 0 else float("nan"),
+        joint_relative_error=_ratio(error_norms, torque_norms),
+        rmse=np.sqrt(np.mean(error**2, axis=1)),
+        low_speed_rmse=_rmse_where(error, slow),
+        high_speed_rmse=_rmse_where(error, ~slow),
+        max_error=np.max(np.abs(error), axis=1),
+        samples=measured.shape[1],
+    )
+
+
+def _rmse_where(error: FloatArray, mask: npt.NDArray[np.bool_]) -> FloatArray:
+    counts = np.sum(mask, axis=1).astype(np.float64)
+    return np.asarray(np.sqrt(_ratio(np.sum(np.where(mask, error**2, 0.0), axis=1), counts)))
+
+
+def _ratio(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
+    return np.asarray(np.divide(numerator, denominator, out=np.full(len(numerator), np.nan), where=denominator > 0))

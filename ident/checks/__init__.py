@@ -1,0 +1,1 @@
+"""What `dynid check` and `dynid info` find."""

@@ -1,0 +1,266 @@
+"""What `dynid info` tells of a recording: is it good enough to go home?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from daq.console import print_table
+from daq.recording import JOINTS_STREAM, Recording
+from daq.robot import RobotFile
+from daq.signal_quality import ColumnQuality, channel_quality
+from daq.stream_quality import StreamQuality, stream_quality
+from drivers.errors import DynidError
+from ident.assessment.delay import DelaySearch, search_delay
+from ident.assessment.excitation import ExcitationReached, excitation_reached
+from ident.assessment.recorded_motion import RecordedMotion, recorded_motion
+from ident.excite.sufficiency import (
+    Sufficiency,
+    TimesNeeded,
+    check_wanted_rsd,
+    motion_sufficiency,
+    times_needed,
+)
+from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.regression.velocity_reversals import without_reversals
+
+MOTOR_SIGNALS = ("current", "voltage", "torque")
+
+JITTER_SHARE = 0.2
+CLIPPED_PERCENT = 0.1
+GOOD_CONDITION = 50.0
+SLOW_SHARE_PERCENT = 20.0
+"""Beyond these a recording is worth repeating: jitter of the period, clipped samples, condition with scaled columns,
+largest speed of its limit."""
+
+
+@dataclass(frozen=True)
+class RecordingInfo:
+    """Everything that `dynid info` shows.
+
+    Attributes:
+        recording: as read.
+        robot_name: of the robot file.
+        streams: name → evenness of its clock.
+        columns: (stream, quantity) → figures of its columns.
+        excitation: what the motion could reveal; None where nothing could be analysed.
+        delay: torque behind position; None where there is no torque or no motion.
+        sufficiency: error bars that the motion lets expect; None where nothing could be analysed.
+        times: how long it must last for a wanted RSD; None where none was asked for.
+        findings: what speaks against the recording, in words; empty if nothing does.
+    """
+
+    recording: Recording
+    robot_name: str
+    streams: Mapping[str, StreamQuality]
+    columns: Mapping[tuple[str, str], tuple[ColumnQuality, ...]]
+    excitation: ExcitationReached | None
+    delay: DelaySearch | None
+    sufficiency: Sufficiency | None
+    times: TimesNeeded | None
+    findings: tuple[str, ...]
+
+
+def recording_info(
+    recording: Recording, robot_file: RobotFile, wanted_rsd_percent: float | None = None
+) -> RecordingInfo:
+    """Look at a recording's clocks, signals and motion.
+
+    Args:
+        recording: as read.
+        robot_file: of its arm.
+        wanted_rsd_percent: relative standard deviation [%] for which the time needed is told.
+
+    Raises:
+        UsageError: `wanted_rsd_percent` is not a percentage.
+    """
+    if wanted_rsd_percent is not None:
+        check_wanted_rsd(wanted_rsd_percent)
+    streams = {name: stream_quality(stream.time) for name, stream in recording.streams.items()}
+    columns = {
+        (name, quantity): channel_quality(channel)
+        for name, stream in recording.streams.items()
+        for quantity, channel in stream.channels.items()
+    }
+    excitation = delay = sufficiency = times = None
+    motion = recorded_motion(recording, robot_file)
+    if motion is not None:
+        excitation = excitation_reached(motion)
+        delay = _delay(motion)
+        sufficiency = motion_sufficiency(motion, delay.used if delay is not None else 0.0)
+    if sufficiency is not None and wanted_rsd_percent is not None:
+        times = times_needed(sufficiency, wanted_rsd_percent)
+    findings = tuple(_findings(recording, streams, columns, excitation))
+    return RecordingInfo(
+        recording, robot_file.robot.name, streams, columns, excitation, delay, sufficiency, times, findings
+    )
+
+
+def _delay(motion: RecordedMotion) -> DelaySearch | None:
+    if motion.measured is None:  # `identify` says why
+        return None
+    try:
+        segments = without_reversals(motion.kernel, motion.prepared.segments)
+        return search_delay(motion.kernel, segments, motion.prepared.parallel_filter)
+    except DynidError:  # too short to tell
+        return None
+
+
+def _findings(
+    recording: Recording,
+    streams: Mapping[str, StreamQuality],
+    columns: Mapping[tuple[str, str], tuple[ColumnQuality, ...]],
+    excitation: ExcitationReached | None,
+) -> list[str]:
+    findings = [] if recording.complete else ["the recording was not closed in order: its end may be missing"]
+    for name, quality in streams.items():
+        if quality.lost:
+            share = 100.0 * quality.lost / (quality.samples + quality.lost)
+            findings.append(f"{name}: {quality.lost} samples lost ({share:.2g} %) in {len(quality.gaps)} gaps")
+        if quality.duplicates:
+            findings.append(f"{name}: {quality.duplicates} stamps do not advance")
+        if quality.jitter_ms * quality.rate_hz > JITTER_SHARE * 1e3:
+            findings.append(f"{name}: stamps jitter by {quality.jitter_ms:.2g} ms")
+    for (stream, quantity), qualities in columns.items():
+        if quantity not in MOTOR_SIGNALS:
+            continue
+        for column in qualities:
+            if column.clipped_percent > CLIPPED_PERCENT:
+                findings.append(f"{stream}/{quantity} of {column.name} is clipped in {column.clipped_percent:.2g} %")
+    if excitation is None:
+        findings.append("no motion that could be analysed")
+        return findings
+    if excitation.unexcited:
+        findings.append(f"the motion does not excite {', '.join(excitation.unexcited)}")
+    if excitation.scaled_condition > GOOD_CONDITION:
+        findings.append(f"condition {excitation.scaled_condition:.0f} is high (below {GOOD_CONDITION:g} is good)")
+    joints = recording.streams[JOINTS_STREAM].channels["position"].columns
+    slow = [
+        name
+        for name, share in zip(joints, excitation.velocity_share_percent, strict=False)
+        if share < SLOW_SHARE_PERCENT
+    ]
+    if slow:
+        findings.append(f"{', '.join(slow)} reach less than {SLOW_SHARE_PERCENT:g} % of their velocity limit")
+    return findings
+
+
+def info_object(info: RecordingInfo, file: str) -> dict[str, Any]:
+    """The JSON object of `dynid info --json`."""
+    recording = info.recording
+    return {
+        "file": file,
+        "robot": info.robot_name,
+        "created": recording.created,
+        "comment": recording.comment,
+        "complete": recording.complete,
+        "streams": {
+            name: {
+                **asdict(quality),
+                "channels": {
+                    quantity: {
+                        "unit": channel.unit,
+                        "columns": [asdict(column) for column in info.columns[name, quantity]],
+                    }
+                    for quantity, channel in recording.streams[name].channels.items()
+                },
+            }
+            for name, quality in info.streams.items()
+        },
+        "excitation": asdict(info.excitation) if info.excitation is not None else None,
+        "delay": asdict(info.delay) if info.delay is not None else None,
+        "sufficiency": _sufficiency_object(info),
+        "findings": list(info.findings),
+        "events": [asdict(event) for event in recording.events],
+    }
+
+
+def _sufficiency_object(info: RecordingInfo) -> dict[str, Any] | None:
+    if info.sufficiency is None:
+        return None
+    content: dict[str, Any] = {
+        "seconds": info.sufficiency.seconds,
+        "source": info.sufficiency.source,
+        "repetitions": info.sufficiency.repetitions,
+        **asdict(info.sufficiency.forecast),
+    }
+    return content if info.times is None else {**content, "needed": asdict(info.times)}
+
+
+def print_info(info: RecordingInfo, file: str) -> None:
+    """The same for a person."""
+    recording = info.recording
+    state = "complete" if recording.complete else "NOT closed in order"
+    print(f"{file}: {info.robot_name}, {state}, created {recording.created or 'at an unknown time'}")
+    clock = ("samples", "seconds", "rate [Hz]", "jitter [ms]", "longest [ms]", "lost", "duplicates")
+    print_table(
+        "Streams",
+        ("stream", "quantities", *clock),
+        [
+            (
+                name,
+                ", ".join(recording.streams[name].channels),
+                quality.samples,
+                quality.duration,
+                quality.rate_hz,
+                quality.jitter_ms,
+                quality.longest_ms,
+                quality.lost,
+                quality.duplicates,
+            )
+            for name, quality in info.streams.items()
+        ],
+    )
+    for (stream, quantity), qualities in info.columns.items():
+        unit = recording.streams[stream].channels[quantity].unit
+        print_table(
+            f"\n{stream}/{quantity} [{unit}]",
+            ("column", "smallest", "largest", "noise", "step", "clipped [%]"),
+            [(c.name, c.smallest, c.largest, c.noise, c.step, c.clipped_percent) for c in qualities],
+        )
+    if info.excitation is not None:
+        print_table(
+            f"\nMotion: condition {info.excitation.scaled_condition:.1f} (columns scaled)",
+            ("joint", "range [rad]", "velocity [rad/s]", "of its limit [%]"),
+            zip(
+                recording.streams[JOINTS_STREAM].channels["position"].columns,
+                info.excitation.position_range,
+                info.excitation.velocity_reached,
+                info.excitation.velocity_share_percent,
+                strict=False,
+            ),
+        )
+    if info.delay is not None and np.isfinite(info.delay.best):
+        print(f"\ndelay: {info.delay.note}")
+    if info.sufficiency is not None:
+        _print_sufficiency(info.sufficiency, info.times)
+    for event in recording.events:
+        print(f"{event.level} at {event.time:.3f} s, {event.source}: {event.message}")
+    if info.findings:
+        print("\nBefore you go home:")
+        for finding in info.findings:
+            print(f"  - {finding}")
+    else:
+        print("\nNothing speaks against this recording.")
+
+
+def _print_sufficiency(sufficiency: Sufficiency, times: TimesNeeded | None) -> None:
+    expected = sufficiency.forecast
+    known = [p.rsd_percent for p in expected.parameters if p.rsd_percent is not None]
+    text = f"\nInformation: log det {expected.log_det:.1f} over {sufficiency.seconds:.1f} s of motion"
+    if known:
+        significant = sum(value < SIGNIFICANT_RSD for value in known)
+        text += f"; predicted RSD below {SIGNIFICANT_RSD:g} % for {significant} of {len(known)} base parameters"
+    print(f"{text} (parameters and noise: {sufficiency.source})")
+    if times is None:
+        return
+    if times.parameters:
+        print_table(
+            f"\nTime needed for an RSD of {times.wanted_rsd_percent:g} %",
+            ("parameter", "RSD now [%]", "needed [s]"),
+            [(entry.name, entry.rsd_percent, entry.seconds) for entry in times.parameters],
+        )
+    print(times.sentence)

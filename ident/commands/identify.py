@@ -1,0 +1,119 @@
+"""The command `dynid identify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from ident.commands.options import JSON
+
+app = typer.Typer()
+
+
+@app.command("identify")
+def identify_recordings(
+    recordings: list[Path] = typer.Argument(help="Recordings (.h5) of one arm; several stack."),
+    out: Path = typer.Option(None, "-o", "--out", help="Folder for result.json and report.html."),
+    method: str = typer.Option("wls", "--method", help="Estimator: ols, wls, energy or power."),
+    validate_with: list[Path] = typer.Option([], "--validate", help="Held-out recording; the last 30 % without one."),
+    split: float = typer.Option(None, "--split", help="Identify on the first SECONDS, validate on the rest."),
+    robot: str = typer.Option(None, "--robot", help="Robot file in place of the recording's own."),
+    friction: str = typer.Option(None, "--friction", help="none, viscous, coulomb or coulomb-viscous."),
+    offset: bool = typer.Option(None, "--offset/--no-offset", help="A constant torque per joint."),
+    motor_inertia: bool = typer.Option(None, "--motor-inertia/--no-motor-inertia", help="Columns for motor inertia."),
+    smoothing: float = typer.Option(None, "--smoothing", help="ε [rad/s] of tanh(q̇/ε) in place of sign(q̇)."),
+    delay: str = typer.Option("auto", "--delay", help="Torque behind position: auto, or SECONDS."),
+    position_cutoff: float = typer.Option(None, "--position-cutoff", help="Low-pass of the positions [Hz]."),
+    torque_cutoff: float = typer.Option(None, "--torque-cutoff", help="Parallel filter of τ and W [Hz]."),
+    decimate: int = typer.Option(None, "--decimate", help="Keep every N-th filtered sample."),
+    position_decimate: int = typer.Option(1, "--position-decimate", help="Decimate the positions first (Chebyshev)."),
+    filter_kind: str = typer.Option("butterworth", "--filter", help="Parallel filter: butterworth or chebyshev."),
+    measured_velocity: bool = typer.Option(False, "--measured-velocity", help="Use the recorded velocity."),
+    locked: str = typer.Option(None, "--locked", help="Joints that must not move, separated by commas."),
+    torques_of: str = typer.Option(
+        None, "--torques-of", help="Joints whose motors' torques are used; all that turn if absent."
+    ),
+    reversals: float = typer.Option(
+        0.0, "--leave-out-reversals", help="Leave out motors slower than this share of their rms velocity, such as 0.2."
+    ),
+    energy_window: float = typer.Option(
+        None, "--energy-window", help="Mean duration of the windows of --method energy [s]."
+    ),
+    start: float = typer.Option(None, "--start", help="Leave out what lies before [s from the first stamp]."),
+    stop: float = typer.Option(None, "--stop", help="Leave out what lies behind [s from the first stamp]."),
+    keep_rest: bool = typer.Option(False, "--keep-rest", help="Keep stretches in which no joint moves."),
+    significance: float = typer.Option(
+        15.0, "--significance", help="Threshold of the relative standard deviation [%]."
+    ),
+    as_json: bool = JSON,
+) -> None:
+    """Identify the dynamic model, validate it on held-out data, write result.json and report.html.
+
+    Example: dynid identify run.h5 --validate val.h5 -o model
+    """
+    from typing import get_args
+
+    from daq.console import progress_line
+    from daq.recording import read_recording
+    from daq.robot import load_robot
+    from drivers.errors import UsageError
+    from ident.commands.option_text import delay_option, joints_option
+    from ident.commands.print_result import print_result
+    from ident.identify.identification import IdentifyChoices, ModelChoices
+    from ident.identify.identify import identify
+    from ident.identify.summary import summarise
+    from ident.regression.least_squares import Method
+    from ident.regression.observability import ExperimentChoices
+    from ident.report import write_report
+    from ident.result.schema import check_folder, result_json, write_result
+    from ident.signals.pipeline import PreprocessChoices
+
+    *others, last = get_args(Method)
+    if method not in (*others, last):
+        raise UsageError(f"no method is called '{method}'", hint=f"{', '.join(others)} or {last}")
+    if friction not in (None, "none", "viscous", "coulomb", "coulomb-viscous"):
+        raise UsageError(f"no friction model is called '{friction}'", hint="none, viscous, coulomb or coulomb-viscous")
+    if not 0 < significance <= 100:
+        raise UsageError(f"--significance {significance:g} is not a percentage", hint="the papers use 15")
+    folder = out if out is not None else Path(f"{recordings[0].stem}-model")
+    check_folder(folder)
+    given_delay = delay_option(delay)
+    choices = IdentifyChoices(
+        method=method,  # type: ignore[arg-type]  # checked above
+        model=ModelChoices(friction, offset, motor_inertia, smoothing),  # type: ignore[arg-type]
+        preprocess=PreprocessChoices(
+            position_cutoff=position_cutoff,
+            torque_cutoff=torque_cutoff,
+            decimate=decimate,
+            position_decimate=position_decimate,
+            filter_kind=filter_kind,  # type: ignore[arg-type]  # PreprocessChoices checks it
+            delay=given_delay or 0.0,
+            measured_velocity=measured_velocity,
+            start=start,
+            stop=stop,
+            keep_rest=keep_rest,
+        ),
+        search_delay=given_delay is None,
+        split=split,
+        significant_rsd=significance,
+        energy_window=energy_window,
+        experiment=ExperimentChoices(
+            joints_option(locked, "--locked") or (), joints_option(torques_of, "--torques-of") or ()
+        ),
+        reversals=reversals,
+    )
+    read = [read_recording(path) for path in recordings]
+    held_out = [read_recording(path) for path in validate_with]
+    with progress_line(quiet=as_json) as progress:
+        found = identify(read, held_out, choices, load_robot(robot) if robot else None, progress)
+        progress("report")
+        result = summarise(found, read, held_out)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_result(folder / "result.json", result)
+        write_report(folder / "report.html", result, found.fit_series, found.validation_series)
+    if as_json:
+        print(result_json(result))
+        return
+    print_result(result)
+    print(f"\n{folder / 'result.json'}\n{folder / 'report.html'}")

@@ -1,0 +1,8 @@
+"""Arguments and options that several commands share."""
+
+from __future__ import annotations
+
+import typer
+
+JSON = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there.")
+ROBOT = typer.Argument(help="Built-in robot or robot file.")

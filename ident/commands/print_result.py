@@ -1,0 +1,97 @@
+"""A result at the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from daq.console import print_table
+from ident.assessment.validation import FitFigures
+from ident.result.schema import Merge, Result
+
+
+def print_result(result: Result) -> None:
+    """The result as a person reads it at the terminal."""
+    for step in result.preprocessing:
+        print(f"{step.name}: {step.text}")
+    print(f"delay: {result.delay.note}")
+    if result.merge is not None:
+        _print_merge(result.merge)
+    print_table(
+        f"\nBase parameters ({result.method}); σ corrected for residuals that are not white",
+        ("name", "value", "σ", "RSD [%]", "significant", "unit"),
+        [
+            (p.name, p.value, p.std, p.rsd_percent, "yes" if p.significant else "no", p.unit)
+            for p in result.base_parameters
+        ],
+    )
+    validation = result.validation
+    print_table(
+        "\nErrors",
+        ("joint", "RMSE fit", "RMSE validation", "at low speed", "at high speed", "relative [%]"),
+        [
+            (
+                joint,
+                result.fit.rmse[i] if result.fit else None,
+                validation.rmse[i] if validation else None,
+                validation.low_speed_rmse[i] if validation else None,
+                validation.high_speed_rmse[i] if validation else None,
+                _percent(validation.joint_relative_error[i]) if validation else None,
+            )
+            for i, joint in enumerate(result.joints)
+        ],
+    )
+    print(
+        f"\ncondition {result.excitation.condition:.4g}, with scaled columns {result.excitation.scaled_condition:.4g}"
+    )
+    print(result.verdict)
+    for warning in result.warnings:
+        print(f"warning: {warning}")
+
+
+def _print_merge(merge: Merge) -> None:
+    print_table(
+        "\nModels that were merged",
+        ("model", "method", "values", "locked", "torques of"),
+        [
+            (
+                model.file,
+                model.method,
+                model.parameters,
+                "; ".join(dict.fromkeys(", ".join(part.locked) or "none" for part in model.experiments)),
+                "; ".join(dict.fromkeys(", ".join(part.torques_of) for part in model.experiments)),
+            )
+            for model in merge.models
+        ],
+    )
+    if merge.consistency is not None and merge.consistency.contradictions:
+        print_table(
+            "\nValues that the merged model contradicts",
+            ("parameter", "of", "value", "merged", "σ apart"),
+            [
+                (one.parameter, one.file, one.value, one.merged, one.deviations)
+                for one in merge.consistency.contradictions
+            ],
+        )
+
+
+def print_fit(joints: Sequence[str], figures: FitFigures) -> None:
+    """Errors of each joint."""
+    print_table(
+        "",
+        ("joint", "RMSE", "at low speed", "at high speed", "largest", "relative [%]"),
+        [
+            (
+                joint,
+                float(figures.rmse[i]),
+                float(figures.low_speed_rmse[i]),
+                float(figures.high_speed_rmse[i]),
+                float(figures.max_error[i]),
+                _percent(float(figures.joint_relative_error[i])),
+            )
+            for i, joint in enumerate(joints)
+        ],
+    )
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100.0 * share

@@ -1,0 +1,65 @@
+"""The commands `dynid robot …`."""
+
+from __future__ import annotations
+
+import typer
+
+from ident.commands.options import JSON, ROBOT
+
+robot_app = typer.Typer(no_args_is_help=True, help="What a robot file says and what its arm can reveal.")
+app = typer.Typer()
+app.add_typer(robot_app, name="robot")
+
+
+@robot_app.command("show")
+def show(
+    robot: str = ROBOT, as_yaml: bool = typer.Option(False, "--yaml", help="The file itself."), as_json: bool = JSON
+) -> None:
+    """Show joints, limits and base parameters with their expressions.
+
+    Example: dynid robot show ur5e
+    """
+    from daq.console import print_json, print_table
+    from daq.robot import load_robot
+    from ident.checks.robot_description import description, inertial_count
+    from ident.model.base_parameters import base_parameters
+    from ident.model.dynamics import build_model
+    from ident.model.symbols import symbolic_expressions
+
+    robot_file = load_robot(robot)
+    if as_yaml:
+        print(robot_file.text, end="")
+        return
+    if as_json:
+        print_json(description(robot_file))
+        return
+    model = build_model(robot_file)
+    base = base_parameters(model)
+    expressions = symbolic_expressions(robot_file, model, base)
+    described = robot_file.robot
+    print(f"{described.name}: {described.description}".rstrip(": "))
+    print_table(
+        "Joints",
+        ("joint", "position", "velocity", "acceleration", "torque", "gain", "signal"),
+        [
+            (
+                joint.name,
+                f"{joint.position[0]:.4g} … {joint.position[1]:.4g}",
+                joint.velocity,
+                joint.acceleration,
+                joint.torque,
+                described.drive(joint.name).gain,
+                described.drive(joint.name).signal,
+            )
+            for joint in described.joints
+        ],
+    )
+    print_table(
+        f"\nBase parameters: {base.count}, {inertial_count(robot_file)} of them inertial",
+        ("name", "kind", "expression"),
+        zip(base.names, (kind.replace("_", " ") for kind in base.kinds), expressions, strict=True),
+    )
+    print(f"\nwithout effect: {', '.join(base.no_effect) or 'none'}")
+    print(f"rank decided with a margin of {base.margin:.1e} between singular values")
+    for section, source in described.sources.items():
+        print(f"source of {section}: {source}")

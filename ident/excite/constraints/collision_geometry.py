@@ -1,0 +1,141 @@
+"""The shape of an arm as capsules, for distances to itself and to what stands around it.
+
+A capsule is a straight segment with a radius. It has a distance that is smooth wherever it matters and cheap for many
+samples at once, so every shape is replaced by capsules that enclose it: what is free of the capsules is free of the
+shape. Where the URDF has a link's collision shapes, and its meshes can be found, they are enclosed; otherwise the link
+is taken for a tube along the straight lines from its joint's origin to the next joints' origins (with a corner where an
+MDH row has one), and for the last link to the tool point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from daq.robot import BASE, MdhRow, RobotFile
+from daq.workspace import Workspace
+from drivers.streams import FloatArray
+from ident.excite.constraints.capsules import Capsule
+from ident.excite.constraints.placements import IndexArray
+from ident.excite.constraints.urdf_shapes import urdf_capsules
+from ident.model.dynamics import DynamicModel
+from ident.model.joints import BASE_INDEX, Joint
+
+DISTANCE_SCALE = 0.1
+"""A distance d to what must not be touched uses 1 − d/0.1 m of its limit: all of it at contact, nothing at 0.1 m."""
+
+_SAME_POINT = 1e-9  # [m]
+
+
+@dataclass(frozen=True)
+class ArmGeometry:
+    """An arm's capsules.
+
+    Attributes:
+        capsules: every link has at least one; those of one link stand together, the base's first.
+        from_shapes: names of the links (by joint, or `base`) whose capsules enclose shapes of the URDF; the others
+            are tubes along their axes.
+    """
+
+    capsules: tuple[Capsule, ...]
+    from_shapes: tuple[str, ...]
+
+    @cached_property
+    def links(self) -> IndexArray:
+        """(C,) link of each capsule."""
+        return np.array([capsule.link for capsule in self.capsules])
+
+    @cached_property
+    def starts(self) -> FloatArray:
+        """(C, 3) [m]."""
+        return np.array([capsule.start for capsule in self.capsules])
+
+    @cached_property
+    def ends(self) -> FloatArray:
+        """(C, 3) [m]."""
+        return np.array([capsule.end for capsule in self.capsules])
+
+    @cached_property
+    def radii(self) -> FloatArray:
+        """(C,) [m]."""
+        return np.array([capsule.radius for capsule in self.capsules])
+
+
+def link_name(model: DynamicModel, link: int) -> str:
+    """The joint that moves a link, or `base`."""
+    return BASE if link == BASE_INDEX else model.joints[link].name
+
+
+def arm_geometry(robot_file: RobotFile, model: DynamicModel) -> ArmGeometry:
+    """The capsules of an arm.
+
+    Raises:
+        RobotFileError: the URDF and the file's joints do not fit together.
+    """
+    robot = robot_file.robot
+    shapes = urdf_capsules(robot_file) if robot.model.urdf is not None else {}
+    tubes = tube_capsules(model, robot.model.mdh, robot.workspace)
+    capsules: list[Capsule] = []
+    for link in (BASE_INDEX, *range(len(model.joints))):
+        capsules += shapes.get(link) or [tube for tube in tubes if tube.link == link]
+    last = model.tool_link
+    if last in shapes and any(robot.workspace.tool):
+        capsules.append(_tool_tube(last, model.joints[last].name, robot.workspace))
+    return ArmGeometry(tuple(capsules), tuple(link_name(model, link) for link in sorted(shapes)))
+
+
+def tube_capsules(model: DynamicModel, rows: Sequence[MdhRow] | None, workspace: Workspace) -> tuple[Capsule, ...]:
+    """Capsules along the axes of every link, as thick as the robot file says.
+
+    Where a link carries a prismatic joint, its tube reaches to the nearer end of that joint's travel; the link behind
+    the joint has a tube as long as the travel, which covers what is drawn out.
+    """
+    capsules = []
+    radii = [workspace.radius_of(joint.name) for joint in model.joints]
+    for number, joint in enumerate(model.joints):
+        radius = workspace.radius_of(BASE) if joint.parent == BASE_INDEX else radii[joint.parent]
+        travel = _travel(model, number)
+        corners = _corners(joint, rows[number] if rows is not None else None, travel[0])
+        kept = [corners[0]]
+        for corner in corners[1:]:
+            if np.linalg.norm(corner - kept[-1]) > _SAME_POINT:
+                capsules.append(Capsule(joint.parent, kept[-1], corner, radius))
+                kept.append(corner)
+        if joint.prismatic:
+            back = joint.axis * (travel[0] - travel[1])
+            capsules.append(Capsule(number, np.zeros(3), back, radii[number]))
+    if any(workspace.tool):
+        capsules.append(_tool_tube(model.tool_link, model.joints[model.tool_link].name, workspace))
+    present = {capsule.link for capsule in capsules}
+    for link in (BASE_INDEX, *range(len(model.joints))):
+        if link not in present:
+            capsules.append(Capsule(link, np.zeros(3), np.zeros(3), workspace.radius_of(link_name(model, link))))
+    return tuple(capsules)
+
+
+def _tool_tube(link: int, name: str, workspace: Workspace) -> Capsule:
+    return Capsule(link, np.zeros(3), np.array(workspace.tool), workspace.radius_of(name))
+
+
+def _travel(model: DynamicModel, number: int) -> tuple[float, float]:
+    """The ends of a prismatic joint's travel [m], first the one nearer to the link that carries it; 0 if revolute."""
+    joint = model.joints[number]
+    ends = model.limits[model.active.index(number)].position if number in model.active else (0.0, 0.0)
+    if not (joint.prismatic and np.all(np.isfinite(ends))):
+        return (0.0, 0.0)
+    way = joint.rotation @ joint.axis
+    near, far = sorted(ends, key=lambda q: float(np.linalg.norm(joint.translation + q * way)))
+    return (near, far)
+
+
+def _corners(joint: Joint, row: MdhRow | None, position: float) -> list[FloatArray]:
+    """The way from the carrying link's origin to a joint's origin, in the carrying link's frame."""
+    along = joint.rotation @ joint.axis
+    end = joint.translation + (position * along if joint.prismatic else 0.0)
+    if row is None:
+        return [np.zeros(3), end]
+    # Khalil-Kleinfinger: b along z, d along x, then r along the joint's own axis.
+    return [np.zeros(3), np.array([0.0, 0.0, row.b]), joint.translation - row.r * along, end]

@@ -1,0 +1,95 @@
+"""Where an arm's links are along a path, and how points on them move with the joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.streams import FloatArray
+from ident.model.dynamics import DynamicModel
+from ident.model.joints import BASE_INDEX, Joint, ancestors
+
+IndexArray = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Placements:
+    """The frames of all joints along a path, in the base frame; the last entry of the first axis is the base itself.
+
+    Attributes:
+        rotation: (n + 1, 3, 3, N).
+        origin: (n + 1, 3, N) [m].
+        screw: (n, 6, N) velocity of all that a joint moves per unit of its own: angular, then linear at the base
+            frame's origin. A point p moves with linear + angular × p.
+    """
+
+    rotation: FloatArray
+    origin: FloatArray
+    screw: FloatArray
+
+    def points(self, links: IndexArray, local: FloatArray) -> FloatArray:
+        """Points (K, 3, N) [m] from the numbers (K,) of their links and their places (K, 3) in the links' frames."""
+        return np.asarray(self.origin[links] + np.einsum("kijt,kj->kit", self.rotation[links], local))
+
+
+def place(joints: tuple[Joint, ...], position: FloatArray) -> Placements:
+    """Forward kinematics of all samples of a path (n, N) at once."""
+    count = position.shape[1]
+    rotation = np.empty((len(joints) + 1, 3, 3, count))
+    origin = np.zeros((len(joints) + 1, 3, count))
+    screw = np.zeros((len(joints), 6, count))
+    rotation[BASE_INDEX] = np.eye(3)[:, :, None]
+    for number, (joint, q) in enumerate(zip(joints, position, strict=True)):
+        before = rotation[joint.parent]
+        local = joint.translation[:, None] + (np.outer(joint.rotation @ joint.axis, q) if joint.prismatic else 0.0)
+        origin[number] = origin[joint.parent] + np.einsum("ijt,jt->it", before, np.broadcast_to(local, (3, count)))
+        start = np.einsum("ijt,jk->ikt", before, joint.rotation)
+        axis = np.einsum("ijt,j->it", start, joint.axis)
+        if joint.prismatic:
+            rotation[number] = start
+            screw[number, 3:] = axis
+        else:
+            rotation[number] = np.einsum("ijt,jkt->ikt", start, _turn(joint.axis, q))
+            screw[number, :3] = axis
+            screw[number, 3:] = np.cross(origin[number], axis, axis=0)
+    return Placements(rotation, origin, screw)
+
+
+def place_arm(model: DynamicModel, position: FloatArray) -> Placements:
+    """The same for positions (dof, N) of the joints with a motor; the others follow."""
+    return place(model.joints, model.tree_position(position))
+
+
+def tool_point(model: DynamicModel, placements: Placements, tool: Sequence[float]) -> FloatArray:
+    """Where the tool point, given in the last joint's frame (3,) [m], is along a path: (3, N) [m] in the base frame."""
+    return np.asarray(placements.points(np.array([model.tool_link]), np.array([tool]))[0])
+
+
+def _turn(axis: FloatArray, angle: FloatArray) -> FloatArray:
+    """Rotations (3, 3, N) about a unit vector (3,) by angles (N,) [rad], by Rodrigues' formula."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    square = cross @ cross
+    return np.asarray(
+        np.eye(3)[:, :, None] + cross[:, :, None] * np.sin(angle) + square[:, :, None] * (1.0 - np.cos(angle))
+    )
+
+
+def moved_by(joints: tuple[Joint, ...]) -> FloatArray:
+    """(n + 1, n): 1 where a joint (column) moves a link (row), else 0; the last row, zero, is the base's."""
+    moves = np.zeros((len(joints) + 1, len(joints)))
+    for number in range(len(joints)):
+        moves[number, [*ancestors(joints, number), number]] = 1.0
+    return moves
+
+
+def wrench(point: FloatArray, gradient: FloatArray) -> FloatArray:
+    """(K, 6, N): moment and force of gradients (K, 3, N) at points (K, 3, N).
+
+    Its product with a joint's screw is the derivative by that joint of a scalar with these derivatives by the points.
+    """
+    (x, y, z), (a, b, c) = np.moveaxis(point, -2, 0), np.moveaxis(gradient, -2, 0)
+    return np.stack([y * c - z * b, z * a - x * c, x * b - y * a, a, b, c], axis=-2)

@@ -1,0 +1,151 @@
+"""Constraint of an excitation: the links stay clear of each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.excite.constraints.collision_geometry import DISTANCE_SCALE, ArmGeometry, link_name
+from ident.excite.constraints.placements import Placements, moved_by, place_arm, wrench
+from ident.excite.constraints.segment_distance import Nearest, nearest_points
+from ident.excite.constraints.soft_maximum import soft_maximum
+from ident.excite.constraints.workspace import SAMPLES_AT_ONCE
+from ident.excite.path import Path
+from ident.model.base_parameters import random_states
+from ident.model.dynamics import DynamicModel
+from ident.model.joints import BASE_INDEX
+
+ALWAYS_CLOSE = 0.95
+"""Links that are close in at least this share of random configurations are so by construction."""
+
+CLOSE = 0.02
+"""Links nearer than this [m] are close: with capsules for housings, no motion could be told to keep them apart."""
+
+_CONFIGURATIONS = 500
+
+Pair = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class LinkPairs:
+    """Pairs of links by number (`BASE_INDEX` is the base), and what becomes of them.
+
+    Attributes:
+        checked: kept apart.
+        neighbours: joined by a joint.
+        close: left out since their capsules touch or nearly touch in nearly every random configuration.
+        ignored: left out since the robot file says so.
+    """
+
+    checked: tuple[Pair, ...]
+    neighbours: tuple[Pair, ...]
+    close: tuple[Pair, ...]
+    ignored: tuple[Pair, ...]
+
+
+def link_pairs(model: DynamicModel, geometry: ArmGeometry, ignore: Iterable[tuple[str, str]] = ()) -> LinkPairs:
+    """Sort all pairs of links; `ignore` names those that may touch."""
+    ignored_names = {frozenset(names) for names in ignore}
+    neighbours, ignored, others = [], [], []
+    for first, second in combinations((BASE_INDEX, *range(len(model.joints))), 2):
+        if model.joints[second].parent == first:
+            neighbours.append((first, second))
+        elif frozenset((link_name(model, first), link_name(model, second))) in ignored_names:
+            ignored.append((first, second))
+        else:
+            others.append((first, second))
+    placements = place_arm(model, random_states(model, _CONFIGURATIONS)[0])
+    distance = _PairDistances(model, geometry, others).smallest(placements)
+    always_close = (distance < CLOSE).mean(axis=1) >= ALWAYS_CLOSE
+    return LinkPairs(
+        checked=tuple(pair for pair, close in zip(others, always_close, strict=True) if not close),
+        neighbours=tuple(neighbours),
+        close=tuple(pair for pair, close in zip(others, always_close, strict=True) if close),
+        ignored=tuple(ignored),
+    )
+
+
+class _PairDistances:
+    """Distances of all capsules of one link to all of another, for some pairs of links."""
+
+    def __init__(self, model: DynamicModel, geometry: ArmGeometry, pairs: Iterable[Pair]) -> None:
+        self._geometry = geometry
+        of_link = {link: np.flatnonzero(geometry.links == link) for link in (BASE_INDEX, *range(len(model.joints)))}
+        moves = moved_by(model.joints)
+        first, second, sizes, relative = [], [], [], []
+        for one, other in pairs:
+            mine, theirs = np.meshgrid(of_link[one], of_link[other], indexing="ij")
+            first.append(mine.ravel())
+            second.append(theirs.ravel())
+            sizes.append(mine.size)
+            # A joint below both links moves them together: their distance stays.
+            relative.append(moves[one] - moves[other])
+        nothing = [np.zeros(0, dtype=np.intp)]
+        self.first, self.second = np.concatenate(first or nothing), np.concatenate(second or nothing)
+        self.starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp)
+        self.relative = np.array(relative).reshape(len(sizes), len(model.joints))
+        self._radii = (geometry.radii[self.first] + geometry.radii[self.second])[:, None]
+
+    def nearest(self, placements: Placements) -> tuple[FloatArray, Nearest]:
+        """Distances (K, N) [m] of all pairs of capsules, negative where they overlap, and their segments' nearest."""
+        starts = placements.points(self._geometry.links, self._geometry.starts)
+        ends = placements.points(self._geometry.links, self._geometry.ends)
+        found = nearest_points(starts[self.first], ends[self.first], starts[self.second], ends[self.second])
+        return found.distance - self._radii, found
+
+    def smallest(self, placements: Placements) -> FloatArray:
+        """(m, N) [m] of each pair of links."""
+        distance, _ = self.nearest(placements)
+        if not len(distance):
+            return distance
+        return np.asarray(np.minimum.reduceat(distance, self.starts[:-1], axis=0))
+
+
+class SelfCollision:
+    """The distance of every checked pair of links; contact uses all of the limit (see `DISTANCE_SCALE`)."""
+
+    def __init__(self, model: DynamicModel, geometry: ArmGeometry, pairs: LinkPairs) -> None:
+        self._model = model
+        self.pairs = pairs
+        self._distances = _PairDistances(model, geometry, pairs.checked)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """As in `distance of link forearm from base`, links named by the joints that move them."""
+        named = [
+            (link_name(self._model, first), link_name(self._model, second)) for first, second in self.pairs.checked
+        ]
+        return tuple(f"distance of link {second} from {first}" for first, second in named)
+
+    def use(self, path: Path) -> FloatArray:
+        """(m,) largest use on the grid."""
+        nearest = np.full(len(self.pairs.checked), np.inf)
+        for start in range(0, path.time.size, SAMPLES_AT_ONCE):
+            placements = place_arm(self._model, path.position[:, start : start + SAMPLES_AT_ONCE])
+            nearest = np.minimum(nearest, self._distances.smallest(placements).min(axis=1))
+        return 1.0 - nearest / DISTANCE_SCALE
+
+    def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
+        """Smooth upper bound (m,) and its derivatives (m, 3, n, N): ∂d/∂q = nᵀ(J_1 − J_2) at the nearest points."""
+        placements = place_arm(self._model, path.position)
+        distance, found = self._distances.nearest(placements)
+        used = 1.0 - distance / DISTANCE_SCALE
+        starts = self._distances.starts
+        bounds = np.empty(len(starts) - 1)
+        weights = np.empty_like(used)
+        for row, (start, end) in enumerate(pairwise(starts)):
+            bounds[row], flat = soft_maximum(used[start:end].ravel(), sharpness)
+            weights[start:end] = flat.reshape(used[start:end].shape)
+        gradient = np.zeros((len(bounds), 3, *path.position.shape))
+        if len(bounds):
+            force = found.normal * (-weights / DISTANCE_SCALE)[:, None]
+            # The normal goes through both nearest points: its moment is the same at either.
+            of_pairs = np.add.reduceat(wrench(found.first, force), starts[:-1], axis=0)
+            turned = np.einsum("jat,mat->mjt", placements.screw, of_pairs)
+            of_tree = self._distances.relative[:, :, None] * turned
+            gradient[:, 0] = self._model.active_gradient(path.position, of_tree)
+        return bounds, gradient

@@ -1,0 +1,28 @@
+"""What a design cannot know unless the robot file says it: what stands around the arm."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq.robot import RobotFile
+from daq.trajectories import Motion
+from ident.excite.constraints.placements import place_arm, tool_point
+from ident.model.dynamics import build_model
+
+_SAMPLES = 2000
+
+
+def surroundings_warning(robot_file: RobotFile, motion: Motion) -> str | None:
+    """How low the joints and the tool point come, where the file's workspace sets no bound; None where it sets one."""
+    workspace = robot_file.robot.workspace
+    if workspace.height is not None or workspace.keep_out:
+        return None
+    model = build_model(robot_file)
+    position, _, _ = motion.evaluate(np.linspace(0.0, motion.duration, _SAMPLES))
+    placements = place_arm(model, position)
+    tool = tool_point(model, placements, workspace.tool)
+    lowest = min(float(placements.origin[:-1, 2].min()), float(tool[2].min()))
+    return (
+        f"the robot file's workspace names neither heights nor obstacles: this motion comes down to {lowest:.2f} m in "
+        "the base frame. Say what stands around the arm ('workspace': height, keep_out)"
+    )

@@ -1,0 +1,95 @@
+"""Constraint of an excitation: the torque that the motion needs, by parameters known beforehand (AUBO eq. 21)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.excite.constraints.soft_maximum import soft_maximum
+from ident.excite.path import Path
+from ident.model.dynamics import DynamicModel
+from ident.model.regressor import CHUNK, RegressorKernel, model_torque
+from ident.model.regressor_gradient import pull_back_regressor
+
+TORQUE_SHARE = 0.85
+"""Share of a torque limit that a design may use: the prior is rough, and a supervisor looks at noisy torque."""
+_NEGLIGIBLE = 1e-12
+"""Samples whose torque moves the soft maximum by less than this of its change are left out of the derivative."""
+
+
+class TorqueLimits:
+    """|τ_j| over `TORQUE_SHARE` of each known torque limit, with τ = Y·π on chosen standard columns.
+
+    The sign of a velocity counts as constant where the model's Coulomb friction is not smooth.
+    """
+
+    def __init__(self, model: DynamicModel, columns: Sequence[int], parameters: FloatArray) -> None:
+        """Prepare for an arm.
+
+        Args:
+            model: the arm.
+            columns: standard columns (b,), as those of its base parameters.
+            parameters: (b,), their values [SI].
+
+        Raises:
+            ValueError: not one finite parameter a column.
+        """
+        if np.shape(parameters) != (len(columns),) or not np.all(np.isfinite(parameters)):
+            raise ValueError(f"{len(columns)} columns need as many finite parameters")
+        self._model = model
+        self._columns = tuple(columns)
+        self._parameters = np.array(parameters, dtype=np.float64)
+        known = [(joint, limits.torque) for joint, limits in enumerate(model.limits) if limits.torque is not None]
+        self._joints = [joint for joint, torque in known if np.isfinite(torque)]
+        self._limits = TORQUE_SHARE * np.array([torque for _, torque in known if np.isfinite(torque)])
+        self._kernel = RegressorKernel(model, columns)
+        # Of each packed row, how much it adds to the use of each limited joint.
+        self._shares = np.zeros((self._kernel.row_count, len(self._joints)))
+        for row, joint in enumerate(self._joints):
+            rows = self._kernel.joint_rows[joint]
+            self._shares[rows.rows, row] = self._parameters[list(rows.columns)] / self._limits[row]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """As in `torque of elbow (85 % of its limit)`."""
+        return tuple(
+            f"torque of {self._model.limits[joint].name} ({100 * TORQUE_SHARE:g} % of its limit)"
+            for joint in self._joints
+        )
+
+    def use(self, path: Path) -> FloatArray:
+        """(m,) largest use on the grid."""
+        return np.asarray(np.abs(self._of_limits(path)).max(axis=1))
+
+    def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
+        """Smooth upper bound (m,) and its derivatives (m, 3, n, N)."""
+        used = self._of_limits(path)
+        bounds, weights = soft_maximum(np.concatenate([used, -used], axis=1), sharpness)
+        count = path.time.size
+        return bounds, self._pull_back(path, weights[:, :count] - weights[:, count:])
+
+    def _of_limits(self, path: Path) -> FloatArray:
+        """Torque over limit (m, N)."""
+        motion = (path.position, path.velocity, path.acceleration)
+        torque = model_torque(self._model, self._columns, self._parameters, *motion)
+        return np.asarray(torque[self._joints] / self._limits[:, None])
+
+    def _pull_back(self, path: Path, by_torque: FloatArray) -> FloatArray:
+        """(m, 3, n, N) from derivatives (m, N) by the torques over their limits.
+
+        Only the torques that count go through the recursion, one after the other as if they were samples.
+        """
+        gradient = np.zeros((len(self._joints), 3, *path.position.shape))
+        rows, samples = np.nonzero(np.abs(by_torque) > _NEGLIGIBLE)
+        for start in range(0, len(rows), CHUNK):
+            row, sample = rows[start : start + CHUNK], samples[start : start + CHUNK]
+            position, velocity, acceleration = (
+                np.ascontiguousarray(of[:, sample]) for of in (path.position, path.velocity, path.acceleration)
+            )
+            weights = self._shares[:, row] * by_torque[row, sample]
+            self._kernel.evaluate(position, velocity, acceleration, np.empty_like(weights))
+            pulled = pull_back_regressor(self._kernel, position, velocity, acceleration, weights)
+            gradient[row, :, :, sample] = pulled.transpose(2, 0, 1)
+        return gradient

@@ -1,0 +1,80 @@
+"""Criteria and constraints of arms whose loops close within the position limits only.
+
+A solver tries motions far outside of the limits before it comes to rest within them, and there a loop may not close at
+all. So what needs the whole arm is looked at with every position moved to the nearest one within its limits. For
+motions that keep the limits, which is all that a design returns, this changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from daq.robot import JointLimits
+from drivers.streams import FloatArray
+from ident.excite.constraints.joint_limits import JointMotionLimits
+from ident.excite.criteria import Criterion
+from ident.excite.path import Constraint, Path
+from ident.model.dynamics import DynamicModel
+
+
+def criterion_within_limits(model: DynamicModel, criterion: Criterion) -> Criterion:
+    """The criterion, for arms with general loops looked at within the position limits."""
+    return _CriterionWithin(model.limits, criterion) if _may_not_close(model) else criterion
+
+
+def constraints_within_limits(model: DynamicModel, constraints: Sequence[Constraint]) -> tuple[Constraint, ...]:
+    """The constraints, for arms with general loops all but those of the joints looked at within the position limits."""
+    if not _may_not_close(model):
+        return tuple(constraints)
+    return tuple(
+        constraint if isinstance(constraint, JointMotionLimits) else _ConstraintWithin(model.limits, constraint)
+        for constraint in constraints
+    )
+
+
+def _may_not_close(model: DynamicModel) -> bool:
+    return model.transmission is not None and model.transmission.solved_numerically
+
+
+class _CriterionWithin:
+    def __init__(self, limits: Sequence[JointLimits], criterion: Criterion) -> None:
+        self._limits = limits
+        self._criterion = criterion
+
+    def cost(self, path: Path) -> float:
+        return self._criterion.cost(_moved(path, self._limits)[0])
+
+    def smooth_cost(self, path: Path, sharpness: float) -> tuple[float, FloatArray]:
+        moved, outside = _moved(path, self._limits)
+        cost, gradient = self._criterion.smooth_cost(moved, sharpness)
+        gradient[0][outside] = 0.0
+        return cost, gradient
+
+
+class _ConstraintWithin:
+    def __init__(self, limits: Sequence[JointLimits], constraint: Constraint) -> None:
+        self._limits = limits
+        self._constraint = constraint
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self._constraint.names
+
+    def use(self, path: Path) -> FloatArray:
+        return self._constraint.use(_moved(path, self._limits)[0])
+
+    def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
+        moved, outside = _moved(path, self._limits)
+        bounds, gradient = self._constraint.smooth_use(moved, sharpness)
+        gradient[:, 0, outside] = 0.0
+        return bounds, gradient
+
+
+def _moved(path: Path, limits: Sequence[JointLimits]) -> tuple[Path, np.ndarray]:
+    """The path with its positions moved into the limits, and which (n, N) were."""
+    low, high = (np.array(limit)[:, None] for limit in zip(*(joint.position for joint in limits), strict=True))
+    # A solver that went astray asks about no numbers; velocities that are none tell it so.
+    position = np.clip(np.where(np.isfinite(path.position), path.position, low), low, high)
+    return Path(path.time, position, path.velocity, path.acceleration), position != path.position

@@ -1,0 +1,94 @@
+"""The page of a designed excitation: one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from daq.robot import RobotFile
+from daq.trajectories import Motion
+from ident.excite.figures import ExcitationFigures
+from ident.excite.page.figures import arm_figure, joints_figure, shown_part, tool_figure
+from ident.excite.prior import Prior
+from ident.model.dynamics import build_model
+from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.report import number_text
+from ident.report.figures import KIND_STYLES
+from ident.report.html_file import page_templates, write_html
+from ident.report.number_text import number, percent
+from ident.report.section import Tile
+
+
+def write_page(
+    path: Path,
+    robot_file: RobotFile,
+    motion: Motion,
+    prior: Prior,
+    figures: ExcitationFigures,
+    notes: Sequence[tuple[str, str]],
+) -> None:
+    """Write the page.
+
+    Args:
+        path: of the file.
+        robot_file: the arm.
+        motion: what is played.
+        prior: parameters for the torques.
+        figures: of the motion.
+        notes: what it was designed for and how, as pairs of a name and a text.
+
+    Raises:
+        UsageError: the file cannot be written.
+    """
+    write_html(path, render_page(robot_file, motion, prior, figures, notes))
+
+
+def render_page(
+    robot_file: RobotFile, motion: Motion, prior: Prior, figures: ExcitationFigures, notes: Sequence[tuple[str, str]]
+) -> str:
+    """The page as text."""
+    model = build_model(robot_file)
+    shown = shown_part(robot_file, motion, prior)
+    prismatic = [model.joints[number].prismatic for number in model.active]
+    return (
+        page_templates("ident.excite.page")
+        .get_template("excitation_page.html.j2")
+        .render(
+            robot=robot_file.robot.name,
+            tiles=_tiles(figures),
+            figures=figures,
+            notes=[*notes, ("Parameters and noise", figures.prior)],
+            kinds={kind: words for kind, (words, _, _) in KIND_STYLES.items()},
+            threshold=SIGNIFICANT_RSD,
+            plots={
+                "arm": arm_figure(robot_file, motion, shown),
+                "joints": joints_figure(robot_file.robot.joints, prismatic, shown),
+                "tool": tool_figure(robot_file, shown),
+            },
+        )
+    )
+
+
+def _tiles(figures: ExcitationFigures) -> list[Tile]:
+    forecast = figures.forecast
+    known = [p.rsd_percent for p in forecast.parameters if p.rsd_percent is not None]
+    significant = sum(value < SIGNIFICANT_RSD for value in known)
+    count = len(forecast.parameters)
+    return [
+        Tile("Duration", f"{number(figures.duration, 4)} s", "from rest to rest"),
+        Tile("Scaled condition", number(forecast.scaled_condition, 3), "columns of unit length"),
+        Tile("Condition", number(forecast.condition, 3), "columns as they are, so it depends on units"),
+        Tile("log det", number(forecast.log_det, 4), "of the information matrix"),
+        Tile("Largest use of a limit", percent(figures.worst_use), _worst(figures)),
+        Tile("Significant", str(significant) if known else number_text.DASH, _significance(known, count)),
+    ]
+
+
+def _worst(figures: ExcitationFigures) -> str:
+    return f"{figures.worst_limit}, at {number(figures.worst_time, 3)} s"
+
+
+def _significance(known: Sequence[float], count: int) -> str:
+    if not known:
+        return "without prior parameters no relative standard deviation can be predicted"
+    return f"of {count}: predicted RSD below {SIGNIFICANT_RSD:g} %"

@@ -1,0 +1,1 @@
+"""Several recordings or models of one arm together: payloads, drive gains, merged models."""

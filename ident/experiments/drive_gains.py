@@ -1,0 +1,286 @@
+"""All drive gains at once, from a run without and a run with a load of known mass (Gautier and Briot 2011, 2014).
+
+Joint torque is gain times motor signal, τ_j = g_j·v_j, so both runs are linear in gains, base parameters and load,
+
+    [V_free    −W_free    0               0         ] [g x π κ]ᵀ = ρ
+    [V_loaded  −W_loaded  −W_loaded·E     −W_loaded·E·π_known]
+
+without a right-hand side: the solution is the null vector of the concatenated matrix, known but for its length, and the
+known load (κ = 1) fixes that. No gain is presumed.
+
+The noise is in V, the motor signals, and hardly in W, which comes from encoders. So total least squares is applied
+where the noise is: the columns of W are eliminated exactly, and the smallest singular vector is taken of what remains
+of V, rows and columns scaled so that its noise is the same everywhere (mixed LS-TLS: Golub, Hoffman and Stewart, Linear
+Algebra and its Applications 88, 1987). Ordinary least squares would draw the weakly seen gains towards zero, total
+least squares over all columns alike would blame W for the motors' noise.
+
+Each signal's noise is what its own joint's columns leave of it, with free coefficients: this needs no gain. Standard
+deviations come from a delete-block jackknife over the whole estimate, so those of the base parameters and of the load
+contain those of the gains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq.recording import Recording
+from daq.robot import Robot, RobotFile
+from drivers.streams import FloatArray
+from ident.experiments.gain_system import GainSystem, jackknife_moves, own_angles, solve_gains, system_blocks
+from ident.experiments.motor_signals import signal_of, torques_by
+from ident.experiments.run_pair import BlockGrams, RunPair, prepare_pair, resting_warnings
+from ident.model.load import KnownLoad, LoadColumns
+from ident.regression.pruning import SIGNIFICANT_RSD
+
+LEAST_GAP = 2.0
+"""Second-smallest over smallest singular value below which the null vector is hardly told from another one."""
+
+ONE_AT_A_TIME = 0.5
+"""Share of the time with one joint alone in motion above which the runs are not for this method."""
+
+SMALL_ANGLE = 5.0
+"""A motor signal nearer than this [degrees] to its own joint's columns says little of its gain."""
+
+
+@dataclass(frozen=True)
+class GainEstimate:
+    """Gain of one joint's drive.
+
+    Attributes:
+        joint: its name.
+        gain: torque per signal, joint side, sign included [N·m/A or N·m/V]; nan where it cannot be told.
+        std: its standard deviation; inf there.
+        file_gain: of the robot file; None where it names none.
+        angle: between the motor signal and the span of the columns that act on this joint alone (its friction, its
+            motor inertia, …) [degrees]; small where gain and inertia can hardly be told apart.
+        confused_with: inertial parameter or other gain whose estimate moves most with this one's, and the correlation.
+    """
+
+    joint: str
+    gain: float
+    std: float
+    file_gain: float | None
+    angle: float
+    confused_with: tuple[str, float]
+
+    @property
+    def relative_std(self) -> float:
+        """Standard deviation [%] of the gain."""
+        return 100.0 * self.std / abs(self.gain) if np.isfinite(self.gain) and self.gain else float("inf")
+
+
+@dataclass(frozen=True)
+class DriveGains:
+    """All that two runs say of the drives.
+
+    Attributes:
+        pair: the runs, torques by the gains of a first pass.
+        relative_to_pair: (n,) identified gains over those of that pass; nan where they cannot be told.
+        signal: what was recorded of the motors: "current" or "voltage".
+        known: the load.
+        gains: one a joint.
+        covariance: (n, n) of the gains.
+        active: base columns that were estimated.
+        parameters, parameter_std: (b,) base parameters, the gains' uncertainty in their deviations; nan where they were
+            not estimated.
+        columns: what else of the load was estimated.
+        load, load_std: (k,) of it; nan where the motions do not show it.
+        condition: largest over second-smallest singular value of what the model's columns leave of the motor signals.
+        gap: second-smallest over smallest one; the null vector is sure where it is large.
+        noise: (n,) standard deviation of each filtered motor signal about the model [A or V].
+        blocks, block_length: of the jackknife.
+        warnings: for the user.
+    """
+
+    pair: RunPair
+    relative_to_pair: FloatArray
+    signal: str
+    known: KnownLoad
+    gains: tuple[GainEstimate, ...]
+    covariance: FloatArray
+    active: tuple[int, ...]
+    parameters: FloatArray
+    parameter_std: FloatArray
+    columns: LoadColumns
+    load: FloatArray
+    load_std: FloatArray
+    condition: float
+    gap: float
+    noise: FloatArray
+    blocks: int
+    block_length: int
+    warnings: tuple[str, ...]
+
+    @property
+    def robot(self) -> Robot:
+        """The robot file's content."""
+        return self.pair.robot_file.robot
+
+    @property
+    def values(self) -> FloatArray:
+        """(n,) gains."""
+        return np.array([gain.gain for gain in self.gains])
+
+    @property
+    def std(self) -> FloatArray:
+        """(n,) their standard deviations."""
+        return np.array([gain.std for gain in self.gains])
+
+
+def identify_gains(
+    free: Recording,
+    loaded: Recording,
+    known: KnownLoad,
+    robot_file: RobotFile | None = None,
+    delay: float | None = None,
+) -> DriveGains:
+    """Gains of all drives.
+
+    Args:
+        free: recording without the load, with motor signals.
+        loaded: recording of the same arm with it.
+        known: of the load; its mass at least.
+        robot_file: in place of the one that the free recording carries.
+        delay: of the signals [s]; searched where None.
+
+    Raises:
+        DataError: different arms, no motor signal, or a known load that the motions do not show.
+        IdentificationError: the gains cannot be told apart at all.
+    """
+    robot_file = free.robot() if robot_file is None else robot_file
+    robot = robot_file.robot
+    signal = signal_of(robot)
+    # A first pass finds gains good enough to search the delay and the residuals' memory with.
+    gains = np.array([robot.drive(name).gain or 1.0 for name in robot.joint_names])
+    first = solve_gains(prepare_pair(free, loaded, torques_by(gains), robot_file, delay or 0.0), known)
+    gains = gains * np.where(np.isfinite(first.relative_gains), first.relative_gains, 1.0)
+    system = solve_gains(prepare_pair(free, loaded, torques_by(gains), robot_file, delay), known)
+    grams = system_blocks(system)
+    moves = jackknife_moves(system, grams)
+    covariance = np.asarray((grams.count - 1) / grams.count * moves.T @ moves)
+    found = _gains(system, known, signal, gains, covariance, grams)
+    return replace(found, warnings=tuple(_warnings(found, (free, loaded))))
+
+
+def _gains(
+    system: GainSystem, known: KnownLoad, signal: str, gains: FloatArray, covariance: FloatArray, grams: BlockGrams
+) -> DriveGains:
+    pair, columns = system.pair, system.columns
+    robot, count, dof = pair.robot_file.robot, pair.base.count, pair.model.dof
+    used = list(system.used)
+    scale = np.concatenate([gains[used], np.ones(len(system.layout) - 1)])
+    # Joints whose gain cannot be told have no finite variance.
+    told = [*used, *range(dof, dof + len(system.layout) - 1)]
+    wide = np.diag(np.full(dof + len(system.layout) - 1, np.inf))
+    wide[np.ix_(told, told)] = covariance * np.outer(scale, scale)
+    covariance = wide
+    deviations = np.sqrt(np.diag(covariance))
+    values, spread = np.full(count + len(columns.names), np.nan), np.full(count + len(columns.names), np.nan)
+    estimated = list(system.layout[:-1])
+    values[estimated], spread[estimated] = system.solution.unknowns[:-1], deviations[dof:]
+    names = [f"the gain of {name}" for name in robot.joint_names]
+    names += [(*pair.base.names, *columns.names)[i] for i in estimated]
+    # Friction is seen in the motor signal itself, so that it goes with the gain in any case: it says nothing.
+    inertial = [
+        dof + place
+        for place, column in enumerate(estimated)
+        if column >= count or pair.base.kinds[column] in ("inertial", "motor_inertia")
+    ]
+    telling = [*used, *inertial]
+    correlation = np.eye(len(deviations))
+    within = np.ix_(told, told)
+    correlation[within] = covariance[within] / np.outer(deviations[told], deviations[told])
+    angles = own_angles(system)
+    identified = gains * system.relative_gains
+    return DriveGains(
+        pair=pair,
+        relative_to_pair=system.relative_gains,
+        signal=signal,
+        known=known,
+        gains=tuple(
+            GainEstimate(
+                joint=name,
+                gain=float(identified[joint]),
+                std=float(deviations[joint]),
+                file_gain=robot.drive(name).gain,
+                angle=float(angles[joint]),
+                confused_with=_most_correlated(correlation[joint], joint, names, telling),
+            )
+            for joint, name in enumerate(robot.joint_names)
+        ),
+        covariance=covariance[:dof, :dof],
+        active=tuple(i for i in estimated if i < count),
+        parameters=values[:count],
+        parameter_std=spread[:count],
+        columns=columns,
+        load=values[count:],
+        load_std=spread[count:],
+        condition=system.solution.condition,
+        gap=system.solution.gap,
+        noise=system.noise / np.abs(gains),
+        blocks=grams.count,
+        block_length=grams.length,
+        warnings=(),
+    )
+
+
+def _most_correlated(
+    correlation: FloatArray, joint: int, names: Sequence[str], among: Sequence[int]
+) -> tuple[str, float]:
+    place = max((i for i in among if i != joint), key=lambda i: abs(float(correlation[i])))
+    return names[place], float(correlation[place])
+
+
+def _alone_share(pair: RunPair) -> float:
+    """Share of the samples with motion in which one joint moves and the others rest."""
+    alone, samples = 0, 0
+    for run in pair.runs:
+        for segment in run.prepared.segments:
+            moving = np.abs(segment.velocity[:, segment.used]) >= (run.prepared.choices.rest_velocity or 0.0)
+            alone += int((moving.sum(axis=0) == 1).sum())
+            samples += moving.shape[1]
+    return alone / samples
+
+
+def _warnings(found: DriveGains, recordings: tuple[Recording, Recording]) -> list[str]:
+    warnings = [
+        f"{recording.label} was not closed in order: its end may be missing"
+        for recording in recordings
+        if not recording.complete
+    ]
+    warnings += resting_warnings(found.pair)
+    if _alone_share(found.pair) > ONE_AT_A_TIME:
+        warnings.append(
+            "most of the time one joint moves alone, and static friction holds the others: try --up-and-down"
+        )
+    for gain in found.gains:
+        name, correlation = gain.confused_with
+        if not np.isfinite(gain.gain):
+            warnings.append(
+                f"the data cannot tell the gain of {gain.joint} from its own friction and inertia (angle "
+                f"{gain.angle:.1f}°): no value for it, its rows are left out; place the load off its axis"
+            )
+        elif gain.relative_std >= SIGNIFICANT_RSD:
+            warnings.append(
+                f"the data cannot tell the gain of {gain.joint} from {name} (correlation {correlation:+.2f}): known to "
+                f"{gain.relative_std:.0f} % only; move the joints around it more, or place the load off its axis"
+            )
+        elif gain.angle < SMALL_ANGLE:
+            warnings.append(
+                f"what the motor of {gain.joint} shows is nearly all its own friction and inertia (angle "
+                f"{gain.angle:.1f}°): its gain hangs on the little that other joints share with it"
+            )
+        if gain.file_gain is not None and gain.gain * gain.file_gain < 0:
+            warnings.append(f"the gain of {gain.joint} has the opposite sign of the robot file's")
+    if found.gap < LEAST_GAP:
+        warnings.append(
+            f"the gains are hardly determined: singular values {found.gap:.1f} times apart, another set of gains and "
+            "inertias fits nearly as well; record a richer motion or a heavier load"
+        )
+    silent = [found.pair.base.names[i] for i in range(found.pair.base.count) if i not in found.active]
+    if silent:
+        warnings.append(f"the motions do not excite {', '.join(silent)}: no values for them")
+    return warnings

@@ -1,0 +1,172 @@
+"""The concatenated system of two runs: gains, base parameters and load are unknown alike (see `drive_gains`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import DataError, IdentificationError
+from drivers.streams import FloatArray
+from ident.experiments.run_pair import FREE, LOADED, BlockGrams, RunPair, block_grams, widened
+from ident.linear_algebra.triangular import triangular
+from ident.model.load import KnownLoad, LoadColumns, load_columns, load_effect
+from ident.regression.least_squares import excited_columns
+from ident.regression.observation_matrix import JointFactor, Reduction
+from ident.regression.total_least_squares import (
+    NullVector,
+    distinctness,
+    null_vector,
+    null_vector_of_gram,
+    signal_noise,
+)
+
+LEAST_DISTINCTNESS = 1.5
+"""A motor signal of which the model's columns leave less than this times its noise says nothing of its gain."""
+
+
+@dataclass(frozen=True)
+class GainSystem:
+    """One pass: the concatenated system and its solution; gains relative to those that made the torques.
+
+    Attributes:
+        pair: the runs.
+        columns: unknown combinations of the load.
+        parts: (b, k + 1) effect of these and, last, of the known load on the base parameters.
+        layout: the unknowns: base columns that are excited, b + i for load column i, b + k for the known load, last.
+        noise: (n,) standard deviation of each joint's torque about its own columns [N·m].
+        used: joints whose gain can be told; the rows of the others are left out.
+        solution: null vector of these.
+    """
+
+    pair: RunPair
+    columns: LoadColumns
+    parts: FloatArray
+    layout: tuple[int, ...]
+    noise: FloatArray
+    used: tuple[int, ...]
+    solution: NullVector
+
+    @property
+    def relative_gains(self) -> FloatArray:
+        """(n,) gains over those that made the torques; nan where they cannot be told."""
+        relative = np.full(self.pair.model.dof, np.nan)
+        relative[list(self.used)] = self.solution.factors
+        return relative
+
+
+def solve_gains(pair: RunPair, known: KnownLoad) -> GainSystem:
+    """Set up and solve one pass.
+
+    Raises:
+        DataError: the motions do not show the known load.
+        IdentificationError: no gain can be told.
+    """
+    robot = pair.robot_file.robot
+    effect = load_effect(pair.model, pair.base, robot)
+    columns = load_columns(effect, known.known)
+    parts = np.column_stack([columns.effect, effect @ known.values])
+    factors, rows = _joint_factors(pair, parts)
+    count, size = pair.base.count, pair.base.count + parts.shape[1]
+    noise = _noise(factors, rows, (*pair.active, *range(count, size)))
+    everything, used = tuple(range(size)), list(range(len(factors)))
+    while True:
+        joints = tuple(JointFactor(everything, factors[joint], int(rows[joint])) for joint in used)
+        excited = set(excited_columns(Reduction(joints, size, 1, int(rows[0]), "")))
+        layout = tuple(i for i in everything if i in excited and (i >= count or i in pair.active))
+        if layout[-1:] != (size - 1,):
+            raise DataError(
+                "the two motions do not show the known load",
+                where=pair.runs[LOADED].label,
+                hint="move more joints: dynid excite ROBOT --loaded",
+            )
+        chosen = [factors[joint][:, [*layout, size]] for joint in used]
+        telling = distinctness(chosen, rows[used], noise[used])
+        worst = int(np.argmin(telling))
+        if telling[worst] >= LEAST_DISTINCTNESS:
+            break
+        # Its gain goes with its own friction and inertia: it would drag the others along.
+        if len(used) == 1:
+            raise IdentificationError(
+                "no motor's signal can be told from the friction and inertia of its own joint",
+                where=pair.runs[LOADED].label,
+                hint="record a richer motion or a heavier load, off the last joint's axis",
+            )
+        used.pop(worst)
+    return GainSystem(pair, columns, parts, layout, noise, tuple(used), null_vector(chosen, rows[used], noise[used]))
+
+
+def _noise(factors: Sequence[FloatArray], rows: FloatArray, columns: Sequence[int]) -> FloatArray:
+    """(n,) what these columns, coefficients free in every joint, leave of each joint's torque (the last column)."""
+    return signal_noise([factor[:, [*columns, factor.shape[1] - 1]] for factor in factors], rows)
+
+
+def _joint_factors(pair: RunPair, parts: FloatArray) -> tuple[list[FloatArray], FloatArray]:
+    """Triangular factors (·, b + k + 2) of [W_j, W_j·parts, τ_j] over both runs, and the rows (n,) of each joint."""
+    none = np.zeros(pair.base.count)
+    factors, rows = [], []
+    for joint in range(pair.model.dof):
+        stacked, count = [], 0
+        for number, run in enumerate(pair.runs):
+            of_run = run.reduction.joints[joint]
+            wide = widened(of_run.columns, pair.base.count, parts if number == LOADED else np.zeros_like(parts), none)
+            stacked.append(of_run.factor @ wide)
+            count += of_run.rows
+        factors.append(triangular(np.vstack(stacked)))
+        rows.append(float(count))
+    return factors, np.array(rows)
+
+
+def system_blocks(system: GainSystem) -> BlockGrams:
+    """Blocks as long as the residuals' memory."""
+    pair, count = system.pair, system.pair.base.count
+    unknowns = np.zeros(count + system.parts.shape[1])
+    unknowns[list(system.layout)] = system.solution.unknowns
+    free = unknowns[:count]
+    return block_grams(pair, (free, free + system.parts @ unknowns[count:]), system.used)
+
+
+def jackknife_moves(system: GainSystem, grams: BlockGrams) -> FloatArray:
+    """(B, n + a − 1) how far leaving out each block moves the relative gains of `used` and the unknowns."""
+    pair, solution = system.pair, system.solution
+    width, size = len(system.layout), pair.base.count + system.parts.shape[1]
+    none = np.zeros(pair.base.count)
+    chosen = [*system.layout, size]
+    blocks = np.zeros((grams.count, width + len(system.used), width + len(system.used)))
+    for number in (FREE, LOADED):
+        parts = system.parts if number == LOADED else np.zeros_like(system.parts)
+        for position, joint in enumerate(system.used):
+            wide = widened(pair.kernel.joint_rows[joint].columns, pair.base.count, parts, none)[:, chosen]
+            place = [*range(width), width + position]
+            gram = solution.weights[position] ** 2 * (wide.T @ grams.grams[number][joint] @ wide)
+            blocks[np.ix_(range(grams.count), place, place)] += gram
+    total = blocks.sum(axis=0)
+    whole = np.concatenate(null_vector_of_gram(total, solution.scale))
+    moves = np.empty((grams.count, len(whole)))
+    for number, block in enumerate(blocks):
+        try:
+            moves[number] = whole - np.concatenate(null_vector_of_gram(total - block, solution.scale))
+        except np.linalg.LinAlgError as error:
+            raise IdentificationError(
+                "one short part of the motion alone determines a parameter", hint="record longer, or a richer motion"
+            ) from error
+    return moves[:, :-1]
+
+
+def own_angles(system: GainSystem) -> FloatArray:
+    """(n,) degrees between each motor signal, without its noise, and the columns that act on its joint alone."""
+    pair = system.pair
+    factors, rows = _joint_factors(pair, system.parts)
+    acting_on = [set(joint.columns) for joint in pair.kernel.joint_rows]
+    angles = []
+    for joint, (factor, count) in enumerate(zip(factors, rows, strict=True)):
+        own = [i for i in pair.active if i in acting_on[joint] and sum(i in other for other in acting_on) == 1]
+        torque = factor[:, -1]
+        noise = count * system.noise[joint] ** 2
+        lengths = np.linalg.norm(factor[:, own], axis=0)
+        rest = torque - factor[:, own] / lengths @ np.linalg.lstsq(factor[:, own] / lengths, torque, rcond=1e-10)[0]
+        total = max(float(torque @ torque) - noise, 0.0)
+        share = max(float(rest @ rest) - noise, 0.0) / total if total > 0 else 0.0
+        angles.append(float(np.degrees(np.arcsin(min(share, 1.0) ** 0.5))))
+    return np.array(angles)

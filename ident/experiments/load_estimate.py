@@ -1,0 +1,260 @@
+"""Least squares over a free and a loaded run at once: base parameters in common, the load in the loaded run only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.errors import DataError, IdentificationError
+from drivers.streams import FloatArray
+from ident.experiments.run_pair import FREE, LOADED, BlockGrams, RunPair, block_grams, widened
+from ident.model.load import MASS, KnownLoad, LoadColumns, load_columns
+from ident.regression.gain_uncertainty import relative_gain_std
+from ident.regression.least_squares import LeastSquares, excited_columns, ordinary_least_squares
+from ident.regression.observation_matrix import JointFactor, Reduction
+from ident.regression.total_least_squares import signal_noise
+
+
+@dataclass(frozen=True)
+class LoadEstimate:
+    """Identified load.
+
+    Attributes:
+        columns: what can be told apart.
+        values: (k,) of the combinations.
+        covariance: (k, k) from noise and errors that change along the motion.
+        gain_covariance: (k, k) from the drive gains' standard deviations; zero where the file names none.
+        unexcited: combinations that these two motions cannot tell apart; nan in `values`.
+        known: what was taken as known.
+        standard: (10,) standard parameters in the tool frame; nan for those that only combinations reveal.
+        standard_covariance: (10, 10), both causes together; nan where `standard` is.
+    """
+
+    columns: LoadColumns
+    values: FloatArray
+    covariance: FloatArray
+    gain_covariance: FloatArray
+    unexcited: tuple[str, ...]
+    known: KnownLoad | None
+    standard: FloatArray
+    standard_covariance: FloatArray
+
+    @property
+    def std(self) -> FloatArray:
+        """(k,) standard deviations, both causes together."""
+        return np.sqrt(np.diag(self.covariance + self.gain_covariance))
+
+    @property
+    def centre(self) -> tuple[FloatArray, FloatArray] | None:
+        """Centre of mass (3,) [m] and its standard deviations; None where mass or first moments are unknown."""
+        mass, moments = self.standard[MASS], self.standard[6:9]
+        if not np.all(np.isfinite(moments)) or not mass > 0:
+            return None
+        centre = moments / mass
+        slope = np.zeros((3, 10))
+        slope[:, 6:9] = np.eye(3) / mass
+        slope[:, MASS] = -centre / mass
+        return centre, np.sqrt(np.diag(slope @ self.standard_covariance @ slope.T))
+
+
+@dataclass(frozen=True)
+class SeparateRuns:
+    """Each run by itself: base parameters (b,), weights (n,), and how each block moves the active ones (B, a)."""
+
+    active: tuple[int, ...]
+    parameters: tuple[FloatArray, FloatArray]
+    weights: tuple[FloatArray, FloatArray]
+    moves: tuple[FloatArray, FloatArray]
+
+
+def identify_separately(pair: RunPair) -> tuple[SeparateRuns, BlockGrams]:
+    """Both runs by themselves, on the columns that each of them excites, and the blocks for all jackknives.
+
+    Raises:
+        DataError: they excite no column in common.
+    """
+    active = tuple(
+        column for column in pair.active if all(column in _excited(run.reduction, pair.active) for run in pair.runs)
+    )
+    if not active:
+        raise DataError("the two motions excite no base parameter in common", hint="move the same joints in both runs")
+    # A joint's noise is what its own columns leave of its torque: weights by the whole model's residuals would give
+    # joints away whose drive gains are wrong, and need not settle.
+    weights = [_weights(run.reduction) for run in pair.runs]
+    solutions = [
+        ordinary_least_squares(_weighted(run.reduction, weight), active)
+        for run, weight in zip(pair.runs, weights, strict=True)
+    ]
+    parameters = (solutions[FREE].parameters, solutions[LOADED].parameters)
+    grams = block_grams(pair, parameters)
+    none = np.zeros((pair.base.count, 0))
+    moves = []
+    for number, solution in enumerate(solutions):
+        summed = np.zeros((grams.count, len(active) + 1, len(active) + 1))
+        chosen = [*active, pair.base.count]
+        for joint, rows in enumerate(pair.kernel.joint_rows):
+            wide = widened(rows.columns, pair.base.count, none, np.zeros(pair.base.count))[:, chosen]
+            summed += weights[number][joint] ** 2 * (wide.T @ grams.grams[number][joint] @ wide)
+        moves.append(_moves(summed, solution))
+    return SeparateRuns(active, parameters, (weights[FREE], weights[LOADED]), (moves[FREE], moves[LOADED])), grams
+
+
+def change_between(separate: SeparateRuns) -> tuple[FloatArray, FloatArray]:
+    """Loaded minus free active parameters (a,), and the covariance of that; blocks that both runs share count once."""
+    active = list(separate.active)
+    difference = separate.parameters[LOADED][active] - separate.parameters[FREE][active]
+    return difference, jackknife_covariance(separate.moves[LOADED] - separate.moves[FREE])
+
+
+def estimate_load(
+    pair: RunPair,
+    grams: BlockGrams,
+    effect: FloatArray,
+    weights: tuple[FloatArray, FloatArray],
+    known: KnownLoad | None,
+) -> LoadEstimate:
+    """Joint least squares over both runs, each joint's rows weighted as in its run by itself.
+
+    Raises:
+        DataError: nothing is known of the load, and the motions show none of its parameters.
+    """
+    columns = load_columns(effect, () if known is None else known.known)
+    shift = np.zeros(pair.base.count) if known is None else effect @ known.values
+    count, size = pair.base.count, pair.base.count + len(columns.names)
+    system = _joint_system(pair, columns.effect, shift, weights)
+    excited = set(excited_columns(system))
+    active = tuple(i for i in range(size) if i in excited and (i >= count or i in pair.active))
+    places = [place for place, column in enumerate(active) if column >= count]
+    if not places and known is None:
+        raise DataError(
+            "the two motions show no parameter of a load",
+            where=pair.runs[LOADED].label,
+            hint="move more joints, the last ones too: dynid excite ROBOT --loaded",
+        )
+    solution = ordinary_least_squares(system, active)  # its rows are weighted already
+    # One contribution a joint: of the blocks' cross products, and of the torque alone for the gains' part.
+    chosen = [*active, size]
+    summed = np.zeros((grams.count, len(active) + 1, len(active) + 1))
+    joint_scores = np.zeros((pair.model.dof, len(active)))
+    none = np.zeros(count)
+    for number in (FREE, LOADED):
+        run_effect = columns.effect if number == LOADED else np.zeros_like(columns.effect)
+        for joint, rows in enumerate(pair.kernel.joint_rows):
+            gram = grams.grams[number][joint]
+            weight = weights[number][joint] ** 2
+            wide = widened(rows.columns, count, run_effect, shift if number == LOADED else none)[:, chosen]
+            summed += weight * (wide.T @ gram @ wide)
+            plain = widened(rows.columns, count, run_effect, none)[:, chosen]
+            joint_scores[joint] += weight * (plain.T @ gram.sum(axis=0) @ plain)[:-1, -1]
+    covariance = jackknife_covariance(_moves(summed, solution))
+    moved_by_gain = joint_scores @ solution.inverse
+    relative = relative_gain_std(pair.robot_file.robot)
+    gain_covariance = (moved_by_gain * relative[:, None] ** 2).T @ moved_by_gain
+    return _with_standard(columns, known, solution, places, covariance, gain_covariance, count)
+
+
+def _with_standard(
+    columns: LoadColumns,
+    known: KnownLoad | None,
+    solution: LeastSquares,
+    places: list[int],
+    covariance: FloatArray,
+    gain_covariance: FloatArray,
+    count: int,
+) -> LoadEstimate:
+    size = len(columns.names)
+    found = [solution.active[place] - count for place in places]
+    values = np.full(size, np.nan)
+    values[found] = solution.parameters[[solution.active[place] for place in places]]
+    parts = []
+    for part in (covariance, gain_covariance):
+        of_load = np.full((size, size), np.nan)
+        of_load[np.ix_(found, found)] = part[np.ix_(places, places)]
+        parts.append(of_load)
+    standard, spread = np.full(10, np.nan), np.full((10, 10), np.nan)
+    if known is not None:
+        standard[list(known.known)] = known.values[list(known.known)]
+        spread[np.ix_(known.known, known.known)] = 0.0
+    alone = [i for i in range(size) if np.count_nonzero(columns.projection[i]) == 1 and i in found]
+    kept = [columns.kept[i] for i in alone]
+    standard[kept] = values[alone]
+    spread[np.ix_(kept, kept)] = (parts[0] + parts[1])[np.ix_(alone, alone)]
+    if known is not None:
+        spread[np.ix_(kept, known.known)] = 0.0
+        spread[np.ix_(known.known, kept)] = 0.0
+    return LoadEstimate(
+        columns=columns,
+        values=values,
+        covariance=parts[0],
+        gain_covariance=parts[1],
+        unexcited=tuple(columns.names[i] for i in range(size) if i not in found),
+        known=known,
+        standard=standard,
+        standard_covariance=np.where(np.isfinite(spread), spread, 0.0),
+    )
+
+
+def _joint_system(
+    pair: RunPair, effect: FloatArray, shift: FloatArray, weights: tuple[FloatArray, FloatArray]
+) -> Reduction:
+    """Both runs under each other, weighted: free joints, then loaded ones; base columns, then the load's."""
+    count, size = pair.base.count, pair.base.count + effect.shape[1]
+    joints = []
+    for number, run in enumerate(pair.runs):
+        for joint, weight in zip(run.reduction.joints, weights[number], strict=True):
+            if number == FREE:
+                joints.append(JointFactor(joint.columns, weight * joint.factor, joint.rows))
+                continue
+            wide = widened(joint.columns, count, effect, shift)
+            chosen = [*joint.columns, *range(count, size)]
+            joints.append(JointFactor(tuple(chosen), weight * joint.factor @ wide[:, [*chosen, size]], joint.rows))
+    return Reduction(
+        joints=tuple(joints),
+        column_count=size,
+        torque_count=1,
+        samples=sum(run.reduction.samples for run in pair.runs),
+        method=pair.runs[FREE].reduction.method,
+    )
+
+
+def _weights(reduction: Reduction) -> FloatArray:
+    """(n,) what each joint's rows are multiplied with: one over its noise."""
+    rows = np.array([float(joint.rows) for joint in reduction.joints])
+    noise = signal_noise([joint.factor for joint in reduction.joints], rows)
+    # A joint without any torque has no noise to go by; the smallest one's weight keeps it from ruling.
+    return np.asarray(1.0 / np.where(noise > 0, noise, noise.max(initial=0.0) or 1.0))
+
+
+def _weighted(reduction: Reduction, weights: FloatArray) -> Reduction:
+    joints = tuple(
+        replace(joint, factor=weight * joint.factor) for joint, weight in zip(reduction.joints, weights, strict=True)
+    )
+    return replace(reduction, joints=joints)
+
+
+def _excited(reduction: Reduction, among: tuple[int, ...]) -> tuple[int, ...]:
+    excited = set(excited_columns(reduction))
+    return tuple(column for column in among if column in excited)
+
+
+def _moves(blocks: FloatArray, solution: LeastSquares) -> FloatArray:
+    """(B, a) how far leaving out each block moves the active parameters; `blocks` (B, a + 1, a + 1) are weighted."""
+    values = solution.parameters[list(solution.active)]
+    scores = blocks[:, :-1, -1] - blocks[:, :-1, :-1] @ values
+    normal = np.linalg.inv(solution.inverse)
+    scale = np.sqrt(np.diag(normal))
+    rest = (normal - blocks[:, :-1, :-1]) / np.outer(scale, scale)
+    try:
+        moved = np.linalg.solve(rest, (scores / scale)[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError as error:
+        raise IdentificationError(
+            "one short part of the motion alone determines a parameter", hint="record longer, or a richer motion"
+        ) from error
+    return np.asarray(moved / scale)
+
+
+def jackknife_covariance(moves: FloatArray) -> FloatArray:
+    """Delete-block covariance (a, a) from how far each block moves the parameters (B, a) (see `jackknife`)."""
+    blocks = len(moves)
+    return np.asarray((blocks - 1) / blocks * moves.T @ moves)

@@ -1,0 +1,220 @@
+"""One model from several experiments, each with its own estimate and covariance (SR400 .4.3 point 7).
+
+Experiment i gives values θ_i = P_i·x + ε_i of combinations P_i of the same base parameters x, with covariance C_i. The
+merged parameters minimise
+
+    Σ (θ_i − P_i·x)ᵀ N_i (θ_i − P_i·x)
+
+N_i is the information of the experiment for white residuals, divided by the mean factor by which its residuals, which
+are not white, make variances larger. For C_i comes from a jackknife over few blocks, and the inverse of such a matrix
+is far from that of the true one. In return the covariance of x follows from C_i itself, carried through the estimator:
+with x = Σ G_i·θ_i it is Σ G_i·C_i·G_iᵀ.
+
+N_i is kept as its square root R_i: one QR decomposition of the stacked R_i·P_i, never a normal matrix. Estimates add up
+in any order, and a merged estimate may be merged again; an estimate used before another experiment's data is its prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import IdentificationError
+from drivers.streams import FloatArray
+from ident.linear_algebra.independent_columns import independent_columns
+from ident.linear_algebra.triangular import scaled_condition, triangular
+from ident.regression.hypothesis_tests import ChanceTest, chi_square_test
+from ident.regression.least_squares import EXCITATION_TOLERANCE, LeastSquares
+
+CONTRADICTING = 3.0
+"""A value this many standard deviations from the merged one contradicts it."""
+
+
+@dataclass(frozen=True)
+class Information:
+    """What one experiment says of b parameters x: values = combinations·x + an error.
+
+    Attributes:
+        values: (a,).
+        combinations: (a, b).
+        root: (a, a); rootᵀ·root weighs the errors.
+        covariance: (a, a) of the error.
+        blocks: of the jackknife behind the covariance.
+    """
+
+    values: FloatArray
+    combinations: FloatArray
+    root: FloatArray
+    covariance: FloatArray
+    blocks: int
+
+
+@dataclass(frozen=True)
+class MergedEstimate:
+    """Parameters from several experiments; b of them, k active.
+
+    Attributes:
+        solution: by least squares; `rows` is the number of values merged, `residual_sum` the weighted one.
+        covariance: (k, k) of the active parameters, from the experiments' covariances.
+        root: (k, k) upper triangular square root of the summed information.
+        taken_up: (k, b − k) how much of each inactive parameter is in each active one.
+        consistency: whether the experiments agree; None where they share nothing.
+        deviations: for each experiment (a,), how many standard deviations its values are from the merged ones; 0 where
+            no other experiment tells the same.
+        fitted: for each experiment (a,), what the merged parameters give for its values.
+    """
+
+    solution: LeastSquares
+    covariance: FloatArray
+    root: FloatArray
+    taken_up: FloatArray
+    consistency: ChanceTest | None
+    deviations: tuple[FloatArray, ...]
+    fitted: tuple[FloatArray, ...]
+
+
+def variance_ratio(root: FloatArray, covariance: FloatArray) -> float:
+    """Mean ratio of the variances in `covariance` to those that the information rootᵀ·root stands for."""
+    return float(np.trace(root @ covariance @ root.T)) / max(1, len(root))
+
+
+def usable(information: Information) -> Information:
+    """Without the values whose variance is not known; weighed as if they had never been asked for.
+
+    Raises:
+        IdentificationError: no value is left.
+    """
+    known = np.isfinite(np.diag(information.covariance))
+    if not np.any(known):
+        raise IdentificationError("no estimated value has a standard deviation", hint="record longer")
+    kept, left = np.flatnonzero(known), np.flatnonzero(~known)
+    # The first columns of a triangular factor are those that are fitted away.
+    root = triangular(information.root[:, [*left, *kept]])[len(left) :, len(left) :]
+    return Information(
+        values=information.values[kept],
+        combinations=information.combinations[kept],
+        root=root,
+        covariance=information.covariance[np.ix_(kept, kept)],
+        blocks=information.blocks,
+    )
+
+
+def told_columns(parts: Sequence[Information], preferred: Sequence[int]) -> tuple[int, ...]:
+    """Parameters that the experiments tell apart together, the preferred ones first."""
+    system = np.vstack([part.root @ part.combinations for part in parts])
+    lengths = np.linalg.norm(system, axis=0)
+    there = lengths > EXCITATION_TOLERANCE * lengths.max()
+    scaled = system / np.where(there, lengths, 1.0)
+    order = [column for column in preferred if there[column]]
+    return tuple(sorted(independent_columns(scaled, order, EXCITATION_TOLERANCE)))
+
+
+def merge(parts: Sequence[Information], active: Sequence[int]) -> MergedEstimate:
+    """Least squares over the values of all experiments; parameters that are not active are taken as 0.
+
+    Args:
+        parts: one an experiment; they are weighed as their roots say.
+        active: numbers of the parameters to estimate.
+
+    Raises:
+        IdentificationError: the values do not determine the parameters.
+    """
+    active = tuple(active)
+    system = np.vstack([part.root @ part.combinations for part in parts])
+    right = np.concatenate([part.root @ part.values for part in parts])
+    chosen = system[:, list(active)]
+    lengths = np.linalg.norm(chosen, axis=0)
+    if len(chosen) < len(active) or not np.all(lengths > 0):
+        raise IdentificationError("the experiments do not determine the parameters", hint="merge with another one")
+    q, r = np.linalg.qr(chosen / lengths)
+    if not np.all(np.abs(np.diag(r)) > EXCITATION_TOLERANCE):
+        raise IdentificationError(
+            "the experiments tell some parameters in the same combination only", hint="merge with another experiment"
+        )
+    inverse_factor = np.linalg.solve(r, np.eye(len(active))) / lengths[:, None]
+    gain = inverse_factor @ q.T
+    values = gain @ right
+    parameters = np.zeros(system.shape[1])
+    parameters[list(active)] = values
+    # Of the whitened values: near to one, and block diagonal.
+    spread = _block_diagonal([part.root @ part.covariance @ part.root.T for part in parts])
+    covariance = gain @ spread @ gain.T
+    left = np.eye(len(right)) - q @ q.T
+    residual = right - q @ (q.T @ right)
+    inactive = [column for column in range(system.shape[1]) if column not in active]
+    singular = np.linalg.svd(chosen, compute_uv=False)
+    inverse = inverse_factor @ inverse_factor.T
+    return MergedEstimate(
+        solution=LeastSquares(
+            method="wls",
+            active=active,
+            parameters=parameters,
+            covariance=inverse,
+            inverse=inverse,
+            weights=np.ones(len(parts)),
+            joint_std=np.ones(len(parts)),
+            rows=len(right),
+            condition=float(singular[0] / singular[-1]),
+            scaled_condition=scaled_condition(chosen),
+            residual_sum=float(residual @ residual),
+            iterations=1,
+        ),
+        covariance=covariance,
+        root=triangular(chosen),
+        taken_up=_without_rounding(inverse_factor @ (q.T @ system[:, inactive]), lengths),
+        consistency=_consistency(right, spread, chosen, residual, min(part.blocks for part in parts)),
+        deviations=_deviations(parts, residual, left @ spread @ left),
+        fitted=tuple(part.combinations @ parameters for part in parts),
+    )
+
+
+def _consistency(
+    right: FloatArray, spread: FloatArray, system: FloatArray, residual: FloatArray, blocks: int
+) -> ChanceTest | None:
+    """Whether the values of several experiments differ by chance only from what one set of parameters gives.
+
+    Where the jackknife has too few blocks for the test, its variances count by their mean alone.
+    """
+    from scipy.stats import chi2
+
+    freedom = len(right) - system.shape[1]
+    if freedom < 1:
+        return None
+    test = chi_square_test(right, spread, blocks, system)
+    if test is not None:
+        return test
+    statistic = float(residual @ residual)
+    return ChanceTest(statistic, freedom, float(chi2.sf(statistic, freedom)))
+
+
+def _deviations(parts: Sequence[Information], residual: FloatArray, covariance: FloatArray) -> tuple[FloatArray, ...]:
+    """Differences in standard deviations, value by value, from whitened ones (all,) with their covariance."""
+    found, start = [], 0
+    for part in parts:
+        rows = slice(start, start + len(part.values))
+        start = rows.stop
+        back = np.linalg.inv(part.root)
+        difference = back @ residual[rows]
+        std = np.sqrt(np.clip(np.diag(back @ covariance[rows, rows] @ back.T), 0.0, None))
+        own = np.sqrt(np.diag(part.covariance))
+        shared = std > 1e-6 * own
+        found.append(np.divide(difference, std, out=np.zeros(len(std)), where=shared))
+    return tuple(found)
+
+
+def _without_rounding(shares: FloatArray, lengths: FloatArray) -> FloatArray:
+    """Shares (k, …) of other columns in columns of these lengths (k,), small ones set to 0."""
+    contribution = np.abs(shares) * lengths[:, None]
+    return np.where(contribution > EXCITATION_TOLERANCE * np.max(contribution, axis=0, initial=0.0), shares, 0.0)
+
+
+def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
+    size = sum(len(block) for block in blocks)
+    whole, start = np.zeros((size, size)), 0
+    for block in blocks:
+        stop = start + len(block)
+        whole[start:stop, start:stop] = block
+        start = stop
+    return whole

@@ -1,0 +1,287 @@
+"""From several results of one arm to one Result: which models may be merged, and what comes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+import numpy as np
+
+from daq.recording import Recording, software_versions
+from drivers.streams import FloatArray
+from ident.assessment.plausibility import indefinite_share, sign_warnings
+from ident.experiments.merge import CONTRADICTING, MergedEstimate, merge, told_columns
+from ident.experiments.merge_input import MergeInput, merge_inputs, used_recordings
+from ident.identify.revalidate import Revalidation, revalidate
+from ident.identify.summary import (
+    estimate_result,
+    experiment_result,
+    fit_result,
+    friction_results,
+    gain_results,
+    judgement,
+    parameter_results,
+)
+from ident.model.base_parameters import BaseParameters, base_parameters
+from ident.model.dynamics import DynamicModel
+from ident.regression.estimate import Estimate
+from ident.regression.pruning import SIGNIFICANT_RSD, Pruned, prune
+from ident.result.schema import (
+    Consistency,
+    Contradiction,
+    DelayFigures,
+    Essential,
+    Excitation,
+    Merge,
+    MergedModel,
+    Residuals,
+    Result,
+)
+
+MOST_CONTRADICTIONS = 10
+"""So many are named."""
+
+
+def merge_results(
+    results: Sequence[tuple[str, Result]], held_out: Recording | None = None, threshold: float = SIGNIFICANT_RSD
+) -> tuple[Result, Revalidation | None]:
+    """One model from several.
+
+    Args:
+        results: each with what messages call it.
+        held_out: a recording to validate with.
+        threshold: of significance [%].
+
+    Returns:
+        The merged result, and the held-out torques where there are any.
+
+    Raises:
+        UsageError: fewer than two, different arms, or data that would count twice.
+        ResultFileError: a result without a covariance, or parts that do not belong together.
+        IdentificationError: the values do not determine any parameter.
+    """
+    parts, base = merge_inputs(results)
+    model = parts[0].stored.model
+    informations = [part.information for part in parts]
+    merged = merge(informations, told_columns(informations, range(base.count)))
+    std = np.full(base.count, np.inf)
+    std[list(merged.solution.active)] = np.sqrt(np.diag(merged.covariance))
+    inflation = np.divide(std, merged.solution.std, out=np.ones(base.count), where=np.isfinite(std))
+    rows = sum(part.result.residuals.effective_rows or 0.0 for part in parts)
+    pruned = prune(merged.solution, inflation, rows, lambda columns: merge(informations, columns).solution, threshold)
+    result = _result(model, base, parts, merged, std, pruned, threshold)
+    if held_out is None:
+        return result, None
+    validated = revalidate(result, held_out)
+    return _with_validation(result, validated, held_out.label), validated
+
+
+def _result(
+    model: DynamicModel,
+    base: BaseParameters,
+    parts: Sequence[MergeInput],
+    merged: MergedEstimate,
+    std: FloatArray,
+    pruned: Pruned,
+    threshold: float,
+) -> Result:
+    first, solution = parts[0].result, merged.solution
+    unexcited = [base.names[i] for i in range(base.count) if i not in solution.active]
+    consistency = _consistency(parts, merged)
+    singular = np.linalg.svd(merged.root / np.linalg.norm(merged.root, axis=0), compute_uv=False)
+    result = Result(
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        robot=first.robot,
+        robot_file=first.robot_file,
+        urdf=first.urdf,
+        joints=first.joints,
+        method=f"merge of {' and '.join(part.result.method for part in parts)}",
+        options={**first.options, "start": None, "stop": None, "split": None, "significant_rsd": threshold},
+        model_options=first.model_options,
+        preprocessing=[
+            step.model_copy(update={"text": f"{part.label}: {step.text}"})
+            for part in parts
+            for step in part.result.preprocessing
+        ],
+        delay=DelayFigures(used=first.delay.used, best=first.delay.best, note=f"of {parts[0].label}"),
+        base_parameters=parameter_results(model, base, solution, std, pruned, threshold),
+        friction=friction_results(model, base, solution, std),
+        drive_gains=gain_results(parts[0].stored.robot_file.robot),
+        fit=None,
+        validation=None,
+        validation_source="",
+        essential=Essential(
+            count=len(pruned.solution.active),
+            dropped=[base.names[i] for i in pruned.dropped],
+            stopped_by=pruned.stopped_by,
+            fit=None,
+            validation=None,
+        ),
+        excitation=Excitation(
+            condition=solution.condition,
+            scaled_condition=solution.scaled_condition,
+            singular_values=singular.tolist(),
+            unexcited=unexcited,
+        ),
+        condition=solution.condition,
+        residuals=_residuals(parts),
+        rank_margin=base.margin,
+        recordings=[use for part in parts for use in used_recordings(part.result)],
+        versions=software_versions(),
+        verdict="",
+        warnings=_warnings(model, base, parts, merged, std, unexcited, consistency),
+        experiments=[experiment_result(model, experiment) for part in parts for experiment in part.stored.experiments],
+        merge=Merge(
+            models=[
+                MergedModel(
+                    file=part.label,
+                    method=part.result.method,
+                    experiments=[experiment_result(model, experiment) for experiment in part.stored.experiments],
+                    parameters=len(part.names),
+                    variance_ratio=part.ratio,
+                )
+                for part in parts
+            ],
+            consistency=consistency,
+        ),
+        estimate=estimate_result(
+            Estimate(
+                active=solution.active,
+                values=solution.parameters[list(solution.active)],
+                root=merged.root,
+                covariance=merged.covariance,
+                taken_up=merged.taken_up,
+                blocks=min(part.information.blocks for part in parts),
+            ),
+            base.names,
+        ),
+    )
+    return result.model_copy(update={"verdict": _verdict(result)})
+
+
+def _residuals(parts: Sequence[MergeInput]) -> Residuals:
+    """Those of the experiments: of each joint, where its torque was used with the most equations."""
+    stored = [part.result.residuals for part in parts]
+
+    def best(name: str, joint: int) -> float | None:
+        known = [
+            (residuals.rows, value) for residuals in stored if (value := getattr(residuals, name)[joint]) is not None
+        ]
+        return max(known)[1] if known else None
+
+    joints = range(len(parts[0].result.joints))
+    return Residuals(
+        rows=sum(residuals.rows for residuals in stored),
+        effective_rows=sum(residuals.effective_rows or 0.0 for residuals in stored),
+        joint_std=[best("joint_std", joint) for joint in joints],
+        autocorrelation=[best("autocorrelation", joint) for joint in joints],
+        block_length=max(residuals.block_length for residuals in stored),
+        blocks=min(residuals.blocks for residuals in stored),
+        repetitions=max(residuals.repetitions for residuals in stored),
+        correction="the covariances of the models, carried through the merge",
+    )
+
+
+def _consistency(parts: Sequence[MergeInput], merged: MergedEstimate) -> Consistency | None:
+    test = merged.consistency
+    if test is None:
+        return None
+    found = [
+        Contradiction(
+            file=part.label, parameter=name, value=float(value), merged=float(fitted), deviations=float(deviation)
+        )
+        for part, deviations, fits in zip(parts, merged.deviations, merged.fitted, strict=True)
+        for name, value, fitted, deviation in zip(part.names, part.information.values, fits, deviations, strict=True)
+        if abs(deviation) > CONTRADICTING
+    ]
+    found.sort(key=lambda one: -abs(one.deviations))
+    shared = f"the {test.freedom} combination{'s' if test.freedom > 1 else ''} of parameters that more than one tells"
+    chance = f"χ² = {test.statistic:.1f}, chance alone gives a larger one in {_percent(test.p_value)} of cases"
+    if test.passed:
+        text = f"The models agree on {shared} ({chance})."
+    else:
+        text = (
+            f"The models contradict each other on {shared} ({chance}): another arm, load, temperature or drive gains, "
+            "or error bars that are too small."
+        )
+    return Consistency(
+        statistic=test.statistic,
+        freedom=test.freedom,
+        p_value=test.p_value,
+        agree=test.passed,
+        text=text,
+        contradictions=found[:MOST_CONTRADICTIONS],
+    )
+
+
+def _percent(share: float) -> str:
+    if share < 1e-4:
+        return "less than 0.01 %"
+    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
+
+
+def _warnings(
+    model: DynamicModel,
+    base: BaseParameters,
+    parts: Sequence[MergeInput],
+    merged: MergedEstimate,
+    std: FloatArray,
+    unexcited: Sequence[str],
+    consistency: Consistency | None,
+) -> list[str]:
+    warnings = []
+    if consistency is not None and not consistency.agree:
+        worst = ", ".join(
+            f"{one.parameter} of {one.file} ({one.deviations:+.1f} σ)" for one in consistency.contradictions[:3]
+        )
+        warnings.append(consistency.text + (f" Furthest from the merged model: {worst}." if worst else ""))
+    if unexcited:
+        warnings.append(f"the recordings do not excite {', '.join(unexcited)}: no values for them")
+    whole = base_parameters(model)
+    if base.count < whole.count:
+        warnings.append(
+            f"together the experiments can show {base.count} of the arm's {whole.count} base parameters: the model "
+            "predicts the torques that were used, with the joints locked as they were, and no others"
+        )
+    elif (share := indefinite_share(model, base, merged.solution.parameters)) > 0:
+        warnings.append(
+            f"the merged inertia matrix is not positive definite at {share * 100:.0f} % of random poses: good for "
+            "predicting torque, not for forward simulation"
+        )
+    warnings += sign_warnings(base, merged.solution.parameters, std)
+    for part in parts:
+        if count := len(part.result.warnings):
+            warnings.append(f"{part.label} has {count} warning{'s' if count > 1 else ''} of its own")
+    return warnings
+
+
+def _verdict(result: Result) -> str:
+    """How far to trust the merged model, in a few sentences."""
+    significant = sum(parameter.significant for parameter in result.base_parameters)
+    agreement = result.merge.consistency.text if result.merge and result.merge.consistency else ""
+    text = f"{agreement} " if agreement else "The models share nothing that could be compared. "
+    if result.validation is None or result.validation.relative_error is None:
+        text += "Nothing was held out to validate the merged model with (--validate). "
+    else:
+        error = result.validation.relative_error
+        text += (
+            f"On {result.validation_source}, predicted torque differs from measured torque by {error * 100:.1f} %. "
+            f"That is {judgement(error)}. "
+        )
+    text += (
+        f"{significant} of {len(result.base_parameters)} base parameters are significant; the essential model keeps "
+        f"{result.essential.count} of them"
+    )
+    essential = result.essential.validation
+    if essential is not None and essential.relative_error is not None:
+        text += f" and is off by {essential.relative_error * 100:.1f} %"
+    count = len(result.warnings)
+    return text + "." + (f" {count} warning{'s' if count > 1 else ''} to read first." if count else "")
+
+
+def _with_validation(result: Result, validated: Revalidation, source: str) -> Result:
+    essential = result.essential.model_copy(update={"validation": fit_result(validated.essential)})
+    result = result.model_copy(
+        update={"validation": fit_result(validated.full), "validation_source": source, "essential": essential}
+    )
+    return result.model_copy(update={"verdict": _verdict(result)})

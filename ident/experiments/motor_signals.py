@@ -1,0 +1,58 @@
+"""What drive gains are identified from: motor currents or voltages, times gains that are only presumed."""
+
+from __future__ import annotations
+
+from daq.recording import JOINTS_STREAM, Recording
+from daq.robot import Robot
+from drivers.errors import DataError
+from drivers.streams import FloatArray
+from ident.experiments.run_pair import Motion
+from ident.signals.joint_signals import MeasuredMotion, measured_motion
+
+
+def signal_of(robot: Robot) -> str:
+    """What the drives of an arm give: "current" or "voltage".
+
+    Raises:
+        DataError: they differ, or give torque.
+    """
+    signals = {robot.drive(name).signal for name in robot.joint_names}
+    if len(signals) > 1:
+        raise DataError(
+            f"the drives give different signals: {', '.join(sorted(signals))}",
+            where=f"{robot.name}: drives",
+            hint="all of them must give current, or all voltage",
+        )
+    signal = signals.pop()
+    if signal == "torque":
+        raise DataError(
+            "the drives give torque, which has no gain to be identified",
+            where=f"{robot.name}: drives",
+            hint="record motor currents and say 'signal: current'",
+        )
+    return signal
+
+
+def torques_by(gains: FloatArray) -> Motion:
+    """Reads positions and motor signals times gains (n,) from a recording.
+
+    The returned function raises DataError where the recording has no such signal.
+    """
+
+    def motion(recording: Recording, robot: Robot) -> MeasuredMotion:
+        signal = signal_of(robot)
+        stream = recording.streams.get(JOINTS_STREAM)
+        if stream is not None and signal not in stream.channels:
+            found = ", ".join(sorted(stream.channels)) or "nothing"
+            raise DataError(
+                f"records no motor {signal}, without which there is no gain to identify; it has {found}",
+                where=recording.label,
+                hint=f"record the motors' {signal}; a recorded torque has some gain in it already",
+            )
+        drives = tuple(
+            robot.drive(name).model_copy(update={"gain": float(gain)})
+            for name, gain in zip(robot.joint_names, gains, strict=True)
+        )
+        return measured_motion(recording, robot.model_copy(update={"drives": drives}))
+
+    return motion

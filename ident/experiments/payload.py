@@ -1,0 +1,253 @@
+"""The load on an arm's tool, from a run without and a run with it (SR400 .4.4, its load relations and Table 4).
+
+Both runs are one weighted least-squares problem: they share the base parameters x, and the load's columns stand in the
+loaded run's rows only,
+
+    [W_free        0      ] [x]   [τ_free  ]
+    [W_loaded  W_loaded·E ] [π] = [τ_loaded]        E = effect of the load on the base parameters (`ident.model.load`)
+
+Error bars come from the delete-block jackknife. The drive gains' uncertainty comes on top: the solution is linear in
+the torques, so a relative error ε_j of joint j's gain moves it by ε_j times what that joint's torque contributed.
+
+Whether a load explains what changed from one run to the other is tested on the base parameters that a load changes,
+identified from each run by itself. Their difference d has a covariance that is itself estimated from B blocks, so the
+chi-square statistic dᵀC⁻¹d is compared with Hotelling's T² distribution, which tends to chi-square for many blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq.recording import Recording
+from daq.robot import RobotFile
+from drivers.streams import FloatArray
+from ident.experiments.load_estimate import (
+    LoadEstimate,
+    SeparateRuns,
+    change_between,
+    estimate_load,
+    identify_separately,
+    jackknife_covariance,
+)
+from ident.experiments.run_pair import FREE, LOADED, RunPair, prepare_pair, resting_warnings
+from ident.model.load import INDEPENDENT, MASS, KnownLoad, load_effect
+from ident.regression.hypothesis_tests import ChanceTest, chi_square_test
+from ident.signals.joint_signals import measured_motion
+
+NEGLIGIBLE = 0.002
+"""A mass within this share of the known one is as good as it, however little noise there is."""
+
+
+@dataclass(frozen=True)
+class BaseChange:
+    """Base parameters that a load changes, as in SR400 Table 4; arrays (m,) of one entry each.
+
+    Attributes:
+        numbers: which base parameters.
+        free, free_std: identified from the free run.
+        predicted: free plus the effect of the load.
+        loaded, loaded_std: identified from the loaded run.
+    """
+
+    numbers: tuple[int, ...]
+    free: FloatArray
+    free_std: FloatArray
+    predicted: FloatArray
+    loaded: FloatArray
+    loaded_std: FloatArray
+
+
+@dataclass(frozen=True)
+class LargestChange:
+    """Of the base parameters that a load leaves alone, the one that changed most between the runs.
+
+    Attributes:
+        number: of the base parameter.
+        free, loaded: identified from each run.
+        test: of its difference, as the largest of so many (Bonferroni); the statistic is its square in variances.
+    """
+
+    number: int
+    free: float
+    loaded: float
+    test: ChanceTest
+
+
+@dataclass(frozen=True)
+class Payload:
+    """All that two runs say of a load.
+
+    Attributes:
+        pair: the runs.
+        load: estimate without any knowledge of the load.
+        with_mass: estimate with what is known as a constraint; None where nothing is.
+        mass_test: known against identified mass, noise only; None where it is unknown or not identifiable.
+        values_test: all known against identified load parameters, noise only; None where the mass alone is known.
+        changes: base parameters without, predicted and identified with the load.
+        load_test: whether some load explains what changed; None where there are too few blocks.
+        known_test: whether the known load does; None where not all ten parameters are known, or as above.
+        rest: the largest difference of what a load does not change (friction, motor inertia); None where there is none.
+        blocks, block_length: of the jackknife.
+        warnings: for the user.
+    """
+
+    pair: RunPair
+    load: LoadEstimate
+    with_mass: LoadEstimate | None
+    mass_test: ChanceTest | None
+    values_test: ChanceTest | None
+    changes: BaseChange
+    load_test: ChanceTest | None
+    known_test: ChanceTest | None
+    rest: LargestChange | None
+    blocks: int
+    block_length: int
+    warnings: tuple[str, ...]
+
+
+def identify_payload(
+    free: Recording,
+    loaded: Recording,
+    known: KnownLoad | None = None,
+    robot_file: RobotFile | None = None,
+    delay: float | None = None,
+) -> Payload:
+    """The load that a loaded run carries and a free run does not.
+
+    Args:
+        free: recording without the load.
+        loaded: recording of the same arm with it.
+        known: what is known of the load; None where it is to be found.
+        robot_file: in place of the one that the free recording carries.
+        delay: of the torque [s]; searched where None.
+
+    Raises:
+        DataError: different arms, no torque, no load column that the motions could show.
+        IdentificationError: the system has no solution.
+    """
+    pair = prepare_pair(free, loaded, measured_motion, robot_file, delay)
+    effect = load_effect(pair.model, pair.base, pair.robot_file.robot)
+    separate, grams = identify_separately(pair)
+    estimate = estimate_load(pair, grams, effect, separate.weights, None)
+    constrained = None if known is None else estimate_load(pair, grams, effect, separate.weights, known)
+    used = estimate if constrained is None else constrained
+    load_parameters = np.where(np.isfinite(used.values), used.values, 0.0)
+    shift = used.columns.effect @ load_parameters + (0.0 if known is None else effect @ known.values)
+    changing, rest = _changing(effect, separate.active)
+    difference, covariance = change_between(separate)
+    position = {column: place for place, column in enumerate(separate.active)}
+    rows, others = [position[i] for i in changing], [position[i] for i in rest]
+    blocks = grams.count
+    deviations = [np.sqrt(np.diag(jackknife_covariance(moves))) for moves in separate.moves]
+    every = list(changing)
+    known_test = None
+    if known is not None and len(known.known) == 10:
+        left = difference - (effect @ known.values)[list(separate.active)]
+        known_test = chi_square_test(left[rows], covariance[np.ix_(rows, rows)], blocks)
+    payload = Payload(
+        pair=pair,
+        load=estimate,
+        with_mass=constrained,
+        mass_test=_mass_test(estimate, known),
+        values_test=_values_test(estimate, known, blocks),
+        changes=BaseChange(
+            numbers=changing,
+            free=separate.parameters[FREE][every],
+            free_std=deviations[FREE][rows],
+            predicted=(separate.parameters[FREE] + shift)[every],
+            loaded=separate.parameters[LOADED][every],
+            loaded_std=deviations[LOADED][rows],
+        ),
+        load_test=chi_square_test(difference[rows], covariance[np.ix_(rows, rows)], blocks, effect[every]),
+        known_test=known_test,
+        rest=_largest_change(separate, difference, covariance, others, blocks),
+        blocks=blocks,
+        block_length=grams.length,
+        warnings=(),
+    )
+    return replace(payload, warnings=tuple(_warnings(payload, (free, loaded))))
+
+
+def _largest_change(
+    separate: SeparateRuns, difference: FloatArray, covariance: FloatArray, places: Sequence[int], blocks: int
+) -> LargestChange | None:
+    """The largest difference among the active parameters at `places`, in standard deviations."""
+    from scipy.stats import t as t_distribution
+
+    spread = np.sqrt(np.diag(covariance))
+    telling = [place for place in places if spread[place] > 0]
+    if not telling:
+        return None
+    worst = max(telling, key=lambda place: abs(float(difference[place] / spread[place])))
+    size = abs(float(difference[worst] / spread[worst]))
+    chance = min(1.0, len(telling) * 2.0 * float(t_distribution.sf(size, blocks - 1)))
+    number = separate.active[worst]
+    free, loaded = (float(values[number]) for values in separate.parameters)
+    return LargestChange(number, free, loaded, ChanceTest(size**2, 1, chance))
+
+
+def _changing(effect: FloatArray, active: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Numbers of the active base parameters that a load changes, and of the others."""
+    changes = np.any(np.abs(effect) > INDEPENDENT, axis=1)
+    return tuple(i for i in active if changes[i]), tuple(i for i in active if not changes[i])
+
+
+def _mass_test(estimate: LoadEstimate, known: KnownLoad | None) -> ChanceTest | None:
+    if known is None or not np.isfinite(estimate.standard[MASS]):
+        return None
+    from scipy.stats import chi2
+
+    place = estimate.columns.kept.index(MASS)
+    statistic = float((estimate.standard[MASS] - known.mass) ** 2 / estimate.covariance[place, place])
+    return ChanceTest(statistic, 1, float(chi2.sf(statistic, 1)))
+
+
+def _values_test(estimate: LoadEstimate, known: KnownLoad | None, blocks: int) -> ChanceTest | None:
+    if known is None or len(known.known) < 2:
+        return None
+    places = [
+        place
+        for place, parameter in enumerate(estimate.columns.kept)
+        if parameter in known.known and np.isfinite(estimate.standard[parameter])
+    ]
+    kept = [estimate.columns.kept[place] for place in places]
+    return chi_square_test(
+        estimate.standard[kept] - known.values[kept], estimate.covariance[np.ix_(places, places)], blocks
+    )
+
+
+def _warnings(found: Payload, recordings: tuple[Recording, Recording]) -> list[str]:
+    warnings = [
+        f"{recording.label} was not closed in order: its end may be missing"
+        for recording in recordings
+        if not recording.complete
+    ]
+    warnings += resting_warnings(found.pair)
+    if found.load.unexcited:
+        warnings.append(
+            f"the two motions cannot tell {', '.join(found.load.unexcited)}: no values for them, and other parameters "
+            "may have taken theirs up"
+        )
+    mass, known = found.load.standard[MASS], found.load.known or (found.with_mass and found.with_mass.known)
+    if found.mass_test is not None and known and not found.mass_test.passed and abs(mass / known.mass - 1) > NEGLIGIBLE:
+        warnings.append(
+            f"the identified mass is {100 * (mass / known.mass - 1):+.1f} % off the known one, more than noise "
+            "explains: if the load was weighed right, drive gains are off by about as much; dynid gains finds them"
+        )
+    place = found.load.columns.kept.index(MASS) if MASS in found.load.columns.kept else None
+    if place is not None and np.isfinite(mass) and mass < 2 * np.sqrt(found.load.covariance[place, place]):
+        warnings.append("no load shows: the identified mass is not larger than two standard deviations")
+    if found.load_test is not None and not found.load_test.passed:
+        warnings.append(
+            "what changed between the runs is not what a load on the last link changes: it slips, drags a hose, "
+            "touches something, or the drive gains are wrong"
+        )
+    if found.rest is not None and not found.rest.test.passed:
+        warnings.append(
+            "friction or motor inertia changed between the runs, although a load does not change them: warm the arm up "
+            "before both, or the drive gains are wrong"
+        )
+    return warnings

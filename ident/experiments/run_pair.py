@@ -1,0 +1,253 @@
+"""Two recordings of one arm, without and with a load on its tool, reduced alike and cut into the same blocks.
+
+All that payload and drive gains need of them are, for each run and joint, the triangular factor of [W_j y_j] (y the
+joint torque, or the motor's signal) and the Gram matrices of its blocks, from which the delete-block jackknife of
+`jackknife` follows for any estimator: samples of the same phase of a motion share a block over both runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from daq.recording import Recording
+from daq.robot import Robot, RobotFile
+from drivers.errors import DataError, DynidError, UsageError
+from drivers.streams import FloatArray
+from ident.assessment.delay import search_delay
+from ident.assessment.excitation import excited_base_columns
+from ident.model.base_parameters import BaseParameters, base_parameters
+from ident.model.dynamics import DynamicModel, build_model
+from ident.model.regressor import RegressorKernel
+from ident.regression.autocorrelation import residual_autocorrelation
+from ident.regression.comparison import TorqueSeries, compare_torques
+from ident.regression.jackknife import block_length
+from ident.regression.observation_matrix import Reduction, filtered_blocks, reduce_segments, stack_reductions
+from ident.regression.velocity_reversals import without_reversals
+from ident.signals.joint_signals import MeasuredMotion
+from ident.signals.pipeline import Prepared, PreprocessChoices, prepare
+from ident.signals.repetition import motion_phases
+
+FREE, LOADED = 0, 1
+"""Numbers of the two runs, in every list of two."""
+
+Motion = Callable[[Recording, Robot], MeasuredMotion]
+"""What is taken from a recording: positions, and torques or motor signals."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One of the two recordings, ready for the estimator."""
+
+    label: str
+    prepared: Prepared
+    reduction: Reduction
+
+
+@dataclass(frozen=True)
+class RunPair:
+    """The free and the loaded run.
+
+    Attributes:
+        robot_file: the arm.
+        model, base, kernel: its model, base parameters and their regressor.
+        runs: free, then loaded.
+        active: base columns that the two runs together excite.
+        delay: of the torque [s], used for both runs, and what was found in words.
+        delay_note: what the search for it found, in words.
+    """
+
+    robot_file: RobotFile
+    model: DynamicModel
+    base: BaseParameters
+    kernel: RegressorKernel
+    runs: tuple[Run, Run]
+    active: tuple[int, ...]
+    delay: float
+    delay_note: str
+
+
+@dataclass(frozen=True)
+class BlockGrams:
+    """[W_j y_j]ᵀ[W_j y_j] of every block.
+
+    Attributes:
+        grams: for each run and joint (B, w + 1, w + 1), w its structurally non-zero base columns, y_j last.
+        length: samples a block.
+    """
+
+    grams: tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]
+    length: int
+
+    @property
+    def count(self) -> int:
+        """Number of blocks B."""
+        return int(self.grams[0][0].shape[0])
+
+
+def check_same_robot(free: Recording, loaded: Recording) -> None:
+    """Refuse two recordings of different arms, and the same file twice.
+
+    Raises:
+        DataError: names, joints or geometry differ.
+        UsageError: free and loaded run are one file.
+    """
+    if free.path is not None and free.path == loaded.path:
+        raise UsageError("free and loaded run are the same file", where=free.label)
+    first, second = free.robot(), loaded.robot()
+    if first.robot.name != second.robot.name:
+        difference = f"one is of '{first.robot.name}', the other of '{second.robot.name}'"
+    elif first.robot.joint_names != second.robot.joint_names:
+        difference = "their robot files name different joints"
+    elif first.robot.model != second.robot.model or first.urdf_text != second.urdf_text:
+        difference = "their robot files have different kinematics or gravity"
+    else:
+        return
+    raise DataError(
+        f"the two recordings are of different arms: {difference}",
+        where=f"{free.label}, {loaded.label}",
+        hint="a free and a loaded run of the same arm are needed",
+    )
+
+
+def prepare_pair(
+    free: Recording,
+    loaded: Recording,
+    motion_of: Motion,
+    robot_file: RobotFile | None = None,
+    delay: float | None = None,
+) -> RunPair:
+    """Preprocess and reduce both runs with the same filters.
+
+    Args:
+        free: recording without the load.
+        loaded: recording with it.
+        motion_of: what the right-hand side is.
+        robot_file: in place of the one that the free recording carries.
+        delay: of the torque [s]; searched in the free run where None.
+
+    Raises:
+        DynidError: the recordings are of different arms, or one of them lacks something.
+    """
+    check_same_robot(free, loaded)
+    robot_file = free.robot() if robot_file is None else robot_file
+    motions = [motion_of(recording, robot_file.robot) for recording in (free, loaded)]
+    model = build_model(robot_file)
+    base = base_parameters(model)
+    kernel = RegressorKernel(model, base.columns)
+    first = _prepare(motions[FREE], PreprocessChoices(delay=delay or 0.0))
+    choices, note = first.choices, "as given, not searched"
+    if delay is None:
+        found = search_delay(kernel, without_reversals(kernel, first.segments), first.parallel_filter)
+        choices, note = replace(choices, delay=found.used), found.note
+    runs = []
+    for motion in motions:
+        prepared = _prepare(motion, choices)
+        reduction = reduce_segments(kernel, prepared.segments, prepared.parallel_filter)
+        runs.append(Run(motion.label, prepared, reduction))
+    pair = (runs[FREE], runs[LOADED])
+    active = excited_base_columns(
+        stack_reductions([run.reduction for run in pair]), base, [run.prepared for run in pair]
+    )
+    return RunPair(robot_file, model, base, kernel, pair, active, choices.delay, note)
+
+
+def resting_warnings(pair: RunPair) -> list[str]:
+    """A sentence for each run in which joints rest throughout: static friction may hold any part of their load."""
+    warnings = []
+    for run in pair.runs:
+        limit = run.prepared.choices.rest_velocity or 0.0
+        speed = np.max([np.max(np.abs(segment.velocity), axis=1) for segment in run.prepared.segments], axis=0)
+        resting = [name for name, value in zip(pair.model.joint_names, speed, strict=True) if value < limit]
+        if resting:
+            warnings.append(
+                f"{', '.join(resting)} rest{'s' if len(resting) == 1 else ''} throughout {run.label}: static friction "
+                "may hold part of what their motors seem to bear; move all joints in both runs"
+            )
+    return warnings
+
+
+def _prepare(motion: MeasuredMotion, choices: PreprocessChoices) -> Prepared:
+    try:
+        return prepare(motion.time, motion.position, motion.torque, choices, velocity=motion.velocity)
+    except DynidError as error:
+        where = f"{motion.label}: {error.where}" if error.where else motion.label
+        raise type(error)(error.message, where=where, hint=error.hint) from error
+
+
+def block_grams(
+    pair: RunPair, parameters: tuple[FloatArray, FloatArray], joints: Sequence[int] | None = None
+) -> BlockGrams:
+    """Gram matrices of both runs' blocks.
+
+    Args:
+        pair: the runs.
+        parameters: base parameters (b,) of each run, whose residuals tell how long a block must be.
+        joints: those whose residuals do; all where None.
+    """
+    series = [_series(pair, run, values) for run, values in zip(pair.runs, parameters, strict=True)]
+    everything = [part for of_run in series for part in of_run]
+    phases = iter(motion_phases([part.velocity for part in everything]))
+    numbers = [[next(phases) for _ in of_run] for of_run in series]
+    counted = np.concatenate(
+        [
+            number[part.used]
+            for of_run, parts in zip(numbers, series, strict=True)
+            for number, part in zip(of_run, parts, strict=True)
+        ]
+    )
+    different = np.unique(counted)
+    autocorrelation = residual_autocorrelation(everything)
+    length = block_length(autocorrelation if joints is None else autocorrelation[list(joints)], len(different))
+    blocks = (len(different) - 1) // length + 1
+    grams = []
+    for run, of_run in zip(pair.runs, numbers, strict=True):
+        sums = [
+            np.zeros((blocks, rows.rows.stop - rows.rows.start + 1, rows.rows.stop - rows.rows.start + 1))
+            for rows in pair.kernel.joint_rows
+        ]
+        for segment, number in zip(run.prepared.segments, of_run, strict=True):
+            position = 0
+            for block in filtered_blocks(pair.kernel, segment, run.prepared.parallel_filter, segment.torque):
+                part = number[position : position + len(block.used)]
+                position += len(block.used)
+                index = np.searchsorted(different, part[block.used]) // length
+                _add(sums, pair.kernel, block.regressor[:, block.used], block.torque[:, block.used], index)
+        grams.append(tuple(sums))
+    return BlockGrams((grams[FREE], grams[LOADED]), length)
+
+
+def _series(pair: RunPair, run: Run, parameters: FloatArray) -> tuple[TorqueSeries, ...]:
+    return compare_torques(
+        pair.model, pair.base.columns, parameters, run.prepared.segments, run.prepared.parallel_filter
+    )
+
+
+def _add(
+    sums: list[FloatArray],
+    kernel: RegressorKernel,
+    regressor: FloatArray,
+    torque: FloatArray,
+    index: np.ndarray[tuple[int], np.dtype[np.int64]],
+) -> None:
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(index)) + 1, [len(index)]]).tolist()
+    for start, stop in pairwise(edges):
+        if start == stop:
+            continue
+        for joint, rows in enumerate(kernel.joint_rows):
+            wide = np.vstack([regressor[rows.rows, start:stop], torque[joint : joint + 1, start:stop]])
+            sums[joint][index[start]] += wide @ wide.T
+
+
+def widened(columns: tuple[int, ...], count: int, effect: FloatArray, shift: FloatArray) -> FloatArray:
+    """(w + 1, b + k + 1) takes [W_j τ_j], non-zero columns only, to [W_j, W_j·effect, τ_j − W_j·shift]."""
+    width, extra = len(columns), effect.shape[1]
+    wide = np.zeros((width + 1, count + extra + 1))
+    wide[np.arange(width), list(columns)] = 1.0
+    wide[:width, count : count + extra] = effect[list(columns)]
+    wide[:width, -1] = -shift[list(columns)]
+    wide[width, -1] = 1.0
+    return wide

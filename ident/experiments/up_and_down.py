@@ -1,0 +1,397 @@
+"""Drive gains from slow up-and-down runs, without and with a load of known mass: gravity against friction.
+
+What the load adds to the half sum of the signals up and down (`slow_passes`) is its gravity torque over the gain,
+
+    g_j·(s_loaded − s_free) = E_j(q)·load
+
+E_j(q) follows from the kinematics alone: neither the arm's own parameters nor a model of friction are needed, and the
+joints at rest do not matter. With a known centre of mass each joint stands for itself; without, the three first moments
+are unknown to all joints alike, and gains and moments are the null vector of one small system, solved as that of the
+exciting motions (`total_least_squares`). Standard deviations come from a delete-block jackknife over the bins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.recording import Recording
+from daq.robot import Robot, RobotFile
+from drivers.errors import DataError, IdentificationError
+from drivers.streams import FloatArray
+from ident.experiments.drive_gains import LEAST_GAP
+from ident.experiments.motor_signals import signal_of, torques_by
+from ident.experiments.run_pair import check_same_robot
+from ident.experiments.slow_passes import Pass, Sweep, passes_of, sweeps_of
+from ident.linear_algebra.independent_columns import independent_columns
+from ident.linear_algebra.triangular import triangular
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import DynamicModel, build_model
+from ident.model.load import FIRST_MOMENTS, KnownLoad, load_effect
+from ident.model.parameters import INERTIAL
+from ident.model.regressor import regressor
+from ident.regression.autocorrelation import lag_one
+from ident.regression.jackknife import block_length
+from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.regression.total_least_squares import NullVector, null_vector, null_vector_of_gram, signal_noise
+from ident.signals.pipeline import Prepared, PreprocessChoices, prepare
+
+LEAST_SIGNAL = 10.0
+"""What the load adds to a joint's signal, as a vector over its bins, must be this many deviations of one bin long: a
+gain is then known to about 10 %."""
+
+FEWEST_BINS = 8
+"""Bins of a joint below which its jackknife says nothing."""
+
+
+@dataclass(frozen=True)
+class SlowGain:
+    """Gain of one joint's drive from slow passes; nan, and inf for the deviation, where they tell nothing.
+
+    Attributes:
+        joint: its name.
+        gain: torque per signal, joint side, sign included [N·m/A or N·m/V].
+        std: its standard deviation.
+        file_gain: of the robot file; None where it names none.
+        sweeps, bins: poses of the other joints in which it passed up and down, and positions compared in all of them.
+        speed: mean [rad/s or m/s].
+        free_friction, loaded_friction: mean half difference, by the gain [N·m].
+        reason: why there is no value; empty where there is one.
+    """
+
+    joint: str
+    gain: float
+    std: float
+    file_gain: float | None
+    sweeps: int
+    bins: int
+    speed: float
+    free_friction: float
+    loaded_friction: float
+    reason: str
+
+    @property
+    def relative_std(self) -> float:
+        """Standard deviation [%] of the gain."""
+        return 100.0 * self.std / abs(self.gain) if np.isfinite(self.gain) and self.gain else float("inf")
+
+
+@dataclass(frozen=True)
+class SlowGains:
+    """All that slow up-and-down runs say of the drives.
+
+    Attributes:
+        robot: content of the robot file.
+        runs: what messages call the free and the loaded recording.
+        signal: what was recorded of the motors: "current" or "voltage".
+        known: the load.
+        gains: one a joint.
+        moments, moments_std: (3,) first moments of the load in the tool frame [kg·m], nan where they do not show;
+            those that are known have no deviation.
+        gap: second-smallest over smallest singular value; inf where one gain, or each for itself, is identified.
+        warnings: for the user.
+    """
+
+    robot: Robot
+    runs: tuple[str, str]
+    signal: str
+    known: KnownLoad
+    gains: tuple[SlowGain, ...]
+    moments: FloatArray
+    moments_std: FloatArray
+    gap: float
+    warnings: tuple[str, ...]
+
+    @property
+    def values(self) -> FloatArray:
+        """(n,) gains."""
+        return np.array([gain.gain for gain in self.gains])
+
+    @property
+    def std(self) -> FloatArray:
+        """(n,) their standard deviations."""
+        return np.array([gain.std for gain in self.gains])
+
+
+@dataclass(frozen=True)
+class _JointRows:
+    """One joint's bins: gravity of unit load parameters (m, 10) [N·m], and what the load adds to the signal (m,)."""
+
+    joint: int
+    gravity: FloatArray
+    signal: FloatArray
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """Gains of some joints and what of the load was estimated with them.
+
+    Attributes:
+        joints: their numbers.
+        gains: (n,) [N·m/A or N·m/V].
+        unknown, moments: which load parameters (a,), and their values [kg·m].
+        deviations: (n + a,) standard deviations of both.
+        gap: second-smallest over smallest singular value.
+    """
+
+    joints: tuple[int, ...]
+    gains: FloatArray
+    unknown: tuple[int, ...]
+    moments: FloatArray
+    deviations: FloatArray
+    gap: float
+
+
+def identify_slow_gains(
+    free: Recording,
+    loaded: Recording,
+    known: KnownLoad,
+    robot_file: RobotFile | None = None,
+    delay: float | None = None,
+) -> SlowGains:
+    """Gains of the drives whose joints pass slowly up and down, one at a time, in both runs.
+
+    Args:
+        free: recording without the load, with motor signals.
+        loaded: recording of the same arm with it.
+        known: of the load; its mass at least.
+        robot_file: in place of the one that the free recording carries.
+        delay: of the signals [s]; 0 where None, since it cancels between up and down.
+
+    Raises:
+        DataError: different arms, no motor signal, no joint with slow passes in both directions and both runs.
+        IdentificationError: the gains cannot be told from the unknown centre of mass.
+    """
+    check_same_robot(free, loaded)
+    robot_file = free.robot() if robot_file is None else robot_file
+    robot = robot_file.robot
+    model = build_model(robot_file)
+    prepared = [_prepared(recording, robot, delay or 0.0) for recording in (free, loaded)]
+    passes = [_passes(part) for part in prepared]
+    sweeps = sweeps_of(*passes)
+    if not sweeps:
+        raise DataError(
+            "no joint passes the same positions slowly in both directions in both runs, the others at rest in the same "
+            "pose",
+            where=f"{free.label}, {loaded.label}",
+            hint="record a motion of kind 'points', one joint there and back after the other; without --up-and-down "
+            "any motion of all joints will do",
+        )
+    rows = _joint_rows(model, robot, sweeps)
+    reasons = _reasons(rows, known, model.dof)
+    used = [each for each in rows if not reasons[each.joint]]
+    if not used:
+        raise DataError(
+            "no joint tells its gain: "
+            + "; ".join(f"{robot.joint_names[each.joint]}: {reasons[each.joint]}" for each in rows),
+            where=loaded.label,
+            hint="move joints whose axes are not vertical, as fast up as down, with a heavier load",
+        )
+    if known.com is not None:  # nothing is shared: each joint for itself
+        solved = [_solve([each], (), known) for each in used]
+    else:
+        solved = [_with_moments(used, known, reasons, loaded.label)]
+    return _found(robot, (free.label, loaded.label), known, sweeps, reasons, solved)
+
+
+def _prepared(recording: Recording, robot: Robot, delay: float) -> Prepared:
+    motion = torques_by(np.ones(len(robot.joint_names)))(recording, robot)
+    return prepare(
+        motion.time, motion.position, motion.torque, PreprocessChoices(delay=delay), velocity=motion.velocity
+    )
+
+
+def _passes(part: Prepared) -> list[Pass]:
+    return passes_of(part.segments, part.choices.rest_velocity or 0.0)
+
+
+def _joint_rows(model: DynamicModel, robot: Robot, sweeps: Sequence[Sweep]) -> list[_JointRows]:
+    base = base_parameters(model)
+    effect = load_effect(model, base, robot)
+    rows = []
+    for joint in sorted({sweep.joint for sweep in sweeps}):
+        own = [sweep for sweep in sweeps if sweep.joint == joint]
+        pose = np.concatenate([sweep.pose for sweep in own], axis=1)
+        columns = regressor(model, pose, np.zeros_like(pose), np.zeros_like(pose), base.columns)
+        added = np.concatenate([sweep.half_sum[1] - sweep.half_sum[0] for sweep in own])
+        rows.append(_JointRows(joint, columns[joint].T @ effect, added))
+    return rows
+
+
+def _reasons(rows: Sequence[_JointRows], known: KnownLoad, dof: int) -> list[str]:
+    """Why a joint gets no gain, in words; empty where it gets one."""
+    reasons = ["no slow passes up and down with the others at rest, in both runs"] * dof
+    moments = FIRST_MOMENTS if known.com is None else ()
+    for each in rows:
+        factor, count = triangular(_wide(each, moments, known)), np.array([float(len(each.signal))])
+        if len(each.signal) < FEWEST_BINS:
+            reasons[each.joint] = f"only {len(each.signal)} positions are passed both ways at the same speed"
+        elif _explained(factor) < LEAST_SIGNAL * signal_noise([factor], count)[0]:
+            reasons[each.joint] = "the load's weight about its axis does not rise out of the noise"
+        else:
+            reasons[each.joint] = ""
+    return reasons
+
+
+def _explained(factor: FloatArray) -> float:
+    """Length of what the columns (·, a) of a triangular factor (·, a + 1) explain of its last one."""
+    rest = np.linalg.norm(factor[factor.shape[1] - 1 :, -1])
+    return float(np.sqrt(max(float(factor[:, -1] @ factor[:, -1] - rest**2), 0.0)))
+
+
+def _with_moments(used: Sequence[_JointRows], known: KnownLoad, reasons: list[str], where: str) -> _Solved:
+    """Gains and first moments together; without the joints on which moments alone act, where these are not told so.
+
+    Raises:
+        IdentificationError: gains and centre of mass cannot be told apart.
+    """
+    bearing = [each for each in used if _bears(each, known)]
+    for joints in (used, bearing):
+        unknown = _unknown_moments(joints, known)
+        if unknown is None:
+            continue
+        solved = _solve(joints, unknown, known)
+        if solved.gap >= LEAST_GAP:
+            for each in used:
+                if all(each is not other for other in joints):
+                    reasons[each.joint] = "only the load's unknown moments act on it; give its centre of mass"
+            return solved
+    raise IdentificationError(
+        "these passes cannot tell the gains from the load's centre of mass, which is unknown",
+        where=where,
+        hint="give it with --com, or let more joints pass up and down, in several poses of the others",
+    )
+
+
+def _bears(each: _JointRows, known: KnownLoad) -> bool:
+    """Whether what is known of the load has weight about a joint's axis."""
+    weight = np.max(np.abs(each.gravity @ known.values))
+    return bool(weight > 1e-6 * np.max(np.abs(each.gravity)) * known.mass)
+
+
+def _unknown_moments(joints: Sequence[_JointRows], known: KnownLoad) -> tuple[int, ...] | None:
+    """Which first moments show; None where the known mass does not show beside them."""
+    if not joints:
+        return None
+    columns = np.vstack([_wide(each, FIRST_MOMENTS, known)[:, :-1] for each in joints])
+    lengths = np.linalg.norm(columns, axis=0)
+    kept = independent_columns(columns / np.where(lengths > 0.0, lengths, 1.0), range(columns.shape[1]), 1e-6)
+    if columns.shape[1] - 1 not in kept:
+        return None
+    return tuple(FIRST_MOMENTS[number] for number in kept[:-1])
+
+
+def _wide(each: _JointRows, unknown: Sequence[int], known: KnownLoad) -> FloatArray:
+    """(m, a + 2) columns of the unknown moments, of the known load, and the signal."""
+    return np.column_stack([each.gravity[:, list(unknown)], each.gravity @ known.values, each.signal])
+
+
+def _solve(joints: Sequence[_JointRows], unknown: Sequence[int], known: KnownLoad) -> _Solved:
+    wides = [_wide(each, unknown, known) for each in joints]
+    counts = np.array([float(len(wide)) for wide in wides])
+    factors = [triangular(wide) for wide in wides]
+    solution = null_vector(factors, counts, signal_noise(factors, counts))
+    covariance = _jackknife(wides, solution)
+    return _Solved(
+        joints=tuple(each.joint for each in joints),
+        gains=solution.factors,
+        unknown=tuple(unknown),
+        moments=solution.unknowns[:-1],
+        deviations=np.sqrt(np.diag(covariance)),
+        gap=solution.gap,
+    )
+
+
+def _jackknife(wides: Sequence[FloatArray], solution: NullVector) -> FloatArray:
+    """Covariance (n + a, n + a) of gains and unknown moments, blocks of bins as long as the residuals' memory."""
+    width = wides[0].shape[1] - 1
+    size = width + len(wides)
+    blocks = []
+    for number, (wide, gain) in enumerate(zip(wides, solution.factors, strict=True)):
+        residual = gain * wide[:, -1] - wide[:, :-1] @ solution.unknowns
+        length = block_length(lag_one([residual[None]]), len(wide))
+        place = np.ix_([*range(width), width + number], [*range(width), width + number])
+        for start in range(0, len(wide), length):
+            part = solution.weights[number] * wide[start : start + length]
+            block = np.zeros((size, size))
+            block[place] = part.T @ part
+            blocks.append(block)
+    total = np.sum(blocks, axis=0)
+    whole = np.concatenate(null_vector_of_gram(total, solution.scale))
+    moves = np.array([whole - np.concatenate(null_vector_of_gram(total - block, solution.scale)) for block in blocks])
+    moves = moves[:, :-1]  # the known load stays what it is
+    return np.asarray((len(blocks) - 1) / len(blocks) * moves.T @ moves)
+
+
+def _found(
+    robot: Robot,
+    runs: tuple[str, str],
+    known: KnownLoad,
+    sweeps: Sequence[Sweep],
+    reasons: Sequence[str],
+    solved: Sequence[_Solved],
+) -> SlowGains:
+    values, deviations = np.full(len(reasons), np.nan), np.full(len(reasons), np.inf)
+    moments, spread = np.full(3, np.nan), np.full(3, np.nan)
+    if known.com is not None:
+        moments, spread = known.values[list(FIRST_MOMENTS)], np.zeros(3)
+    for part in solved:
+        values[list(part.joints)], deviations[list(part.joints)] = part.gains, part.deviations[: len(part.joints)]
+        places = [FIRST_MOMENTS.index(column) for column in part.unknown]
+        moments[places], spread[places] = part.moments, part.deviations[len(part.joints) :]
+    gains = tuple(
+        _slow_gain(robot, joint, float(values[joint]), float(deviations[joint]), sweeps, reasons[joint])
+        for joint in range(len(reasons))
+    )
+    return SlowGains(
+        robot=robot,
+        runs=runs,
+        signal=signal_of(robot),
+        known=known,
+        gains=gains,
+        moments=moments,
+        moments_std=spread,
+        gap=min(part.gap for part in solved),
+        warnings=tuple(_warnings(gains, moments)),
+    )
+
+
+def _slow_gain(robot: Robot, joint: int, gain: float, std: float, sweeps: Sequence[Sweep], reason: str) -> SlowGain:
+    name = robot.joint_names[joint]
+    own = [sweep for sweep in sweeps if sweep.joint == joint]
+    friction, speed = np.full(2, np.nan), float("nan")
+    if own:
+        friction = np.abs(gain * np.concatenate([sweep.half_difference for sweep in own], axis=1).mean(axis=1))
+        speed = float(np.mean([sweep.speed for sweep in own]))
+    return SlowGain(
+        joint=name,
+        gain=gain,
+        std=std,
+        file_gain=robot.drive(name).gain,
+        sweeps=len(own),
+        bins=sum(sweep.pose.shape[1] for sweep in own),
+        speed=speed,
+        free_friction=float(friction[0]),
+        loaded_friction=float(friction[1]),
+        reason=reason,
+    )
+
+
+def _warnings(gains: Sequence[SlowGain], moments: FloatArray) -> list[str]:
+    warnings = []
+    for gain in gains:
+        if gain.reason:
+            warnings.append(f"no value for the gain of {gain.joint}: {gain.reason}")
+        elif gain.relative_std >= SIGNIFICANT_RSD:
+            warnings.append(
+                f"the gain of {gain.joint} is known to {gain.relative_std:.0f} % only; let it pass more often, with a "
+                "heavier load, or where the load is farther from its axis"
+            )
+        if gain.file_gain is not None and gain.gain * gain.file_gain < 0:
+            warnings.append(f"the gain of {gain.joint} has the opposite sign of the robot file's")
+    hidden = [INERTIAL[column] for column, value in zip(FIRST_MOMENTS, moments, strict=True) if np.isnan(value)]
+    if hidden:
+        warnings.append(f"the passes do not show the load's {', '.join(hidden)}")
+    return warnings

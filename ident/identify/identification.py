@@ -1,0 +1,164 @@
+"""What a user may choose of an identification, and what comes of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from daq.robot import RobotFile
+from drivers.errors import UsageError
+from drivers.streams import FloatArray
+from ident.assessment.delay import DelaySearch
+from ident.assessment.validation import FitFigures
+from ident.model.base_parameters import BaseParameters
+from ident.model.dynamics import DynamicModel
+from ident.regression.comparison import TorqueSeries
+from ident.regression.estimate import Estimate, estimate_of
+from ident.regression.jackknife import CorrectedCovariance
+from ident.regression.least_squares import ENERGY_METHODS, LeastSquares, Method
+from ident.regression.observability import Experiment, ExperimentChoices
+from ident.regression.observation_matrix import Reduction
+from ident.regression.pruning import SIGNIFICANT_RSD, Pruned
+from ident.regression.velocity_reversals import check_share
+from ident.signals.joint_signals import MeasuredMotion
+from ident.signals.pipeline import Prepared, PreprocessChoices
+
+FrictionModel = Literal["none", "viscous", "coulomb", "coulomb-viscous"]
+
+
+@dataclass(frozen=True)
+class ModelChoices:
+    """Departures from the robot file's columns; None follows the file.
+
+    Attributes:
+        friction: which friction columns every joint has.
+        offset: whether every joint has an offset torque.
+        motor_inertia: whether every joint has a motor inertia.
+        smoothing: ε [rad/s] of tanh(q̇/ε); 0 for sign(q̇).
+    """
+
+    friction: FrictionModel | None = None
+    offset: bool | None = None
+    motor_inertia: bool | None = None
+    smoothing: float | None = None
+
+
+@dataclass(frozen=True)
+class IdentifyChoices:
+    """What a user may choose.
+
+    Attributes:
+        method: estimator.
+        model: departures from the robot file's columns.
+        preprocess: filters, window, delay; `preprocess.delay` is not used where `search_delay` is set.
+        search_delay: find the torque's delay from the data.
+        split: end of the identification part of a single recording [s from its first stamp]; None takes the first 70 %.
+        significant_rsd: threshold of significance [%].
+        energy_window: mean duration of the energy method's windows [s]; None takes it from the parallel filter.
+        experiment: joints that must be locked, and motors whose torques are used.
+        reversals: equations of a motor slower than this share of its root mean square are left out; 0 keeps all.
+    """
+
+    method: Method = "wls"
+    model: ModelChoices = field(default_factory=ModelChoices)
+    preprocess: PreprocessChoices = field(default_factory=PreprocessChoices)
+    search_delay: bool = True
+    split: float | None = None
+    significant_rsd: float = SIGNIFICANT_RSD
+    energy_window: float | None = None
+    experiment: ExperimentChoices = field(default_factory=ExperimentChoices)
+    reversals: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_share(self.reversals)
+        if self.method in ENERGY_METHODS and self.reversals:
+            raise UsageError(
+                f"--leave-out-reversals has no meaning for --method {self.method}, whose equation is the whole arm's",
+                hint="use --method wls",
+            )
+        if self.method in ENERGY_METHODS and self.experiment.torques_of:
+            raise UsageError(
+                f"--torques-of has no meaning for --method {self.method}, whose equation is the whole arm's",
+                hint="use --method wls",
+            )
+        if self.energy_window is None:
+            return
+        if self.method != "energy":
+            raise UsageError("energy windows belong to the method energy", where="energy_window")
+        if not (np.isfinite(self.energy_window) and self.energy_window > 0):
+            raise UsageError(f"windows of {self.energy_window:g} s hold nothing", where="energy_window")
+
+
+@dataclass(frozen=True)
+class PreparedRun:
+    """A recording, or a part of one, ready for the estimator."""
+
+    motion: MeasuredMotion
+    choices: PreprocessChoices
+    prepared: Prepared
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Everything that the run found; `ident.identify.summary` turns it into a Result.
+
+    Attributes:
+        robot_file: the robot it was done for.
+        model: the model.
+        experiment: joints that stood still, motors whose torques were used.
+        base: what such an experiment can show of the arm.
+        choices: as given, with the cut-offs and the delay that were used.
+        runs, validation_runs: prepared data.
+        delay: the search, where one was made.
+        reduction: the reduced system.
+        solution: full model.
+        corrected: its covariance for residuals that are not white.
+        pruned: the essential model.
+        fit_series, validation_series: torques of the full model.
+        fit, validation, essential_fit, essential_validation: errors; validation is None where nothing was held out.
+        validation_source: what was held out, in words.
+        warnings: for the user.
+    """
+
+    robot_file: RobotFile
+    model: DynamicModel
+    experiment: Experiment
+    base: BaseParameters
+    choices: IdentifyChoices
+    runs: tuple[PreparedRun, ...]
+    validation_runs: tuple[PreparedRun, ...]
+    delay: DelaySearch | None
+    reduction: Reduction
+    solution: LeastSquares
+    corrected: CorrectedCovariance
+    pruned: Pruned
+    fit_series: tuple[TorqueSeries, ...]
+    validation_series: tuple[TorqueSeries, ...]
+    fit: FitFigures
+    validation: FitFigures
+    essential_fit: FitFigures
+    essential_validation: FitFigures
+    validation_source: str
+    warnings: tuple[str, ...]
+
+    @property
+    def std(self) -> FloatArray:
+        """Corrected standard deviations (b,) of the full model; inf where a parameter was not estimated."""
+        deviations = np.full(self.base.count, np.inf)
+        deviations[list(self.solution.active)] = np.sqrt(np.diag(self.corrected.covariance))
+        return deviations
+
+    @property
+    def estimate(self) -> Estimate:
+        """Values and covariance, for merging."""
+        return estimate_of(self.reduction, self.solution, self.corrected.covariance, self.corrected.blocks)
+
+    @property
+    def joint_std(self) -> FloatArray:
+        """Standard deviation (n,) of each joint's filtered torque residual [N·m]; nan where it was not used."""
+        if self.choices.method not in ENERGY_METHODS:
+            return np.where(self.solution.weights > 0, self.solution.joint_std, np.nan)
+        squares = sum(np.sum(part.residual**2, axis=1) for part in self.fit_series)
+        return np.asarray(np.sqrt(squares / max(1, sum(int(part.used.sum()) for part in self.fit_series))))

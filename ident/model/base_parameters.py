@@ -1,0 +1,221 @@
+"""Base parameters: the fewest combinations of standard parameters that fix the torque (SR400 .3.2; Gautier 1991).
+
+They are found numerically from random states inside the joint limits, never from a recording: what an arm can reveal
+does not depend on what somebody happened to record. Columns are kept greedily in a fixed order of preference that
+follows Khalil's regrouping rules (keep XX XY XZ YZ ZZ MX MY, regroup YY MZ M towards the base), so that the choice is
+stable and reads like the papers' tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from drivers.errors import IdentificationError
+from drivers.streams import FloatArray
+from ident.linear_algebra.independent_columns import independent_columns
+from ident.model.dynamics import DynamicModel
+from ident.model.joint_columns import joint_column
+from ident.model.loops import main_chain
+from ident.model.parameters import Kind, StandardParameter
+from ident.model.regressor import RegressorKernel, motion_factor
+
+RANDOM_SEED = 20260101
+STATES_PER_PARAMETER = 6
+RANK_TOLERANCE = 1e-7
+"""Singular values below this part of the largest, columns scaled to unit length, count as zero."""
+
+COEFFICIENT_TOLERANCE = 1e-9
+"""Regrouping coefficients below this are rounding."""
+
+_KEEP_FIRST = ("XX", "XY", "XZ", "YZ", "ZZ", "MX", "MY")
+_KEEP_LAST = ("YY", "MZ", "M")
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """The identifiable combinations of an arm's standard parameters.
+
+    Attributes:
+        names: of the kept standard parameter of each combination, an `R` inserted where others are regrouped on it
+            (`ZZR1`), as SR400 Table 1 writes them.
+        expressions: each combination in full, `ZZ2 + 0.166·M3 + …`.
+        kinds: of the kept parameters.
+        joints: number in the tree of the joint of each, from 0.
+        columns: standard columns kept; the base regressor is Y[:, columns].
+        projection: (b, p); base parameters = projection @ standard parameters.
+        no_effect: names of the standard parameters that never act on the torque.
+        margin: smallest singular value that counts divided by the largest that does not (inf where none is left).
+        smallest: smallest singular value that counts, relative to the largest.
+        motions: (joint, factor) of the joints with a motor that each acts along with; empty for inertial ones.
+    """
+
+    names: tuple[str, ...]
+    expressions: tuple[str, ...]
+    kinds: tuple[Kind, ...]
+    joints: tuple[int, ...]
+    columns: tuple[int, ...]
+    projection: FloatArray
+    no_effect: tuple[str, ...]
+    margin: float
+    smallest: float
+    motions: tuple[tuple[tuple[int, float], ...], ...]
+
+    @property
+    def count(self) -> int:
+        """Number of base parameters."""
+        return len(self.names)
+
+
+def random_states(
+    model: DynamicModel, count: int, seed: int = RANDOM_SEED
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions, velocities and accelerations (n, count) drawn evenly inside the joint limits."""
+    generator = np.random.default_rng(seed)
+    low = np.array([limits.position[0] for limits in model.limits])[:, None]
+    high = np.array([limits.position[1] for limits in model.limits])[:, None]
+    velocity = np.array([limits.velocity for limits in model.limits])[:, None]
+    acceleration = np.array([limits.acceleration for limits in model.limits])[:, None]
+    shape = (model.dof, count)
+    return (
+        generator.uniform(low, high, shape),
+        velocity * generator.uniform(-1, 1, shape),
+        acceleration * generator.uniform(-1, 1, shape),
+    )
+
+
+def base_parameters(model: DynamicModel) -> BaseParameters:
+    """Base parameters of a model, inertial, motor and friction columns together.
+
+    Raises:
+        IdentificationError: the rank cannot be decided (no gap between the singular values).
+    """
+    return _cached(ModelKey(model))
+
+
+class ModelKey:
+    """Lets the cache compare models by content: their arrays are not hashable."""
+
+    def __init__(self, model: DynamicModel) -> None:
+        self.model = model
+        self._content = repr((model.joints, model.limits, model.gravity.tolist())) + repr(
+            (model.motor_inertia, model.viscous, model.coulomb, model.offset, model.smoothing)
+        )
+        if model.transmission is not None:
+            self._content += repr(model.transmission.content())
+
+    def __hash__(self) -> int:
+        return hash(self._content)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ModelKey) and self._content == other._content
+
+
+@lru_cache(maxsize=32)
+def _cached(key: ModelKey) -> BaseParameters:
+    return base_parameters_of(key.model, _random_factor(key.model))
+
+
+def base_parameters_of(model: DynamicModel, gram_root: FloatArray, still: Sequence[int] = ()) -> BaseParameters:
+    """Base parameters that a triangular factor (p, p) of the model's standard columns at random states shows.
+
+    The links behind the joints of the tree that are `still` in all these states are regrouped on the others.
+
+    Raises:
+        IdentificationError: the rank cannot be decided (no gap between the singular values).
+    """
+    parameters = model.parameters
+    scale = np.linalg.norm(gram_root, axis=0)
+    silent = scale <= RANK_TOLERANCE * scale.max()
+    active = np.flatnonzero(~silent)
+    scaled = gram_root[:, active] / scale[active]
+    singular = np.linalg.svd(scaled, compute_uv=False)
+    relative = singular / singular[0]
+    rank = int(np.count_nonzero(relative > RANK_TOLERANCE))
+    rest = float(relative[rank]) if rank < len(relative) else 0.0
+    margin = float(relative[rank - 1]) / rest if rest > 0 else float("inf")
+    if margin < 10:
+        raise IdentificationError(
+            f"the number of base parameters cannot be decided: singular values {relative[rank - 1]:.1e} and {rest:.1e} "
+            "lie on both sides of the threshold",
+            where=model.name,
+            hint="check the geometry for lengths or angles that are nearly, but not quite, zero",
+        )
+    kept = _greedy_columns(scaled, [parameters[i] for i in active], rank, model, still)
+    columns = sorted(int(active[i]) for i in kept)
+    order = [int(np.flatnonzero(active == column)[0]) for column in columns]
+    coefficients, *_ = np.linalg.lstsq(scaled[:, order], scaled, rcond=None)
+    projection = np.zeros((rank, len(parameters)))
+    projection[:, active] = coefficients * scale[active] / scale[columns][:, None]
+    projection[np.abs(projection) < COEFFICIENT_TOLERANCE] = 0.0
+    projection[:, columns] = np.eye(rank)
+    texts = [_expression(row, column, parameters) for row, column in zip(projection, columns, strict=True)]
+    return BaseParameters(
+        names=tuple(name for name, _ in texts),
+        expressions=tuple(expression for _, expression in texts),
+        kinds=tuple(parameters[column].kind for column in columns),
+        joints=tuple(parameters[column].joint for column in columns),
+        columns=tuple(columns),
+        projection=projection,
+        no_effect=tuple(parameters[i].name for i in np.flatnonzero(silent)),
+        margin=margin,
+        smallest=float(relative[rank - 1]),
+        motions=tuple(
+            () if parameters[column].kind == "inertial" else joint_column(model, parameters[column]).motion
+            for column in columns
+        ),
+    )
+
+
+def _random_factor(model: DynamicModel) -> FloatArray:
+    """Triangular factor (p, p) of the standard regressor at random states."""
+    kernel = RegressorKernel(model)
+    count = max(100, STATES_PER_PARAMETER * len(kernel.columns))
+    return motion_factor(kernel, *random_states(model, count))
+
+
+def _preference(parameter: StandardParameter, preferred: Sequence[int]) -> tuple[int, bool, int, int]:
+    """Sort key: what comes first is kept, what comes last is regrouped; of equals that of a preferred link is kept."""
+    beside = parameter.joint not in preferred
+    if parameter.symbol in _KEEP_FIRST:
+        return (0, beside, -parameter.joint, _KEEP_FIRST.index(parameter.symbol))
+    if parameter.kind in ("viscous", "coulomb", "offset") or parameter.symbol in ("Fv", "Fs"):
+        return (1, False, parameter.joint, 0)
+    if parameter.kind in ("motor_inertia", "coupling"):
+        return (2, False, -parameter.joint, 0)
+    return (3, beside, -parameter.joint, _KEEP_LAST.index(parameter.symbol))
+
+
+def _greedy_columns(
+    scaled: FloatArray, parameters: list[StandardParameter], rank: int, model: DynamicModel, still: Sequence[int]
+) -> list[int]:
+    """Indices of `rank` independent columns, the preferred ones first."""
+    # The rods of a closed loop are regrouped on the links between base and tool, as SR400 Table 1 does.
+    closed = model.transmission is not None and model.transmission.closed
+    chain = main_chain(model.joints, model.active) if closed else range(len(model.joints))
+    preferred = [number for number in chain if number not in still]
+    order = sorted(range(len(parameters)), key=lambda i: _preference(parameters[i], preferred))
+    kept = independent_columns(scaled, order, RANK_TOLERANCE)
+    if len(kept) != rank:
+        raise IdentificationError(
+            f"{len(kept)} independent columns were found where the singular values show {rank}",
+            where=model.name,
+            hint="check the geometry for lengths or angles that are nearly, but not quite, zero",
+        )
+    return kept
+
+
+def _expression(row: FloatArray, column: int, parameters: tuple[StandardParameter, ...]) -> tuple[str, str]:
+    """Name and printed combination of one base parameter."""
+    kept = parameters[column]
+    others = [i for i in np.flatnonzero(row) if i != column]
+    terms = [kept.name]
+    for i in others:
+        size = f"{abs(row[i]):.4g}"
+        factor = "" if size == "1" else f"{size}·"
+        terms.append(f"{'-' if row[i] < 0 else '+'} {factor}{parameters[i].name}")
+    name = f"{kept.symbol}R{kept.joint + 1}" if others else kept.name
+    return name, " ".join(terms)

@@ -1,0 +1,223 @@
+"""The dynamic model of an arm: its joints, gravity, and which parameters it has.
+
+Column order, everywhere: ten inertial parameters a link, links in the order of the robot file's joints,
+
+    XX1 XY1 XZ1 YY1 YZ1 ZZ1 MX1 MY1 MZ1 M1  XX2 … M2  …
+
+then motor inertias `Ia`, viscous `Fv`, Coulomb `Fs` and offset `Fo`, each for those joints that have it. Inertias are
+about the origin of the joint's frame and in its axes, MX MY MZ are the first moments there (SR400 .3.1). A motor that
+several joints move has `Fvm` and `Fsm` in place of `Fv` and `Fs`; the latter two are then the joint's own friction
+(SR400 eq. 8) and stand last, after an inertia `Iac` of the joint's own where there is one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from daq.robot import JointLimits, Robot, RobotFile
+from drivers.errors import RobotFileError
+from drivers.streams import FloatArray
+from ident.model.joints import Joint
+from ident.model.loops import build_transmission, main_chain
+from ident.model.mdh import mdh_joints
+from ident.model.parameters import (
+    INERTIAL,
+    KIND_SYMBOLS,
+    MOTOR_SYMBOLS,
+    PAIR_FIELDS,
+    PAIR_SYMBOLS,
+    Kind,
+    StandardParameter,
+    link_parameters,
+)
+from ident.model.transmission import Transmission, TreeMotion
+from ident.model.urdf import urdf_joints, urdf_order
+
+
+@dataclass(frozen=True)
+class DynamicModel:
+    """An arm whose torque is linear in its standard parameters.
+
+    Attributes:
+        name: of the robot.
+        joints: the tree.
+        limits: of each joint with a motor.
+        gravity: (3,) [m/s²] in the base frame.
+        motor_inertia, viscous, coulomb, offset: whether each motor has that column.
+        smoothing: ε [rad/s] of tanh(q̇/ε) in the Coulomb column (ROCR6 eq. 4); 0 for sign(q̇) (SR400 eq. 7).
+        transmission: between the tree's joints, those with a motor, and the motors; None where all are the same.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    limits: tuple[JointLimits, ...]
+    gravity: FloatArray
+    motor_inertia: tuple[bool, ...]
+    viscous: tuple[bool, ...]
+    coulomb: tuple[bool, ...]
+    offset: tuple[bool, ...]
+    smoothing: float = 0.0
+    transmission: Transmission | None = None
+
+    @property
+    def active(self) -> tuple[int, ...]:
+        """Numbers of the tree's joints that have a motor, in the order of every array."""
+        return tuple(range(len(self.joints))) if self.transmission is None else self.transmission.active
+
+    @property
+    def dof(self) -> int:
+        """Number of joints with a motor."""
+        return len(self.joints) if self.transmission is None else len(self.transmission.active)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints with a motor, in order."""
+        return tuple(self.joints[number].name for number in self.active)
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """Names of all joints of the tree, in order."""
+        return tuple(joint.name for joint in self.joints)
+
+    def tree_position(self, position: FloatArray) -> FloatArray:
+        """Positions (n, …) of the tree's joints for positions (dof, …) of those with a motor [rad or m]."""
+        return position if self.transmission is None else self.transmission.tree_position(position)
+
+    def tree_velocity(self, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Positions and velocities (n, N) of the tree's joints for those (dof, N) of the joints with a motor."""
+        if self.transmission is None:
+            return position, velocity
+        return self.transmission.tree_velocity(position, velocity)
+
+    def tree_motion(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> TreeMotion:
+        """The tree's motion for positions, velocities and accelerations (dof, N) of the joints with a motor."""
+        if self.transmission is None:
+            return TreeMotion(position, velocity, acceleration, np.eye(len(self.joints)))
+        return self.transmission.tree_motion(position, velocity, acceleration)
+
+    def active_gradient(self, position: FloatArray, gradient: FloatArray) -> FloatArray:
+        """Derivatives (…, dof, N) by the positions of the joints with a motor, from those (…, n, N) by the tree's.
+
+        Args:
+            position: (dof, N) of the joints with a motor, where the derivatives are taken.
+            gradient: (…, n, N).
+        """
+        return gradient if self.transmission is None else self.transmission.active_gradient(position, gradient)
+
+    @property
+    def tool_link(self) -> int:
+        """Number of the link that carries the tool: the last one; behind the longest chain where loops add rods."""
+        if self.transmission is None or not self.transmission.closed:
+            return len(self.joints) - 1
+        return main_chain(self.joints, self.active)[-1]
+
+    @property
+    def parameters(self) -> tuple[StandardParameter, ...]:
+        """The standard parameters in column order."""
+        inertial = [
+            StandardParameter(f"{symbol}{number + 1}", "inertial", number, symbol)
+            for number in range(len(self.joints))
+            for symbol in INERTIAL
+        ]
+        coupled = (False,) * self.dof if self.transmission is None else self.transmission.coupled
+        of_joints = []
+        for kind, plain in KIND_SYMBOLS.items():
+            for number, several, present in zip(self.active, coupled, self.has(kind), strict=True):
+                symbol = MOTOR_SYMBOLS.get(plain, plain) if several else plain
+                if present:
+                    of_joints.append(StandardParameter(f"{symbol}{number + 1}", kind, number, symbol))
+        return tuple(inertial + of_joints + self._pair_parameters())
+
+    def _pair_parameters(self) -> list[StandardParameter]:
+        """Inertia and friction that turn with a coupled joint, beside its motor's."""
+        if self.transmission is None:
+            return []
+        friction, inertia = self.transmission.pair_friction, self.transmission.pair_inertia
+        present = {"motor_inertia": inertia, "viscous": friction, "coulomb": friction}
+        return [
+            StandardParameter(f"{symbol}{number + 1}", "coupling", number, symbol)
+            for symbol, quantity in PAIR_SYMBOLS.items()
+            for motor, number in enumerate(self.active)
+            if present[quantity][motor] and getattr(self, quantity)[motor]
+        ]
+
+    def has(self, kind: Kind) -> tuple[bool, ...]:
+        """Whether each motor has a column of this kind."""
+        if kind == "inertial":
+            return (True,) * self.dof
+        present: tuple[bool, ...] = getattr(self, kind)
+        return present
+
+    def coulomb_direction(self, velocity: FloatArray) -> FloatArray:
+        """The Coulomb column: sign(q̇), or tanh(q̇/ε) where smoothing is set; same shape as `velocity`."""
+        return np.tanh(velocity / self.smoothing) if self.smoothing > 0 else np.sign(velocity)
+
+
+def build_model(robot_file: RobotFile) -> DynamicModel:
+    """The dynamic model that a robot file describes.
+
+    Raises:
+        RobotFileError: the URDF and the file's joints do not fit together, or a loop does not close.
+    """
+    robot = robot_file.robot
+    if robot.model.mdh is not None:
+        joints = mdh_joints(robot.model.mdh)
+    else:
+        where = f"{robot.name}: {robot.model.urdf}"
+        urdf, names = robot_file.urdf_text or "", robot.joint_names
+        if robot.passive_names:
+            names = urdf_order(urdf, (*names, *robot.passive_names), robot.model.locked, where)
+        joints = urdf_joints(urdf, names, robot.model.locked, where)
+    return DynamicModel(
+        name=robot.name,
+        joints=joints,
+        limits=robot.joints,
+        gravity=np.array(robot.model.gravity),
+        motor_inertia=tuple(robot.drive(name).inertia for name in robot.joint_names),
+        viscous=_friction(robot, "viscous"),
+        coulomb=_friction(robot, "coulomb"),
+        offset=_friction(robot, "offset"),
+        smoothing=robot.friction.smoothing,
+        transmission=build_transmission(robot_file, joints),
+    )
+
+
+def _friction(robot: Robot, column: Literal["viscous", "coulomb", "offset"]) -> tuple[bool, ...]:
+    friction = robot.friction
+    of_arm = friction.offset if column == "offset" else column in friction.model.split("-")
+    present = []
+    for name in robot.joint_names:
+        exception = getattr(friction.joints[name], column) if name in friction.joints else None
+        present.append(of_arm if exception is None else exception)
+    return tuple(present)
+
+
+def truth_vector(robot_file: RobotFile) -> FloatArray:
+    """True standard parameters (p,) of a simulated arm, in column order.
+
+    Raises:
+        RobotFileError: the file's truth names no link for some joint.
+    """
+    robot = robot_file.robot
+    model = build_model(robot_file)
+    missing = [name for name in model.link_names if name not in robot.truth.links]
+    if missing:
+        raise RobotFileError(f"no true link for joint(s) {', '.join(missing)}", where=f"{robot.name}: truth.links")
+    values = {}
+    for number, name in enumerate(model.link_names):
+        link = robot.truth.links[name]
+        for symbol, value in zip(INERTIAL, link_parameters(link.mass, link.com, link.inertia), strict=True):
+            values[f"{symbol}{number + 1}"] = value
+    for parameter in model.parameters:
+        joint = robot.truth.joints.get(model.link_names[parameter.joint])
+        if parameter.kind == "coupling":
+            field = PAIR_FIELDS[parameter.symbol]
+        elif parameter.kind != "inertial":
+            field = parameter.kind
+        else:
+            continue
+        values[parameter.name] = getattr(joint, field) if joint is not None else 0.0
+    return np.array([values[parameter.name] for parameter in model.parameters])

@@ -1,0 +1,43 @@
+"""The tree of joints that the dynamics are computed on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drivers.streams import FloatArray
+
+BASE_INDEX = -1
+
+Placement = tuple[FloatArray, FloatArray]
+"""Rotation (3, 3) and translation (3,) [m] of a frame in another."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint with one degree of freedom; its frame moves with the link behind it.
+
+    Attributes:
+        name: as in the robot file.
+        parent: number of the joint whose link carries this one; `BASE_INDEX` for the base.
+        prismatic: translation along the axis instead of rotation about it.
+        rotation: (3, 3) of the joint frame in its parent's at position zero.
+        translation: (3,) [m] of its origin in its parent's frame at position zero.
+        axis: (3,) unit vector in the joint frame.
+    """
+
+    name: str
+    parent: int
+    prismatic: bool
+    rotation: FloatArray
+    translation: FloatArray
+    axis: FloatArray
+
+
+def ancestors(joints: tuple[Joint, ...], number: int) -> tuple[int, ...]:
+    """Numbers of the joints between the base and joint `number`, the nearest to the base first, itself left out."""
+    chain: list[int] = []
+    parent = joints[number].parent
+    while parent != BASE_INDEX:
+        chain.append(parent)
+        parent = joints[parent].parent
+    return tuple(reversed(chain))

@@ -1,0 +1,1 @@
+"""General closed loops, solved numerically; imported only for robot files that have such loops."""

@@ -1,0 +1,239 @@
+"""One closed loop as a serial chain: from one closing frame back to where its two sides part, and out to the other.
+
+Seen from the first closing frame, the joints of its own side count backwards, those of the other side forwards. The
+opened joint is closed where the second frame's origin e lies in the first one's, and, for a revolute joint, its z axis
+z along the first one's. With the unit twist (w_k, v_k) of joint k of the chain in the first closing frame,
+
+    ∂e/∂q_k = v_k + w_k × e        ∂z/∂q_k = w_k × z
+
+and a second derivative turns with the joint that is nearer to the first frame: ∂²e/∂q_j∂q_k = w_j × ∂e/∂q_k for j
+before k, third derivatives likewise. So all of them follow from the first derivatives by cross products.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.model.joints import BASE_INDEX, Joint, Placement
+
+POSITION_ROWS = 3
+REVOLUTE_ROWS = 5
+"""Equations of an opened joint: e = 0 of a spherical one; of a revolute one the x and y components of z too."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """One joint of a chain.
+
+    Attributes:
+        joint: its number in the tree.
+        sign: 1, or -1 where it counts backwards.
+        axis: (3,) in its frame.
+        prismatic: as in the tree.
+        after: placement of the next joint's frame in this one's, position aside.
+    """
+
+    joint: int
+    sign: float
+    axis: FloatArray
+    prismatic: bool
+    after: Placement
+
+    @cached_property
+    def cross(self) -> FloatArray:
+        """[axis]× (3, 3)."""
+        x, y, z = self.axis
+        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+    @cached_property
+    def square(self) -> FloatArray:
+        """[axis]×² (3, 3)."""
+        return self.cross @ self.cross
+
+
+@dataclass(frozen=True)
+class ClosingChain:
+    """The joints between two closing frames.
+
+    Attributes:
+        name: what messages call the loop.
+        spherical: whether the opened joint is spherical, not revolute.
+        before: placement of the first joint's frame in the first closing frame.
+        links: the joints, the first closing frame's side first.
+    """
+
+    name: str
+    spherical: bool
+    before: Placement
+    links: tuple[Link, ...]
+
+    @property
+    def rows(self) -> int:
+        """Number of closing equations."""
+        return POSITION_ROWS if self.spherical else REVOLUTE_ROWS
+
+    @cached_property
+    def joints(self) -> tuple[int, ...]:
+        """Numbers of its joints in the tree."""
+        return tuple(link.joint for link in self.links)
+
+    def at(self, position: FloatArray) -> ChainState:
+        """The chain at tree positions (n, N) [rad or m]."""
+        count = position.shape[1]
+        rotation = np.repeat(self.before[0][None], count, axis=0)
+        origin = np.broadcast_to(self.before[1], (count, 3))
+        turning = np.zeros((len(self.links), 3, count))
+        sliding, origins = np.zeros_like(turning), np.zeros_like(turning)
+        for number, link in enumerate(self.links):
+            travel = link.sign * position[link.joint]
+            axis = _times(rotation, link.sign * link.axis)
+            if link.prismatic:
+                sliding[number] = axis.T
+                origin = origin + link.sign * travel[:, None] * axis
+            else:
+                turning[number], origins[number] = axis.T, origin.T
+                sine, versine = np.sin(travel)[:, None, None], 1.0 - np.cos(travel)[:, None, None]
+                rotation = rotation + _times(rotation, link.cross) * sine + _times(rotation, link.square) * versine
+            origin = origin + _times(rotation, link.after[1])
+            rotation = _times(rotation, link.after[0])
+        end, direction = origin.T, rotation[:, :, 2].T
+        moved = np.empty((len(self.links), 2, 3, count))
+        moved[:, 0], moved[:, 1] = end - origins, direction
+        moved = cross(turning[:, None], moved)
+        moved[:, 0] += sliding
+        return ChainState(self.rows, np.array((end, direction)), turning, moved)
+
+
+@dataclass(frozen=True)
+class ChainState:
+    """A chain of K joints at N positions.
+
+    Attributes:
+        rows: number of closing equations.
+        value: (2, 3, N) e [m] and z.
+        turning: (K, 3, N) w_k.
+        moved: (K, 2, 3, N) first derivatives of e and z.
+    """
+
+    rows: int
+    value: FloatArray
+    turning: FloatArray
+    moved: FloatArray
+
+    def residual(self) -> FloatArray:
+        """(rows, N) what the closing equations miss zero by [m, rad]."""
+        return self._equations(self.value)
+
+    def jacobian(self) -> FloatArray:
+        """(rows, K, N) first derivatives."""
+        return self._equations(self.moved).transpose(1, 0, 2)
+
+    def second(self, rate: FloatArray) -> FloatArray:
+        """(rows, K, N) second derivatives, once along `rate` (K, N): of the motion `rate`, the Jacobian's change."""
+        return self._equations(self._second(rate)).transpose(1, 0, 2)
+
+    def third(self, rate: FloatArray) -> FloatArray:
+        """(rows, K, N) third derivatives, twice along `rate` (K, N)."""
+        turned, moved = self.turning * rate[:, None], self.moved * rate[:, None, None]
+        upto = np.cumsum(turned, axis=0)
+        doubled = 2.0 * upto - turned  # twice what is before a joint, and the joint itself
+        beyond = moved.sum(axis=0) - np.cumsum(moved, axis=0)
+        pairs = cross(doubled[:, None], moved)
+        beyond_pairs = pairs.sum(axis=0) - np.cumsum(pairs, axis=0) - 2.0 * cross(upto[:, None], beyond)
+        # a × (b × v) = b (a·v) − v (a·b), summed over the joints up to each.
+        products = np.cumsum(np.einsum("kiN,kjN->kijN", turned, doubled), axis=0)
+        own = np.einsum("kijN,kbjN->kbiN", products, self.moved)
+        own -= np.einsum("kiiN->kN", products)[:, None, None] * self.moved
+        turning = self.turning[:, None]
+        total = own + 2.0 * cross(upto[:, None], cross(turning, beyond)) + cross(turning, beyond_pairs)
+        return self._equations(total).transpose(1, 0, 2)
+
+    def _second(self, rate: FloatArray) -> FloatArray:
+        moved = self.moved * rate[:, None, None]
+        upto = np.cumsum(self.turning * rate[:, None], axis=0)
+        beyond = moved.sum(axis=0) - np.cumsum(moved, axis=0)
+        return cross(upto[:, None], self.moved) + cross(self.turning[:, None], beyond)
+
+    def _equations(self, values: FloatArray) -> FloatArray:
+        """(…, rows, N) of (…, 2, 3, N): the components that the opened joint holds at zero."""
+        return values.reshape(*values.shape[:-3], 6, values.shape[-1])[..., : self.rows, :]
+
+
+def closing_chain(
+    name: str, joints: tuple[Joint, ...], ends: tuple[tuple[int, Placement], tuple[int, Placement]], *, spherical: bool
+) -> ClosingChain:
+    """The chain between two closing frames.
+
+    Args:
+        name: what messages call the loop.
+        joints: the tree.
+        ends: number of the joint behind which each closing frame lies, and the frame's placement in that joint's.
+        spherical: whether the opened joint is spherical, not revolute.
+    """
+    (first, first_end), (second, second_end) = ends
+    back, out = _to_base(joints, first), _to_base(joints, second)
+    while back and out and back[-1] == out[-1]:
+        back.pop()
+        out.pop()
+    out.reverse()
+    links: list[Link] = []
+    before = _inverse(first_end)
+    between = before
+    for sign, numbers in ((-1.0, back), (1.0, out)):
+        for number in numbers:
+            joint = joints[number]
+            own = (joint.rotation, joint.translation)
+            if sign > 0:
+                between = _compose(between, own)
+            if links:
+                links[-1] = _followed(links[-1], between)
+            else:
+                before = between
+            links.append(Link(number, sign, joint.axis, joint.prismatic, (np.eye(3), np.zeros(3))))
+            between = _inverse(own) if sign < 0 else (np.eye(3), np.zeros(3))
+    between = _compose(between, second_end)
+    if links:
+        links[-1] = _followed(links[-1], between)
+    else:
+        before = between
+    return ClosingChain(name, spherical, before, tuple(links))
+
+
+def cross(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Cross product of (…, 3, N) arrays."""
+    product = np.empty(np.broadcast(left, right).shape)
+    for component, (first, second) in enumerate(((1, 2), (2, 0), (0, 1))):
+        product[..., component, :] = (
+            left[..., first, :] * right[..., second, :] - left[..., second, :] * right[..., first, :]
+        )
+    return product
+
+
+def _times(rotation: FloatArray, right: FloatArray) -> FloatArray:
+    """Rotations (N, 3, 3) times one matrix (3, 3) or vector (3,); as one product it takes a tenth of the time."""
+    return (rotation.reshape(-1, 3) @ right).reshape(-1, 3, *right.shape[1:])
+
+
+def _followed(link: Link, after: Placement) -> Link:
+    return Link(link.joint, link.sign, link.axis, link.prismatic, after)
+
+
+def _to_base(joints: tuple[Joint, ...], number: int) -> list[int]:
+    """The joint and those before it, the base's last."""
+    chain = []
+    while number != BASE_INDEX:
+        chain.append(number)
+        number = joints[number].parent
+    return chain
+
+
+def _inverse(placement: Placement) -> Placement:
+    return placement[0].T, -placement[0].T @ placement[1]
+
+
+def _compose(outer: Placement, inner: Placement) -> Placement:
+    return outer[0] @ inner[0], outer[1] + outer[0] @ inner[1]

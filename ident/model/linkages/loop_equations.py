@@ -1,0 +1,206 @@
+"""The equations that close an arm's loops, solved by Newton's method for the joints without a motor.
+
+Φ(q) = 0 stacks the closing equations of every general loop and the linear equations of all others. An opened revolute
+joint has five, of which a planar loop needs two, so `rows` W picks as many independent combinations as joints follow.
+With J = W ∂Φ/∂q, split into the columns of the joints without a motor (p) and with one (a),
+
+    G = −J_p⁻¹·J_a        q̈_p = G·q̈_a − J_p⁻¹·(J̇·q̇)
+
+Loops close in several ways (assembly modes). Which one is meant is kept by following it from a known position in short
+steps, each predicted by G; between two modes J_p is singular, and its determinant changes its sign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.model.linkages.closing_chain import ChainState, ClosingChain
+
+BoolArray = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+
+NEWTON_STEPS = 12
+STEP_TOLERANCE = 1e-7
+"""Length [rad or m] of a Newton step after which the next would be rounding: convergence is quadratic."""
+
+MISSED = 1e-6
+"""What closing equations may miss zero by [m, rad]; files print lengths to this."""
+
+FARTHEST = 0.1
+"""Longest move [rad or m] of a joint with a motor from one known position to the next."""
+
+JUMP = 0.2
+"""How far [rad or m] a solution may lie from its prediction over such a move and count as the same branch."""
+
+LONGEST_WAY = 200.0
+"""Longest way [rad or m] that a branch is followed; steps of `FARTHEST` make it up."""
+
+SHORTEST = 1e-4
+"""Move [rad or m] at which following a branch is given up."""
+
+
+@dataclass(frozen=True)
+class Followed:
+    """How far a branch could be followed.
+
+    Attributes:
+        tree: (n, N) the last positions [rad or m] that close.
+        reached: (N,) how much of the way that is, 1 for all of it.
+    """
+
+    tree: FloatArray
+    reached: FloatArray
+
+
+@dataclass(frozen=True)
+class LoopEquations:
+    """Φ and its derivatives.
+
+    Attributes:
+        active, passive: (a,), (p,) numbers of the tree's joints with and without a motor.
+        chains: the general loops.
+        linear: (l, n) E and `right` (l,) e of the linear equations E·q = e.
+        rows: (p, r) W, combinations of the r equations that are independent.
+        sign: of det J_p on the branch that is meant.
+    """
+
+    active: tuple[int, ...]
+    passive: tuple[int, ...]
+    chains: tuple[ClosingChain, ...]
+    linear: FloatArray
+    right: FloatArray
+    rows: FloatArray
+    sign: float
+
+    def at(self, tree: FloatArray) -> Closing:
+        """The equations at tree positions (n, N)."""
+        states = [chain.at(tree) for chain in self.chains]
+        parts = [state.residual() for state in states]
+        residual = np.concatenate([*parts, self.linear @ tree - self.right[:, None]])
+        jacobian = self.assembled([state.jacobian() for state in states], self.linear)
+        return Closing(self, states, residual, jacobian, self.reduced(jacobian))
+
+    def reduced(self, rows: FloatArray) -> FloatArray:
+        """W times rows (r, …)."""
+        return (self.rows @ rows.reshape(len(rows), -1)).reshape(-1, *rows.shape[1:])
+
+    def newton(self, position: FloatArray, guess: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Tree positions (n, N) for active positions (a, N) near passive ones (p, N), and whether each closes there.
+
+        Closing means on the branch that is meant, by the sign of det J_p, and no farther than `JUMP` from the guess.
+        """
+        passive = list(self.passive)
+        tree = np.empty((len(self.active) + len(passive), position.shape[1]))
+        tree[list(self.active)], tree[passive] = position, guess
+        with np.errstate(all="ignore"):  # what diverges becomes infinite or no number, and does not close
+            for _ in range(NEWTON_STEPS):
+                here = self.at(tree)
+                step = here.solved(self.reduced(here.residual)[:, None])[:, 0]
+                tree[passive] -= step
+                size = np.abs(step).max(axis=0)
+                if not np.any(size > STEP_TOLERANCE):
+                    break
+            closes = (size <= STEP_TOLERANCE) & (np.abs(here.residual).max(axis=0) < MISSED)
+            closes &= here.signs() == self.sign
+            closes &= np.abs(tree[passive] - guess).max(axis=0) < JUMP
+        return tree, closes
+
+    def followed(self, start: FloatArray, target: FloatArray) -> Followed:
+        """Follow the branch on a straight line of the active joints, `LONGEST_WAY` at most.
+
+        Args:
+            start: (n,) or (n, N) tree positions that close [rad or m].
+            target: (a, N) positions of the active joints.
+        """
+        active, passive = list(self.active), list(self.passive)
+        tree = np.array(np.broadcast_to(start.reshape(len(start), -1), (len(start), target.shape[1])))
+        travel = target - tree[active]
+        length = np.abs(travel).max(axis=0)
+        longest = np.divide(FARTHEST, length, out=np.ones_like(length), where=length > FARTHEST)
+        begun, done, step = tree[active].copy(), np.zeros(target.shape[1]), longest.copy()
+        running = np.flatnonzero((length > 0.0) & (length <= LONGEST_WAY))
+        done[length == 0.0] = 1.0
+        while running.size:
+            here = tree[:, running]
+            share = np.minimum(done[running] + step[running], 1.0)
+            position = np.where(share == 1.0, target[:, running], begun[:, running] + share * travel[:, running])
+            moved = np.einsum("paN,aN->pN", self.at(here).follow(), position - here[active])
+            found, closes = self.newton(position, here[passive] + moved)
+            good = running[closes]
+            tree[:, good], done[good] = found[:, closes], share[closes]
+            step[good] = np.minimum(2.0 * step[good], longest[good])
+            step[running[~closes]] *= 0.5
+            running = running[(done[running] < 1.0) & (step[running] * length[running] > SHORTEST)]
+        return Followed(tree, done)
+
+    def assembled(self, parts: Sequence[FloatArray], linear: FloatArray) -> FloatArray:
+        """(r, n, N) from every chain's rows (rows, K, N) and the linear equations' (l, n)."""
+        count = parts[0].shape[-1]
+        total = np.zeros((sum(part.shape[0] for part in parts) + len(linear), linear.shape[1], count))
+        start = 0
+        for chain, part in zip(self.chains, parts, strict=True):
+            total[start : start + len(part), list(chain.joints)] = part
+            start += len(part)
+        total[start:] = linear[:, :, None]
+        return total
+
+
+@dataclass(frozen=True)
+class Closing:
+    """The equations at N tree positions.
+
+    Attributes:
+        equations: which.
+        states: of every chain.
+        residual: (r, N) Φ [m, rad].
+        full: (r, n, N) ∂Φ/∂q.
+        jacobian: (p, n, N) J = W ∂Φ/∂q.
+    """
+
+    equations: LoopEquations
+    states: Sequence[ChainState]
+    residual: FloatArray
+    full: FloatArray
+    jacobian: FloatArray
+
+    def follow(self) -> FloatArray:
+        """G_p (p, a, N)."""
+        return -self.solved(self.jacobian[:, list(self.equations.active)])
+
+    def second(self, rate: FloatArray) -> FloatArray:
+        """W·∂²Φ/∂q² along `rate` (n, N): (p, n, N), which is J̇ of that motion."""
+        pairs = zip(self.equations.chains, self.states, strict=True)
+        return self._reduced([state.second(rate[list(chain.joints)]) for chain, state in pairs])
+
+    def third(self, rate: FloatArray) -> FloatArray:
+        """W·∂³Φ/∂q³ twice along `rate` (n, N): (p, n, N)."""
+        pairs = zip(self.equations.chains, self.states, strict=True)
+        return self._reduced([state.third(rate[list(chain.joints)]) for chain, state in pairs])
+
+    def solved(self, right: FloatArray) -> FloatArray:
+        """J_p⁻¹·right for right (p, m, N); no numbers where J_p is singular."""
+        stacked, sides = self._of_passive(), right.transpose(2, 0, 1)
+        try:
+            found = np.linalg.solve(stacked, sides)
+        except np.linalg.LinAlgError:
+            regular = np.where((np.linalg.det(stacked) == 0.0)[:, None, None], np.nan, stacked)
+            found = np.linalg.solve(regular, sides)
+        return np.asarray(found.transpose(1, 2, 0), dtype=np.float64)
+
+    def signs(self) -> FloatArray:
+        """(N,) signs of det J_p."""
+        return np.asarray(np.sign(np.linalg.det(self._of_passive())))
+
+    def singular_values(self) -> FloatArray:
+        """(N, p) of J_p, the largest first."""
+        return np.asarray(np.linalg.svd(self._of_passive(), compute_uv=False))
+
+    def _of_passive(self) -> FloatArray:
+        return self.jacobian[:, list(self.equations.passive)].transpose(2, 0, 1)
+
+    def _reduced(self, parts: Sequence[FloatArray]) -> FloatArray:
+        equations = self.equations
+        return equations.reduced(equations.assembled(parts, np.zeros_like(equations.linear)))

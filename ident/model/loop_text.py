@@ -1,0 +1,17 @@
+"""What messages call loops and lengths."""
+
+from __future__ import annotations
+
+from daq.loops import Loop
+
+
+def loop_name(loop: Loop) -> str:
+    """What messages call a loop."""
+    if loop.parallelogram is not None:
+        return f"parallelogram {', '.join(loop.parallelogram)}"
+    return f"loop of {', '.join(loop.following)}"
+
+
+def length(metres: float) -> str:
+    """A length for a person."""
+    return f"{metres * 1e3:.3g} mm" if metres < 1.0 else f"{metres:.3g} m"

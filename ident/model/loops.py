@@ -1,0 +1,260 @@
+"""From `model.loops` and `model.coupling` of a robot file to the arm's transmission, checked against its geometry.
+
+A parallelogram of the joints a, b, c, d (b hangs on a, d on c, all axes parallel) keeps the link behind b parallel to
+the one behind c, and the link behind d parallel to the one behind a. With the angles about a common direction, that is
+
+    σ_a q_a + σ_b q_b − σ_c q_c = φ_c − φ_b          σ_c q_c + σ_d q_d − σ_a q_a = φ_a − φ_d
+
+where σ is 1 for an axis along that direction and −1 for one against it, and φ the direction of each side at position
+zero: of the side behind a to the origin of b, behind b to the closing frame, and so on. Solved for the two joints
+without a motor, and tried at random positions: the closing frames must meet. Loops with `passive` joints have no such
+equations; module `build_closed_loops` closes them numerically, together with the linear equations of the others.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from daq.loops import BASE, ClosingFrame, Loop, coupling_matrix
+from daq.robot import MdhRow, Robot, RobotFile
+from drivers.errors import RobotFileError
+from drivers.streams import FloatArray
+from ident.model.joints import BASE_INDEX, Joint, Placement, ancestors
+from ident.model.loop_text import length, loop_name
+from ident.model.mdh import mdh_placement
+from ident.model.transmission import LinearTransmission, Transmission
+
+CLOSING_TOLERANCE = 1e-6
+"""How far [m] the closing frames may lie apart at any position; files print lengths to this."""
+
+CLOSING_ANGLE = 1e-6
+"""How far [rad] their axes may be from parallel."""
+
+TRIED_POSITIONS = 50
+PARALLEL = 1e-9
+SINGULAR = 1e-9
+
+
+def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Transmission | None:
+    """The transmission of an arm; None where every joint of the tree has a motor that it moves alone.
+
+    Args:
+        robot_file: the arm's.
+        joints: the tree, joints without a motor included.
+
+    Raises:
+        RobotFileError: the loops do not determine the joints without a motor, or do not close (with the error).
+    """
+    robot = robot_file.robot
+    if not robot.model.loops and not robot.model.coupling:
+        return None
+    where = f"{robot.name}: model.loops"
+    numbers = {joint.name: number for number, joint in enumerate(joints)}
+    active = tuple(numbers[name] for name in robot.joint_names)
+    equations, right = _linear_equations(robot.model.loops, joints, numbers, where)
+    general = [loop for loop in robot.model.loops if loop.passive is not None]
+    if general:
+        from ident.model.linkages.build import build_closed_loops  # only arms that have such loops pay for it
+
+        nothing = np.zeros((len(joints), len(active))), np.zeros(len(joints))
+        ends = [loop_ends(loop, numbers) for loop in general]
+        transmission: Transmission = build_closed_loops(
+            robot, joints, (equations, right), [(one, other) for one, other in ends], _linear(robot, active, *nothing)
+        )
+    else:
+        transmission = _linear(robot, active, *_solved_equations(equations, right, joints, active, where))
+    low, high = (np.array(limit) for limit in zip(*(limits.position for limits in robot.joints), strict=True))
+    positions = np.random.default_rng(0).uniform(low[:, None], high[:, None], (len(active), TRIED_POSITIONS))
+    for loop in robot.model.loops:
+        if loop.closing is not None:
+            _check_closed(loop, joints, numbers, transmission.tree_position(positions), where)
+    return transmission
+
+
+def _linear(robot: Robot, active: tuple[int, ...], follow: FloatArray, offset: FloatArray) -> LinearTransmission:
+    """Motors and pairs as the robot file says, with this G (n, a) and b (n,)."""
+    coupling = coupling_matrix(robot.model.coupling, robot.joint_names)
+    coupled = np.count_nonzero(coupling, axis=1) > 1
+    exceptions = [robot.friction.joints.get(name) for name in robot.joint_names]
+    return LinearTransmission(
+        active=active,
+        follow=follow,
+        offset=offset,
+        coupling=coupling,
+        pair_friction=tuple(
+            bool(several) and (exception is None or exception.pair is not False)
+            for several, exception in zip(coupled, exceptions, strict=True)
+        ),
+        pair_inertia=tuple(robot.drive(name).pair_inertia for name in robot.joint_names),
+    )
+
+
+def _linear_equations(
+    loops: tuple[Loop, ...], joints: tuple[Joint, ...], numbers: dict[str, int], where: str
+) -> tuple[FloatArray, FloatArray]:
+    """E (l, n) and e (l,) of the equations and parallelograms, E·q_tree = e."""
+    rows, right = [], []
+    for loop in loops:
+        if loop.joint is not None:
+            row = np.zeros(len(joints))
+            row[numbers[loop.joint]] = 1.0
+            for name, factor in (loop.equation or {}).items():
+                row[numbers[name]] -= factor
+            rows.append(row)
+            right.append(loop.offset)
+        elif loop.parallelogram is not None:
+            for row, value in _parallelogram_equations(loop, joints, numbers, where):
+                rows.append(row)
+                right.append(value)
+    return np.array(rows).reshape(-1, len(joints)), np.array(right)
+
+
+def _solved_equations(
+    equations: FloatArray, right: FloatArray, joints: tuple[Joint, ...], active: tuple[int, ...], where: str
+) -> tuple[FloatArray, FloatArray]:
+    """G (n, a) and b (n,) from all equations E·q_tree = e, solved for the joints without a motor."""
+    passive = [number for number in range(len(joints)) if number not in active]
+    follow, offset = np.zeros((len(joints), len(active))), np.zeros(len(joints))
+    follow[list(active), range(len(active))] = 1.0
+    if not passive:
+        return follow, offset
+    of_passive = equations[:, passive]
+    if np.linalg.svd(of_passive, compute_uv=False)[-1] < SINGULAR:
+        names = ", ".join(joints[number].name for number in passive)
+        raise RobotFileError(f"the equations do not determine the positions of {names}", where=where)
+    solved = np.linalg.solve(of_passive, equations[:, list(active)])
+    follow[passive] = _exact(np.asarray(-solved, dtype=np.float64))
+    offset[passive] = np.linalg.solve(of_passive, right)
+    for number in passive:
+        if not joints[number].prismatic:
+            offset[number] = _principal(offset[number])
+    return follow, offset
+
+
+def _parallelogram_equations(
+    loop: Loop, joints: tuple[Joint, ...], numbers: dict[str, int], where: str
+) -> list[tuple[FloatArray, float]]:
+    """Two rows of E (n,) and e."""
+    if loop.parallelogram is None:
+        raise ValueError("the loop is no parallelogram")
+    names = loop.parallelogram
+    text = f"parallelogram {', '.join(names)}"
+    a, b, c, d = (numbers[name] for name in names)
+    if joints[b].parent != a or joints[d].parent != c or joints[a].parent != joints[c].parent:
+        raise RobotFileError(
+            f"{text}: the second joint must hang on the first, the fourth on the third, and the first and the third on "
+            "the same link",
+            where=where,
+        )
+    if any(joints[number].prismatic for number in (a, b, c, d)):
+        raise RobotFileError(f"{text}: all four joints must be revolute", where=where)
+    ends = loop_ends(loop, numbers)
+    if {number for number, _ in ends} != {b, d}:
+        raise RobotFileError(
+            f"{text}: one closing frame must have the antecedent {names[1]}, the other {names[3]}", where=where
+        )
+    closing_points = dict(ends)
+    frames = place_tree(joints, np.zeros(len(joints)))
+    axis = frames[a][0] @ joints[a].axis
+    signs = {}
+    for number in (a, b, c, d):
+        along = float(axis @ frames[number][0] @ joints[number].axis)
+        if abs(abs(along) - 1.0) > PARALLEL:
+            raise RobotFileError(f"{text}: the axis of {joints[number].name} is not parallel to the first", where=where)
+        signs[number] = math.copysign(1.0, along)
+    origin = {number: frames[number][1] for number in (a, b, c, d)}
+    tip = {number: _compose(frames[number], closing_points[number])[1] for number in (b, d)}
+    sides = {a: origin[b] - origin[a], b: tip[b] - origin[b], c: origin[d] - origin[c], d: tip[d] - origin[d]}
+    first = np.linalg.svd(axis[None, :])[2][1]
+    second = np.cross(axis, first)
+    angle = {}
+    for number, side in sides.items():
+        x, y = float(first @ side), float(second @ side)
+        if math.hypot(x, y) < CLOSING_TOLERANCE:
+            raise RobotFileError(f"{text}: the side behind {joints[number].name} has no length", where=where)
+        angle[number] = math.atan2(y, x)
+    equations = []
+    for near, far, opposite in ((a, b, c), (c, d, a)):
+        row = np.zeros(len(joints))
+        row[near], row[far], row[opposite] = signs[near], signs[far], -signs[opposite]
+        equations.append((row, angle[opposite] - angle[far]))
+    return equations
+
+
+def loop_ends(loop: Loop, numbers: dict[str, int]) -> list[tuple[int, Placement]]:
+    """The closing frames: number of the joint behind which each is fixed, and its placement in that joint's frame."""
+    known = {**numbers, BASE: BASE_INDEX}
+    return [(known[frame.antecedent], _placement(frame)) for frame in loop.closing or ()]
+
+
+def _check_closed(
+    loop: Loop, joints: tuple[Joint, ...], numbers: dict[str, int], positions: FloatArray, where: str
+) -> None:
+    """Refuse a loop whose closing frames do not meet at tree positions (n, N)."""
+    name = loop_name(loop)
+    apart = turned = 0.0
+    for position in positions.T:
+        frames = [*place_tree(joints, position), (np.eye(3), np.zeros(3))]  # the base's is number BASE_INDEX
+        (one, other) = (_compose(frames[number], placement) for number, placement in loop_ends(loop, numbers))
+        apart = max(apart, float(np.linalg.norm(one[1] - other[1])))
+        turned = max(turned, float(np.linalg.norm(np.cross(one[0][:, 2], other[0][:, 2]))))
+    if apart > CLOSING_TOLERANCE:
+        raise RobotFileError(
+            f"{name} does not close: its closing frames come to lie up to {length(apart)} apart",
+            where=where,
+            hint="opposite sides must be equally long: check the lengths in 'model.mdh' and in 'closing'",
+        )
+    if turned > CLOSING_ANGLE and loop.opened != "spherical":
+        raise RobotFileError(
+            f"{name} does not close: its closing frames' axes are up to {math.degrees(turned):.3g}° from parallel",
+            where=where,
+            hint="check the angles in 'closing'",
+        )
+
+
+def place_tree(joints: tuple[Joint, ...], position: FloatArray) -> list[Placement]:
+    """Placement in the base frame of every joint's frame at tree positions (n,) [rad or m]."""
+    frames: list[Placement] = []
+    for joint, value in zip(joints, position, strict=True):
+        if joint.prismatic:
+            own = (joint.rotation, joint.translation + joint.rotation @ joint.axis * value)
+        else:
+            own = (joint.rotation @ _turn(joint.axis, float(value)), joint.translation)
+        frames.append(own if joint.parent == BASE_INDEX else _compose(frames[joint.parent], own))
+    return frames
+
+
+def main_chain(joints: tuple[Joint, ...], active: tuple[int, ...]) -> tuple[int, ...]:
+    """Numbers of the joints from the base to the link that is the most joints away: the arm without its rods.
+
+    Of several such links it is the first one behind an `active` joint, else the first.
+    """
+    chains = [(*ancestors(joints, number), number) for number in range(len(joints))]
+    return max(chains, key=lambda chain: (len(chain), chain[-1] in active))
+
+
+def _placement(frame: ClosingFrame) -> Placement:
+    return mdh_placement(MdhRow(joint="closing", **frame.model_dump()))
+
+
+def _compose(outer: Placement, inner: Placement) -> Placement:
+    return outer[0] @ inner[0], outer[1] + outer[0] @ inner[1]
+
+
+def _turn(axis: FloatArray, angle: float) -> FloatArray:
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)
+
+
+def _principal(angle: float) -> float:
+    """The same angle in (−π, π]."""
+    return math.pi - (math.pi - angle) % (2.0 * math.pi)
+
+
+def _exact(matrix: FloatArray) -> FloatArray:
+    """Whole numbers without the rounding of the solution."""
+    nearest = np.round(matrix)
+    return np.where(np.abs(matrix - nearest) < 1e-12, nearest, matrix)

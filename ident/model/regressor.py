@@ -1,0 +1,391 @@
+"""The regressor Y(q, q̇, q̈) of the inverse dynamic model τ = Y·π (SR400 eq. 13; AUBO eq. 8).
+
+`RegressorKernel` evaluates it for many samples at once: a Newton-Euler recursion in which every operation runs over
+all samples of a chunk. Its output is packed: only the structurally non-zero entries are computed and stored, one row a
+(joint, column) pair, time-contiguous, ready to be filtered row by row and reduced joint by joint.
+
+For a link with ten parameters, force and moment at its frame's origin are linear in them: with ω, α the angular
+velocity and acceleration and a the origin's acceleration minus gravity,
+
+    f = a·M + ([α]× + [ω]×²)·h        n = I·α + ω × I·ω + h × a        h = (MX, MY, MZ)
+
+and the torque that joint k needs for it is v_k·f + w_k·n, where (v_k, w_k) is the motion of the link's frame that a
+unit velocity of joint k causes. So a row is built from the axes of the joints below the link, expressed in its frame.
+
+With closed loops or coupled motors, rows belong to motors: R⁻ᵀGᵀ times the tree's rows (SR400 eq. 4 and 6). A motor's
+axis in a link's frame is that combination of the joints' axes, so nothing is computed twice. General loops make some
+factors of the combination vary with the position.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.linear_algebra.triangular import QrAccumulator
+from ident.model.dynamics import DynamicModel
+from ident.model.joint_columns import JointColumn, column_signal, joint_column
+from ident.model.joints import ancestors
+from ident.model.newton_euler import AxisMotion, Direction, FrameMotion, Recursion, combine, scaled
+from ident.model.transmission import TreeMotion
+
+CHUNK = 4096
+"""Samples evaluated at once: enough to hide the interpreter, few enough for the cache ."""
+
+PINOCCHIO_BELOW = 500
+"""Fewer samples than this are evaluated one by one by Pinocchio."""
+
+_INERTIA_COUNT = 6  # XX XY XZ YY YZ ZZ
+_MASS_INDEX = 9
+
+
+Share = float | tuple[int, int]
+"""Factor of a joint's axis in a motor's: a number, or where (motor, joint) it stands in R⁻ᵀGᵀ if it varies."""
+
+_PRODUCTS = (("xx", 0, 0), ("yy", 1, 1), ("zz", 2, 2), ("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
+"""Products of the angular velocity's components, by name."""
+
+# Columns of the matrix that takes XX XY XZ YY YZ ZZ to I·α + ω × I·ω; ax ay az are α's components.
+_INERTIA_TERMS: tuple[tuple[tuple[Any, ...], ...], ...] = (
+    ((np.positive, "ax"), (np.positive, "xz"), (np.negative, "xy")),
+    ((np.subtract, "ay", "xz"), (np.add, "ax", "yz"), (np.subtract, "xx", "yy")),
+    ((np.add, "az", "xy"), (np.subtract, "zz", "xx"), (np.subtract, "ax", "yz")),
+    ((np.negative, "yz"), (np.positive, "ay"), (np.positive, "xy")),
+    ((np.subtract, "yy", "zz"), (np.subtract, "az", "xy"), (np.add, "ay", "xz")),
+    ((np.positive, "yz"), (np.negative, "xz"), (np.positive, "az")),
+)
+
+# Columns of [α]× + [ω]×², which takes MX MY MZ to the force.
+_MOMENT_TERMS: tuple[tuple[tuple[Any, ...], ...], ...] = (
+    ((np.subtract, "-yy", "zz"), (np.add, "az", "xy"), (np.subtract, "xz", "ay")),
+    ((np.subtract, "xy", "az"), (np.subtract, "-xx", "zz"), (np.add, "ax", "yz")),
+    ((np.add, "ay", "xz"), (np.subtract, "yz", "ax"), (np.subtract, "-xx", "yy")),
+)
+
+
+@dataclass(frozen=True)
+class JointRows:
+    """Where one motor's packed rows are.
+
+    Attributes:
+        rows: slice of the packed array's first axis.
+        columns: for each of these rows, the column of the kernel's selection that it belongs to.
+    """
+
+    rows: slice
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class LinkRows:
+    """Where the packed rows of one link's inertial parameters are.
+
+    Attributes:
+        kinds: which of the ten parameters are selected, in the rows' order.
+        joints: of the tree, those that the link hangs on, the base's first, the link's own last; empty where nothing is
+            selected.
+        targets: for each motor that moves the link, the first of its `len(kinds)` packed rows, and the combination
+            (index in `joints`, factor) of axes that makes up the motor's.
+    """
+
+    kinds: tuple[int, ...]
+    joints: tuple[int, ...]
+    targets: tuple[tuple[int, tuple[tuple[int, Share], ...]], ...]
+
+
+@dataclass(frozen=True)
+class _LinkBlock:
+    """Packed rows that one link fills: for each motor that moves it, where its rows start and which axes act."""
+
+    link: int
+    inertia: tuple[int, ...]  # which of XX..ZZ
+    moments: tuple[int, ...]  # which of MX MY MZ
+    mass: bool
+    targets: tuple[tuple[int, tuple[tuple[int, Share], ...]], ...]  # first packed row, (index of an axis, factor)
+
+
+@dataclass(frozen=True)
+class JointParameterRow:
+    """A packed row of a column that is no link's: `factor` times the column's signal."""
+
+    row: int
+    column: JointColumn
+    factor: float
+
+
+def _motor_axes(model: DynamicModel, chain: Sequence[int]) -> list[tuple[tuple[int, Share], ...]]:
+    """For each motor, (index in the chain, factor) of the axes that make up its own; empty where it moves none."""
+    if model.transmission is None:
+        return [((chain.index(joint), 1.0),) if joint in chain else () for joint in range(model.dof)]
+    constant, varies = model.transmission.share_pattern()
+    return [
+        tuple(
+            (index, (motor, joint) if varies[motor, joint] else float(constant[motor, joint]))
+            for index, joint in enumerate(chain)
+            if varies[motor, joint] or constant[motor, joint] != 0.0
+        )
+        for motor in range(model.dof)
+    ]
+
+
+def _link_block(
+    link: int, selected: Sequence[int], targets: Sequence[tuple[int, tuple[tuple[int, Share], ...]]]
+) -> _LinkBlock:
+    kinds = [column - 10 * link for column in selected]
+    return _LinkBlock(
+        link=link,
+        inertia=tuple(kind for kind in kinds if kind < _INERTIA_COUNT),
+        moments=tuple(kind - _INERTIA_COUNT for kind in kinds if _INERTIA_COUNT <= kind < _MASS_INDEX),
+        mass=_MASS_INDEX in kinds,
+        targets=tuple(targets),
+    )
+
+
+class RegressorKernel:
+    """Evaluates chosen columns of the standard regressor, packed.
+
+    Attributes:
+        model: whose regressor this is.
+        columns: standard columns in the order of the caller's choice.
+        joint_rows: one entry a motor; together they cover the packed rows.
+        row_count: number of packed rows.
+        joint_parameter_rows: the packed rows of every column that is no link's.
+        link_rows: where each link's rows are.
+        tree: motion of the tree's joints as of the last `evaluate`.
+        shares: (dof, n, m) R⁻ᵀGᵀ of then, where it varies; empty where it is constant.
+    """
+
+    tree: TreeMotion
+
+    def __init__(self, model: DynamicModel, columns: Sequence[int] | None = None, chunk: int = CHUNK) -> None:
+        """Prepare the scratch arrays.
+
+        Args:
+            model: the arm.
+            columns: standard columns wanted; all of them where None.
+            chunk: most samples that one call of `evaluate` may bring.
+        """
+        self.model = model
+        parameters = model.parameters
+        self.columns = tuple(range(len(parameters))) if columns is None else tuple(columns)
+        self.chunk = chunk
+        position_of = {column: position for position, column in enumerate(self.columns)}
+        links = range(len(model.joints))
+        self._chains = tuple(ancestors(model.joints, number) for number in links)
+        selected = [[c for c in range(10 * link, 10 * link + 10) if c in position_of] for link in links]
+        axes = [_motor_axes(model, (*self._chains[link], link)) for link in links]
+        of_joints = {c: joint_column(model, parameters[c]) for c in self.columns if parameters[c].kind != "inertial"}
+
+        targets: list[list[tuple[int, tuple[tuple[int, Share], ...]]]] = [[] for _ in links]
+        joint_rows = []
+        self.joint_parameter_rows: list[JointParameterRow] = []
+        row = 0
+        for motor in range(model.dof):
+            first = row
+            row_columns: list[int] = []
+            for link in links:
+                if selected[link] and axes[link][motor]:
+                    targets[link].append((row, axes[link][motor]))
+                    row_columns += [position_of[c] for c in selected[link]]
+                    row += len(selected[link])
+            for standard, column in of_joints.items():
+                for acting, factor in column.rows:
+                    if acting == motor:
+                        self.joint_parameter_rows.append(JointParameterRow(row, column, factor))
+                        row_columns.append(position_of[standard])
+                        row += 1
+            joint_rows.append(JointRows(slice(first, row), tuple(row_columns)))
+        self.joint_rows = tuple(joint_rows)
+        self.row_count = row
+        self._blocks = tuple(_link_block(link, selected[link], targets[link]) for link in links)
+        self.link_rows = tuple(
+            LinkRows(
+                kinds=tuple(column - 10 * link for column in selected[link]),
+                joints=(*self._chains[link], link) if block.targets else (),
+                targets=block.targets,
+            )
+            for link, block in enumerate(self._blocks)
+        )
+        self._recursion = Recursion(model.joints, self._chains, model.gravity, chunk)
+        self._rotating = np.empty((3, _INERTIA_COUNT, chunk))
+        self._pushing = np.empty((3, 4, chunk))
+        self._products = np.empty((len(_PRODUCTS) + 2, chunk))
+        self._term = np.empty((_INERTIA_COUNT, chunk))
+        self._axis = np.empty((6, chunk))
+        self._part = np.empty(chunk)
+        self.shares = np.empty((0, 0, 0))
+
+    @property
+    def frames(self) -> list[FrameMotion]:
+        """Every link's motion as of the last `evaluate`; arrays (3, chunk), the first m samples of which are filled."""
+        return self._recursion.frames
+
+    def evaluate(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray, out: FloatArray) -> None:
+        """Write the packed regressor of m ≤ `chunk` samples into `out` (row_count, m).
+
+        Args:
+            position: (n, m) of the joints with a motor [rad or m].
+            velocity: (n, m) [rad/s or m/s].
+            acceleration: (n, m) [rad/s² or m/s²].
+            out: (row_count, m), written in full.
+        """
+        count = position.shape[1]
+        model = self.model
+        self.tree = model.tree_motion(position, velocity, acceleration)
+        self._recursion.run(self.tree.position, self.tree.velocity, self.tree.acceleration)
+        if model.transmission is not None and self.tree.follow.ndim == 3:
+            self.shares = model.transmission.to_motors(self.tree.follow)
+        for block in self._blocks:
+            if block.targets:
+                self._fill_link(block, count, out)
+        for entry in self.joint_parameter_rows:
+            signal = column_signal(model, entry.column, velocity, acceleration)
+            out[entry.row] = signal if entry.factor == 1.0 else entry.factor * signal
+
+    def _fill_link(self, block: _LinkBlock, count: int, out: FloatArray) -> None:
+        motion = self._recursion.frames[block.link]
+        rotating, pushing = self._rotating[..., :count], self._pushing[..., :count]
+        self._body_rows(motion, block, count)
+        inertias, moments = len(block.inertia), len(block.moments)
+        pushes = moments + block.mass
+        acceleration = motion.linear[:, :count]
+        for start, axes in block.targets:
+            direction = self._motor_axis(motion, axes, count)
+            for_inertia = out[start : start + inertias, :count]
+            for_push = out[start + inertias : start + inertias + pushes, :count]
+            if inertias:
+                combine(direction.angular, rotating[:, :inertias], count, for_inertia, self._term)
+            if pushes:
+                combine(direction.linear, pushing[:, :pushes], count, for_push, self._term)
+            if moments:
+                self._add_moment_of_first_moments(direction.angular, acceleration, block.moments, count, for_push)
+
+    def _motor_axis(self, motion: FrameMotion, axes: Sequence[tuple[int, Share]], count: int) -> AxisMotion:
+        """The combination of the joints' axes, valid until the next call."""
+        if len(axes) == 1 and axes[0][1] == 1.0:
+            return motion.axes[axes[0][0]]
+        parts: list[FloatArray | float] = []
+        for number in range(6):
+            component, total = number % 3, self._axis[number]
+            constant, varies = 0.0, False
+            for index, share in axes:
+                axis = motion.axes[index]
+                value = (axis.angular if number < 3 else axis.linear)[component]
+                factor = share if isinstance(share, float) else self.shares[share]
+                if isinstance(value, float) and isinstance(factor, float):
+                    constant += factor * value
+                    continue
+                if isinstance(value, float) and value == 0.0:
+                    continue
+                part = self._part if varies else total
+                np.multiply(value if isinstance(value, float) else value[:count], factor, out=part[:count])
+                if varies:
+                    total[:count] += part[:count]
+                varies = True
+            if varies and constant != 0.0:
+                total[:count] += constant
+            parts.append(total if varies else constant)
+        return AxisMotion((parts[0], parts[1], parts[2]), (parts[3], parts[4], parts[5]))
+
+    def _body_rows(self, motion: FrameMotion, block: _LinkBlock, count: int) -> None:
+        """Moment (3, inertias) and force (3, moments + mass) that unit parameters of this link cause in its frame."""
+        w, a = motion.angular_velocity[:, :count], motion.angular_acceleration[:, :count]
+        operands = {"ax": a[0], "ay": a[1], "az": a[2]}
+        for row, (name, left, right) in enumerate(_PRODUCTS):
+            operands[name] = np.multiply(w[left], w[right], out=self._products[row, :count])
+        operands["-xx"] = np.negative(operands["xx"], out=self._products[-2, :count])
+        operands["-yy"] = np.negative(operands["yy"], out=self._products[-1, :count])
+        n, f = self._rotating[..., :count], self._pushing[..., :count]
+        for slot, kind in enumerate(block.inertia):
+            for component, (operation, *names) in enumerate(_INERTIA_TERMS[kind]):
+                operation(*(operands[name] for name in names), out=n[component, slot])
+        for slot, kind in enumerate(block.moments):
+            for component, (operation, *names) in enumerate(_MOMENT_TERMS[kind]):
+                operation(*(operands[name] for name in names), out=f[component, slot])
+        if block.mass:
+            f[:, len(block.moments)] = motion.linear[:, :count]
+
+    def _add_moment_of_first_moments(
+        self, angular: Direction, acceleration: FloatArray, moments: Sequence[int], count: int, out: FloatArray
+    ) -> None:
+        """Add (a × w)·h for the selected first moments."""
+        term = self._term[0, :count]
+        for slot, kind in enumerate(moments):
+            first, second = (kind + 1) % 3, (kind + 2) % 3
+            if scaled(angular[second], acceleration[first], count, term):
+                out[slot] += term
+            if scaled(angular[first], acceleration[second], count, term):
+                out[slot] -= term
+
+
+def regressor(
+    model: DynamicModel,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    columns: Sequence[int] | None = None,
+) -> FloatArray:
+    """Regressor (n, p, N) for (n, N) joint motions, p the chosen standard columns (all where None).
+
+    Fewer than `PINOCCHIO_BELOW` samples go through Pinocchio one by one, more through the kernel; the two agree to
+    1e-10 of the regressor's scale.
+    """
+    count = position.shape[1]
+    if count < PINOCCHIO_BELOW:
+        from ident.model.pinocchio_model import pinocchio_regressor
+
+        full = pinocchio_regressor(model, position, velocity, acceleration)
+        return full if columns is None else full[:, list(columns)]
+    kernel = RegressorKernel(model, columns)
+    dense = np.zeros((model.dof, len(kernel.columns), count))
+    for part, packed in evaluate_in_chunks(kernel, position, velocity, acceleration):
+        for joint, rows in enumerate(kernel.joint_rows):
+            dense[joint, list(rows.columns), part] = packed[rows.rows]
+    return dense
+
+
+def model_torque(
+    model: DynamicModel,
+    columns: Sequence[int] | None,
+    parameters: FloatArray,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+) -> FloatArray:
+    """Torque (n, N) [N·m] of parameters (p,) on the standard `columns` (all where None) along a motion (n, N)."""
+    kernel = RegressorKernel(model, columns)
+    torque = np.empty_like(position)
+    for part, packed in evaluate_in_chunks(kernel, position, velocity, acceleration):
+        for joint, rows in enumerate(kernel.joint_rows):
+            torque[joint, part] = parameters[list(rows.columns)] @ packed[rows.rows]
+    return torque
+
+
+def motion_factor(
+    kernel: RegressorKernel, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+) -> FloatArray:
+    """Triangular factor (b, b) of the kernel's columns, all joints' rows stacked, along a motion (n, N)."""
+    accumulator = QrAccumulator(len(kernel.columns))
+    for _, packed in evaluate_in_chunks(kernel, position, velocity, acceleration):
+        for rows in kernel.joint_rows:
+            wide = np.zeros((len(kernel.columns), packed.shape[1]))
+            wide[list(rows.columns)] = packed[rows.rows]
+            accumulator.add(wide)
+    return accumulator.factor()
+
+
+def evaluate_in_chunks(
+    kernel: RegressorKernel, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+) -> Iterator[tuple[slice, FloatArray]]:
+    """Slices of the samples with their packed regressor (row_count, m), valid until the next one is asked for."""
+    count = position.shape[1]
+    buffer = np.empty((kernel.row_count, min(count, kernel.chunk)))
+    for start in range(0, count, kernel.chunk):
+        part = slice(start, min(start + kernel.chunk, count))
+        packed = buffer[:, : part.stop - part.start]
+        kernel.evaluate(position[:, part], velocity[:, part], acceleration[:, part], packed)
+        yield part, packed

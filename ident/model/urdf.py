@@ -1,0 +1,147 @@
+"""Kinematics from a URDF: parsed by Pinocchio, meshes never opened, joints locked where the robot file says so."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from daq.closest import did_you_mean
+from drivers.errors import RobotFileError
+from ident.model.joints import BASE_INDEX, Joint
+
+UNIVERSE = 0
+
+
+def urdf_joints(xml: str, names: Sequence[str], locked: Mapping[str, float], where: str) -> tuple[Joint, ...]:
+    """Joints of a URDF in the order of `names`, with the joints of `locked` (name → position [rad or m]) frozen.
+
+    Raises:
+        RobotFileError: not a URDF; a joint is missing, neither named nor locked, has more than one degree of freedom,
+            or stands before the joint that carries it.
+    """
+    model = urdf_model(xml, names, locked, where)
+    number = {name: index for index, name in enumerate(names)}
+    joints = []
+    for name in names:
+        identifier = model.getJointId(name)
+        parent_identifier = model.parents[identifier]
+        parent = BASE_INDEX if parent_identifier == UNIVERSE else number[model.names[parent_identifier]]
+        if parent >= number[name]:
+            raise RobotFileError(
+                f"joint '{name}' stands before '{names[parent]}', which carries it",
+                where=f"{where}: joints",
+                hint="reorder 'joints'",
+            )
+        subspace = _motion_subspace(model.joints[identifier], name, where)
+        prismatic = bool(np.any(subspace[:3]))
+        placement = model.jointPlacements[identifier]
+        joints.append(
+            Joint(
+                name=name,
+                parent=parent,
+                prismatic=prismatic,
+                rotation=_without_rounding(placement.rotation),
+                translation=_without_rounding(placement.translation),
+                axis=_without_rounding(subspace[:3] if prismatic else subspace[3:]),
+            )
+        )
+    return tuple(joints)
+
+
+def urdf_order(xml: str, names: Sequence[str], locked: Mapping[str, float], where: str) -> tuple[str, ...]:
+    """The same joints in an order in which each comes after the one that carries it.
+
+    Raises:
+        RobotFileError: not a URDF; a joint is missing, or neither named nor locked.
+    """
+    return tuple(name for name in urdf_model(xml, names, locked, where).names if name in names)
+
+
+def urdf_model(xml: str, names: Sequence[str], locked: Mapping[str, float], where: str) -> Any:
+    """A URDF as a `pinocchio.Model` in which just the joints of `names` move, in its own order.
+
+    Raises:
+        RobotFileError: not a URDF; a joint is missing, or neither named nor locked.
+    """
+    import pinocchio as pin
+
+    try:
+        full = pin.buildModelFromXML(xml)
+    except Exception as error:  # Pinocchio raises several kinds, none of them public
+        reason = str(error).strip().splitlines()
+        raise RobotFileError(f"not a URDF: {reason[0] if reason else 'no robot in it'}", where=where) from error
+    return _lock(full, names, locked, where)
+
+
+def _lock(full: Any, names: Sequence[str], locked: Mapping[str, float], where: str) -> Any:
+    import pinocchio as pin
+
+    movable = [name for name in full.names if name != "universe"]
+    for name in names:
+        if name not in movable:
+            hint = did_you_mean(name, movable) or f"movable joints of the URDF: {', '.join(movable) or 'none'}"
+            raise RobotFileError(
+                f"'joints' names '{name}', which is no movable joint of the URDF", where=where, hint=hint
+            )
+    for name in locked:
+        if name not in movable:
+            hint = did_you_mean(name, movable) or f"movable joints of the URDF: {', '.join(movable) or 'none'}"
+            raise RobotFileError(f"'{name}' is no movable joint of the URDF", where=f"{where}: model.locked", hint=hint)
+        if name in names:
+            raise RobotFileError(
+                f"joint '{name}' is both locked and listed in 'joints'", where=f"{where}: model.locked"
+            )
+    loose = [name for name in movable if name not in names and name not in locked]
+    if loose:
+        raise RobotFileError(
+            f"the URDF moves joint(s) that 'joints' does not name: {', '.join(loose)}",
+            where=where,
+            hint=f"add them to 'joints', or lock them: model: {{locked: {{{loose[0]}: 0}}}}",
+        )
+    if not locked:
+        return full
+    reference = pin.neutral(full)
+    for name, position in locked.items():
+        joint = full.joints[full.getJointId(name)]
+        if joint.nq == 1:
+            reference[joint.idx_q] = position
+        elif joint.nq == 2 and joint.nv == 1:  # a continuous joint keeps cosine and sine
+            reference[joint.idx_q : joint.idx_q + 2] = np.cos(position), np.sin(position)
+        else:
+            raise RobotFileError(f"joint '{name}' has more than one degree of freedom", where=f"{where}: model.locked")
+    return pin.buildReducedModel(full, [full.getJointId(name) for name in locked], reference)
+
+
+def _motion_subspace(joint: Any, name: str, where: str) -> Any:
+    """(6,) direction of motion, translation first."""
+    if joint.nv != 1:
+        raise RobotFileError(
+            f"joint '{name}' has {joint.nv} degrees of freedom; only revolute, continuous and prismatic joints work",
+            where=where,
+        )
+    data = joint.createData()
+    position = np.array([1.0, 0.0])[: joint.nq] if joint.nq == 2 else np.zeros(1)
+    joint.calc(data, position)
+    return np.asarray(data.S).reshape(6)
+
+
+RIGHT_ANGLE_TOLERANCE = 1e-5  # [rad]; `1.5708` stands for π/2 in many URDFs
+
+
+def _without_rounding(values: Any) -> Any:
+    """Entries within 1e-11 of 0 or ±1 made exact, and a matrix of right angles that was written `1.5708` too.
+
+    Left as it is, such dust would make parameters look identifiable that are not, and it costs products in the kernel.
+    """
+    exact = np.array(values, dtype=np.float64)
+    nearest = np.clip(np.round(exact), -1, 1)
+    tolerance = RIGHT_ANGLE_TOLERANCE if exact.ndim == 2 and _is_signed_permutation(nearest) else 1e-11
+    close = np.abs(exact - nearest) < tolerance
+    exact[close] = nearest[close]
+    return exact
+
+
+def _is_signed_permutation(matrix: Any) -> bool:
+    return bool(np.all(np.abs(matrix).sum(axis=0) == 1) and np.all(np.abs(matrix).sum(axis=1) == 1))

@@ -1,0 +1,1 @@
+"""The stacked equations, least squares on their triangular factor, and honest covariances."""

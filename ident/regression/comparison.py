@@ -1,0 +1,71 @@
+"""Measured against predicted torque: both through the same parallel filter, sample by sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.streams import FloatArray
+from ident.model.dynamics import DynamicModel
+from ident.model.regressor import model_torque
+from ident.signals.filters import ZeroPhaseFilter
+from ident.signals.pipeline import Segment
+
+
+@dataclass(frozen=True)
+class TorqueSeries:
+    """Filtered torques of one contiguous stretch.
+
+    Attributes:
+        time: (M,) [s].
+        measured: (n, M) [N·m].
+        predicted: (n, M) [N·m]; nan for joints of whose torque the model says nothing.
+        velocity: (n, M) [rad/s or m/s].
+        used: (M,) whether the sample counts (the arm moves).
+    """
+
+    time: FloatArray
+    measured: FloatArray
+    predicted: FloatArray
+    velocity: FloatArray
+    used: npt.NDArray[np.bool_]
+
+    @property
+    def residual(self) -> FloatArray:
+        """Measured minus predicted torque (n, M) [N·m]; 0 where the sample does not count."""
+        return np.where(self.used, self.measured - self.predicted, 0.0)
+
+
+def compare_torques(
+    model: DynamicModel,
+    columns: Sequence[int],
+    parameters: FloatArray,
+    segments: Sequence[Segment],
+    parallel_filter: ZeroPhaseFilter,
+) -> tuple[TorqueSeries, ...]:
+    """Filtered measured and predicted torques for base parameters (b,) on the standard `columns`."""
+    series = []
+    for segment in segments:
+        every = slice(None, None, parallel_filter.factor)
+        predicted = model_torque(model, columns, parameters, segment.position, segment.velocity, segment.acceleration)
+        series.append(
+            TorqueSeries(
+                time=segment.time[every],
+                measured=parallel_filter.apply(segment.torque),
+                predicted=parallel_filter.apply(predicted),
+                velocity=segment.velocity[:, every],
+                used=segment.used[every],
+            )
+        )
+    return tuple(series)
+
+
+def only_predicted(series: TorqueSeries, joints: Sequence[int]) -> TorqueSeries:
+    """The series without the predictions of all but some joints."""
+    others = [joint for joint in range(len(series.predicted)) if joint not in joints]
+    predicted = series.predicted.copy()
+    predicted[others] = np.nan
+    return replace(series, predicted=predicted) if others else series

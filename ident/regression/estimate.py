@@ -1,0 +1,89 @@
+"""What an identification has to say to others: its values with their whole covariance, and what they are values of.
+
+A model is printed with standard deviations. Whoever puts it together with another one needs more: how the errors hang
+together, and which combinations of the arm's standard parameters the values belong to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.linear_algebra.triangular import triangular
+from ident.regression.least_squares import LeastSquares, excited_columns
+from ident.regression.observation_matrix import Reduction
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Estimated base parameters; a of the b base parameters of the experiment.
+
+    Attributes:
+        active: (a,) numbers of the estimated base parameters.
+        values: (a,).
+        root: (a, a) upper triangular; rootᵀ·root is the inverse of the covariance for white residuals, and weighs the
+            estimate among others.
+        covariance: (a, a) corrected for residuals that are not white.
+        taken_up: (a, b − a) how much of each base parameter without a value is in each estimated one, since the data
+            could not tell them apart.
+        blocks: of the jackknife behind the covariance.
+    """
+
+    active: tuple[int, ...]
+    values: FloatArray
+    root: FloatArray
+    covariance: FloatArray
+    taken_up: FloatArray
+    blocks: int
+
+    def combinations(self, projection: FloatArray) -> FloatArray:
+        """What the values are values of (a, k), from that (b, k) of all base parameters of the experiment."""
+        others = [number for number in range(len(projection)) if number not in self.active]
+        return np.asarray(projection[list(self.active)] + self.taken_up @ projection[others])
+
+
+def estimate_of(reduction: Reduction, solution: LeastSquares, covariance: FloatArray, blocks: int) -> Estimate:
+    """The estimate behind a solution.
+
+    Args:
+        reduction: the system that was solved.
+        solution: of it.
+        covariance: (a, a) corrected.
+        blocks: of its jackknife.
+    """
+    active = list(solution.active)
+    factor = reduction.stacked(solution.weights)[:, : reduction.column_count]
+    count = len(active)
+    deviation = np.sqrt(max(solution.residual_sum / (solution.rows - count), np.finfo(float).tiny))
+    return Estimate(
+        active=solution.active,
+        values=solution.parameters[active],
+        root=triangular(factor[:, active])[:count] / deviation,
+        covariance=covariance,
+        taken_up=_taken_up(factor, active, excited_columns(reduction)),
+        blocks=blocks,
+    )
+
+
+def _taken_up(factor: FloatArray, active: Sequence[int], excited: Sequence[int]) -> FloatArray:
+    """Shares (a, b − a) of the columns that depend on the active ones.
+
+    A column that is excited by itself and yet not active is the friction of a joint at rest: nothing took it up.
+    """
+    others = [column for column in range(factor.shape[1]) if column not in active]
+    shares = np.zeros((len(active), len(others)))
+    dependent = [place for place, column in enumerate(others) if column not in excited]
+    if active and dependent:
+        system = factor[:, list(active)]
+        lengths = np.linalg.norm(system, axis=0)
+        found, *_ = np.linalg.lstsq(system / lengths, factor[:, [others[place] for place in dependent]], rcond=None)
+        significant = np.where(np.abs(found) > ROUNDING * np.max(lengths), found, 0.0)
+        shares[:, dependent] = significant / lengths[:, None]
+    return shares
+
+
+ROUNDING = 1e-9
+"""Shares below this part of the longest column are rounding."""

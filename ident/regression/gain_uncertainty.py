@@ -1,0 +1,46 @@
+"""What uncertain drive gains do to base parameters: no residual shows it, and no jackknife.
+
+The torque of a joint is its gain times its motor's signal. Least squares is linear in the torque, so a gain that is too
+high by the share ε of itself moves the parameters by ε·(WᵀΩW)⁻¹W_jᵀΩ_jτ_j, W_j and τ_j that joint's rows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq.robot import Robot
+from drivers.errors import UsageError
+from drivers.streams import FloatArray
+from ident.regression.least_squares import ENERGY_METHODS, LeastSquares
+from ident.regression.observation_matrix import Reduction
+
+
+def gain_sensitivity(reduction: Reduction, solution: LeastSquares) -> FloatArray:
+    """Movement (b, n) of the base parameters over the relative change of each joint's gain; 0 where not estimated.
+
+    Args:
+        reduction: the torque equations, one factor a joint.
+        solution: theirs, by `ols` or `wls`; the weights are taken as they are.
+
+    Raises:
+        UsageError: the solution is that of the energy or power model, which has no rows of a single joint.
+    """
+    if solution.method in ENERGY_METHODS:
+        raise UsageError(f"the rows of method {solution.method} belong to no single joint", hint="use wls or ols")
+    place = {column: position for position, column in enumerate(solution.active)}
+    scores = np.zeros((len(solution.active), len(reduction.joints)))
+    for number, joint in enumerate(reduction.joints):
+        width = len(joint.columns)
+        score = solution.weights[number] ** 2 * (joint.factor[:, :width].T @ joint.factor[:, width])
+        for column, value in zip(joint.columns, score.tolist(), strict=True):
+            if column in place:
+                scores[place[column], number] = value
+    moved = np.zeros((reduction.column_count, len(reduction.joints)))
+    moved[list(solution.active)] = solution.inverse @ scores
+    return moved
+
+
+def relative_gain_std(robot: Robot) -> FloatArray:
+    """Standard deviation (n,) of each drive's gain over the gain, by the robot file; 0 where it names none."""
+    drives = [robot.drive(name) for name in robot.joint_names]
+    return np.array([(drive.gain_std or 0.0) / abs(drive.gain) if drive.gain else 0.0 for drive in drives])

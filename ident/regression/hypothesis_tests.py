@@ -1,0 +1,75 @@
+"""Whether a difference of identified numbers is chance, its covariance coming from few blocks of data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.model.load import INDEPENDENT
+
+WITHIN_95_PERCENT = 1.96
+"""95 % of a normal distribution lie within so many standard deviations of its mean."""
+
+LEVEL = 0.01
+"""A test rejects where chance alone would give so large a difference less often than this."""
+
+FEWEST_EXTRA_BLOCKS = 5
+"""The test needs so many blocks more than it has degrees of freedom."""
+
+
+@dataclass(frozen=True)
+class ChanceTest:
+    """A comparison of two sets of numbers that should differ by chance only.
+
+    Attributes:
+        statistic: χ² (Hotelling's T²), the squared difference in its own standard deviations.
+        freedom: its degrees of freedom.
+        p_value: how often chance alone gives a larger one.
+    """
+
+    statistic: float
+    freedom: int
+    p_value: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether chance may explain the difference."""
+        return self.p_value >= LEVEL
+
+
+def chi_square_test(
+    difference: FloatArray, covariance: FloatArray, blocks: int, explained_by: FloatArray | None = None
+) -> ChanceTest | None:
+    """Whether a difference is chance, once its part in the span of some columns has been taken out.
+
+    Args:
+        difference: (m,).
+        covariance: (m, m) of it, from a jackknife over `blocks` blocks.
+        blocks: B.
+        explained_by: (m, k) columns whose multiples are allowed; none where None.
+
+    Returns:
+        None where nothing is left to test or the blocks are too few for it.
+    """
+    from scipy.stats import f as f_distribution
+
+    # Scaled first: parameters of links and wrist differ by orders of magnitude.
+    scale = np.sqrt(np.diag(covariance))
+    if len(difference) == 0 or not np.all(np.isfinite(scale) & (scale > 0)):
+        return None
+    left, spread = difference / scale, covariance / np.outer(scale, scale)
+    if explained_by is not None:
+        columns = explained_by / scale[:, None]
+        lengths = np.linalg.norm(columns, axis=0)
+        columns = columns[:, lengths > 0] / lengths[lengths > 0]
+        basis, singular, _ = np.linalg.svd(columns)
+        free = basis[:, int(np.count_nonzero(singular > INDEPENDENT * singular.max(initial=0.0))) :]
+        left, spread = free.T @ left, free.T @ spread @ free
+    freedom = len(left)
+    if freedom == 0 or blocks < freedom + FEWEST_EXTRA_BLOCKS:
+        return None
+    statistic = float(left @ np.linalg.solve(spread, left))
+    ratio = statistic * (blocks - freedom) / (freedom * (blocks - 1))
+    return ChanceTest(statistic, freedom, float(f_distribution.sf(ratio, freedom, blocks - freedom)))

@@ -1,0 +1,171 @@
+"""Ordinary and weighted least squares on a reduced system (SR400 .4.3; ROCR6 eq. 10-12, misprints corrected)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.errors import IdentificationError
+from drivers.streams import FloatArray
+from ident.linear_algebra.triangular import scaled_condition, triangular
+from ident.regression.observation_matrix import Reduction
+
+LinearMethod = Literal["ols", "wls"]
+Method = Literal["ols", "wls", "energy", "power"]
+ENERGY_METHODS: tuple[Method, ...] = ("energy", "power")
+"""Those that fit one scalar equation of the whole arm instead of one a joint."""
+
+EXCITATION_TOLERANCE = 1e-9
+"""A base column whose part independent of the preceding ones is below this share of its length is not excited, nor one
+that is shorter than this share of the longest: the derivative of a position that never changes is rounding."""
+
+ROUNDING = 1e-7
+"""A residual below this share of the joint's torque is rounding, and no measure of its noise."""
+
+WLS_TOLERANCE = 1e-8
+WLS_ITERATIONS = 100
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """A least-squares solution.
+
+    Attributes:
+        method: what was fitted, and how.
+        active: numbers of the base columns that were estimated.
+        parameters: (b,) base parameters; 0 for those that were not estimated.
+        covariance: (a, a) of the active ones, residuals taken as white (SR400 eq. 14).
+        inverse: (a, a) inverse of the (weighted) normal matrix.
+        weights: (n,) what each joint's rows were multiplied with, 0 without rows; (1,) for the energy methods.
+        joint_std: (n,) standard deviation of each joint's residual [N·m], 0 without rows; (1,) of the energy's [J] or
+            power's [W].
+        rows: r, the number of equations.
+        condition: of the active columns as they are (weighted), SR400's criterion.
+        scaled_condition: the same with columns of unit length.
+        residual_sum: Σ ρ² of the weighted system.
+        iterations: of the weights; 1 for OLS.
+    """
+
+    method: Method
+    active: tuple[int, ...]
+    parameters: FloatArray
+    covariance: FloatArray
+    inverse: FloatArray
+    weights: FloatArray
+    joint_std: FloatArray
+    rows: int
+    condition: float
+    scaled_condition: float
+    residual_sum: float
+    iterations: int
+
+    @property
+    def std(self) -> FloatArray:
+        """Classical standard deviations (b,); inf where a parameter was not estimated."""
+        deviations = np.full(len(self.parameters), np.inf)
+        deviations[list(self.active)] = np.sqrt(np.diag(self.covariance))
+        return deviations
+
+
+def excited_columns(reduction: Reduction) -> tuple[int, ...]:
+    """Base columns that the data can tell apart: each has a part that is independent of those before it."""
+    factor = reduction.stacked()[:, : reduction.column_count]
+    lengths = np.linalg.norm(factor, axis=0)
+    return tuple(
+        column
+        for column in range(reduction.column_count)
+        if lengths[column] > EXCITATION_TOLERANCE * lengths.max()
+        and abs(factor[column, column]) > EXCITATION_TOLERANCE * lengths[column]
+    )
+
+
+def ordinary_least_squares(reduction: Reduction, active: Sequence[int]) -> LeastSquares:
+    """OLS over all joints' rows with equal weight.
+
+    Raises:
+        IdentificationError: fewer equations than parameters, or columns that depend on each other.
+    """
+    return _solve(reduction, tuple(active), _with_rows(reduction).astype(np.float64), "ols", 1)
+
+
+def weighted_least_squares(reduction: Reduction, active: Sequence[int]) -> LeastSquares:
+    """WLS: each joint's rows divided by its residual's standard deviation, iterated until the weights stand.
+
+    σ_j² = ‖Γ_j − W_j θ‖² / (N_j − b·N_j/r) (ROCR6 eq. 11 with the joint's share of the parameters as r_j).
+
+    Raises:
+        IdentificationError: as for OLS, or the weights do not converge.
+    """
+    solution = ordinary_least_squares(reduction, active)
+    floor, used = _rounding_floor(reduction), _with_rows(reduction)
+    for iteration in range(2, WLS_ITERATIONS + 2):
+        weights = np.where(used, 1.0 / np.maximum(solution.joint_std, floor), 0.0)
+        refined = _solve(reduction, tuple(active), weights, "wls", iteration)
+        change = np.max(np.abs(np.maximum(refined.joint_std, floor) * weights - 1.0)[used])
+        solution = refined
+        if change < WLS_TOLERANCE:
+            return solution
+    raise IdentificationError(
+        f"the joint weights did not settle in {WLS_ITERATIONS} iterations", hint="use --method ols, or record longer"
+    )
+
+
+def _with_rows(reduction: Reduction) -> npt.NDArray[np.bool_]:
+    """Whether (n,) each joint has rows in the system."""
+    return np.array([joint.rows > 0 for joint in reduction.joints])
+
+
+def _rounding_floor(reduction: Reduction) -> FloatArray:
+    """Standard deviations (n,) below which a joint's weight must not follow its residual: noise-free data."""
+    torque = np.array(
+        [np.linalg.norm(joint.factor[:, len(joint.columns)]) / max(joint.rows, 1) ** 0.5 for joint in reduction.joints]
+    )
+    return np.asarray(ROUNDING * np.maximum(torque, max(1e-9 * float(np.max(torque)), np.finfo(float).tiny)))
+
+
+def _solve(
+    reduction: Reduction,
+    active: tuple[int, ...],
+    weights: FloatArray,
+    method: LinearMethod,
+    iterations: int,
+) -> LeastSquares:
+    count = len(active)
+    if reduction.rows <= count:
+        raise IdentificationError(
+            f"{reduction.rows} equations cannot determine {count} parameters", hint="record longer or decimate less"
+        )
+    stacked = reduction.stacked(weights)
+    factor = triangular(stacked[:, [*active, reduction.column_count]])
+    square, right = factor[:count, :count], factor[:count, count]
+    lengths = np.linalg.norm(square, axis=0)
+    if count and not np.all(np.abs(np.diag(square)) > EXCITATION_TOLERANCE * lengths):
+        raise IdentificationError("the columns of the system depend on each other", hint="record a richer motion")
+    inverse_factor = np.linalg.solve(square / lengths, np.eye(count)) / lengths[:, None]
+    inverse = inverse_factor @ inverse_factor.T
+    values = np.linalg.solve(square / lengths, right) / lengths
+    parameters = np.zeros(reduction.column_count)
+    parameters[list(active)] = values
+    residual_sum = float(factor[count, count] ** 2) if factor.shape[0] > count else 0.0
+    freedom = reduction.rows - count
+    joint_rows = np.array([joint.rows for joint in reduction.joints])
+    joint_freedom = joint_rows * freedom / reduction.rows
+    singular = np.linalg.svd(square, compute_uv=False) if count else np.ones(1)
+    return LeastSquares(
+        method=method,
+        active=active,
+        parameters=parameters,
+        covariance=residual_sum / freedom * inverse,
+        inverse=inverse,
+        weights=weights,
+        joint_std=np.sqrt(reduction.residual_sums(parameters) / np.maximum(joint_freedom, 1.0)),
+        rows=reduction.rows,
+        condition=float(singular[0] / singular[-1]),
+        scaled_condition=scaled_condition(square) if count else 1.0,
+        residual_sum=residual_sum,
+        iterations=iterations,
+    )

@@ -1,0 +1,284 @@
+"""What of an arm an experiment can show: joints that were locked, motors whose torques are used (SR400 .4.3 point 7).
+
+With joints locked, or with the rows of some motors only, fewer combinations of the standard parameters act than in free
+motion. Which ones follows from the model: the regressor at random states with the locked joints where they stood, and
+only the chosen motors' rows. So the regrouping does not hang on how well a recording happens to be excited.
+
+The torque of a motor that never turns is left out unless it is asked for: static friction, or a brake, holds an unknown
+part of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from drivers.errors import DataError, IdentificationError, UsageError
+from drivers.streams import FloatArray
+from ident.linear_algebra.triangular import QrAccumulator
+from ident.model.base_parameters import (
+    STATES_PER_PARAMETER,
+    BaseParameters,
+    ModelKey,
+    base_parameters,
+    base_parameters_of,
+    random_states,
+)
+from ident.model.dynamics import DynamicModel
+from ident.model.regressor import RegressorKernel, evaluate_in_chunks
+
+STILL = 1e-3
+"""A joint whose position stays within this range [rad or m] is locked: brakes and controllers give way by less."""
+
+NOISE_DEVIATIONS = 10.0
+"""… or within so many standard deviations of its encoder's noise: the range of a million normal values."""
+
+SAME_POSE = 0.01
+"""Positions of a locked joint closer than this [rad or m] are the same."""
+
+RIGHT_ANGLE = 2e-3
+"""A joint locked so near [rad] to a multiple of 90° is taken to stand there: geometry is special there, and parameters
+that only this small angle would tell apart could not be told from an error of the angle."""
+
+
+@dataclass(frozen=True)
+class ExperimentChoices:
+    """What a user may say of the experiment.
+
+    Attributes:
+        locked: names of joints that must not move; whichever others stand still are found from the data.
+        torques_of: names of the joints whose motors' torques are used; all that turn where empty.
+    """
+
+    locked: tuple[str, ...] = ()
+    torques_of: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What a set of recordings can show of an arm.
+
+    Attributes:
+        locked: numbers of the joints with a motor that stood still throughout.
+        poses: where they stood, one entry (len(locked),) for each pose that was recorded [rad or m].
+        torques: numbers of the motors whose torque equations are used.
+    """
+
+    locked: tuple[int, ...]
+    poses: tuple[tuple[float, ...], ...]
+    torques: tuple[int, ...]
+
+
+def whole_arm(model: DynamicModel) -> Experiment:
+    """Every joint free to move, every motor's torque used."""
+    return Experiment((), ((),), tuple(range(model.dof)))
+
+
+def find_experiment(
+    model: DynamicModel, positions: Sequence[tuple[str, FloatArray]], choices: ExperimentChoices
+) -> Experiment:
+    """Which joints stood still in all recordings, and whose torques to use.
+
+    Args:
+        model: the arm.
+        positions: each recording's label and positions (N, n) as recorded [rad or m].
+        choices: the user's.
+
+    Raises:
+        DataError: a joint that is said to be locked moves.
+        UsageError: a name that no joint has.
+    """
+    named = joint_numbers(model, choices.locked, "--locked")
+    still = np.all([ranges(position)[0] <= ranges(position)[1] for _, position in positions], axis=0)
+    for label, position in positions:
+        moved, allowed = ranges(position)
+        for joint in named:
+            if moved[joint] > allowed[joint]:
+                unit = _unit(model, joint)
+                raise DataError(
+                    f"joint {model.joint_names[joint]} is said to be locked and moves over {moved[joint]:.3g} {unit}; "
+                    f"up to {allowed[joint]:.2g} {unit} would be encoder noise or a brake that gives way",
+                    where=label,
+                    hint="leave it out of --locked, or choose a window with --start and --stop",
+                )
+    locked = () if bool(np.all(still)) else tuple(int(joint) for joint in np.flatnonzero(still))
+    poses: list[tuple[float, ...]] = []
+    for _, position in positions:
+        pose = _pose(model, position, locked)
+        if not any(np.allclose(pose, other, rtol=0.0, atol=SAME_POSE) for other in poses):
+            poses.append(pose)
+    torques = joint_numbers(model, choices.torques_of, "--torques-of")
+    return Experiment(locked, tuple(poses), tuple(sorted(torques)) or turning_motors(model, locked))
+
+
+def joint_numbers(model: DynamicModel, names: Sequence[str], option: str) -> tuple[int, ...]:
+    """Numbers of joints by name.
+
+    Raises:
+        UsageError: a name that no joint has.
+    """
+    for name in names:
+        if name not in model.joint_names:
+            raise UsageError(
+                f"{option}: no joint of {model.name} is called '{name}'", hint=f"joints: {', '.join(model.joint_names)}"
+            )
+    return tuple(dict.fromkeys(model.joint_names.index(name) for name in names))
+
+
+def turning_motors(model: DynamicModel, locked: Sequence[int]) -> tuple[int, ...]:
+    """Numbers of the motors that turn when every joint but the locked ones moves."""
+    free = [joint for joint in range(model.dof) if joint not in locked]
+    if model.transmission is None:
+        return tuple(free)
+    return tuple(int(motor) for motor in np.flatnonzero(np.any(model.transmission.coupling[:, free] != 0.0, axis=1)))
+
+
+def ranges(position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Largest minus smallest position (n,) of a recording (N, n), and the range up to which a joint stands still.
+
+    The encoder's noise comes from third differences, which smooth motion hardly enters: of white noise of standard
+    deviation σ they have the variance 20 σ².
+    """
+    nothing = np.zeros(position.shape[1])
+    noise = np.std(np.diff(position, 3, axis=0), axis=0) / np.sqrt(20.0) if len(position) > 3 else nothing
+    moved = np.ptp(position, axis=0) if len(position) else nothing
+    return moved, np.maximum(STILL, NOISE_DEVIATIONS * noise)
+
+
+def experiment_base(model: DynamicModel, experiments: Sequence[Experiment]) -> BaseParameters:
+    """Base parameters that some experiments show together.
+
+    Raises:
+        IdentificationError: the rank cannot be decided, or nothing acts on the chosen torques.
+    """
+    if any(experiment == whole_arm(model) for experiment in experiments):
+        return base_parameters(model)
+    return _cached(ModelKey(model), tuple(dict.fromkeys(experiments)))
+
+
+@lru_cache(maxsize=32)
+def _cached(key: ModelKey, experiments: tuple[Experiment, ...]) -> BaseParameters:
+    model = key.model
+    kernel = RegressorKernel(model)
+    accumulator = QrAccumulator(len(kernel.columns))
+    for number, experiment in enumerate(experiments):
+        for state in experiment_states(model, experiment, number):
+            for _, packed in evaluate_in_chunks(kernel, *state):
+                for motor in experiment.torques:
+                    rows = kernel.joint_rows[motor]
+                    wide = np.zeros((len(kernel.columns), packed.shape[1]))
+                    wide[list(rows.columns)] = packed[rows.rows]
+                    accumulator.add(wide)
+    factor = accumulator.factor()
+    if not np.any(factor):
+        raise IdentificationError(
+            "nothing acts on the torques that are used", where=model.name, hint="choose others with --torques-of"
+        )
+    locked = set.intersection(*(set(experiment.locked) for experiment in experiments))
+    try:
+        return base_parameters_of(model, factor, [model.active[joint] for joint in sorted(locked)])
+    except IdentificationError as error:
+        texts = "; ".join(describe(model, experiment) for experiment in experiments)
+        raise IdentificationError(f"{error.message} ({texts})", where=error.where, hint=error.hint) from error
+
+
+def experiment_states(
+    model: DynamicModel, experiment: Experiment, number: int = 0
+) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Random positions, velocities and accelerations (n, N), a set for each pose of the locked joints.
+
+    Args:
+        model: the arm.
+        experiment: its locked joints rest.
+        number: of the experiment among several: each has states of its own.
+    """
+    count = max(100, STATES_PER_PARAMETER * len(model.parameters))
+    states = []
+    for place, pose in enumerate(experiment.poses):
+        position, velocity, acceleration = random_states(model, count)
+        turn = (place + 7 * number) % count  # other positions beside the same velocities
+        position = np.roll(position, turn, axis=1)
+        rows = list(experiment.locked)
+        position[rows] = np.array(pose)[:, None]
+        velocity[rows] = acceleration[rows] = 0.0
+        states.append((position, velocity, acceleration))
+    return states
+
+
+def predictable_torques(
+    model: DynamicModel, experiments: Sequence[Experiment], label: str, position: FloatArray
+) -> tuple[int, ...]:
+    """Numbers of the motors whose torque a model from these experiments predicts along a recording (N, n).
+
+    Raises:
+        DataError: none, since the recording moves a joint that was locked, or has it elsewhere.
+    """
+    if experiment_base(model, experiments).count == base_parameters(model).count:
+        return tuple(range(model.dof))
+    shown: set[int] = set()
+    reasons = []
+    moved, allowed = ranges(position)
+    for experiment in experiments:
+        reason = _difference(model, experiment, position, moved, allowed)
+        if reason is None:
+            shown.update(experiment.torques)
+        else:
+            reasons.append(reason)
+    if not shown:
+        raise DataError(
+            f"shows a motion of which the model says nothing: {'; '.join(reasons)}",
+            where=label,
+            hint="validate with the same joints locked in the same place, choose another --split, or merge with an "
+            "experiment that moves them",
+        )
+    return tuple(sorted(shown))
+
+
+def _difference(
+    model: DynamicModel, experiment: Experiment, position: FloatArray, moved: FloatArray, allowed: FloatArray
+) -> str | None:
+    """Why a recording is not of the kind that an experiment was; None where it is."""
+    for joint in experiment.locked:
+        if moved[joint] > allowed[joint]:
+            name, unit = model.joint_names[joint], _unit(model, joint)
+            return f"it moves {name} over {moved[joint]:.3g} {unit}, and {name} was locked"
+    pose = _pose(model, position, experiment.locked)
+    if any(np.allclose(pose, other, rtol=0.0, atol=SAME_POSE) for other in experiment.poses):
+        return None
+    found = ", ".join(
+        f"{model.joint_names[joint]} stands at {value:.4g} {_unit(model, joint)}"
+        for joint, value in zip(experiment.locked, pose, strict=True)
+    )
+    return f"{found}, where the model was not identified"
+
+
+def describe(model: DynamicModel, experiment: Experiment) -> str:
+    """The experiment in words."""
+    poses = [
+        ", ".join(
+            f"{model.joint_names[joint]} at {value:.4g} {_unit(model, joint)}"
+            for joint, value in zip(experiment.locked, pose, strict=True)
+        )
+        for pose in experiment.poses
+    ]
+    torques = "all motors"
+    if len(experiment.torques) < model.dof:
+        torques = ", ".join(model.joint_names[motor] for motor in experiment.torques)
+    return (f"locked: {'; or '.join(poses)}; " if experiment.locked else "") + f"torques of {torques}"
+
+
+def _pose(model: DynamicModel, position: FloatArray, locked: Sequence[int]) -> tuple[float, ...]:
+    values = []
+    for joint in locked:
+        value = float(np.median(position[:, joint]))
+        nearest = float(np.round(value / (np.pi / 2.0)) * (np.pi / 2.0))
+        revolute = not model.joints[model.active[joint]].prismatic
+        values.append(nearest if revolute and abs(value - nearest) < RIGHT_ANGLE else value)
+    return tuple(values)
+
+
+def _unit(model: DynamicModel, joint: int) -> str:
+    return "m" if model.joints[model.active[joint]].prismatic else "rad"

@@ -1,0 +1,286 @@
+"""The overdetermined system Y = W·X + ρ (SR400 eq. 12), reduced while it streams by.
+
+Chunks of samples flow through the regressor kernel, then the parallel filter, then into one triangular factor a joint.
+W is never stored: what is kept of a recording is, for each joint, R with RᵀR = [W τ]ᵀ[W τ], which is all that least
+squares with per-joint weights, subset selection and residual norms need. Factors of several recordings just stack.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.streams import FloatArray
+from ident.linear_algebra.triangular import (
+    GRAM_CONDITION_LIMIT,
+    PRECONDITIONED_CONDITION_LIMIT,
+    Accumulator,
+    GramAccumulator,
+    PreconditionedGram,
+    QrAccumulator,
+    scaled_condition,
+    triangular,
+)
+from ident.model.regressor import RegressorKernel, evaluate_in_chunks, motion_factor
+from ident.signals.filters import StreamedFilter, ZeroPhaseFilter
+from ident.signals.pipeline import Segment
+
+CONDITION_SAMPLES = 1000
+"""Samples, spread over the data, from which condition and preconditioner come before the first pass."""
+
+
+@dataclass(frozen=True)
+class JointFactor:
+    """One joint's rows of the system.
+
+    Attributes:
+        columns: numbers of the base columns that are not structurally zero in them.
+        factor: (k, len(columns) + m); the last m columns belong to the m torques.
+        rows: how many rows it stands for.
+    """
+
+    columns: tuple[int, ...]
+    factor: FloatArray
+    rows: int
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """The whole system, joint by joint.
+
+    Attributes:
+        joints: one factor a joint; a single one for the whole arm where its energy is balanced.
+        column_count: number of base columns b.
+        torque_count: number of torques m, each reduced alike (1, but for a search of the delay: τ and its derivative).
+        samples: number of filtered samples that went in.
+        method: how the factors were built, in words.
+    """
+
+    joints: tuple[JointFactor, ...]
+    column_count: int
+    torque_count: int
+    samples: int
+    method: str
+
+    @property
+    def rows(self) -> int:
+        """Number of rows r of the system."""
+        return sum(joint.rows for joint in self.joints)
+
+    def stacked(self, weights: FloatArray | None = None) -> FloatArray:
+        """R (b + m, b + m) of [W τ…] over all joints, each joint's rows times its weight (n,) (ones where None)."""
+        blocks = []
+        for number, joint in enumerate(self.joints):
+            block = np.zeros((joint.factor.shape[0], self.column_count + self.torque_count))
+            width = len(joint.columns)
+            block[:, list(joint.columns)] = joint.factor[:, :width]
+            block[:, self.column_count :] = joint.factor[:, width:]
+            blocks.append(block if weights is None else weights[number] * block)
+        return triangular(np.vstack(blocks))
+
+    def residual_sums(self, parameters: FloatArray) -> FloatArray:
+        """Sum of squared residuals (n,) of the first torque, joint by joint, for base parameters (b,)."""
+        sums = []
+        for joint in self.joints:
+            width = len(joint.columns)
+            rest = joint.factor[:, :width] @ parameters[list(joint.columns)] - joint.factor[:, width]
+            sums.append(float(rest @ rest))
+        return np.array(sums)
+
+
+def only_torques(reduction: Reduction, joints: Sequence[int]) -> Reduction:
+    """The system without the rows of all but some joints, which keep their number."""
+    return replace(
+        reduction,
+        joints=tuple(
+            joint if number in joints else JointFactor(joint.columns, joint.factor[:0], 0)
+            for number, joint in enumerate(reduction.joints)
+        ),
+    )
+
+
+def stack_reductions(reductions: Sequence[Reduction]) -> Reduction:
+    """One system from several recordings of the same arm with the same columns."""
+    first = reductions[0]
+    joints = []
+    for number, joint in enumerate(first.joints):
+        parts = [reduction.joints[number] for reduction in reductions]
+        joints.append(
+            JointFactor(
+                joint.columns, triangular(np.vstack([part.factor for part in parts])), sum(part.rows for part in parts)
+            )
+        )
+    return Reduction(
+        joints=tuple(joints),
+        column_count=first.column_count,
+        torque_count=first.torque_count,
+        samples=sum(reduction.samples for reduction in reductions),
+        method=", ".join(dict.fromkeys(reduction.method for reduction in reductions)),
+    )
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive filtered samples.
+
+    Attributes:
+        regressor: (kernel.row_count, m) packed rows; samples at rest are there, see `used`. 0 for motors that turn.
+        torque: as `torques`, filtered; 0 for motors that turn.
+        used: (m,) whether the sample takes part.
+        turning: (n, m) motors that turn round there, whose equation takes no part; None where all do.
+    """
+
+    regressor: FloatArray
+    torque: FloatArray
+    used: npt.NDArray[np.bool_]
+    turning: npt.NDArray[np.bool_] | None
+
+    def counts(self, motor: int) -> npt.NDArray[np.bool_]:
+        """(m,) whether a motor's equation takes part."""
+        return self.used if self.turning is None else self.used & ~self.turning[motor]
+
+
+def filtered_blocks(
+    kernel: RegressorKernel, segment: Segment, parallel_filter: ZeroPhaseFilter, torques: FloatArray
+) -> Iterator[Block]:
+    """Stream one segment through kernel and parallel filter (SR400 .4.3 point 4).
+
+    Args:
+        kernel: gives the regressor's packed rows.
+        segment: motion on a uniform grid.
+        parallel_filter: applied to τ and to every column of W alike.
+        torques: (m·n, N).
+
+    Yields:
+        Blocks whose arrays are valid until the next one is asked for.
+    """
+    rows = kernel.row_count
+    every = slice(None, None, parallel_filter.factor)
+    used, turning = segment.used[every], None if segment.turning is None else segment.turning[:, every]
+
+    def block(regressor: FloatArray, torque: FloatArray, part: slice) -> Block:
+        if turning is None:
+            return Block(regressor, torque, used[part], None)
+        regressor, torque = regressor.copy(), torque.copy()
+        for motor, turns in enumerate(turning[:, part]):
+            regressor[kernel.joint_rows[motor].rows, turns] = 0.0
+            torque[motor :: kernel.model.dof, turns] = 0.0
+        return Block(regressor, torque, used[part], turning[:, part])
+
+    chunks = evaluate_in_chunks(kernel, segment.position, segment.velocity, segment.acceleration)
+    if parallel_filter.factor == 1 and len(parallel_filter.sos) == 0:
+        for part, packed in chunks:
+            yield block(packed, torques[:, part], part)
+        return
+    streamed = StreamedFilter(parallel_filter, rows + torques.shape[0])
+    position = 0
+    ready = (streamed.push(np.concatenate([packed, torques[:, part]])) for part, packed in chunks)
+    for filtered in itertools.chain(ready, _finished(streamed)):
+        if width := filtered.shape[1]:
+            yield block(filtered[:rows], filtered[rows:], slice(position, position + width))
+            position += width
+
+
+def _finished(streamed: StreamedFilter) -> Iterator[FloatArray]:
+    yield streamed.finish()
+
+
+def reduce_segments(
+    kernel: RegressorKernel,
+    segments: Sequence[Segment],
+    parallel_filter: ZeroPhaseFilter,
+    torques: Sequence[FloatArray] | None = None,
+) -> Reduction:
+    """Reduce a recording to one triangular factor a joint.
+
+    Args:
+        kernel: for the base columns.
+        segments: motion and torque on uniform grids.
+        parallel_filter: for τ and W.
+        torques: for each segment, torques (m·n, N), all joints of the first one first; the segment's own where None.
+    """
+    torques = [segment.torque for segment in segments] if torques is None else torques
+    variants = torques[0].shape[0] // kernel.model.dof if torques else 1
+    condition = estimate_condition(kernel, segments)
+    name, accumulators = _accumulators(kernel, segments, torques, condition)
+    samples = _accumulate(kernel, segments, parallel_filter, torques, accumulators)
+    if any(isinstance(joint, PreconditionedGram) and not joint.sound for joint in accumulators):
+        name, accumulators = _accumulators(kernel, segments, torques, float("inf"))
+        samples = _accumulate(kernel, segments, parallel_filter, torques, accumulators)
+    return Reduction(
+        joints=tuple(
+            JointFactor(rows.columns, accumulator.factor(), accumulator.rows)
+            for rows, accumulator in zip(kernel.joint_rows, accumulators, strict=True)
+        ),
+        column_count=len(kernel.columns),
+        torque_count=variants,
+        samples=samples,
+        method=f"{name} (estimated condition {condition:.2g})",
+    )
+
+
+def _accumulate(
+    kernel: RegressorKernel,
+    segments: Sequence[Segment],
+    parallel_filter: ZeroPhaseFilter,
+    torques: Sequence[FloatArray],
+    accumulators: Sequence[Accumulator],
+) -> int:
+    """Hand each joint's rows of [W τ…] to its accumulator; the number of samples that took part."""
+    samples = 0
+    for segment, torque in zip(segments, torques, strict=True):
+        for block in filtered_blocks(kernel, segment, parallel_filter, torque):
+            samples += int(block.used.sum())
+            for joint, accumulator in enumerate(accumulators):
+                rows = _joint_rows(kernel, joint, block.regressor, block.torque)
+                counts = block.counts(joint)
+                accumulator.add(rows if counts.all() else rows[:, counts])
+    return samples
+
+
+def _joint_rows(kernel: RegressorKernel, joint: int, packed: FloatArray, torque: FloatArray) -> FloatArray:
+    """(k + m, samples) one joint's non-zero columns of W, then its torques."""
+    return np.concatenate([packed[kernel.joint_rows[joint].rows], torque[joint :: kernel.model.dof]])
+
+
+def _accumulators(
+    kernel: RegressorKernel, segments: Sequence[Segment], torques: Sequence[FloatArray], condition: float
+) -> tuple[str, list[Accumulator]]:
+    """The fastest way that keeps the digits at this condition, in words, and one accumulator a joint."""
+    variants = torques[0].shape[0] // kernel.model.dof if torques else 1
+    widths = [len(joint.columns) + variants for joint in kernel.joint_rows]
+    if condition <= GRAM_CONDITION_LIMIT:
+        return "Gram matrix", [GramAccumulator(width) for width in widths]
+    sampled = [QrAccumulator(width) for width in widths]
+    if condition > PRECONDITIONED_CONDITION_LIMIT or _sample_count(segments) < CONDITION_SAMPLES:
+        return "QR of stacked blocks", [*sampled]
+    torque = np.concatenate([torque[:, :: _stride(segments)] for torque in torques], axis=1)
+    for part, packed in evaluate_in_chunks(kernel, *_spread_motion(segments)):
+        for joint, accumulator in enumerate(sampled):
+            accumulator.add(_joint_rows(kernel, joint, packed, torque[:, part]))
+    return "preconditioned Gram matrix", [PreconditionedGram(part.factor(), part.rows) for part in sampled]
+
+
+def estimate_condition(kernel: RegressorKernel, segments: Sequence[Segment]) -> float:
+    """Condition number of the scaled columns at samples spread over the segments, before any filtering."""
+    return scaled_condition(motion_factor(kernel, *_spread_motion(segments)))
+
+
+def _sample_count(segments: Sequence[Segment]) -> int:
+    return sum(segment.position.shape[1] for segment in segments)
+
+
+def _stride(segments: Sequence[Segment]) -> int:
+    return max(1, _sample_count(segments) // CONDITION_SAMPLES)
+
+
+def _spread_motion(segments: Sequence[Segment]) -> list[FloatArray]:
+    """Position, velocity, acceleration (n, about CONDITION_SAMPLES)."""
+    return [
+        np.concatenate([getattr(segment, name)[:, :: _stride(segments)] for segment in segments], axis=1)
+        for name in ("position", "velocity", "acceleration")
+    ]

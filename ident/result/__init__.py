@@ -1,0 +1,1 @@
+"""What an identification leaves behind: result.json and the model in it."""

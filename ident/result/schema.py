@@ -1,0 +1,322 @@
+"""The result of an identification: result.json, schema version 1 (DESIGN.md "The result")."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from drivers.errors import ResultFileError, UsageError
+from ident.model.parameters import Kind
+
+RESULT_SCHEMA = 1
+UNITS: dict[str, str] = {
+    **dict.fromkeys(("XX", "XY", "XZ", "YY", "YZ", "ZZ", "Ia", "Iac"), "kg·m²"),
+    **dict.fromkeys(("MX", "MY", "MZ"), "kg·m"),
+    "M": "kg",
+    **dict.fromkeys(("Fv", "Fvm"), "N·m·s/rad"),
+    **dict.fromkeys(("Fs", "Fsm"), "N·m"),
+    "Fo": "N·m",
+}
+"""Units by symbol, for revolute joints."""
+
+
+_NUMBERS = re.compile(r"\[\n[-+.0-9eEnul,\s]+\]")
+"""A list of nothing but numbers, which stands in one line."""
+
+
+def _finite_or_none(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+Number = Annotated[float | None, BeforeValidator(_finite_or_none)]
+"""A number; null where there is none (JSON knows no infinity and no NaN)."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class BaseParameterResult(_Part):
+    """One base parameter; the standard deviations are corrected for residuals that are not white."""
+
+    name: str
+    expression: str
+    kind: Kind
+    joint: str
+    unit: str
+    value: Number = Field(description="of the full model; null where the recording does not excite it")
+    std: Number
+    rsd_percent: Number
+    classical_std: Number = Field(description="residuals taken as white, SR400 eq. 14")
+    significant: bool = Field(description="relative standard deviation below the threshold")
+    essential_value: Number = Field(description="of the essential model; null where the parameter was left out")
+    essential_std: Number
+
+
+class JointFriction(_Part):
+    """Friction of one joint; null where the model has no such column."""
+
+    joint: str
+    viscous: Number
+    viscous_std: Number
+    coulomb: Number
+    coulomb_std: Number
+    offset: Number
+    offset_std: Number
+
+
+class DriveGain(_Part):
+    """The gain that turned the recorded signal into torque."""
+
+    joint: str
+    signal: str
+    gain: Number
+    std: Number
+
+
+class Fit(_Part):
+    """Errors of the filtered torques; lists have one entry a joint [N·m]."""
+
+    relative_error: Number
+    joint_relative_error: list[Number]
+    rmse: list[Number]
+    low_speed_rmse: list[Number]
+    high_speed_rmse: list[Number]
+    max_error: list[Number]
+    samples: int
+
+
+class Essential(_Part):
+    """The model with significant parameters only."""
+
+    count: int
+    dropped: list[str]
+    stopped_by: str
+    fit: Fit | None
+    validation: Fit | None
+
+
+class Residuals(_Part):
+    """What the residuals look like."""
+
+    rows: int = Field(description="equations: torques of single joints, or energies of the whole arm")
+    effective_rows: Number
+    joint_std: list[Number] = Field(description="standard deviation a joint, of the filtered torque [N·m]")
+    autocorrelation: list[Number] = Field(description="at lag one, a joint")
+    block_length: int = Field(description="samples a block of the jackknife, after filtering")
+    blocks: int = Field(description="number of its blocks")
+    repetitions: float = Field(description="how often the motion was repeated, on average")
+    correction: str = Field(description="how the standard deviations were corrected")
+
+
+class Excitation(_Part):
+    """What the recording could reveal."""
+
+    condition: Number = Field(description="of W, columns as they are")
+    scaled_condition: Number = Field(description="of W, columns of unit length")
+    singular_values: list[float] = Field(description="of W with columns of unit length, falling")
+    unexcited: list[str] = Field(description="base parameters that the recording does not excite")
+
+
+class ProcessingStep(_Part):
+    """One step of the preprocessing."""
+
+    name: str
+    settings: dict[str, float | int | str | bool | None]
+    text: str
+
+
+class ExperimentResult(_Part):
+    """What the recordings could show: joints that were locked, motors whose torques were used."""
+
+    locked: dict[str, list[float]] = Field(description="positions at which a joint stood still, a pose each [rad or m]")
+    torques_of: list[str]
+
+
+class EstimateResult(_Part):
+    """The estimated values with their whole covariance, for merging; see ident.regression.estimate."""
+
+    parameters: list[str] = Field(description="names of the estimated base parameters, a of them")
+    root: list[list[float]] = Field(description="(a, a) upper triangular; its square is the inverse covariance")
+    covariance: list[list[Number]] = Field(description="(a, a) corrected for residuals that are not white")
+    taken_up: dict[str, list[float]] = Field(description="share of a parameter without a value in each estimated one")
+    blocks: int = Field(description="of the jackknife behind the covariance")
+
+
+class MergedModel(_Part):
+    """One of the models that were merged."""
+
+    file: str
+    method: str
+    experiments: list[ExperimentResult]
+    parameters: int = Field(description="number of estimated base parameters")
+    variance_ratio: float = Field(description="mean variance, corrected for residuals that are not white over white")
+
+
+class Contradiction(_Part):
+    """A value that is further from the merged one than chance explains."""
+
+    file: str
+    parameter: str
+    value: float = Field(description="of that model")
+    merged: float = Field(description="the same combination of standard parameters, of the merged model")
+    deviations: float = Field(description="difference in its own standard deviations")
+
+
+class Consistency(_Part):
+    """Whether the merged models agree on what they share, as a chi-square test."""
+
+    statistic: float
+    freedom: int = Field(description="number of combinations that more than one model tells")
+    p_value: float = Field(description="how often chance alone gives a larger statistic")
+    agree: bool
+    text: str
+    contradictions: list[Contradiction]
+
+
+class Merge(_Part):
+    """Where a merged model comes from."""
+
+    models: list[MergedModel]
+    consistency: Consistency | None = Field(description="null where the models share nothing, or too little is known")
+
+
+class RecordingUse(_Part):
+    """A recording that took part."""
+
+    file: str
+    sha256: str
+    role: Literal["identification", "validation"]
+    window: tuple[float, float] = Field(description="[s], from the recording's first stamp")
+    samples: int
+    rate_hz: float
+    events: list[str] = Field(description="what the recording says of itself: repairs, gaps, assumptions")
+    torques_of: list[str] = Field(default=[], description="motors whose torques were used")
+
+
+class DelayFigures(_Part):
+    """Torque against position [s]; positive where the torque lags."""
+
+    used: float
+    best: Number = Field(description="the delay with the smallest residual; null where it was not searched")
+    note: str
+
+
+class ModelOptions(_Part):
+    """What the model's columns were."""
+
+    motor_inertia: list[bool]
+    viscous: list[bool]
+    coulomb: list[bool]
+    offset: list[bool]
+    smoothing: float
+
+
+class Result(_Part):
+    """All that an identification found out."""
+
+    dynid_schema: Literal[1] = 1
+    kind: Literal["result"] = "result"
+    created: str
+    robot: str
+    robot_file: str
+    urdf: str
+    joints: list[str]
+    method: str
+    options: dict[str, float | int | str | bool | None]
+    model_options: ModelOptions
+    preprocessing: list[ProcessingStep]
+    delay: DelayFigures
+    base_parameters: list[BaseParameterResult]
+    friction: list[JointFriction]
+    standard_parameters: list[dict[str, Any]] | None = Field(default=None, description="when physically consistent")
+    drive_gains: list[DriveGain]
+    fit: Fit | None = Field(description="null for merged models, which are not fitted to recordings")
+    validation: Fit | None
+    validation_source: str
+    essential: Essential
+    excitation: Excitation
+    condition: Number
+    residuals: Residuals
+    rank_margin: Number
+    recordings: list[RecordingUse]
+    versions: dict[str, str]
+    verdict: str
+    warnings: list[str]
+    experiments: list[ExperimentResult] = Field(default=[], description="empty: all joints moved, all torques used")
+    merge: Merge | None = None
+    estimate: EstimateResult | None = None
+
+
+def check_folder(folder: Path) -> None:
+    """Whether results can be written into a folder, before anything is computed for them.
+
+    Raises:
+        UsageError: it is a file.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--out {folder} is a file; a folder is needed")
+
+
+def write_result(path: Path, result: Result) -> None:
+    """Write result.json."""
+    replace_file(path, result_json(result) + "\n")
+
+
+def replace_file(path: Path, text: str) -> None:
+    """Write a text file as UTF-8 in one step: an interruption leaves the old file or none, never half of a new one."""
+    unfinished = path.with_name(f".{path.name}.unfinished")
+    try:
+        unfinished.write_text(text, encoding="utf-8")
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def result_json(result: Result) -> str:
+    """The JSON text, strict: null stands for what is not a number."""
+    text = json.dumps(result.model_dump(mode="json"), ensure_ascii=False, indent=1, allow_nan=False)
+    return _NUMBERS.sub(lambda found: re.sub(r"\s+", " ", found[0]), text)
+
+
+def read_result(path: Path) -> Result:
+    """Read a result.json.
+
+    Raises:
+        ResultFileError: no such file, no JSON, another kind of file, a newer schema, a missing key.
+    """
+    where = str(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ResultFileError(f"cannot be read: {error.strerror}", where=where) from error
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise ResultFileError(f"is not JSON: {error}", where=where) from error
+    if not isinstance(content, dict) or content.get("kind") != "result":
+        raise ResultFileError("is not a result of dynid identify (no key 'kind': 'result')", where=where)
+    schema = content.get("dynid_schema")
+    if not isinstance(schema, int) or schema > RESULT_SCHEMA:
+        raise ResultFileError(
+            f"has schema version {schema}, this dynid reads up to {RESULT_SCHEMA}", where=where, hint="update dynid"
+        )
+    try:
+        return Result.model_validate(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise ResultFileError(f"{first['msg']}", where=f"{where}: {key}", hint="identify again") from error
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file, as hexadecimal digits."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()

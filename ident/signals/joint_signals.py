@@ -1,0 +1,133 @@
+"""What an identification takes from a recording: joint positions and joint torques, in the robot's joint order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.loops import coupling_matrix
+from daq.recording import JOINTS_STREAM, Channel, Recording, Stream
+from daq.robot import Robot
+from drivers.errors import DataError
+from drivers.streams import FloatArray
+from ident.signals.finite import check_finite
+
+
+@dataclass(frozen=True)
+class JointPositions:
+    """Stamps (N,) [s] and positions (N, n) [rad or m] of the joints."""
+
+    time: FloatArray
+    position: FloatArray
+
+
+@dataclass(frozen=True)
+class MeasuredMotion:
+    """One recording's joint signals as recorded; N samples, n joints.
+
+    Attributes:
+        label: what messages call the recording.
+        time: (N,) the source's clock [s].
+        position: (N, n) [rad or m].
+        torque: (N, n) of the motors, referred to the joint side [N·m or N].
+        velocity: (N, n) [rad/s or m/s] where it was recorded.
+        torque_source: where the torque comes from, in words.
+    """
+
+    label: str
+    time: FloatArray
+    position: FloatArray
+    torque: FloatArray
+    velocity: FloatArray | None
+    torque_source: str
+
+
+def measured_motion(recording: Recording, robot: Robot) -> MeasuredMotion:
+    """Positions and torques of a recording; a motor signal is turned into torque by the robot file's gains.
+
+    Γ = gain · signal (SR400 .4.3 point 1; AUBO eq. 2). Where both are there, a signal with a known gain goes before a
+    recorded torque: the gain may have been corrected since. A signal is its motor's; a recorded torque is the joint's,
+    and is referred to the motors by R⁻ᵀ where the robot file couples them.
+
+    Raises:
+        DataError: a stream, quantity, joint or gain is missing, or values are not finite.
+    """
+    positions = joint_positions(recording, robot)
+    stream = recording.streams[JOINTS_STREAM]
+    torque, source = _joint_torque(stream, robot, recording)
+    motion = MeasuredMotion(
+        label=recording.label,
+        time=positions.time,
+        position=positions.position,
+        torque=torque,
+        velocity=_joint_values(stream, "velocity", robot, recording),
+        torque_source=source,
+    )
+    check_finite("torque", motion.torque, robot.joint_names, motion.label)
+    if motion.velocity is not None:
+        check_finite("velocity", motion.velocity, robot.joint_names, motion.label)
+    return motion
+
+
+def joint_positions(recording: Recording, robot: Robot) -> JointPositions:
+    """Positions of a recording.
+
+    Raises:
+        DataError: the stream, the quantity or a joint is missing, or values are not finite.
+    """
+    stream = recording.streams.get(JOINTS_STREAM)
+    if stream is None:
+        found = ", ".join(recording.streams) or "none"
+        raise DataError(f"has no stream '{JOINTS_STREAM}'; streams: {found}", where=recording.label)
+    position = _joint_values(stream, "position", robot, recording)
+    if position is None:
+        raise DataError("records no position", where=f"{recording.label}: {JOINTS_STREAM}")
+    check_finite("position", position, robot.joint_names, recording.label)
+    return JointPositions(stream.time, position)
+
+
+def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[FloatArray, str]:
+    drives = [robot.drive(name) for name in robot.joint_names]
+    signals = {drive.signal for drive in drives}
+    signal = signals.pop() if len(signals) == 1 else "current"
+    recorded = _joint_values(stream, "torque", robot, recording)
+    if signal != "torque" and len(signals) == 0:
+        raw = _joint_values(stream, signal, robot, recording)
+        unknown = [drive.joint for drive in drives if drive.gain is None]
+        if raw is not None and not unknown:
+            gains = np.array([drive.gain for drive in drives], dtype=np.float64)
+            return raw * gains, f"{signal} times the robot file's gains"
+        if recorded is None and raw is not None:
+            raise DataError(
+                f"records {signal}, but the gain of {', '.join(unknown)} is unknown",
+                where=recording.label,
+                hint=f"give it in a robot file (drives: - {{joint: {unknown[0]}, gain: …}}), name that with --robot",
+            )
+    if recorded is None:
+        found = ", ".join(sorted(stream.channels)) or "nothing"
+        raise DataError(
+            f"records neither torque nor {signal if signal != 'torque' else 'current'}; it has {found}",
+            where=recording.label,
+        )
+    gains = np.array([drive.gain if drive.signal == "torque" and drive.gain else 1.0 for drive in drives])
+    if robot.model.coupling:
+        coupling = coupling_matrix(robot.model.coupling, robot.joint_names)
+        return np.linalg.solve(coupling.T, (recorded * gains).T).T, "torque as recorded, referred to the coupled motors"
+    return recorded * gains, "torque as recorded"
+
+
+def _joint_values(stream: Stream, quantity: str, robot: Robot, recording: Recording) -> FloatArray | None:
+    """(N, n) in the robot's joint order; None where the quantity was not recorded."""
+    channel: Channel | None = stream.channels.get(quantity)
+    if channel is None:
+        return None
+    missing = [name for name in robot.joint_names if name not in channel.columns]
+    if missing:
+        raise DataError(
+            f"'{quantity}' has no column for joint(s) {', '.join(missing)}; it has {', '.join(channel.columns)}",
+            where=f"{recording.label}: {stream.name}",
+            hint="is this the robot that was recorded? name another with --robot",
+        )
+    order = [channel.columns.index(name) for name in robot.joint_names]
+    return channel.values[:, order]

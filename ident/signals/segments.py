@@ -1,0 +1,131 @@
+"""The last steps from uniform signals to segments: derivatives, motion windows, and ends that do not count."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import DataError
+from drivers.streams import FloatArray
+from ident.signals.motion_masks import SHORTEST_REST, default_rest_velocity, moving_mask
+from ident.signals.options import Cutoffs, PreprocessChoices
+from ident.signals.prepared import Segment, Step
+
+END_PERIODS = 2.0
+"""Periods of the positions' cut-off that are left out at both ends of a stretch. A low-pass cannot know how the motion
+goes on beyond them, and two derivatives make much of a wrong guess: a stretch that ends in full motion can be off by
+its whole acceleration there, and a few such samples outweigh thousands of good ones."""
+
+FILTERED_END_PERIODS = 1.0
+"""Periods of the parallel filter's cut-off at both ends that do not count. τ and W pass them alike, but an odd
+extension pins the filter to the end's raw sample: its noise comes through unfiltered, many times that of the others."""
+
+SHORTEST_SEGMENT = 16
+"""Samples; a shorter stretch between two gaps holds nothing worth differentiating."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Signals on a uniform grid on their way through the steps; shapes as in `Segment`."""
+
+    time: FloatArray
+    position: FloatArray
+    torque: FloatArray
+    velocity: FloatArray | None
+    rate: float
+
+
+def central_difference(rows: FloatArray, rate: float) -> FloatArray:
+    """Derivative by central differences of `rows` (n, N) at `rate` [Hz] → (n, N) (SR400 .4.3 points 2 and 3).
+
+    Second order at both ends too; a sinusoid of frequency f comes out sin(2πf/rate)/(2πf/rate) of its derivative.
+    """
+    return np.asarray(np.gradient(rows, 1 / rate, axis=1, edge_order=2))
+
+
+def with_motion_windows(
+    stretches: tuple[Stretch, ...], velocities: list[FloatArray], choices: PreprocessChoices, steps: list[Step]
+) -> tuple[tuple[Segment, ...], float]:
+    """Step 'motion windows': the finished segments, those without any motion left out, and the rest velocity.
+
+    Raises:
+        DataError: nothing moves.
+    """
+    threshold = choices.rest_velocity
+    if threshold is None:
+        threshold = max(default_rest_velocity(velocity) for velocity in velocities)
+    segments = []
+    for stretch, velocity in zip(stretches, velocities, strict=True):
+        moving = moving_mask(velocity, stretch.rate, threshold)
+        segments.append(
+            Segment(
+                time=stretch.time,
+                position=stretch.position,
+                velocity=velocity,
+                acceleration=central_difference(velocity, stretch.rate),
+                torque=stretch.torque,
+                rate=stretch.rate,
+                used=np.ones_like(moving) if choices.keep_rest else moving,
+            )
+        )
+    seconds = sum(len(segment.time) for segment in segments) / stretches[0].rate
+    at_rest = sum(int((~segment.used).sum()) for segment in segments) / stretches[0].rate
+    segments = [segment for segment in segments if segment.used.any()]
+    if not segments:
+        raise DataError(
+            f"no joint reaches the rest velocity of {threshold:.3g} rad/s for {SHORTEST_REST:g} s: nothing moves",
+            hint="choose another window or a lower rest velocity, or keep the samples at rest",
+        )
+    if choices.keep_rest:
+        text = "samples at rest are kept"
+    else:
+        text = (
+            f"{at_rest:.4g} of {seconds:.4g} s left out, in which every joint stays below {threshold:.3g} rad/s "
+            f"for {SHORTEST_REST:g} s or longer"
+        )
+    settings: dict[str, float | int | str] = {"rest_velocity": threshold, "left_out_s": at_rest, "total_s": seconds}
+    steps.append(Step("motion windows", settings, text))
+    return tuple(segments), threshold
+
+
+def without_ends(segments: tuple[Segment, ...], cutoffs: Cutoffs, steps: list[Step]) -> tuple[Segment, ...]:
+    """Step 'ends': both ends cut off where the low-pass is not valid, and not counted where the parallel filter is not.
+
+    Raises:
+        DataError: nothing with motion is left.
+    """
+    cut, uncounted = END_PERIODS / cutoffs.position, FILTERED_END_PERIODS / cutoffs.torque
+    kept = []
+    for segment in segments:
+        edge = math.ceil(cut * segment.rate)
+        inner = slice(edge, len(segment.time) - edge)
+        if inner.stop - inner.start < SHORTEST_SEGMENT:
+            continue
+        used = segment.used[inner].copy()
+        margin = math.ceil(uncounted * segment.rate)
+        used[:margin] = False
+        used[max(0, len(used) - margin) :] = False
+        if not used.any():
+            continue
+        kept.append(
+            Segment(
+                time=segment.time[inner],
+                position=np.ascontiguousarray(segment.position[:, inner]),
+                velocity=np.ascontiguousarray(segment.velocity[:, inner]),
+                acceleration=np.ascontiguousarray(segment.acceleration[:, inner]),
+                torque=np.ascontiguousarray(segment.torque[:, inner]),
+                rate=segment.rate,
+                used=used,
+            )
+        )
+    ends = cut + uncounted
+    if not kept:
+        raise DataError(
+            f"nothing with motion is left once {ends:.3g} s at both ends are left out, where the filters are not valid",
+            hint="record longer, or give higher cut-offs",
+        )
+    text = f"the first and the last {ends:.3g} s of every stretch left out, where the filters are not valid"
+    steps.append(Step("ends", {"cut_off_s": cut, "not_counted_s": uncounted}, text))
+    return tuple(kept)

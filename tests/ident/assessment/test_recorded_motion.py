@@ -1,0 +1,84 @@
+"""A recording's motion, prepared once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.recording import JOINTS_STREAM, Recording
+from daq.robot import load_robot
+from ident.assessment.delay import search_delay
+from ident.assessment.excitation import excitation_reached
+from ident.assessment.recorded_motion import recorded_motion
+from ident.checks.recording_check import recording_info
+from ident.excite.sufficiency import OWN_TORQUE, motion_sufficiency
+from ident.model.dynamics import build_model
+from ident.regression.observation_matrix import reduce_segments
+from ident.signals.pipeline import prepare
+from sim_drivers.measurement import simulate_recording
+from sim_drivers.motion import random_fourier_motion
+
+
+@pytest.fixture(scope="module")
+def recording(three_joint) -> Recording:
+    return simulate_recording(three_joint, random_fourier_motion(build_model(three_joint), 10.0, seed=1), 12.0, seed=1)
+
+
+def with_values(recording: Recording, quantity: str, values: np.ndarray) -> Recording:
+    stream = recording.streams[JOINTS_STREAM]
+    channel = replace(stream.channels[quantity], values=values)
+    streams = {JOINTS_STREAM: replace(stream, channels={**stream.channels, quantity: channel})}
+    return replace(recording, streams=streams)
+
+
+def test_torque_that_is_no_number_leaves_the_motion(recording, three_joint):
+    (quantity,) = set(recording.streams[JOINTS_STREAM].channels) & {"torque", "current"}
+    spoilt = recording.streams[JOINTS_STREAM].channels[quantity].values.copy()
+    spoilt[5, 1] = np.nan
+    whole = recorded_motion(recording, three_joint)
+    motion = recorded_motion(with_values(recording, quantity, spoilt), three_joint)
+    assert whole.measured is not None
+    assert motion.measured is None
+    assert not np.any(motion.prepared.segments[0].torque)
+    reached, expected = excitation_reached(motion), excitation_reached(whole)
+    assert reached.scaled_condition == pytest.approx(expected.scaled_condition, rel=1e-9)
+    assert reached.velocity_reached == expected.velocity_reached
+    assert motion_sufficiency(whole).source == OWN_TORQUE
+    assert motion_sufficiency(motion).source == "the robot file's truth"
+
+
+def test_nothing_to_analyse_is_none(recording, three_joint):
+    position = recording.streams[JOINTS_STREAM].channels["position"].values
+    short = simulate_recording(three_joint, random_fourier_motion(build_model(three_joint), 10.0, seed=1), 0.02, seed=1)
+    assert recorded_motion(with_values(recording, "position", np.zeros_like(position)), three_joint) is None
+    assert recorded_motion(short, three_joint) is None
+    assert recorded_motion(recording, load_robot("ur5e")) is None
+    assert recorded_motion(replace(recording, streams={}), three_joint) is None
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_recording_is_prepared_and_reduced_once(recording, three_joint, monkeypatch, late):
+    if late:  # by 8 ms, which the search finds and uses
+        (quantity,) = set(recording.streams[JOINTS_STREAM].channels) & {"torque", "current"}
+        values = recording.streams[JOINTS_STREAM].channels[quantity].values
+        recording = with_values(recording, quantity, np.roll(values, 4, axis=0))
+    calls = []
+
+    def counted(name, function):
+        def call(*arguments, **named):
+            calls.append(name)
+            return function(*arguments, **named)
+
+        return call
+
+    monkeypatch.setattr("ident.assessment.recorded_motion.prepare", counted("prepare", prepare))
+    monkeypatch.setattr("ident.excite.sufficiency.prepare", counted("prepare", prepare))
+    monkeypatch.setattr("ident.assessment.recorded_motion.reduce_segments", counted("reduce", reduce_segments))
+    monkeypatch.setattr("ident.checks.recording_check.search_delay", counted("delay", search_delay))
+    info = recording_info(recording, three_joint)
+    assert info.sufficiency.source == OWN_TORQUE
+    assert (info.delay.used != 0.0) == late
+    # With its torque shifted it is another one.
+    assert sorted(calls) == sorted(["delay", *(2 if late else 1) * ["prepare", "reduce"]])

@@ -1,0 +1,106 @@
+"""Errors of a prediction: exact ones on constructed torques."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import DataError
+from ident.assessment.validation import LOW_SPEED, fit_figures
+from ident.model.dynamics import build_model, truth_vector
+from ident.regression.comparison import TorqueSeries, compare_torques
+from ident.signals.filters import butterworth, no_filter
+
+
+def series(measured, predicted, velocity, used=None) -> TorqueSeries:
+    measured, predicted, velocity = (np.asarray(values, dtype=float) for values in (measured, predicted, velocity))
+    count = measured.shape[1]
+    used = np.ones(count, dtype=bool) if used is None else np.asarray(used, dtype=bool)
+    return TorqueSeries(np.arange(count) / 100, measured, predicted, velocity, used)
+
+
+def test_figures_of_four_samples():
+    figures = fit_figures(
+        [series([[3, 3, 3, 3], [0, 0, 0, 0]], [[3, 2, 3, 1], [0, 0, 0, 0]], [[0.01, 0.05, -1, -2], [1, 1, 1, 1]])]
+    )
+    assert figures.relative_error == pytest.approx(np.sqrt(5) / 6)
+    assert figures.joint_relative_error == pytest.approx([np.sqrt(5) / 6, np.nan], nan_ok=True)
+    assert figures.rmse == pytest.approx([np.sqrt(5 / 4), 0])
+    assert figures.low_speed_rmse == pytest.approx([np.sqrt(1 / 2), np.nan], nan_ok=True)
+    assert figures.high_speed_rmse == pytest.approx([np.sqrt(4 / 2), 0])
+    assert figures.max_error == pytest.approx([2, 0])
+    assert figures.samples == 4
+
+
+def test_a_perfect_prediction_has_no_error(three_joint, smooth_segment):
+    model = build_model(three_joint)
+    truth = truth_vector(three_joint)
+    segment = smooth_segment(model, 900, parameters=truth)
+    for zero_phase in (no_filter(), butterworth(5.0, 100.0, factor=4)):
+        figures = fit_figures(compare_torques(model, range(len(truth)), truth, [segment], zero_phase))
+        assert figures.relative_error < 1e-12
+        assert np.all(figures.rmse < 1e-10)
+        assert figures.samples == len(segment.time[:: zero_phase.factor])
+
+
+def test_measured_torque_is_filtered_like_the_prediction(three_joint, smooth_segment):
+    """A relative error of filtered torque must not be quoted for raw torque: half a ripple is not half an error."""
+    model = build_model(three_joint)
+    truth = truth_vector(three_joint)
+    segment = smooth_segment(model, 2000, parameters=truth)
+    buzz = 5.0 * np.sin(2 * np.pi * 40.0 * segment.time)
+    segment = replace(segment, torque=segment.torque + buzz)
+    raw = fit_figures(compare_torques(model, range(len(truth)), truth, [segment], no_filter()))
+    assert raw.rmse == pytest.approx(5.0 / np.sqrt(2), rel=0.01)
+    used = np.zeros(2000, dtype=bool)
+    used[200:-200] = True
+    inner = replace(segment, used=used)
+    filtered = fit_figures(compare_torques(model, range(len(truth)), truth, [inner], butterworth(5.0, 100.0)))
+    assert np.all(filtered.rmse < 1e-2)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 1000), cut=st.integers(1, 99))
+def test_speeds_split_the_squares_and_stretches_join_them(seed, cut):
+    generator = np.random.default_rng(seed)
+    measured, predicted, velocity = generator.standard_normal((3, 2, 100))
+    velocity *= 2 * LOW_SPEED
+    used = generator.random(100) < 0.8
+    used[0] = used[-1] = True
+    whole = series(measured, predicted, velocity, used)
+    figures = fit_figures([whole])
+    parts = [
+        series(measured[:, part], predicted[:, part], velocity[:, part], used[part])
+        for part in (slice(0, cut), slice(cut, 100))
+    ]
+    joined = fit_figures(parts)
+    assert joined.relative_error == pytest.approx(figures.relative_error)
+    assert joined.rmse == pytest.approx(figures.rmse)
+    assert joined.max_error == pytest.approx(figures.max_error)
+    slow = np.sum((np.abs(velocity) < LOW_SPEED) & used, axis=1)
+    squares = np.nan_to_num(figures.low_speed_rmse) ** 2 * slow + np.nan_to_num(figures.high_speed_rmse) ** 2 * (
+        used.sum() - slow
+    )
+    assert squares / used.sum() == pytest.approx(figures.rmse**2)
+
+
+def test_unused_samples_do_not_count():
+    figures = fit_figures([series([[1, 1, 1]], [[1, 99, 1]], [[1, 1, 1]], [True, False, True])])
+    assert figures.relative_error == 0.0
+    assert figures.samples == 2
+    assert np.array_equal(series([[1, 1]], [[0, 5]], [[1, 1]], [True, False]).residual, [[1, 0]])
+
+
+def test_speed_is_judged_joint_by_joint():
+    figures = fit_figures([series([[1, 1], [1, 1]], [[0, 1], [1, 0]], [[0, 1], [1, 0]])])
+    assert figures.low_speed_rmse == pytest.approx([1, 1])
+    assert figures.high_speed_rmse == pytest.approx([0, 0])
+
+
+def test_nothing_that_counts_is_an_error_in_words():
+    with pytest.raises(DataError, match="does not move"):
+        fit_figures([series([[1, 1]], [[1, 1]], [[0, 0]], [False, False])])

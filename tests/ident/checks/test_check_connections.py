@@ -1,0 +1,244 @@
+"""`dynid check`: bus budgets, keys of connections, and what `--connect` finds at the other end."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+from types import SimpleNamespace
+from typing import ClassVar
+
+import pytest
+from kinematic_arm import KinematicArm
+
+from daq import session
+from daq.robot import load_robot, parse_robot
+from drivers import command
+from drivers.base import DRIVERS_GROUP, Notice
+from drivers.errors import ConnectionFailedError, RobotFileError, UsageError
+from drivers.streams import ChannelLayout, StreamLayout
+from ident.checks import connection_check, robot_check
+from ident.checks.connection_check import FIRST_SAMPLE_LIMIT, LISTEN, check_connections
+from ident.checks.robot_check import bus_budgets, check_robot
+
+CANOPEN = """
+connections:
+  bus:
+    driver: canopen402
+    interface: virtual
+    channel: x
+    bitrate: {bitrate}
+    sync_rate: {rate}
+    nodes: {{j1: {{id: 1}}, j2: {{id: 2}}, j3: {{id: {third}}}}}
+"""
+BENCH = """
+connections:
+  bench: {driver: bench, rate: 200, with: [oven]}
+  oven: {driver: oven}
+  lost: {driver: bench, with: [nowhere]}
+  twice: {driver: bench, with: [oven, oven]}
+  itself: {driver: bench, with: [itself]}
+  wrong: {driver: bench, with: oven}
+"""
+
+
+def with_connections(three_joint, text: str):
+    return parse_robot(three_joint.text + text, where="three_joint", folder=None)
+
+
+@dataclass(frozen=True)
+class Who:
+    joint: str
+    firmware: str
+    rated_current: float
+    rated_torque: float
+
+
+class Bench(KinematicArm):
+    """Three joints, a drive whose rating contradicts the file, a position beyond its limit, a rate that is not kept."""
+
+    made: ClassVar[list[Bench]] = []
+
+    def __init__(self, settings):
+        super().__init__(clock=settings.clock)
+        assert "with" not in settings.connection
+        self.settings = settings
+        self.closed = False
+        Bench.made.append(self)
+
+    def identify(self):
+        return (Who("j1", "1.0", 5.0, 50.0), Who("j3", "1.0", 5.0, 50.0))
+
+    def streams(self):
+        (layout,) = super().streams()
+        channels = tuple(ChannelLayout(c.quantity, ("j1", "j2"), c.unit) for c in layout.channels)
+        return (StreamLayout("joints", channels, 300.0),)
+
+    def read(self, timeout):
+        blocks = super().read(timeout)
+        for block in blocks:
+            block.values["position"][:, 1] = 3.5
+        return blocks
+
+    def notices(self):
+        return (Notice(float("nan"), "warning", "a little dusty"),)
+
+    def close(self):
+        super().close()
+        self.closed = True
+
+
+class Oven(Bench):
+    def open(self):
+        if self.settings.connection.get("broken"):
+            raise ConnectionFailedError("nobody answers")
+
+    def identify(self):
+        return ()
+
+
+@pytest.fixture
+def drivers(monkeypatch):
+    """Drivers of this test beside the real ones, whatever was installed."""
+    Bench.made.clear()
+    real = {"canopen402": "drivers.canopen402.driver:Canopen402Driver", "rtde": "drivers.rtde.driver:RtdeDriver"}
+    known = [EntryPoint(name, value, DRIVERS_GROUP) for name, value in real.items()]
+    known += [
+        SimpleNamespace(name=name, load=lambda kind=kind: kind) for name, kind in (("bench", Bench), ("oven", Oven))
+    ]
+    for module in (session, robot_check):
+        monkeypatch.setattr(module, "entry_points", lambda group: known)
+
+
+def run(monkeypatch, capsys, *arguments):
+    monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
+    status = 0
+    try:
+        command.main()
+    except SystemExit as leaving:
+        status = leaving.code or 0
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def test_a_bus_with_room_is_no_warning_a_tight_one_is_and_a_full_one_is_refused(three_joint, drivers):
+    roomy = with_connections(three_joint, CANOPEN.format(bitrate=1000000, rate=400, third=3))
+    assert check_robot(roomy) == []
+    (budget,) = bus_budgets(roomy).values()
+    assert budget.cycle_bits == 55 + 3 * (125 + 135 + 125)
+    tight = with_connections(three_joint, CANOPEN.format(bitrate=1000000, rate=750, third=3))
+    (warning,) = check_robot(tight)
+    assert "connection 'bus' fills its bus to 91.0 % at worst; at 659 Hz it would be 80 %" in warning
+    full = with_connections(three_joint, CANOPEN.format(bitrate=500000, rate=750, third=3))
+    with pytest.raises(RobotFileError, match=r"750 Hz do not fit on a bus of 500000 bit/s: 182 % .*at most 411 Hz"):
+        check_robot(full)
+
+
+def test_wrong_keys_are_refused_with_the_connections_name(three_joint, drivers):
+    with pytest.raises(UsageError, match=r"connections\.bus: .*nodes\.j3\.id"):
+        check_robot(with_connections(three_joint, CANOPEN.format(bitrate=1000000, rate=400, third=300)))
+
+
+def test_the_command_prints_the_budget(monkeypatch, capsys):
+    status, out, _ = run(monkeypatch, capsys, "check", "ur5e")
+    assert status == 0
+    assert "connection canopen: its bus (1000 kbit/s) is 95.9 % full at 400 Hz" in out
+    assert "6 × TPDO2 (8 bytes)" in out
+    status, out, _ = run(monkeypatch, capsys, "check", "ur5e", "--json")
+    budget = json.loads(out)["budgets"]["canopen"]
+    assert budget["load_percent"] == pytest.approx(95.865)
+    assert budget["highest_rate_at_80_percent_hz"] == pytest.approx(333, abs=1)
+
+
+def test_connecting_tells_who_answers_and_what_contradicts_the_file(three_joint, drivers, clock):
+    robot_file = with_connections(three_joint, BENCH)
+    found = check_connections(robot_file, None, clock=clock)
+    assert [one.name for one in found] == ["bench", "oven"]  # and what it is recorded with
+    bench = found[0]
+    assert [identity["joint"] for identity in bench.identities] == ["j1", "j3"]
+    assert bench.streams[0].first["position"] == {"j1": pytest.approx(0.1), "j2": 3.5}
+    assert bench.streams[0].rate_hz == pytest.approx(200.0, rel=1e-9)
+    assert "warning: a little dusty" in bench.notices
+    told = "\n".join(bench.warnings)
+    assert "stream joints: comes at 200 Hz, but 300 Hz is stated" in told
+    assert "position of j2: 3.5 rad passes 3 rad" in told
+    assert "drive gain of j3: 4 N·m/A in 'drives', but the rated torque over the rated current is 10 N·m/A" in told
+    assert "gain of j1" not in told
+    for driver in Bench.made:  # after a second from the first sample on
+        assert driver.samples[-1].host_time[-1] - driver.begun == pytest.approx(LISTEN + 1.0 / 200.0)
+    assert all(driver.stopped_at is not None and driver.closed and not driver.commands for driver in Bench.made)
+
+
+@pytest.mark.parametrize(
+    ("wire", "said"),
+    [
+        ("lost", "no connection is called 'nowhere'"),
+        ("twice", "names a connection twice"),
+        ("itself", "names a connection twice, or itself"),
+        ("wrong", "should be a list of connections"),
+        ("other", "no connection is called 'other'"),
+    ],
+)
+def test_what_a_connection_is_recorded_with_must_exist(three_joint, drivers, wire, said):
+    with pytest.raises(UsageError, match=said):
+        check_connections(with_connections(three_joint, BENCH), wire)
+    with pytest.raises(UsageError, match=said):
+        session.load_driver(with_connections(three_joint, BENCH).robot, wire)
+
+
+def test_a_session_takes_all_that_are_named(three_joint, drivers):
+    driver, rate = session.load_driver(with_connections(three_joint, BENCH).robot)
+    driver.open()
+    assert rate == 200
+    assert [layout.name for layout in driver.streams()] == ["joints", "oven"]
+    driver.close()
+
+
+def test_nobody_there_is_an_error_and_everything_is_closed(three_joint, drivers):
+    text = "\nconnections:\n  oven: {driver: oven, broken: true}\n"
+    with pytest.raises(ConnectionFailedError, match="nobody answers"):
+        check_connections(with_connections(three_joint, text), None)
+    assert Bench.made[-1].closed
+
+
+def test_a_source_that_says_nothing_is_an_error(three_joint, drivers, monkeypatch, clock):
+    begun = clock.now()
+    monkeypatch.setattr(Bench, "read", lambda self, timeout: clock.sleep(timeout) or ())
+    with pytest.raises(ConnectionFailedError, match=r"connection bench: it is open, but no sample came within 5 s"):
+        check_connections(with_connections(three_joint, BENCH), None, clock=clock)
+    assert clock.now() - begun == pytest.approx(FIRST_SAMPLE_LIMIT, abs=0.05)
+
+
+def test_drives_are_not_prepared_for_a_motion(monkeypatch):
+    seen = []
+
+    def load(robot, name, host, folder, clock):
+        seen.append(dict(robot.connections[name].model_extra))
+        raise ConnectionFailedError("far enough")
+
+    monkeypatch.setattr(connection_check, "load_driver", load)
+    with pytest.raises(ConnectionFailedError):
+        check_connections(load_robot("ur5e"), "canopen")
+    assert seen[0]["mode"] == "none"
+    assert seen[0]["sync_rate"] == 400
+
+
+def test_wire_without_connect_is_refused(monkeypatch, capsys):
+    status, _, err = run(monkeypatch, capsys, "check", "ur5e", "--wire", "rtde")
+    assert status == 2
+    assert "add --connect" in err
+
+
+def test_the_command_shows_what_answered(monkeypatch, capsys, tmp_path, three_joint, drivers, clock):
+    monkeypatch.setattr("drivers.clock.SYSTEM_CLOCK", clock)
+    (tmp_path / "arm.yaml").write_text(three_joint.text + BENCH.split("  lost")[0])
+    status, out, _ = run(monkeypatch, capsys, "check", str(tmp_path / "arm.yaml"), "--connect")
+    assert status == 0
+    assert "connection bench (bench) answers" in out
+    assert "joint j1, firmware 1.0, rated current 5, rated torque 50" in out
+    assert "position [rad]" in out
+    status, out, _ = run(monkeypatch, capsys, "check", str(tmp_path / "arm.yaml"), "--connect", "--json")
+    content = json.loads(out)
+    assert content["connections"][0]["streams"][0]["first"]["position"]["j2"] == 3.5
+    assert content["connections"][0]["streams"][0]["rate_hz"] == pytest.approx(200.0)

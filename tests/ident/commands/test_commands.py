@@ -1,0 +1,302 @@
+"""The commands as a user calls them: the main job end to end, and bad input one by one."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from daq.recording import write_recording
+from daq.robot import load_robot
+from drivers import command
+from ident.model.dynamics import build_model
+from sim_drivers.measurement import simulate_recording
+from sim_drivers.motion import random_fourier_motion
+
+RATE = 125.0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A folder with recordings, a result, and files that are not what they should be."""
+    folder = tmp_path_factory.mktemp("work")
+    robot_file = load_robot("ur5e")
+    model = build_model(robot_file)
+    for name, seed, duration in (("run", 1, 14.0), ("val", 2, 8.0), ("short", 3, 0.05)):
+        motion = random_fourier_motion(model, 10.0, seed=seed, candidates=3)
+        write_recording(folder / f"{name}.h5", simulate_recording(robot_file, motion, duration, seed=seed, rate=RATE))
+    content = (folder / "run.h5").read_bytes()
+    (folder / "cut.h5").write_bytes(content[: len(content) // 3])
+    (folder / "text.h5").write_text("not hdf5")
+    (folder / "empty.h5").write_bytes(b"")
+    for name, change in (
+        ("newer", {"dynid_schema": 99}),
+        ("foreign", {"dynid_schema": None}),
+        ("norobot", {"robot": ""}),
+    ):
+        (folder / f"{name}.h5").write_bytes(content)
+        with h5py.File(folder / f"{name}.h5", "a") as file:
+            for key, value in change.items():
+                if value is None:
+                    del file.attrs[key]
+                else:
+                    file.attrs[key] = value
+    for name, row, column, value in (("nan", 5, 2, np.nan), ("inf", 7, 1, np.inf)):
+        (folder / f"{name}.h5").write_bytes(content)
+        with h5py.File(folder / f"{name}.h5", "a") as file:
+            file["streams/joints/position"][row, column] = value
+    (folder / "backward.h5").write_bytes(content)
+    with h5py.File(folder / "backward.h5", "a") as file:
+        file["streams/joints/time"][100] = 0.1
+    (folder / "still.h5").write_bytes(content)
+    with h5py.File(folder / "still.h5", "a") as file:
+        file["streams/joints/position"][:] = 0.5
+    (folder / "nocurrent.h5").write_bytes(content)
+    with h5py.File(folder / "nocurrent.h5", "a") as file:
+        del file["streams/joints/current"]
+    (folder / "onejoint.h5").write_bytes(content)
+    with h5py.File(folder / "onejoint.h5", "a") as file:
+        file["streams/joints/position"].attrs["joints"] = [f"a{i}" for i in range(6)]
+    (folder / "bad.yaml").write_text("name: x\nmodel: {mdh: []}\njoints: []\n")
+    (folder / "bad.json").write_text('{"kind": "result"')
+    (folder / "other.json").write_text('{"kind": "trajectory"}')
+    (folder / "bad.csv").write_text("t,q1\n0,1\n1,x\n")
+    return folder
+
+
+def run(monkeypatch, capsys, folder: Path, *arguments: str) -> tuple[int, str, str]:
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
+    with pytest.raises(SystemExit) as stopped:
+        command.main()
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), captured.out, captured.err
+
+
+def test_identify_validates_writes_and_prints(monkeypatch, capsys, folder):
+    status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--validate", "val.h5", "-o", "model")
+    assert status == 0
+    assert "val.h5" in out
+    assert "differs from measured torque by" in out
+    result = json.loads((folder / "model" / "result.json").read_text())
+    assert result["robot"] == "ur5e"
+    assert result["validation"]["relative_error"] < 0.05
+    assert {use["role"] for use in result["recordings"]} == {"identification", "validation"}
+    assert all(len(use["sha256"]) == 64 for use in result["recordings"])
+    assert (folder / "model" / "report.html").stat().st_size > 1e6
+
+    status, out, _ = run(monkeypatch, capsys, folder, "validate", "model/result.json", "val.h5", "--json")
+    assert status == 0
+    again = json.loads(out)["full"]
+    assert again["relative_error"] == pytest.approx(result["validation"]["relative_error"], rel=1e-6)
+
+
+def test_identify_json_is_the_result_and_nothing_else(monkeypatch, capsys, folder):
+    status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--json", "-o", "asjson", "--method", "ols")
+    assert status == 0
+    printed = json.loads(out)
+    assert printed == json.loads((folder / "asjson" / "result.json").read_text())
+    assert printed["method"] == "ols"
+    assert "last 30 %" in printed["validation_source"]
+
+
+def test_robot_show_json(monkeypatch, capsys, folder):
+    status, out, _ = run(monkeypatch, capsys, folder, "robot", "show", "panda", "--json")
+    shown = json.loads(out)
+    assert status == 0
+    assert (shown["name"], shown["dof"], shown["inertial_base_count"], shown["base_count"]) == ("panda", 7, 43, 64)
+    kinds = {"inertial", "motor_inertia", "viscous", "coulomb", "offset"}
+    assert {parameter["kind"] for parameter in shown["base_parameters"]} <= kinds
+    assert {"name", "expression", "kind"} == set(shown["base_parameters"][0])
+    assert "XX1" in shown["no_effect"]
+
+
+def test_robot_show_yaml_is_the_file(monkeypatch, capsys, folder):
+    _, out, _ = run(monkeypatch, capsys, folder, "robot", "show", "ur5e", "--yaml")
+    assert out == load_robot("ur5e").text
+
+
+def test_info_json(monkeypatch, capsys, folder):
+    status, out, _ = run(monkeypatch, capsys, folder, "info", "run.h5", "--json")
+    shown = json.loads(out)
+    assert status == 0
+    stream = shown["streams"]["joints"]
+    assert stream["samples"] == 1750
+    assert stream["rate_hz"] == pytest.approx(RATE)
+    assert (stream["lost"], stream["duplicates"], stream["gaps"]) == (0, 0, [])
+    assert shown["complete"] is True
+    assert shown["excitation"]["scaled_condition"] < 100
+
+
+def test_info_of_a_motionless_recording(monkeypatch, capsys, folder):
+    status, out, _ = run(monkeypatch, capsys, folder, "info", "still.h5")
+    assert status == 0
+    assert "joints" in out
+
+
+def test_check(monkeypatch, capsys, folder):
+    status, out, _ = run(monkeypatch, capsys, folder, "check", "ur5e")
+    assert status == 0
+    assert "the file is valid" in out
+
+
+def test_import_refuses_to_overwrite(monkeypatch, capsys, folder):
+    np.savez(folder / "a.npz", t=np.arange(100) / 100, q=np.zeros((100, 6)), torque=np.zeros((100, 6)))
+    arguments = ("import", "a.npz", "--robot", "ur5e", "-o", "imported.h5")
+    assert run(monkeypatch, capsys, folder, *arguments)[0] == 0
+    status, _, err = run(monkeypatch, capsys, folder, *arguments)
+    assert status == 2
+    assert "exists already" in err
+    assert run(monkeypatch, capsys, folder, *arguments, "--force")[0] == 0
+
+
+BAD = [
+    # recordings
+    (["info", "missing.h5"], ["missing.h5", "no such file"]),
+    (["info", "."], ["is not a file"]),
+    (["info", "text.h5"], ["is not an HDF5 file", "dynid import"]),
+    (["info", "empty.h5"], ["empty.h5"]),
+    (["info", "cut.h5"], ["cut.h5", "truncated"]),
+    (["info", "newer.h5"], ["schema version 99", "update dynid"]),
+    (["info", "foreign.h5"], ["not a dynid recording"]),
+    (["identify", "norobot.h5"], ["carries no robot file", "--robot"]),
+    (["identify", "nan.h5"], ["not numbers", "position of elbow_joint", "sample 5"]),
+    (["identify", "inf.h5"], ["not numbers", "position of shoulder_lift_joint", "sample 7"]),
+    (["identify", "backward.h5"], ["backward.h5", "backwards", "sample 100"]),
+    (["identify", "still.h5"], ["still.h5", "nothing moves"]),
+    (["identify", "short.h5"], ["short.h5"]),
+    (["identify", "nocurrent.h5"], ["neither torque nor current", "position"]),
+    (["identify", "onejoint.h5"], ["no column for joint", "another with --robot"]),
+    (["identify", "run.h5", "--robot", "panda"], ["no column for joint", "panda_joint1"]),
+    # options
+    (["identify", "run.h5", "--method", "magic"], ["'magic'", "ols, wls, energy or power"]),
+    (["identify", "run.h5", "--energy-window", "0.1"], ["energy_window", "belong to the method energy"]),
+    (["identify", "run.h5", "--method", "energy", "--energy-window", "nan"], ["energy_window", "nan s"]),
+    (["identify", "run.h5", "--method", "energy", "--energy-window", "50"], ["energy_window", "50 s do not fit"]),
+    (["identify", "run.h5", "--friction", "sticky"], ["'sticky'", "coulomb-viscous"]),
+    (["identify", "run.h5", "--delay", "soon"], ["--delay soon", "auto"]),
+    (["identify", "run.h5", "--delay", "nan"], ["--delay nan"]),
+    (["identify", "run.h5", "--delay", "1000"], ["delay", "longer than the recording"]),
+    (["identify", "run.h5", "--split", "99"], ["--split 99", "outside the data"]),
+    (["identify", "run.h5", "--split", "5", "--validate", "val.h5"], ["exclude each other"]),
+    (["identify", "run.h5", "--torque-cutoff", "500"], ["500 Hz", "half the sampling rate"]),
+    (["identify", "run.h5", "--position-cutoff", "0"], ["cut-off of 0 Hz"]),
+    (["identify", "run.h5", "--decimate", "0"], ["decimation by 0"]),
+    (["identify", "run.h5", "--filter", "boxcar"], ["'boxcar'", "butterworth or chebyshev"]),
+    (["identify", "run.h5", "--start", "9", "--stop", "3"], ["window", "empty"]),
+    (["identify", "run.h5", "--start", "100"], ["run.h5", "no samples", "lasts 13.992 s"]),
+    (["identify", "run.h5", "--smoothing=-1"], ["--smoothing -1"]),
+    (["identify", "run.h5", "--significance", "0"], ["--significance 0", "15"]),
+    (["identify", "run.h5", "--measured-velocity"], ["holds no velocity"]),
+    (["identify", "run.h5", "-o", "run.h5"], ["is a file; a folder is needed"]),
+    (["identify", "run.h5", "--validate", "missing.h5"], ["missing.h5", "no such file"]),
+    # robots
+    (["robot", "show", "ur5"], ["'ur5'", "did you mean 'ur5e'"]),
+    (["robot", "show", "missing.yaml"], ["missing.yaml", "no such file"]),
+    (["check", "bad.yaml"], ["bad.yaml"]),
+    # results
+    (["validate", "missing.json", "run.h5"], ["missing.json"]),
+    (["validate", "bad.json", "run.h5"], ["is not JSON"]),
+    (["validate", "other.json", "run.h5"], ["not a result"]),
+    # imports
+    (["import", "bad.csv", "--robot", "ur5e", "-o", "x.h5"], ["bad.csv", "line 3"]),
+    (["import", "missing.csv", "--robot", "ur5e", "-o", "x.h5"], ["missing.csv"]),
+    (["import", "bad.csv", "--robot", "ur5e", "-o", "x.h5", "--column", "q1"], ["not NAME=COLUMN"]),
+    (["import", "bad.csv", "--robot", "ur5e", "-o", "x.h5", "--repair", "magic"], ["'magic'", "drop-nan"]),
+    (["import", "bad.csv", "--robot", "ur5e", "-o", "x.h5", "--rate", "-5"], ["-5"]),
+    (["demo", "--robot", "bad.yaml"], ["bad.yaml"]),
+    (["demo", "--duration", "0"], ["--duration 0"]),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), BAD, ids=[" ".join(arguments) for arguments, _ in BAD])
+def test_bad_input_is_told_in_one_line(monkeypatch, capsys, folder, arguments, words):
+    status, out, err = run(monkeypatch, capsys, folder, *arguments)
+    assert status == 2, err
+    assert out == ""
+    assert len(err.strip().splitlines()) == 1
+    assert err.startswith("dynid: ")
+    for word in words:
+        assert word in err
+
+
+def test_bad_input_with_json_is_an_object(monkeypatch, capsys, folder):
+    status, out, err = run(monkeypatch, capsys, folder, "identify", "nan.h5", "--json")
+    assert (status, err) == (2, "")
+    told = json.loads(out)
+    assert "not numbers" in told["error"]
+    assert "elbow_joint" in told["where"]
+    assert told["hint"]
+
+
+def test_nothing_is_written_where_the_input_is_bad(monkeypatch, capsys, folder):
+    assert run(monkeypatch, capsys, folder, "identify", "nan.h5", "-o", "untouched")[0] == 2
+    assert not (folder / "untouched").exists()
+
+
+@pytest.fixture(scope="module")
+def parts(folder) -> Path:
+    """Two models of the UR5e: its last joint locked, and that joint's own torque in free motion."""
+    robot_file = load_robot("ur5e")
+    motion = random_fourier_motion(build_model(robot_file), 10.0, seed=4, candidates=3)
+    motion.sine[5] = motion.cosine[5] = 0.0
+    write_recording(folder / "locked.h5", simulate_recording(robot_file, motion, 14.0, seed=4, rate=RATE))
+    return folder
+
+
+def test_two_experiments_are_identified_and_merged(monkeypatch, capsys, parts):
+    joint = load_robot("ur5e").robot.joint_names[5]
+    status, out, _ = run(
+        monkeypatch, capsys, parts, "identify", "locked.h5", "--locked", joint, "-o", "arm", "--delay", "0"
+    )
+    assert status == 0
+    assert f"experiment: locked: {joint} at" in out
+    status, out, _ = run(
+        monkeypatch, capsys, parts, "identify", "run.h5", "--torques-of", f" {joint}, ", "-o", "wrist", "--delay", "0"
+    )
+    assert status == 0
+    assert f"torques of {joint}" in out
+    status, out, _ = run(
+        monkeypatch, capsys, parts, "merge", "arm", "wrist/result.json", "--validate", "val.h5", "-o", "whole"
+    )
+    assert status == 0
+    assert "Models that were merged" in out
+    assert "val.h5" in out
+    result = json.loads((parts / "whole" / "result.json").read_text())
+    assert len(result["base_parameters"]) == 58
+    assert result["validation"]["relative_error"] < 0.1
+    assert [model["file"] for model in result["merge"]["models"]] == ["arm/result.json", "wrist/result.json"]
+    assert (parts / "whole" / "report.html").stat().st_size > 1e6
+
+    status, out, _ = run(monkeypatch, capsys, parts, "merge", "arm", "wrist", "--json", "-o", "again")
+    assert status == 0
+    assert json.loads(out)["validation"] is None
+
+    status, _, err = run(monkeypatch, capsys, parts, "validate", "arm/result.json", "val.h5")
+    assert status == 2
+    assert f"{joint} was locked" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["identify", "run.h5", "--locked", "wrist_3_joint"], "said to be locked and moves over"),
+        (["identify", "run.h5", "--locked", "elbow"], "no joint of ur5e is called 'elbow'"),
+        (["identify", "run.h5", "--torques-of", "elbow"], "no joint of ur5e is called 'elbow'"),
+        (["identify", "run.h5", "--torques-of", "elbow_joint", "--method", "power"], "--torques-of has no meaning"),
+        (["merge", "missing.json", "other.json"], "cannot be read"),
+        (["merge", "other.json", "bad.json"], "is not a result"),
+        (["merge", "other.json", "bad.json", "--significance", "0"], "not a percentage"),
+        (["merge", "other.json", "bad.json", "-o", "other.json"], "is a file"),
+        (["merge", "model/result.json", "bad.json", "-o", "model"], "holds one of the models"),
+    ],
+)
+def test_wrong_experiments_and_merges_are_refused_in_one_line(monkeypatch, capsys, folder, arguments, words):
+    status, _, err = run(monkeypatch, capsys, folder, *arguments)
+    assert status == 2
+    assert words in err
+    assert len(err.strip().splitlines()) == 1

@@ -1,0 +1,101 @@
+"""`dynid payload` and `dynid gains` as a user calls them."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import h5py
+import pytest
+from loaded_arm import runs
+
+from daq.recording import write_recording
+from drivers import command
+from ident.model.parameters import INERTIAL
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("runs")
+    for name, recording in zip(("free", "loaded"), runs(0, hidden=True), strict=True):
+        write_recording(folder / f"{name}.h5", recording)
+    content = (folder / "loaded.h5").read_bytes()
+    (folder / "nocurrent.h5").write_bytes(content)
+    with h5py.File(folder / "nocurrent.h5", "a") as file:
+        del file["streams/joints/current"]
+    return folder
+
+
+def run(arguments: list[str], capsys, monkeypatch) -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
+    with pytest.raises(SystemExit) as left:
+        command.main()
+    output = capsys.readouterr()
+    return int(left.value.code or 0), output.out, output.err
+
+
+def test_payload_in_words(folder, capsys, monkeypatch):
+    status, out, err = run(
+        ["payload", str(folder / "free.h5"), str(folder / "loaded.h5"), "--mass", "2.8"], capsys, monkeypatch
+    )
+    assert (status, err) == (0, "")
+    for expected in ("M_L", "centre of mass", "tool frame", "free plus load", "the known 2.8 kg", "Load with what is"):
+        assert expected in out
+
+
+def test_payload_as_json(folder, capsys, monkeypatch):
+    arguments = ["payload", str(folder / "free.h5"), str(folder / "loaded.h5"), "--json"]
+    status, out, _ = run(arguments, capsys, monkeypatch)
+    content = json.loads(out)
+    assert status == 0
+    assert [row["name"] for row in content["load"]] == [f"{symbol}_L" for symbol in INERTIAL]
+    assert content["known"] is None
+    assert content["load_with_known"] is None
+    assert content["tests"]["mass"] is None
+
+
+def test_gains_in_words(folder, capsys, monkeypatch):
+    arguments = ["gains", str(folder / "free.h5"), str(folder / "loaded.h5"), "--mass", "2.8"]
+    status, out, err = run(arguments, capsys, monkeypatch)
+    assert (status, err) == (0, "")
+    for expected in ("shoulder_pan_joint", "robot file", "RSD", "for the robot file:\ndrives:\n  - {joint:"):
+        assert expected in out
+
+
+def test_gains_as_json(folder, capsys, monkeypatch):
+    arguments = ["gains", str(folder / "free.h5"), str(folder / "loaded.h5"), "--mass", "2.8", "--json"]
+    status, out, _ = run(
+        [*arguments, "--com", "0.03,-0.02,0.08", "--inertia", "0.01,0.001,0,0.012,0,0.009"], capsys, monkeypatch
+    )
+    content = json.loads(out)
+    assert status == 0
+    assert content["kind"] == "gains"
+    assert content["unit"] == "N·m/A"
+    assert content["gains"][2]["gain"] == pytest.approx(1.05 * 11.13, rel=0.03)
+    assert content["known"]["com"] == [0.03, -0.02, 0.08]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["gains", "free.h5", "loaded.h5"], "without the load's mass"),
+        (["gains", "free.h5", "nocurrent.h5", "--mass", "2.8"], "records no motor current"),
+        (["gains", "free.h5", "free.h5", "--mass", "2.8"], "same file"),
+        (["gains", "free.h5", "loaded.h5", "--mass", "-1"], "none"),
+        (["gains", "free.h5", "missing.h5", "--mass", "2.8"], "missing.h5"),
+        (["payload", "free.h5", "loaded.h5", "--mass", "nan"], "none"),
+        (["payload", "free.h5", "loaded.h5", "--com", "0,0,0.1"], "--mass"),
+        (["payload", "free.h5", "loaded.h5", "--mass", "2.8", "--com", "0;0;0"], "separated by commas"),
+        (["payload", "free.h5", "loaded.h5", "--mass", "2.8", "--com", "0,0"], "3 finite numbers"),
+        (["payload", "free.h5", "loaded.h5", "--delay", "soon"], "--delay soon"),
+        (["payload", "free.h5", "loaded.h5", "--delay", "50"], "longer than the recording"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(arguments, said, folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    status, out, err = run(arguments, capsys, monkeypatch)
+    assert status == 2
+    assert said in err
+    assert len(err.strip().splitlines()) == 1
+    assert out == ""

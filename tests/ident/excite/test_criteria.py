@@ -1,0 +1,90 @@
+"""Criteria of a path: their values, and their derivatives through the regressor."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ident.excite.criteria import SIGN_SMOOTHING, MotionSize, RegressorCriterion
+from ident.excite.measures import condition, deviations, plain_condition
+from ident.excite.path import Path
+from ident.model.base_parameters import base_parameters
+from ident.model.regressor import regressor
+
+
+def random_path(dof: int, count: int, seed: int) -> Path:
+    generator = np.random.default_rng(seed)
+    return Path(np.arange(count) * 0.1, *generator.uniform(-2.0, 2.0, (3, dof, count)))
+
+
+def moved(path: Path, quantity: int, joint: int, sample: int, step: float) -> Path:
+    arrays = [path.position.copy(), path.velocity.copy(), path.acceleration.copy()]
+    arrays[quantity][joint, sample] += step
+    return Path(path.time, *arrays)
+
+
+@pytest.mark.parametrize("measure", [plain_condition, condition])
+@pytest.mark.parametrize("seed", range(3))
+def test_derivatives_by_the_path_equal_finite_differences(random_tree, measure, seed):
+    model = random_tree(seed, dof=3)
+    base = base_parameters(model)
+    criterion = RegressorCriterion(model, base.columns, measure, joint_weights=np.array([1.0, 2.0, 5.0]))
+    path = random_path(3, 60, seed)
+    _, gradient = criterion.smooth_cost(path, 4.0)
+    for quantity in range(3):
+        for joint in range(3):
+            step = 1e-3
+            ahead, behind = (
+                criterion.smooth_cost(moved(path, quantity, joint, 7, sign * step), 4.0)[0] for sign in (1, -1)
+            )
+            assert gradient[quantity, joint, 7] == pytest.approx((ahead - behind) / (2 * step), rel=1e-3, abs=1e-6)
+
+
+def test_cost_is_the_condition_of_the_stacked_weighted_regressor(ur_like):
+    from ident.model.dynamics import build_model
+
+    model = build_model(ur_like)
+    base = base_parameters(model)
+    weights = np.linspace(0.5, 3.0, model.dof)
+    path = random_path(model.dof, 80, 1)
+    dense = regressor(model, path.position, path.velocity, path.acceleration, base.columns)
+    stacked = np.concatenate([weight * rows.T for weight, rows in zip(weights, dense, strict=True)])
+    cost = RegressorCriterion(model, base.columns, plain_condition, weights).cost(path)
+    assert np.exp(cost) == pytest.approx(np.linalg.cond(stacked), rel=1e-6)
+
+
+def test_deviations_are_those_of_least_squares(ur_like):
+    from ident.model.dynamics import build_model
+
+    model = build_model(ur_like)
+    base = base_parameters(model)
+    noise = np.linspace(0.2, 2.0, model.dof)
+    path = random_path(model.dof, 50, 2)
+    size = np.exp(np.random.default_rng(3).standard_normal(base.count))
+    dense = regressor(model, path.position, path.velocity, path.acceleration, base.columns)
+    stacked = np.concatenate([rows.T / std for std, rows in zip(noise, dense, strict=True)])
+    variances = np.diag(np.linalg.inv(stacked.T @ stacked)) * 50  # the criterion is per sample
+    cost = RegressorCriterion(model, base.columns, deviations(size), 1.0 / noise).cost(path)
+    assert np.exp(2 * cost) == pytest.approx(np.mean(variances / size**2), rel=1e-6)
+
+
+def test_the_sign_of_the_velocity_is_smooth_in_the_smooth_cost_only(random_tree):
+    model = dataclasses.replace(random_tree(1, dof=2), coulomb=(True, True), smoothing=0.0)
+    path = random_path(2, 40, 4)
+    slow = Path(path.time, path.position, path.velocity * 0.01 * SIGN_SMOOTHING, path.acceleration)
+    still = Path(path.time, path.position, path.velocity * 1e-9, path.acceleration)
+    criterion = RegressorCriterion(model, base_parameters(model).columns, condition)
+    assert criterion.cost(slow) == pytest.approx(criterion.cost(still), rel=1e-3)
+    assert np.any(criterion.smooth_cost(slow, 4.0)[1][1] != 0.0)
+
+
+def test_motion_size_is_the_papers_formula_and_its_derivative():
+    path = random_path(3, 30, 5)
+    rows = np.concatenate([path.position, path.velocity, path.acceleration]).T
+    criterion = MotionSize()
+    assert np.exp(criterion.cost(path)) == pytest.approx(1.0 / np.linalg.norm(rows.T @ rows, 2))
+    _, gradient = criterion.smooth_cost(path, 4.0)
+    ahead, behind = (criterion.cost(moved(path, 1, 2, 9, sign * 1e-6)) for sign in (1, -1))
+    assert gradient[1, 2, 9] == pytest.approx((ahead - behind) / 2e-6, rel=1e-5)

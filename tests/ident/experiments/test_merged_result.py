@@ -1,0 +1,237 @@
+"""Merging results as `dynid identify` writes them: two experiments, one model, and what is refused."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from daq.recording import JOINTS_STREAM, read_recording, write_recording
+from daq.robot import parse_robot
+from drivers.errors import DataError, ResultFileError, UsageError
+from ident.experiments.merged_result import merge_results
+from ident.identify.identification import IdentifyChoices, ModelChoices
+from ident.identify.identify import identify
+from ident.identify.revalidate import revalidate
+from ident.identify.summary import summarise
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import build_model, truth_vector
+from ident.regression.observability import ExperimentChoices
+from ident.report.page import render_report
+from ident.report.section import ReportData
+from ident.result.schema import read_result, result_json, write_result
+from sim_drivers.altered_arm import with_load
+from sim_drivers.measurement import simulate_recording
+from sim_drivers.motion import random_fourier_motion
+
+SECONDS = 25.0
+
+
+@pytest.fixture(scope="module")
+def recorded(three_joint, tmp_path_factory):
+    """Factory of recordings on disk; some joints may stand still somewhere, the arm may carry a load."""
+    model = build_model(three_joint)
+    folder = tmp_path_factory.mktemp("recordings")
+
+    def make(seed, still=(), arm=three_joint, at=0.4):
+        motion = random_fourier_motion(model, 10.0, seed, candidates=3)
+        for joint in still:
+            motion.sine[joint] = motion.cosine[joint] = 0.0
+            motion.offset[joint] = at
+        path = folder / f"{seed}{still}{at}{arm is three_joint}.h5"
+        if not path.exists():
+            write_recording(path, simulate_recording(arm, motion, SECONDS, seed))
+        return read_recording(path)
+
+    return make
+
+
+def result_of(recording, *, locked=(), torques_of=(), robot_file=None, **options):
+    choices = IdentifyChoices(experiment=ExperimentChoices(locked, torques_of), search_delay=False, **options)
+    return summarise(identify([recording], [], choices, robot_file=robot_file), [recording], [])
+
+
+@pytest.fixture(scope="module")
+def results(recorded):
+    """Joint 3 locked; joint 3's own torque in free motion."""
+    arm = result_of(recorded(1, still=(2,)), locked=("j3",))
+    wrist = result_of(recorded(2), torques_of=("j3",))
+    return arm, wrist
+
+
+@pytest.fixture(scope="module")
+def merged(results, recorded):
+    return merge_results([("arm", results[0]), ("wrist", results[1])], recorded(3))
+
+
+def truth_of(robot_file):
+    model = build_model(robot_file)
+    return base_parameters(model).projection @ truth_vector(robot_file)
+
+
+def deviations(result, robot_file):
+    """Errors (b,) in standard deviations."""
+    values = np.array([parameter.value for parameter in result.base_parameters], dtype=float)
+    std = np.array([parameter.std for parameter in result.base_parameters], dtype=float)
+    return (values - truth_of(robot_file)) / std
+
+
+def test_two_experiments_make_the_whole_model(merged, results, three_joint):
+    result, validated = merged
+    whole = base_parameters(build_model(three_joint))
+    assert [parameter.name for parameter in result.base_parameters] == list(whole.names)
+    assert max(len(part.base_parameters) for part in results) < whole.count
+    error = np.abs(deviations(result, three_joint))
+    assert np.mean(error < 1.96) > 0.8
+    assert np.max(error) < 5.0
+    assert validated is not None
+    assert result.validation is not None
+    assert result.validation.relative_error < 0.05
+    assert all(value is not None for value in result.validation.rmse)
+    assert "good" in result.verdict
+
+
+def test_the_merged_model_is_a_result_like_others(merged, recorded, tmp_path):
+    result, validated = merged
+    write_result(tmp_path / "result.json", result)
+    again = read_result(tmp_path / "result.json")
+    assert again == result
+    assert revalidate(again, recorded(3)).full.relative_error == validated.full.relative_error
+    assert result.fit is None
+    assert [use.role for use in result.recordings] == ["identification"] * 2
+    assert result.residuals.joint_std[2] is not None
+    page = render_report(ReportData(result, (), validated.series))
+    assert "Merged models" in page
+    assert "arm" in page
+
+
+def test_merging_with_what_was_known_before_changes_nothing_but_the_error_bars(merged, recorded, three_joint):
+    """The merged estimate is the prior of a third experiment; in one step or in two, the result is the same."""
+    more = result_of(recorded(4))
+    in_steps, _ = merge_results([("before", merged[0]), ("more", more)])
+    assert in_steps.merge.consistency is not None
+    assert in_steps.merge.consistency.agree
+    assert "agree" in in_steps.verdict
+    assert len(in_steps.experiments) == 3
+    before = np.array([parameter.std for parameter in merged[0].base_parameters])
+    after = np.array([parameter.std for parameter in in_steps.base_parameters])
+    alone = np.array([parameter.std for parameter in more.base_parameters])
+    assert np.median(after / np.minimum(before, alone)) < 1.0
+    assert np.mean(np.abs(deviations(in_steps, three_joint)) < 1.96) > 0.8
+
+
+def test_merging_in_steps_is_merging_at_once(merged, results, recorded):
+    more = result_of(recorded(4))
+    at_once, _ = merge_results([("arm", results[0]), ("wrist", results[1]), ("more", more)])
+    in_steps, _ = merge_results([("before", merged[0]), ("more", more)])
+    for one, other in zip(at_once.base_parameters, in_steps.base_parameters, strict=True):
+        assert other.value == pytest.approx(one.value, abs=1e-6 * one.std)
+        assert other.std == pytest.approx(one.std, rel=1e-6)
+
+
+def test_another_load_shows(results, recorded, three_joint):
+    """0.3 kg more on the last link between the experiments."""
+    loaded = with_load(three_joint, 0.3, (0.3, 0.0, 0.0), (1e-3, 0.0, 0.0, 1e-3, 0.0, 1e-3))
+    other = result_of(recorded(4, arm=loaded))
+    result, _ = merge_results([("wrist", results[1]), ("loaded", other)])
+    assert not result.merge.consistency.agree
+    assert result.merge.consistency.contradictions
+    assert "contradict each other" in result.verdict
+    assert any("Furthest" in warning for warning in result.warnings)
+    names = {one.parameter for one in result.merge.consistency.contradictions}
+    assert names & {"MX3", "ZZ3", "XXR3", "MXR3", "ZZR3"}
+
+
+def test_parts_of_an_arm_stay_parts(results, recorded):
+    """The same joint locked twice in the same place tells no more of the arm, and the model says what it holds for."""
+    again = result_of(recorded(5, still=(2,)))
+    result, _ = merge_results([("a", results[0]), ("b", again)])
+    assert [p.name for p in result.base_parameters] == [p.name for p in results[0].base_parameters]
+    assert any("can show" in warning for warning in result.warnings)
+    assert result.merge.consistency.freedom == len(result.base_parameters)
+    assert revalidate(result, recorded(6, still=(2,))).full.relative_error < 0.05
+    with pytest.raises(DataError, match=r"j3 stands at 0\.9 rad"):
+        revalidate(result, recorded(6, still=(2,), at=0.9))
+    elsewhere, _ = merge_results([("a", results[0]), ("c", result_of(recorded(6, still=(2,), at=0.9)))])
+    assert len(elsewhere.base_parameters) > len(result.base_parameters)
+
+
+def test_a_parameter_that_was_not_excited_comes_from_the_other_experiment(recorded, three_joint):
+    model = build_model(three_joint)
+    motion = random_fourier_motion(model, 10.0, 7)
+    motion.sine[1] *= 3e-3  # too slow to rub
+    motion.cosine[1] *= 3e-3
+    slow = simulate_recording(three_joint, motion, SECONDS, 7)
+    part = result_of(slow, torques_of=("j1", "j3"))
+    whole = result_of(recorded(8))
+    result, _ = merge_results([("slow", part), ("whole", whole)])
+    assert all(parameter.value is not None for parameter in result.base_parameters)
+    assert np.max(np.abs(deviations(result, three_joint))) < 5.0
+
+
+def test_a_recording_counts_once(recorded):
+    run = recorded(2)
+    one, other = result_of(run, torques_of=("j2", "j3")), result_of(run, torques_of=("j1", "j3"))
+    with pytest.raises(UsageError, match=r"torques of j3 in .*h5: they would count twice"):
+        merge_results([("a", one), ("b", other)])
+    apart = result_of(run, torques_of=("j1",))
+    result, _ = merge_results([("a", one), ("b", apart)])
+    assert len(result.base_parameters) == base_parameters(build_model(run.robot())).count
+
+
+def test_models_of_different_arms_are_refused(results, recorded, three_joint):
+    doubled = parse_robot(three_joint.text.replace("gain: 10,", "gain: 20,"), where="doubled", folder=None)
+    other = result_of(recorded(4), robot_file=doubled)
+    with pytest.raises(UsageError, match=r"differ at line \d+: '- \{joint: j1, gain: 10,.*gain: 20") as caught:
+        merge_results([("a", results[0]), ("b", other)])
+    assert "--robot" in (caught.value.hint or "")
+    other = result_of(recorded(4), model=ModelChoices(offset=False))
+    with pytest.raises(UsageError, match="different columns: offset"):
+        merge_results([("a", results[0]), ("b", other)])
+
+
+def test_one_model_is_no_merge(results):
+    with pytest.raises(UsageError, match="two models or more"):
+        merge_results([("a", results[0])])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda content: content.update(estimate=None), "earlier dynid"),
+        (lambda content: content["estimate"]["covariance"].pop(), "estimate.covariance"),
+        (lambda content: content["estimate"]["root"][0].pop(), "estimate.root"),
+        (lambda content: content["estimate"]["root"][2].__setitem__(2, 0.0), "estimate.root"),
+        (lambda content: content["estimate"]["covariance"][1].__setitem__(0, 1e3), "estimate.covariance"),
+        (lambda content: content["estimate"]["covariance"][1].__setitem__(1, -1.0), "estimate.covariance"),
+        (lambda content: content["estimate"].update(taken_up={"XX9": [1.0]}), "taken_up.XX9"),
+        (lambda content: content["estimate"]["parameters"].__setitem__(0, "XX9"), "estimate.parameters"),
+        (lambda content: content["base_parameters"][0].update(value=None), "estimate.parameters"),
+        (lambda content: content["experiments"][0].update(torques_of=["j9"]), "experiments.0"),
+        (lambda content: content["experiments"][0].update(torques_of=[]), "experiments.0"),
+        (lambda content: content["experiments"][0].update(locked={"j3": [0.1], "j2": [0.1, 0.2]}), "experiments.0"),
+        (lambda content: content["experiments"][0].update(locked={}), "do not belong"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused_by_name(results, change, message):
+    content = json.loads(result_json(results[0]))
+    change(content)
+    spoilt = type(results[0]).model_validate(content)
+    with pytest.raises(ResultFileError) as caught:
+        merge_results([("arm/result.json", spoilt), ("wrist", results[1])])
+    assert message in str(caught.value)
+    assert "arm/result.json" in str(caught.value)
+
+
+def test_noise_free_estimates_can_be_merged(three_joint):
+    clean = parse_robot(three_joint.text[: three_joint.text.index("  noise:")], where="noise-free", folder=None)
+    model = build_model(clean)
+    runs = [
+        simulate_recording(clean, random_fourier_motion(model, 10.0, seed), 15.0, seed, rate=200.0) for seed in (1, 2)
+    ]
+    assert JOINTS_STREAM in runs[0].streams
+    result, _ = merge_results([(str(i), result_of(run)) for i, run in enumerate(runs)])
+    truth = truth_of(clean)
+    values = np.array([parameter.value for parameter in result.base_parameters])
+    assert np.max(np.abs(values - truth) / np.maximum(np.abs(truth), 0.01 * np.max(np.abs(truth)))) < 2e-3

@@ -1,0 +1,195 @@
+"""The load from a free and a loaded run of a simulated arm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from loaded_arm import LOAD, RATE, runs
+
+from daq.robot import load_robot, parse_robot
+from drivers.errors import DataError, UsageError
+from ident.experiments.payload import identify_payload
+from ident.experiments.payload_summary import payload_object, payload_sentences
+from ident.model.dynamics import build_model
+from ident.model.load import KnownLoad
+from ident.model.parameters import INERTIAL
+from ident.regression.hypothesis_tests import chi_square_test
+from sim_drivers.measurement import simulate_recording
+from sim_drivers.motion import random_fourier_motion
+
+SEEDS = range(4)
+
+
+@pytest.fixture(scope="module")
+def found():
+    return [identify_payload(*runs(seed), LOAD) for seed in SEEDS]
+
+
+def test_the_load_lies_within_its_error_bars(found):
+    errors = np.array([(each.load.values - LOAD.values) / np.sqrt(np.diag(each.load.covariance)) for each in found])
+    assert np.mean(np.abs(errors) < 2) > 0.85
+    assert np.max(np.abs(errors)) < 4.5
+    assert np.sqrt(np.mean(errors**2)) > 0.5  # the error bars are not much too long either
+
+
+def test_mass_and_centre_are_close(found):
+    for each in found:
+        centre, std = each.load.centre
+        assert each.load.standard[INERTIAL.index("M")] == pytest.approx(LOAD.mass, abs=0.05)
+        assert centre == pytest.approx(LOAD.com, abs=0.005)
+        assert np.all(std > 0)
+
+
+def test_the_right_load_is_accepted(found):
+    for each in found:
+        assert each.mass_test.passed
+        assert each.values_test.passed
+        assert each.load_test.passed
+        assert each.known_test.passed
+        assert each.rest.test.p_value > 1e-3
+        assert "agrees with the known 2.8 kg" in payload_sentences(each)[0]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        KnownLoad(2.9, LOAD.com, LOAD.inertia),
+        KnownLoad(2.8, (0.03, -0.02, 0.10), LOAD.inertia),
+        KnownLoad(2.8, (0.03, 0.02, 0.08), LOAD.inertia),
+    ],
+)
+def test_a_wrong_load_is_rejected(wrong):
+    each = identify_payload(*runs(0), wrong)
+    assert not each.known_test.passed
+    assert not each.values_test.passed
+    assert each.load_test.passed  # some load it is
+    assert any("do not agree" in sentence for sentence in payload_sentences(each))
+
+
+def test_the_table_predicts_the_loaded_parameters(found):
+    """As SR400 Table 4: free plus load against identified loaded."""
+    changes = found[0].changes
+    spread = np.hypot(changes.free_std, changes.loaded_std)
+    assert np.max(np.abs(changes.predicted - changes.loaded) / spread) < 4.5
+    assert np.max(np.abs(changes.free - changes.loaded) / spread) > 20
+
+
+def test_a_known_mass_is_held(found):
+    constrained = found[0].with_mass
+    only_mass = identify_payload(*runs(0), KnownLoad(2.8)).with_mass
+    assert constrained.columns.names == ()
+    assert "M_L" not in only_mass.columns.names
+    assert only_mass.standard[INERTIAL.index("M")] == 2.8
+    assert only_mass.values == pytest.approx(LOAD.values[:9], abs=5 * only_mass.std.max())
+
+
+def test_gains_ten_percent_wrong_show_in_the_mass():
+    each = identify_payload(*runs(1, everywhere=1 / 1.1), KnownLoad(2.8))
+    assert each.load.standard[INERTIAL.index("M")] == pytest.approx(1.1 * 2.8, rel=0.01)
+    assert not each.mass_test.passed
+    assert any("drive gains are off by about as much" in warning for warning in each.warnings)
+    # The robot file says 10 % of each gain's standard deviation itself: the sentence does not blame the scales.
+    assert "covers the difference" in payload_sentences(each)[0]
+
+
+def test_gains_wrong_unevenly_are_no_load():
+    each = identify_payload(*runs(1, hidden=True), LOAD)
+    assert not each.known_test.passed
+
+
+def test_the_gains_part_of_the_error_bars_is_what_wrong_gains_do():
+    """A gain off by ε moves the load by ε times that joint's contribution: checked against files with such gains."""
+    free, loaded = runs(2)
+    robot_file = load_robot("ur10e")
+    reference = identify_payload(free, loaded)
+    moved = np.zeros((6, 10))
+    for joint, drive in enumerate(robot_file.robot.drives):
+        step = 1e-3
+        drives = tuple(
+            each.model_copy(update={"gain": each.gain * (1 + step)}) if each is drive else each
+            for each in robot_file.robot.drives
+        )
+        other = robot_file.model_copy(update={"robot": robot_file.robot.model_copy(update={"drives": drives})})
+        changed = identify_payload(free, loaded, None, other, reference.pair.delay)
+        moved[joint] = (changed.load.values - reference.load.values) / step
+    relative = np.array([drive.gain_std / drive.gain for drive in robot_file.robot.drives])
+    expected = np.sqrt(np.sum((moved * relative[:, None]) ** 2, axis=0))
+    assert np.sqrt(np.diag(reference.load.gain_covariance)) == pytest.approx(expected, rel=0.1)
+
+
+def test_no_load_is_said():
+    free, _ = runs(0)
+    again = simulate_recording(
+        load_robot("ur10e"),
+        random_fourier_motion(build_model(load_robot("ur10e")), 20.0, seed=0, candidates=3),
+        20.0,
+        seed=99,
+        rate=RATE,
+    )
+    each = identify_payload(free, again)
+    assert any("no load shows" in warning for warning in each.warnings)
+
+
+def test_friction_that_changed_is_said():
+    text = load_robot("ur10e").text.replace("coulomb: 14.2", "coulomb: 16.2")
+    warmer = parse_robot(text, where="warmer", folder=None)
+    motion = random_fourier_motion(build_model(warmer), 20.0, seed=0, candidates=3)
+    free, _ = runs(0)
+    each = identify_payload(free, replace(simulate_recording(warmer, motion, 20.0, seed=5, rate=RATE)))
+    assert each.pair.base.names[each.rest.number] == "Fs2"
+    assert not each.rest.test.passed
+    assert any("friction or motor inertia changed" in warning for warning in each.warnings)
+
+
+def test_joints_at_rest_are_said():
+    robot_file = load_robot("ur10e")
+    motion = random_fourier_motion(build_model(robot_file), 20.0, seed=1, candidates=2)
+    moving = np.array([[0.0], [1.0], [1.0], [1.0], [1.0], [1.0]])
+    still = replace(motion, sine=motion.sine * moving, cosine=motion.cosine * moving)
+    free = simulate_recording(robot_file, still, 20.0, seed=0, rate=RATE)
+    each = identify_payload(free, runs(1)[1])
+    assert any(warning.startswith("shoulder_pan_joint rests throughout") for warning in each.warnings)
+    assert "rests throughout" not in " ".join(identify_payload(*runs(1)).warnings)
+
+
+def test_different_arms_are_refused(three_joint):
+    free, loaded = runs(0)
+    other = simulate_recording(
+        three_joint, random_fourier_motion(build_model(three_joint), 10.0, seed=0, candidates=2), 5.0, seed=0
+    )
+    with pytest.raises(DataError, match="one is of 'ur10e', the other of 'three_joint'"):
+        identify_payload(free, other)
+    moved = loaded.robot_text.replace("r: 0.11655", "r: 0.1")
+    with pytest.raises(DataError, match="different kinematics"):
+        identify_payload(free, replace(loaded, robot_text=moved))
+
+
+def test_the_same_file_twice_is_refused(tmp_path):
+    free, _ = runs(0)
+    once = replace(free, path=tmp_path / "run.h5")
+    with pytest.raises(UsageError, match="same file"):
+        identify_payload(once, once)
+
+
+def test_the_object_is_complete(found):
+    content = payload_object(found[0])
+    assert [row["name"] for row in content["load"]] == [f"{symbol}_L" for symbol in INERTIAL]
+    assert content["tests"]["mass"]["passed"] is True
+    assert content["not_identifiable"] == []
+    assert {row["name"] for row in content["base_parameters"]} >= {"ZZR1", "MXR2", "MX6"}
+
+
+def test_chi_square_of_chance_and_of_more():
+    generator = np.random.default_rng(0)
+    draws = generator.standard_normal((40, 5))
+    covariance = draws.T @ draws / 40
+    root = np.linalg.cholesky(covariance)
+    chance = [chi_square_test(root @ generator.standard_normal(5), covariance, 10_000).p_value for _ in range(400)]
+    assert np.mean(np.array(chance) < 0.05) == pytest.approx(0.05, abs=0.035)
+    assert not chi_square_test(10 * root[:, 0], covariance, 100).passed
+    along = chi_square_test(10 * root[:, 0], covariance, 100, root[:, :1])
+    assert along.freedom == 4
+    assert along.statistic == pytest.approx(0.0, abs=1e-9)
+    assert chi_square_test(root[:, 0], covariance, 8) is None

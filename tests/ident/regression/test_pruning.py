@@ -1,0 +1,105 @@
+"""Backward elimination: what goes, what stays, and why it ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ident.regression.least_squares import ordinary_least_squares
+from ident.regression.pruning import SIGNIFICANT_RSD, prune, relative_std
+
+
+def system(dense_reduction, truth: np.ndarray, seed: int, rows: int = 400, noise: float = 1.0):
+    generator = np.random.default_rng(seed)
+    W = generator.standard_normal((rows, len(truth)))
+    torque = W @ truth + noise * generator.standard_normal(rows)
+    return dense_reduction([(W, torque)])
+
+
+def pruned(reduction, *, inflation: float = 1.0, effective: float | None = None, threshold: float = SIGNIFICANT_RSD):
+    count = reduction.column_count
+    return prune(
+        ordinary_least_squares(reduction, range(count)),
+        np.full(count, inflation),
+        reduction.rows if effective is None else effective,
+        lambda columns: ordinary_least_squares(reduction, columns),
+        threshold,
+    )
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    seed=st.integers(0, 10_000),
+    truth=st.lists(st.sampled_from([0.0, 0.01, 0.3, 5.0]), min_size=1, max_size=8),
+    inflation=st.floats(0.5, 5.0),
+    threshold=st.floats(1.0, 50.0),
+)
+def test_dropped_and_kept_are_all_and_only_insignificant_ones_go(dense_reduction, seed, truth, inflation, threshold):
+    reduction = system(dense_reduction, np.array(truth), seed)
+    result = pruned(reduction, inflation=inflation, threshold=threshold)
+    kept = result.solution.active
+    assert sorted([*result.dropped, *kept]) == list(range(len(truth)))
+    assert len(set(result.dropped)) == len(result.dropped)
+    assert len(kept) >= 1
+    # Each was insignificant in the model from which it was taken, and the worst there.
+    active = list(range(len(truth)))
+    for column in result.dropped:
+        solution = ordinary_least_squares(reduction, active)
+        rsd = relative_std(solution.parameters, inflation * solution.std)
+        assert rsd[column] >= threshold
+        assert rsd[column] == np.max(rsd[active])
+        active.remove(column)
+    assert tuple(active) == kept
+    if result.stopped_by.startswith("all below"):
+        rsd = relative_std(result.solution.parameters, inflation * result.solution.std)
+        assert np.all(rsd[list(kept)] < threshold)
+
+
+def test_parameters_that_are_zero_go_and_large_ones_stay(dense_reduction):
+    truth = np.array([5.0, 0.0, -3.0, 0.0, 0.0, 8.0])
+    kept = [set(pruned(system(dense_reduction, truth, seed)).solution.active) for seed in range(30)]
+    assert all({0, 2, 5} <= columns for columns in kept)
+    # At its level of 5 % the F-test keeps a superfluous one now and then.
+    assert np.mean([len(columns) == 3 for columns in kept]) > 0.6
+
+
+def test_the_f_test_keeps_what_the_threshold_alone_would_drop(dense_reduction):
+    """Known to 25 %, four standard deviations from 0: not significant by SR400's rule, but the fit would suffer."""
+    truth = np.array([5.0, 0.2])
+    result = pruned(system(dense_reduction, truth, 1))
+    assert result.stopped_by.startswith("partial F-test")
+    assert result.dropped == ()
+
+
+def test_few_effective_rows_make_the_f_test_lenient(dense_reduction):
+    reduction = system(dense_reduction, np.array([5.0, 0.15]), 4)
+    solution = ordinary_least_squares(reduction, range(2))
+    statistic = (solution.parameters[1] / solution.std[1]) ** 2
+    assert 3.9 < statistic < 18.0  # between the limits for 398 and for 1 degree of freedom
+    assert pruned(reduction).dropped == ()
+    assert pruned(reduction, effective=3.0).dropped == (1,)
+
+
+def test_inflated_standard_deviations_drop_more(dense_reduction):
+    reduction = system(dense_reduction, np.array([5.0, 0.2]), 1)
+    assert pruned(reduction, inflation=1.0).dropped == ()
+    assert pruned(reduction, inflation=4.0).dropped == (1,)
+
+
+def test_nothing_goes_when_all_are_below_the_threshold(dense_reduction):
+    result = pruned(system(dense_reduction, np.array([5.0, 4.0, -6.0]), 1))
+    assert result.dropped == ()
+    assert result.stopped_by == "all below 15 %"
+
+
+def test_the_last_parameter_stays_whatever_it_is(dense_reduction):
+    result = pruned(system(dense_reduction, np.zeros(4), 3), threshold=0.001, effective=3.0)
+    assert len(result.solution.active) >= 1
+    assert len(result.dropped) + len(result.solution.active) == 4
+
+
+def test_relative_std_of_what_has_no_value_is_infinite():
+    rsd = relative_std(np.array([2.0, 0.0, -4.0, 1.0]), np.array([0.1, 0.1, 1.0, np.inf]))
+    assert rsd == pytest.approx([5.0, np.inf, 25.0, np.inf])
