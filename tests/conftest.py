@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +16,9 @@ from drivers.clock import Clock
 # A busy computer makes any single example slow: time is no property that a test of values may fail by.
 settings.register_profile("dynid", deadline=None)
 settings.load_profile("dynid")
+
+# A shell's background job ignores Ctrl-C, and so would all programs that tests start and end by it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
