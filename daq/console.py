@@ -13,7 +13,12 @@ WIDTH_WITHOUT_TERMINAL = 160
 
 def print_json(content: Any) -> None:
     """One JSON object on standard output; what is not a finite number becomes null."""
-    print(json.dumps(_strict(content), ensure_ascii=False, indent=1, allow_nan=False))
+    print(json_text(content))
+
+
+def json_text(content: Any) -> str:
+    """The JSON text of an object; what is not a finite number becomes null."""
+    return json.dumps(_strict(content), ensure_ascii=False, indent=1, allow_nan=False)
 
 
 def _strict(content: Any) -> Any:

@@ -18,8 +18,17 @@ from drivers.streams import FloatArray
 def read_recording(path: str | Path) -> Recording:
     """Read a whole recording.
 
+    Args:
+        path: of the file (.h5).
+
     Raises:
         RecordingError: no such file; not HDF5; truncated; not written by dynid; newer schema; half-written streams.
+
+    Example:
+        >>> import dynid
+        >>> dynid.read_recording("nowhere.h5")
+        Traceback (most recent call last):
+        drivers.errors.RecordingError: nowhere.h5: no such file
     """
     path = Path(path)
     where = str(path)

@@ -299,12 +299,26 @@ class RecordingWriter:
         self.close(complete=error is None)
 
 
-def write_recording(path: Path, recording: Recording, *, overwrite: bool = False) -> None:
+def write_recording(path: str | Path, recording: Recording, *, overwrite: bool = False) -> None:
     """Write a recording from memory, with its own `created`, `host`, `versions` and `complete`.
+
+    Args:
+        path: of the file (.h5).
+        recording: what to write.
+        overwrite: replace a file that exists.
 
     Raises:
         RecordingError: as `RecordingWriter` does, or the recording carries no robot file.
+
+    Example:
+        >>> import dynid, pathlib, tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder, "run.h5")
+        ...     dynid.write_recording(path, dynid.simulate("ur5e", duration=2.0))
+        ...     len(dynid.read_recording(path).streams["joints"].time)
+        1000
     """
+    path = Path(path)
     layouts = [
         StreamLayout(
             name=stream.name,

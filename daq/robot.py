@@ -17,6 +17,7 @@ from daq.lengths import with_lengths
 from daq.loops import BASE as BASE
 from daq.loops import Loop, check_coupling, check_drives, check_pairs, passive_joints
 from daq.section import Angle, Finite, NonNegative, NotTruthValue, Positive, Section, Vector3
+from daq.urdf_robot import robot_text_of_urdf, urdf_prismatic_joints
 from daq.workspace import Workspace
 from daq.yaml_file import read_mapping, validated
 from drivers.errors import RobotFileError
@@ -298,7 +299,15 @@ class Robot(Section):
 
 
 class RobotFile(BaseModel):
-    """A robot together with the text and the place that it was read from."""
+    """A robot together with the text and the place that it was read from; what `load_robot` gives.
+
+    Its `robot` holds joints and limits [rad, rad/s, rad/s², N·m], drive gains [N·m/A or N·m/V] and the rest.
+
+    Example:
+        >>> import dynid
+        >>> isinstance(dynid.load_robot("panda"), dynid.RobotFile)
+        True
+    """
 
     model_config = ConfigDict(frozen=True)
 
@@ -307,27 +316,59 @@ class RobotFile(BaseModel):
     folder: Path | None = Field(description="what relative paths resolve against; None for a text without a place")
     urdf_text: str | None = Field(default=None, description="the URDF's XML, where the model names one")
 
+    @property
+    def prismatic_joints(self) -> frozenset[str]:
+        """Names of the joints that slide."""
+        if self.robot.model.mdh is not None:
+            return frozenset(row.joint for row in self.robot.model.mdh if row.type == "prismatic")
+        return urdf_prismatic_joints(self.urdf_text or "<robot/>")
+
 
 def builtin_robots() -> tuple[str, ...]:
-    """Names of the built-in robot files, sorted."""
+    """Names of the built-in robot files, sorted.
+
+    Example:
+        >>> import dynid
+        >>> "ur5e" in dynid.builtin_robots()
+        True
+    """
     return tuple(sorted(path.name[:-5] for path in files("daq.robots").iterdir() if path.name.endswith(".yaml")))
 
 
-def load_robot(name_or_path: str | Path) -> RobotFile:
-    """Read a built-in robot by name, or a robot file by path (a name that exists as a file is a path).
+def load_robot(name_or_path: str | Path | RobotFile) -> RobotFile:
+    """Read a built-in robot by name, or a robot file or URDF by path (a name that exists as a file is a path).
+
+    Of a URDF every movable joint is taken, in the tree's order, with the limits that it states; its drives have no
+    gains, so that recordings need torque. Write a robot file for anything else (`docs/robot-file.md`).
+
+    A robot that was read already is given back, so that whatever takes a robot takes its name, its file or itself.
+
+    Args:
+        name_or_path: built-in name, path of a robot file or URDF, or what `load_robot` gave.
 
     Raises:
         RobotFileError: no such robot or file, or its content is not allowed; names file, key and what is allowed.
+
+    Example:
+        >>> import dynid
+        >>> robot = dynid.load_robot("ur5e").robot
+        >>> robot.dof, robot.joint_names[0], robot.drive("elbow_joint").signal
+        (6, 'shoulder_pan_joint', 'current')
     """
+    if isinstance(name_or_path, RobotFile):
+        return name_or_path
     given = str(name_or_path)
     path = Path(given)
-    if path.suffix.lower() in {".yaml", ".yml"} or path.is_file():
+    urdf = path.suffix.lower() in {".urdf", ".xml"}
+    if urdf or path.suffix.lower() in {".yaml", ".yml"} or path.is_file():
         if not path.is_file():
             raise RobotFileError("no such file", where=given, hint=_known_robots(given))
         try:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise RobotFileError(f"cannot be read: {error}", where=given) from error
+        if urdf:
+            text = robot_text_of_urdf(text, path.name, where=given)
         return parse_robot(text, where=given, folder=path.resolve().parent)
     if given not in builtin_robots():
         raise RobotFileError(f"no built-in robot and no file is called '{given}'", hint=_known_robots(given))

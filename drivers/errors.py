@@ -10,6 +10,7 @@
     │   └── ResultFileError        a result.json
     └── WorkError                  exit status 1: the input was fine, the work failed
         ├── IdentificationError    no solution: rank lost, no convergence
+        ├── ModelError             an identified model cannot give what was asked of it
         ├── ConnectionFailedError  nobody answers at the other end, or somebody else does
         ├── ConnectionLostError    the connection broke or went silent while recording
         ├── DriverStateError       a driver was asked for something that its state does not allow
@@ -22,6 +23,9 @@ are raised only for mistakes in calling code (an array of the wrong shape), neve
 
 from __future__ import annotations
 
+INTERRUPTED_STATUS = 130
+"""Exit status of a command that Ctrl-C ended."""
+
 
 class DynidError(Exception):
     """An error meant for people.
@@ -31,6 +35,14 @@ class DynidError(Exception):
         where: file, key path, joint or sample; empty when the message says it.
         hint: what to do about it; empty when there is nothing to say.
         exit_status: of the command `dynid`.
+
+    Example:
+        >>> import dynid
+        >>> try:
+        ...     dynid.load_robot("ur5")
+        ... except dynid.DynidError as error:
+        ...     error.message, error.hint
+        ("no built-in robot and no file is called 'ur5'", "did you mean 'ur5e'?")
     """
 
     exit_status = 1
@@ -82,6 +94,10 @@ class WorkError(DynidError):
 
 class IdentificationError(WorkError):
     """No solution was found: rank lost, or no convergence."""
+
+
+class ModelError(WorkError):
+    """An identified model cannot give what was asked: a value is missing, or its inertia matrix is not positive."""
 
 
 class ConnectionFailedError(WorkError):

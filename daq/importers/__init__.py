@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.importers.assembly import Samples, assemble, prismatic_joints
+from daq.importers.assembly import Samples, assemble
 from daq.importers.checks import check_samples
 from daq.importers.choices import REPAIRS, ImportChoices
 from daq.importers.csv import read_csv
@@ -84,7 +84,7 @@ def import_file(path: Path, robot: RobotFile, choices: ImportChoices) -> Recordi
     with np.errstate(over="ignore", invalid="ignore"):
         samples = assemble(table, robot, choices, where)
         samples = check_samples(samples, choices, where)
-        samples = check_units(samples, robot.robot, prismatic_joints(robot), choices, where)
+        samples = check_units(samples, robot.robot, robot.prismatic_joints, choices, where)
     return Recording(
         robot_text=robot.text,
         urdf_text=robot.urdf_text or "",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,17 +42,6 @@ class Samples:
     lines: tuple[int, ...] | None
 
 
-def prismatic_joints(robot: RobotFile) -> frozenset[str]:
-    """Names of the robot's joints that slide."""
-    if robot.robot.model.mdh is not None:
-        return frozenset(row.joint for row in robot.robot.model.mdh if row.type == "prismatic")
-    try:
-        root = ElementTree.fromstring(robot.urdf_text or "<robot/>")
-    except ElementTree.ParseError:
-        return frozenset()  # a broken URDF is reported where the model is built
-    return frozenset(joint.get("name", "") for joint in root.iter("joint") if joint.get("type") == "prismatic")
-
-
 def assemble(table: Table, robot: RobotFile, choices: ImportChoices, where: str) -> Samples:
     """Match the joints, decide what effort is, convert units, find the time.
 
@@ -75,7 +63,7 @@ def assemble(table: Table, robot: RobotFile, choices: ImportChoices, where: str)
             where=where,
             hint="map them: --column q1=NAME (or q=NAME for a whole array)",
         )
-    sliding = prismatic_joints(robot)
+    sliding = robot.prismatic_joints
     _check_lengths(table, blocks, where)
     names = robot.robot.joint_names
     quantities = {}

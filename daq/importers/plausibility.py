@@ -12,15 +12,8 @@ from daq.importers.checks import sample_place
 from daq.importers.choices import ImportChoices
 from daq.importers.table import Note, listed
 from daq.robot import Robot
+from daq.unit_plausibility import DEGREES, beyond_reach, displacement_ratios, near
 from drivers.errors import ImportFileError
-from drivers.streams import FloatArray
-
-DEGREES = 180 / math.pi
-CORRELATED = 0.9
-"""Below this correlation of ∫velocity dt with the change of position nothing is concluded from their ratio."""
-
-BLOCKS = 100
-"""Displacements are compared over this many stretches of the recording, long enough to drown quantisation."""
 
 _MILLIAMPERE = 500.0
 _TORQUE_EXCESS = 10.0
@@ -74,7 +67,7 @@ def _check_positions(
         worst = int(excess.argmax())
         if limits.name not in sliding:
             reach = max(abs(low), abs(high)) + 2 * math.pi
-            (far if np.abs(values).max() > reach else fitting).append(limits.name)
+            (far if beyond_reach(values, limits.position) else fitting).append(limits.name)
             if choices.degrees and np.abs(values).max() * DEGREES <= min(reach, 2 * math.pi) and np.ptp(values) > 0.002:
                 small.append(limits.name)
         if excess[worst] > 0 and limits.name not in far:
@@ -102,25 +95,25 @@ def _check_positions(
 def _check_velocity(
     samples: Samples, position: Quantity, velocity: Quantity, sliding: frozenset[str], where: str
 ) -> list[Note]:
-    ratios = _displacement_ratios(samples.time, position.values, velocity.values)
+    ratios = displacement_ratios(samples.time, position.values, velocity.values)
     known = {joint: ratio for joint, ratio in zip(position.joints, ratios, strict=True) if ratio is not None}
     for joint, ratio in known.items():
         place = f"{where}: joint {joint}"
         angular = joint not in sliding
-        if angular and _near(ratio, DEGREES):
+        if angular and near(ratio, DEGREES):
             raise ImportFileError(
                 "mixed units: the position looks like degrees, the velocity like radians a second",
                 where=place,
                 hint="state them in the header: q1 [deg], qd1 [rad/s]",
             )
-        if angular and _near(ratio, 1 / DEGREES):
+        if angular and near(ratio, 1 / DEGREES):
             raise ImportFileError(
                 "mixed units: the position looks like radians, the velocity like degrees a second",
                 where=place,
                 hint="state them in the header: q1 [rad], qd1 [deg/s]",
             )
         for unit, factor in (("ms", 1e-3), ("us", 1e-6)):
-            if _near(ratio, factor):
+            if near(ratio, factor):
                 raise ImportFileError(
                     f"the velocity is {1 / factor:g} times too large for the positions: the stamps look like {unit}",
                     where=place,
@@ -131,25 +124,3 @@ def _check_velocity(
         return []
     text = f"velocity is not the change of position; ratio of change to ∫velocity dt: {listed(doubtful)}"
     return [Note("warning", text)]
-
-
-def _near(ratio: float, expected: float) -> bool:
-    return 0.8 < ratio / expected < 1.25
-
-
-def _displacement_ratios(time: FloatArray, position: FloatArray, velocity: FloatArray) -> list[float | None]:
-    """Per joint the slope of Δposition over ∫velocity dt (trapezoids); None where they don't go together."""
-    edges = np.unique(np.linspace(0, len(time) - 1, min(BLOCKS, len(time) - 1) + 1).astype(np.intp))
-    if len(edges) < 5:
-        return [None] * position.shape[1]
-    trapezoids = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)[:, None]
-    integral = np.concatenate([np.zeros((1, velocity.shape[1])), np.cumsum(trapezoids, axis=0)])
-    moved, expected = np.diff(position[edges], axis=0), np.diff(integral[edges], axis=0)
-    ratios: list[float | None] = []
-    for actual, predicted in zip(moved.T, expected.T, strict=True):
-        energy, power = float(predicted @ predicted), float(actual @ actual)
-        cross = float(actual @ predicted)
-        norm = math.sqrt(energy) * math.sqrt(power)
-        usable = 0 < norm < math.inf and math.isfinite(cross) and abs(cross) > CORRELATED * norm
-        ratios.append(cross / energy if usable and energy > 0 else None)
-    return ratios

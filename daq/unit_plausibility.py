@@ -1,0 +1,50 @@
+"""Do positions and velocities look like the units that they are said to have? For files and arrays alike."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from drivers.streams import FloatArray
+
+DEGREES = 180 / math.pi
+CORRELATED = 0.9
+"""Below this correlation of ∫velocity dt with the change of position nothing is concluded from their ratio."""
+
+BLOCKS = 100
+"""Displacements are compared over this many segments of the recording, long enough to drown quantisation."""
+
+
+def beyond_reach(position: FloatArray, limits: tuple[float, float]) -> bool:
+    """Whether positions (N,) [rad] lie more than a turn beyond a revolute joint's limits: then they are in degrees."""
+    return bool(np.abs(position).max() > max(abs(limits[0]), abs(limits[1])) + 2 * math.pi)
+
+
+def near(ratio: float, expected: float) -> bool:
+    """Whether a ratio of units is the expected one."""
+    return 0.8 < ratio / expected < 1.25
+
+
+def displacement_ratios(time: FloatArray, position: FloatArray, velocity: FloatArray) -> list[float | None]:
+    """Per joint the slope of Δposition over ∫velocity dt (trapezoids); None where they don't go together.
+
+    Args:
+        time: (N,) [s].
+        position: (N, n) [rad or m].
+        velocity: (N, n) [rad/s or m/s].
+    """
+    edges = np.unique(np.linspace(0, len(time) - 1, min(BLOCKS, len(time) - 1) + 1).astype(np.intp))
+    if len(edges) < 5:
+        return [None] * position.shape[1]
+    trapezoids = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)[:, None]
+    integral = np.concatenate([np.zeros((1, velocity.shape[1])), np.cumsum(trapezoids, axis=0)])
+    moved, expected = np.diff(position[edges], axis=0), np.diff(integral[edges], axis=0)
+    ratios: list[float | None] = []
+    for actual, predicted in zip(moved.T, expected.T, strict=True):
+        energy, power = float(predicted @ predicted), float(actual @ actual)
+        cross = float(actual @ predicted)
+        norm = math.sqrt(energy) * math.sqrt(power)
+        usable = 0 < norm < math.inf and math.isfinite(cross) and abs(cross) > CORRELATED * norm
+        ratios.append(cross / energy if usable and energy > 0 else None)
+    return ratios
