@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def summarise(found: Identification, recordings: Sequence[Recording], validation
     solution = found.solution
     factor = found.reduction.stacked()[:, list(solution.active)]
     lengths = np.linalg.norm(factor, axis=0)
-    files = {recording.label: recording for recording in (*recordings, *validation)}
+    held_out = validation or recordings  # without validation recordings, their last parts
     used = [found.model.joint_names[motor] for motor in found.experiment.torques]
     return Result(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -105,8 +106,8 @@ def summarise(found: Identification, recordings: Sequence[Recording], validation
         ),
         rank_margin=found.base.margin,
         recordings=[
-            *(_use(run, files, "identification", used) for run in found.runs),
-            *(_use(run, files, "validation", used) for run in found.validation_runs),
+            *(_use(*pair, "identification", used) for pair in zip(found.runs, recordings, strict=True)),
+            *(_use(*pair, "validation", used) for pair in zip(found.validation_runs, held_out, strict=True)),
         ],
         versions=software_versions(),
         verdict=verdict(found),
@@ -316,14 +317,15 @@ def fit_result(figures: FitFigures) -> Fit:
     )
 
 
-def _use(run: PreparedRun, files: Mapping[str, Recording], role: str, torques_of: list[str]) -> RecordingUse:
+def _use(
+    run: PreparedRun, recording: Recording, role: Literal["identification", "validation"], torques_of: list[str]
+) -> RecordingUse:
     time = run.motion.time
-    recording = files[run.motion.label]
     path = recording.path
     return RecordingUse(
         file=str(Path(run.motion.label).name) if path is not None else run.motion.label,
         sha256=file_sha256(path) if path is not None else "",
-        role="identification" if role == "identification" else "validation",
+        role=role,
         window=(
             run.choices.start or 0.0,
             float(time[-1] - time[0]) if run.choices.stop is None else run.choices.stop,

@@ -1,0 +1,417 @@
+"""An identified arm that answers: torque, gravity, friction, inertia matrix, accelerations, and its own uncertainty.
+
+Torques are those at the joints with a motor, as a recording's `torque` has them: they give power with q̇. Where motors
+are coupled, motor torques are R⁻ᵀ times these, R = `Model.coupling` (SR400 eq. 6).
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.errors import ModelError, UsageError
+from drivers.streams import FloatArray
+from ident.linear_algebra.triangular import triangular
+from ident.model.base_parameters import base_parameters
+from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.regressor import CHUNK, regressor
+from ident.regression.estimate import Estimate
+from ident.regression.observability import describe
+from ident.result.arrays import outward, samples
+from ident.result.load import StoredModel, stored_estimate, stored_model
+from ident.result.schema import Result, read_result
+from ident.result.tables import Table, table_of_rows
+
+Parameters = Literal["consistent", "full", "essential"]
+
+ROUNDING = 1e-9
+"""Entries of a regressor below this are rounding: sines of 180° and the like."""
+
+
+class Model:
+    """The identified dynamic model of an arm; made by `load_model`, or `result.model` after `identify`.
+
+    Arrays are (N, n), time first, joints last in the order of `joint_names`; a single sample (n,) gives (n,). Positions
+    `q` in rad, velocities `dq` in rad/s, accelerations `ddq` in rad/s², torques in N·m at the joints (of prismatic
+    joints: m, m/s, m/s², N). In loops, only the joints with a motor count; the others follow.
+
+    The equation is τ = M(q)·q̈ + C(q, q̇)·q̇ + g(q) + friction(q̇), linear in the base parameters (SR400 eq. 13). Base
+    parameters are combinations of masses and inertias: every term above follows from them, the masses of single links
+    do not. An estimate that is far from the truth can have an inertia matrix that is not positive definite.
+
+    One model is for one thread at a time.
+
+    Attributes:
+        result: what the identification wrote.
+        kind: "full", all base parameters, or "essential", the significant ones; the others are then 0.
+
+    Example:
+        >>> import dynid
+        >>> run = dynid.simulate("ur5e", duration=10.0, seed=1)
+        >>> model = dynid.identify(run).model
+        >>> q, dq, ddq = [0.1] * 6, [0.2] * 6, [0.5] * 6
+        >>> model.torque(q, dq, ddq).shape, model.mass_matrix(q).shape
+        ((6,), (6, 6))
+        >>> model.torque([q] * 100, [dq] * 100, [ddq] * 100).shape
+        (100, 6)
+    """
+
+    def __init__(self, result: Result, kind: Literal["full", "essential"] = "full") -> None:
+        """Build the model of a result.
+
+        Args:
+            result: of an identification or a merge.
+            kind: which of its parameters.
+
+        Raises:
+            ModelError: the recordings showed a part of the arm only.
+            ResultFileError: parts of the result do not belong together.
+        """
+        self.result: Result = result
+        self.kind: Literal["full", "essential"] = kind
+        self._stored = stored_model(result)
+        self._check_whole_arm(self._stored)
+        base = self._base = self._stored.base
+        entries = {parameter.name: parameter for parameter in result.base_parameters}
+        ordered = [entries[name] for name in base.names]
+        if kind == "full":
+            values = [np.nan if entry.value is None else entry.value for entry in ordered]
+        else:
+            values = [0.0 if entry.essential_value is None else entry.essential_value for entry in ordered]
+        self._values: FloatArray = np.array(values, dtype=np.float64)
+        self._missing = [int(number) for number in np.flatnonzero(np.isnan(self._values))]
+        self._dynamics = InverseDynamics(self._stored.model, base, np.nan_to_num(self._values))
+
+    @staticmethod
+    def _check_whole_arm(stored: StoredModel) -> None:
+        if stored.base.count == base_parameters(stored.model).count:
+            return
+        texts = "; ".join(describe(stored.model, experiment) for experiment in stored.experiments)
+        raise ModelError(
+            f"the recordings showed a part of the arm only ({texts}), which gives no model of the whole arm",
+            where=stored.robot_file.robot.name,
+            hint="merge it with a result of an experiment that shows the rest; validate() works on such a part",
+        )
+
+    @property
+    def name(self) -> str:
+        """Name of the robot."""
+        return self.result.robot
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names (n,) of the joints with a motor, in the order of every array's columns."""
+        return self._stored.model.joint_names
+
+    @property
+    def dof(self) -> int:
+        """Number n of joints with a motor."""
+        return self._stored.model.dof
+
+    @property
+    def coupling(self) -> FloatArray:
+        """(n, n) R of q_motor = R·q_joint; motor torques are R⁻ᵀ times joint torques. The identity in most arms."""
+        return self._dynamics.coupling.copy()
+
+    @property
+    def parameters(self) -> Table:
+        """The base parameters (b,) in the order of the regressor's columns: value, σ, unit, expression."""
+        full = self.kind == "full"
+        entries = {parameter.name: parameter for parameter in self.result.base_parameters}
+        rows = [
+            (
+                name,
+                None if np.isnan(value) else float(value),
+                entries[name].std if full else entries[name].essential_std,
+                entries[name].unit,
+                entries[name].kind,
+                entries[name].joint,
+                entries[name].expression,
+            )
+            for name, value in zip(self._base.names, self._values, strict=True)
+        ]
+        headings = [(name, "") for name in ("name", "value", "std", "unit", "kind", "joint", "expression")]
+        return table_of_rows(f"Base parameters of {self.name} ({self.kind} model)", headings, rows)
+
+    def torque(self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike) -> FloatArray:
+        """Joint torque τ [N·m] of a motion, friction and motor inertia included; shape of `q`.
+
+        Args:
+            q: (N, n) or (n,) positions [rad].
+            dq: the same of velocities [rad/s].
+            ddq: the same of accelerations [rad/s²].
+
+        Raises:
+            DataError: shapes differ, or a value is not finite.
+            ModelError: a parameter without a value acts on this motion.
+        """
+        motion, single = samples(self.joint_names, q=q, dq=dq, ddq=ddq)
+        if self._missing:
+            self._require(self._columns(*motion))
+        return outward(self._dynamics.torque(*motion), single=single)
+
+    def gravity(self, q: npt.ArrayLike) -> FloatArray:
+        """Gravity's part g(q) of the torque [N·m]; shape of `q`.
+
+        Args:
+            q: (N, n) or (n,) positions [rad].
+
+        Raises:
+            DataError: a wrong shape, or a value is not finite.
+            ModelError: a parameter without a value acts at these positions.
+        """
+        (position,), single = samples(self.joint_names, q=q)
+        return outward(self._gravity(position), single=single)
+
+    def friction(self, dq: npt.ArrayLike) -> FloatArray:
+        """Friction's part of the torque [N·m], constant offsets included; shape of `dq`.
+
+        Viscous and Coulomb friction of motors and coupled joints; joints without a motor are taken as free of it, so
+        that friction does not depend on the position, also where the arm has loops.
+
+        Args:
+            dq: (N, n) or (n,) velocities [rad/s].
+
+        Raises:
+            DataError: a wrong shape, or a value is not finite.
+            ModelError: the friction of a joint that moves has no value.
+        """
+        (velocity,), single = samples(self.joint_names, dq=dq)
+        if self._missing:
+            still = np.zeros_like(velocity)
+            self._require(self._columns(still, velocity, still), kinds=("viscous", "coulomb", "offset", "coupling"))
+        return outward(self._dynamics.friction(velocity), single=single)
+
+    def coriolis(self, q: npt.ArrayLike, dq: npt.ArrayLike) -> FloatArray:
+        """The vector C(q, q̇)·q̇ of Coriolis and centrifugal torques [N·m], not the matrix C; shape of `q`.
+
+        Args:
+            q: (N, n) or (n,) positions [rad].
+            dq: the same of velocities [rad/s].
+
+        Raises:
+            DataError: shapes differ, or a value is not finite.
+            ModelError: a parameter without a value acts on this motion.
+        """
+        (position, velocity), single = samples(self.joint_names, q=q, dq=dq)
+        return outward(self._coriolis(position, velocity), single=single)
+
+    def mass_matrix(self, q: npt.ArrayLike) -> FloatArray:
+        """Joint-space inertia matrices M(q) [kg·m²], (N, n, n) or (n, n), motor inertia included.
+
+        Symmetric, but of an estimate not always positive definite; `forward_dynamics` refuses where it is not.
+
+        Args:
+            q: (N, n) or (n,) positions [rad].
+
+        Raises:
+            DataError: a wrong shape, or a value is not finite.
+            ModelError: a parameter without a value acts at these positions.
+        """
+        (position,), single = samples(self.joint_names, q=q)
+        matrices = self._inertia(position)
+        return matrices[0] if single else matrices
+
+    def forward_dynamics(self, q: npt.ArrayLike, dq: npt.ArrayLike, tau: npt.ArrayLike) -> FloatArray:
+        """Accelerations q̈ [rad/s²] that joint torques cause; inverts `torque`; shape of `q`.
+
+        Args:
+            q: (N, n) or (n,) positions [rad].
+            dq: the same of velocities [rad/s].
+            tau: the same of joint torques [N·m].
+
+        Raises:
+            DataError: shapes differ, or a value is not finite.
+            ModelError: the inertia matrix is not positive definite there, so that accelerations have no meaning; or a
+                parameter without a value acts on this motion.
+        """
+        (position, velocity, torque), single = samples(self.joint_names, q=q, dq=dq, tau=tau)
+        matrices = self._inertia(position)
+        self._check_positive(matrices)
+        if self._missing:
+            self._require(self._columns(position, velocity, np.zeros_like(velocity)))
+        driving = torque - self._dynamics.torque(position, velocity, np.zeros_like(velocity))
+        acceleration = np.asarray(np.linalg.solve(matrices, driving.T[..., None])[..., 0].T, dtype=np.float64)
+        return outward(acceleration, single=single)
+
+    def regressor(self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike) -> FloatArray:
+        """Regressor Y(q, q̇, q̈), (N, n, b) or (n, b): torque = Y @ parameters["value"].
+
+        A column has the unit of N·m over that of its parameter; columns are in the order of `parameters`.
+
+        Args:
+            q: (N, n) or (n,) positions [rad].
+            dq: the same of velocities [rad/s].
+            ddq: the same of accelerations [rad/s²].
+
+        Raises:
+            DataError: shapes differ, or a value is not finite.
+        """
+        motion, single = samples(self.joint_names, q=q, dq=dq, ddq=ddq)
+        rows = np.ascontiguousarray(np.moveaxis(self._columns(*motion), -1, 0))
+        return rows[0] if single else rows
+
+    def torque_std(self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike) -> FloatArray:
+        """Standard deviation σ [N·m] of `torque` from that of the parameters, √diag(Y·Σ·Yᵀ); shape of `q`.
+
+        Σ is the stored covariance, corrected for autocorrelated residuals; of the essential model it is carried through
+        the pruning. What the model lacks altogether is not in it: see `validation` for that.
+
+        Args:
+            q: (N, n) or (n,) positions [rad].
+            dq: the same of velocities [rad/s].
+            ddq: the same of accelerations [rad/s²].
+
+        Raises:
+            DataError: shapes differ, or a value is not finite.
+            ModelError: a parameter without a value acts on this motion.
+            ResultFileError: the result holds no covariance.
+        """
+        motion, single = samples(self.joint_names, q=q, dq=dq, ddq=ddq)
+        active, covariance = self._covariance()
+        known = np.isfinite(np.diag(covariance))
+        powers, axes = np.linalg.eigh(covariance[np.ix_(known, known)])
+        root = axes * np.sqrt(np.clip(powers, 0.0, None))
+        sure, unsure = np.array(active)[known], np.array(active)[~known]
+        deviations = np.empty_like(motion[0])
+        for start in range(0, deviations.shape[1], CHUNK):
+            part = slice(start, start + CHUNK)
+            columns = self._columns(*(signal[:, part] for signal in motion))
+            self._require(columns)
+            spread = np.einsum("nbN,bk->nNk", columns[:, sure], root, optimize=True)
+            deviations[:, part] = np.sqrt(np.einsum("nNk,nNk->nN", spread, spread))
+            if len(unsure):
+                acting = np.any(np.abs(columns[:, unsure]) > ROUNDING, axis=1)
+                deviations[:, part] = np.where(acting, np.inf, deviations[:, part])
+        return outward(deviations, single=single)
+
+    def __repr__(self) -> str:
+        return f"<dynid.Model {self.name}, {self.dof} joints, {self._base.count} base parameters, {self.kind}>"
+
+    def _columns(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """Joint regressor (n, b, N); the kernel's rows are the motors'."""
+        rows = regressor(self._stored.model, position, velocity, acceleration, self._base.columns)
+        if self._stored.model.transmission is None:
+            return rows
+        return np.asarray(np.einsum("mn,mbN->nbN", self._dynamics.coupling, rows))
+
+    def _gravity(self, position: FloatArray) -> FloatArray:
+        still = np.zeros_like(position)
+        if self._missing:
+            self._require(self._columns(position, still, still), kinds=("inertial",))
+        return self._dynamics.links(position, still, still)
+
+    def _coriolis(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
+        still = np.zeros_like(position)
+        if self._missing:
+            moving = self._columns(position, velocity, still) - self._columns(position, still, still)
+            self._require(moving, kinds=("inertial",))
+        links = self._dynamics.links
+        return np.asarray(links(position, velocity, still) - links(position, still, still))
+
+    def _inertia(self, position: FloatArray) -> FloatArray:
+        if self._missing:
+            still = np.zeros_like(position)
+            resting = self._columns(position, still, still)
+            for joint in range(self.dof):
+                unit = np.zeros_like(position)
+                unit[joint] = 1.0
+                self._require(self._columns(position, still, unit) - resting)
+        return self._dynamics.inertia(position)
+
+    def _require(self, columns: FloatArray, kinds: tuple[str, ...] = ()) -> None:
+        """Refuse a motion that needs a parameter without a value: columns (n, b, N) that act on it."""
+        wanted = [number for number in self._missing if not kinds or self._base.kinds[number] in kinds]
+        needed = [self._base.names[i] for i in wanted if np.any(np.abs(columns[:, i]) > ROUNDING)]
+        if needed:
+            raise ModelError(
+                f"{', '.join(needed)} acts on this motion and has no value: the recording did not excite it",
+                where=self.name,
+                hint='record a motion that does, or load_model(…, parameters="essential"), which takes it as 0',
+            )
+
+    def _check_positive(self, matrices: FloatArray) -> None:
+        smallest = np.linalg.eigvalsh(matrices)[:, 0]
+        bad = np.flatnonzero(~(smallest > 0.0))
+        if len(bad):
+            place = (
+                f"sample {bad[0]} and {len(bad) - 1} more of {len(smallest)}" if len(bad) > 1 else f"sample {bad[0]}"
+            )
+            raise ModelError(
+                f"the inertia matrix is not positive definite (smallest eigenvalue {smallest[bad[0]]:.3g} kg·m² at "
+                f"{place}), so that accelerations have no meaning",
+                where=f"{self.name}, {self.kind} model",
+                hint="record a longer or stronger motion, or leave out motor inertia where the torque sensors sit "
+                "behind the gears",
+            )
+
+    def _covariance(self) -> tuple[tuple[int, ...], FloatArray]:
+        """Base parameters that were estimated, and their covariance."""
+        estimate = stored_estimate(self.result, self._base)
+        if self.kind == "full":
+            return estimate.active, estimate.covariance
+        entries = {parameter.name: parameter for parameter in self.result.base_parameters}
+        kept = tuple(i for i in estimate.active if entries[self._base.names[i]].essential_value is not None)
+        return kept, _pruned_covariance(estimate, kept)
+
+
+def _pruned_covariance(estimate: Estimate, kept: tuple[int, ...]) -> FloatArray:
+    """Covariance (k, k) of the least-squares estimate that keeps these parameters only.
+
+    With root·θ the whitened full estimate, the pruned one is the least-squares solution of root[:, kept]·x = root·θ: a
+    linear map of θ, which carries its covariance along. Values of unknown variance are fitted away first.
+    """
+    known = np.isfinite(np.diag(estimate.covariance))
+    order = [*np.flatnonzero(~known), *np.flatnonzero(known)]
+    left = len(order) - int(known.sum())
+    root = triangular(estimate.root[:, order])[left:, left:]
+    places = [estimate.active.index(number) for number in kept]
+    sure = [int(place) for place in np.flatnonzero(known)]
+    columns = [sure.index(place) for place in places if known[place]]
+    gain = np.linalg.lstsq(root[:, columns], root, rcond=None)[0]
+    covariance = np.full((len(kept), len(kept)), np.inf)
+    inner = [i for i, place in enumerate(places) if known[place]]
+    covariance[np.ix_(inner, inner)] = gain @ estimate.covariance[np.ix_(known, known)] @ gain.T
+    return covariance
+
+
+def result_path(path: str | PathLike[str]) -> Path:
+    """The result.json that a path means: itself, or the one in a folder that `identify` wrote."""
+    given = Path(path)
+    return given / "result.json" if given.is_dir() else given
+
+
+def load_model(path: str | PathLike[str], parameters: Parameters = "full") -> Model:
+    """The model that `identify` wrote.
+
+    Args:
+        path: a folder that `identify`, `merge` or `result.save` wrote, or its result.json.
+        parameters: "full", every base parameter; "essential", the significant ones, the others taken as 0;
+            "consistent", parameters of bodies that can exist, which no result holds yet.
+
+    Raises:
+        ResultFileError: no such file, or it is no result.
+        UsageError: there are no such parameters in it.
+        ModelError: the recordings showed a part of the arm only.
+
+    Example:
+        >>> import dynid, tempfile
+        >>> run = dynid.simulate("ur5e", duration=10.0, seed=1)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     dynid.identify(run).save(folder)
+        ...     model = dynid.load_model(folder, parameters="essential")
+        >>> model.gravity([0.0] * 6).shape
+        (6,)
+    """
+    result = read_result(result_path(path))
+    if parameters not in get_args(Parameters):
+        raise UsageError(f"there are no '{parameters}' parameters", hint="full or essential")
+    if parameters == "consistent":
+        raise UsageError(
+            "this result holds no physically consistent parameters", where=str(path), hint="full or essential"
+        )
+    return Model(result, parameters)

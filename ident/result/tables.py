@@ -1,0 +1,167 @@
+"""Tables as values: columns with units that print, show in a notebook, and become a data frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drivers.errors import UsageError
+from drivers.streams import FloatArray
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+Cell = str | float | int | bool | None
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table: a cell a row; None where a row has no value. `unit` is empty where there is none."""
+
+    name: str
+    cells: tuple[Cell, ...]
+    unit: str = ""
+
+    @property
+    def heading(self) -> str:
+        """Name and unit."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+@dataclass(frozen=True)
+class Table:
+    """Named rows and columns of numbers and texts, with units; what `result.parameters` and others are.
+
+    `table["value"]` is a column as an array (NaN where a cell is empty), `table.row("Fv1")` a row as a mapping;
+    `len(table)` counts the rows, and iterating gives them in order. `print(table)` writes plain text, a notebook shows
+    HTML.
+
+    Attributes:
+        title: what the table holds.
+        columns: in order; the first one names the rows.
+
+    Example:
+        >>> import dynid
+        >>> table = dynid.base_parameters("ur5e")
+        >>> table.row("Fv1")["unit"]
+        'N·m·s/rad'
+        >>> table.names[:2], len(table) == len(table["kind"])
+        (('ZZR1', 'XXR2'), True)
+    """
+
+    title: str
+    columns: tuple[Column, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The rows' names: the cells of the first column."""
+        return tuple(str(cell) for cell in self.columns[0].cells)
+
+    def __len__(self) -> int:
+        return len(self.columns[0].cells)
+
+    def __iter__(self) -> Iterator[Mapping[str, Cell]]:
+        return (self._row(number) for number in range(len(self)))
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """A column as an array: of numbers (NaN where a cell is empty), or of texts.
+
+        Raises:
+            UsageError: there is no such column.
+        """
+        for column in self.columns:
+            if column.name == name:
+                return _array(column.cells)
+        known = ", ".join(column.name for column in self.columns)
+        raise UsageError(f"the table has no column '{name}'", hint=f"columns: {known}")
+
+    def row(self, name: str) -> Mapping[str, Cell]:
+        """The row of this name as column → cell.
+
+        Raises:
+            UsageError: there is no such row.
+        """
+        if name not in self.names:
+            raise UsageError(f"the table has no row '{name}'", hint=f"rows: {', '.join(self.names)}")
+        return self._row(self.names.index(name))
+
+    def to_frame(self) -> DataFrame:
+        """The table as a pandas data frame, indexed by the rows' names; units in `frame.attrs["units"]`.
+
+        Raises:
+            UsageError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise UsageError("a data frame needs pandas", hint="pip install 'dynid[frames]'") from error
+        first, *others = self.columns
+        index = pandas.Index(list(first.cells), name=first.name)
+        frame = pandas.DataFrame({column.name: list(column.cells) for column in others}, index=index)
+        frame.attrs["units"] = {column.name: column.unit for column in others if column.unit}
+        return frame
+
+    def _row(self, number: int) -> dict[str, Cell]:
+        return {column.name: column.cells[number] for column in self.columns}
+
+    def __str__(self) -> str:
+        texts = [[column.heading, *map(cell_text, column.cells)] for column in self.columns]
+        numeric = [_numeric(column.cells) for column in self.columns]
+        widths = [max(map(len, column)) for column in texts]
+        lines = [
+            "  ".join(
+                text.rjust(width) if right else text.ljust(width)
+                for text, width, right in zip(row, widths, numeric, strict=True)
+            ).rstrip()
+            for row in zip(*texts, strict=True)
+        ]
+        return "\n".join([self.title, *lines])
+
+    def _repr_html_(self) -> str:
+        head = "".join(f"<th>{escape(column.heading)}</th>" for column in self.columns)
+        align = ["right" if _numeric(column.cells) else "left" for column in self.columns]
+        rows = "".join(
+            "<tr>"
+            + "".join(
+                f'<td style="text-align: {side}">{escape(cell_text(column.cells[number]))}</td>'
+                for column, side in zip(self.columns, align, strict=True)
+            )
+            + "</tr>"
+            for number in range(len(self))
+        )
+        caption = f"<caption>{escape(self.title)}</caption>"
+        return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+
+
+def table_of_rows(title: str, headings: Sequence[tuple[str, str]], rows: Sequence[Sequence[Cell]]) -> Table:
+    """A table from rows; `headings` are a name and a unit a column."""
+    cells = list(zip(*rows, strict=True)) if rows else [()] * len(headings)
+    return Table(
+        title, tuple(Column(name, tuple(part), unit) for (name, unit), part in zip(headings, cells, strict=True))
+    )
+
+
+def cell_text(cell: Cell) -> str:
+    """A cell for people: four significant digits, a dash for nothing."""
+    if cell is None or (isinstance(cell, float) and not math.isfinite(cell)):
+        return "–"
+    if isinstance(cell, bool):
+        return "yes" if cell else "no"
+    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+
+
+def _numeric(cells: Sequence[Cell]) -> bool:
+    there = [cell for cell in cells if cell is not None]
+    return bool(there) and all(isinstance(cell, (int, float)) and not isinstance(cell, bool) for cell in there)
+
+
+def _array(cells: Sequence[Cell]) -> np.ndarray:
+    if any(isinstance(cell, (str, bool)) for cell in cells):
+        return np.array(cells)
+    numbers: FloatArray = np.array([np.nan if cell is None else cell for cell in cells], dtype=np.float64)
+    return numbers
