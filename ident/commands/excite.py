@@ -7,18 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ident.excite.choices import DesignChoices
+from ident.excite.choices import DEFAULT_SECONDS, DesignChoices
 
 if TYPE_CHECKING:
-    from daq.robot import Robot
     from ident.excite.design import Design
     from ident.excite.figures import ExcitationFigures
     from ident.excite.search import Found
 
 app = typer.Typer()
-
-DEFAULT_SECONDS = 20.0
-"""How long is searched where the user says nothing [s]."""
 
 
 @app.command("excite")
@@ -67,9 +63,10 @@ def excite(
     from ident.excite.page.page import write_page
     from ident.excite.prior import find_prior
     from ident.excite.search import SearchChoices
+    from ident.tasks.excitation import check_design, check_search, design_notes, trajectory_text
 
-    _check_choices(kind, criterion, solver, seed)
-    _check_search(seconds, starts)
+    check_design(kind, criterion, solver, seed)
+    check_search(seconds, starts)
     for path in (out, page):
         _check_file(path, force)
     if page is not None and page.resolve() == out.resolve():
@@ -102,11 +99,11 @@ def excite(
         progress("figures")
         figures = excitation_figures(robot_file, found.motion, known)
         warning = surroundings_warning(robot_file, found.motion)
-        text = _trajectory_text(robot_file.robot, found, figures, choices)
+        text = trajectory_text(robot_file.robot, found, figures, choices)
         _write(out, text)
         if page is not None:
             progress("page")
-            write_page(page, robot_file, found.motion, known, figures, _notes(found, choices))
+            write_page(page, robot_file, found.motion, known, figures, design_notes(found, choices))
     if as_json:
         told = _object(robot_file.robot.name, out, page, found, figures, choices)
         print_json(told | {"warnings": [warning] if warning is not None else []})
@@ -114,39 +111,6 @@ def excite(
         _print(out, page, found, figures, choices)
         if warning is not None:
             print(f"\nwarning: {warning}")
-
-
-def _check_choices(kind: str, criterion: str, solver: str, seed: int) -> None:
-    from typing import get_args
-
-    from drivers.errors import UsageError
-    from ident.excite.choices import CriterionName, Kind
-    from ident.excite.solve import Solver
-
-    for option, value, allowed in (
-        ("--kind", kind, get_args(Kind)),
-        ("--criterion", criterion, get_args(CriterionName)),
-        ("--solver", solver, get_args(Solver)),
-    ):
-        if value not in allowed:
-            raise UsageError(f"{option} '{value}' does not exist", hint=f"one of: {', '.join(allowed)}")
-    if seed < 0:
-        raise UsageError(f"--seed {seed} is below 0")
-
-
-def _check_search(seconds: float | None, starts: int | None) -> None:
-    from math import isfinite
-
-    from drivers.errors import UsageError
-
-    if seconds is not None and starts is not None:
-        raise UsageError(
-            "--time and --starts exclude each other", hint="--starts does not depend on the machine's speed"
-        )
-    if seconds is not None and not (isfinite(seconds) and seconds > 0):
-        raise UsageError(f"--time {seconds:g} is not a positive number of seconds")
-    if starts is not None and starts < 1:
-        raise UsageError(f"--starts {starts} is less than 1")
 
 
 def _check_file(path: Path | None, force: bool) -> None:
@@ -168,35 +132,6 @@ def _state(found: Found) -> str:
     return f"{found.seconds:.0f} s, {found.finished} starts finished, best so far: {best}"
 
 
-def _summary(found: Design, figures: ExcitationFigures, choices: DesignChoices) -> str:
-    """The figures in one line."""
-    forecast = figures.forecast
-    use, limit = max([(figures.worst_use, figures.worst_limit), *zip(found.use.tolist(), found.limits, strict=True)])
-    return (
-        f"{choices.kind} of {figures.duration:.4g} s, {choices.criterion} {found.cost:.4g} along one repetition; "
-        f"as played: condition {forecast.condition:.4g}, with scaled columns {forecast.scaled_condition:.4g}, "
-        f"largest use of a limit {100 * use:.3g} % ({limit})"
-    )
-
-
-def _trajectory_text(robot: Robot, found: Design, figures: ExcitationFigures, choices: DesignChoices) -> str:
-    """The file's text, read back and checked as `dynid record` will do it.
-
-    Raises:
-        IdentificationError: it would be refused.
-    """
-    from daq.trajectory_file import dump_trajectory, parse_trajectory
-    from drivers.errors import IdentificationError, UsageError
-
-    comment = f"designed by dynid excite: {_summary(found, figures, choices)}"
-    text = dump_trajectory(found.family.trajectory(found.variables, robot.name, comment))
-    try:
-        parse_trajectory(text, robot, where="the designed trajectory", folder=None)
-    except UsageError as error:
-        raise IdentificationError(error.message, where=error.where, hint="give a larger --margin") from error
-    return text
-
-
 def _write(path: Path, text: str) -> None:
     from drivers.errors import UsageError
     from ident.result.schema import replace_file
@@ -205,25 +140,6 @@ def _write(path: Path, text: str) -> None:
         replace_file(path, text)
     except OSError as error:
         raise UsageError(f"cannot be written: {error.strerror}", where=str(path)) from error
-
-
-def _search_words(found: Design) -> str:
-    state = found.found
-    ended = ", ended by Ctrl-C" if state.interrupted else ""
-    return f"{state.finished} starts finished in {state.seconds:.1f} s{ended}"
-
-
-def _notes(found: Design, choices: DesignChoices) -> list[tuple[str, str]]:
-    """What the page tells of the design."""
-    return [
-        ("Kind", choices.kind),
-        ("Criterion", f"{choices.criterion}: {found.cost:.4g} along one repetition at full pace"),
-        ("Designed for", "the last link, which a payload changes" if choices.loaded else "all base parameters"),
-        ("Joints that move", ", ".join(choices.moving) if choices.moving else "all"),
-        ("Margin", f"{100 * choices.margin:g} % of every limit"),
-        ("Self-collision", "looked for" if choices.self_collision else "not looked for"),
-        ("Search", _search_words(found)),
-    ]
 
 
 def _object(
@@ -250,6 +166,7 @@ def _object(
 def _print(out: Path, page: Path | None, found: Design, figures: ExcitationFigures, choices: DesignChoices) -> None:
     from daq.console import print_table
     from ident.regression.pruning import SIGNIFICANT_RSD
+    from ident.tasks.excitation import design_summary, search_words
 
     if found.found.interrupted:
         print("Ctrl-C ended the search; this is the best motion so far that keeps every limit.")
@@ -267,7 +184,7 @@ def _print(out: Path, page: Path | None, found: Design, figures: ExcitationFigur
             for joint in figures.joints
         ],
     )
-    print(f"\n{_summary(found, figures, choices)}")
+    print(f"\n{design_summary(found, figures, choices)}")
     forecast = figures.forecast
     known = [p.rsd_percent for p in forecast.parameters if p.rsd_percent is not None]
     if known:
@@ -278,7 +195,7 @@ def _print(out: Path, page: Path | None, found: Design, figures: ExcitationFigur
         )
     if forecast.unexcited:
         print(f"not excited: {', '.join(forecast.unexcited)}")
-    print(_search_words(found))
+    print(search_words(found))
     print(f"\n{out}")
     if page is not None:
         print(page)

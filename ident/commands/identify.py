@@ -52,56 +52,41 @@ def identify_recordings(
 
     Example: dynid identify run.h5 --validate val.h5 -o model
     """
-    from typing import get_args
-
     from daq.console import progress_line
     from daq.recording import read_recording
     from daq.robot import load_robot
-    from drivers.errors import UsageError
     from ident.commands.option_text import delay_option, joints_option
     from ident.commands.print_result import print_result
-    from ident.identify.identification import IdentifyChoices, ModelChoices
     from ident.identify.identify import identify
     from ident.identify.summary import summarise
-    from ident.regression.least_squares import Method
-    from ident.regression.observability import ExperimentChoices
     from ident.report import write_report
     from ident.result.schema import check_folder, result_json, write_result
-    from ident.signals.pipeline import PreprocessChoices
+    from ident.tasks.identification import identify_choices
 
-    *others, last = get_args(Method)
-    if method not in (*others, last):
-        raise UsageError(f"no method is called '{method}'", hint=f"{', '.join(others)} or {last}")
-    if friction not in (None, "none", "viscous", "coulomb", "coulomb-viscous"):
-        raise UsageError(f"no friction model is called '{friction}'", hint="none, viscous, coulomb or coulomb-viscous")
-    if not 0 < significance <= 100:
-        raise UsageError(f"--significance {significance:g} is not a percentage", hint="the papers use 15")
     folder = out if out is not None else Path(f"{recordings[0].stem}-model")
     check_folder(folder)
-    given_delay = delay_option(delay)
-    choices = IdentifyChoices(
-        method=method,  # type: ignore[arg-type]  # checked above
-        model=ModelChoices(friction, offset, motor_inertia, smoothing),  # type: ignore[arg-type]
-        preprocess=PreprocessChoices(
-            position_cutoff=position_cutoff,
-            torque_cutoff=torque_cutoff,
-            decimate=decimate,
-            position_decimate=position_decimate,
-            filter_kind=filter_kind,  # type: ignore[arg-type]  # PreprocessChoices checks it
-            delay=given_delay or 0.0,
-            measured_velocity=measured_velocity,
-            start=start,
-            stop=stop,
-            keep_rest=keep_rest,
-        ),
-        search_delay=given_delay is None,
+    choices = identify_choices(
+        method=method,
         split=split,
-        significant_rsd=significance,
+        friction=friction,
+        offset=offset,
+        motor_inertia=motor_inertia,
+        smoothing=smoothing,
+        delay=delay_option(delay),
+        position_cutoff=position_cutoff,
+        torque_cutoff=torque_cutoff,
+        decimate=decimate,
+        position_decimate=position_decimate,
+        filter=filter_kind,
+        measured_velocity=measured_velocity,
+        locked=joints_option(locked, "--locked") or (),
+        torques_of=joints_option(torques_of, "--torques-of") or (),
+        leave_out_reversals=reversals,
         energy_window=energy_window,
-        experiment=ExperimentChoices(
-            joints_option(locked, "--locked") or (), joints_option(torques_of, "--torques-of") or ()
-        ),
-        reversals=reversals,
+        start=start,
+        stop=stop,
+        keep_rest=keep_rest,
+        significance=significance,
     )
     read = [read_recording(path) for path in recordings]
     held_out = [read_recording(path) for path in validate_with]

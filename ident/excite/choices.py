@@ -11,6 +11,9 @@ CriterionName = Literal[
 ]
 
 
+DEFAULT_SECONDS = 20.0
+"""How long is searched where the user says nothing [s]."""
+
 DEFAULT_MARGIN = 0.1
 """Share of every limit that is left: commands that come late make the path that is played faster than the design."""
 

@@ -1,0 +1,45 @@
+"""What an arm's robot file alone tells of its dynamics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from daq.robot import RobotFile, load_robot
+from ident.model import base_parameters as numeric
+from ident.model.dynamics import build_model
+from ident.model.symbols import symbolic_expressions
+from ident.result.schema import UNITS
+from ident.result.tables import Table, table_of_rows
+
+
+def base_parameters(robot: str | Path | RobotFile) -> Table:
+    """The base parameters of an arm: the fewest combinations of standard parameters that fix the torque (SR400 .3.2).
+
+    Args:
+        robot: built-in name, robot file, URDF, or what `load_robot` gave.
+
+    Returns:
+        A row a parameter: name, kind, joint, unit (kg·m², kg·m, …) and its expression.
+
+    Raises:
+        RobotFileError: no such robot, or its geometry cannot be used.
+        IdentificationError: their number cannot be decided.
+
+    Example:
+        >>> import dynid
+        >>> table = dynid.base_parameters("ur5e")
+        >>> len(table), table.row("ZZR1")["unit"]
+        (58, 'kg·m²')
+    """
+    robot_file = load_robot(robot)
+    model = build_model(robot_file)
+    base = numeric.base_parameters(model)
+    symbols = [model.parameters[column].symbol for column in base.columns]
+    rows = [
+        (name, kind, model.link_names[joint], UNITS[symbol], expression)
+        for name, kind, joint, symbol, expression in zip(
+            base.names, base.kinds, base.joints, symbols, symbolic_expressions(robot_file, model, base), strict=True
+        )
+    ]
+    headings = [(name, "") for name in ("name", "kind", "joint", "unit", "expression")]
+    return table_of_rows(f"Base parameters of {model.name}", headings, rows)

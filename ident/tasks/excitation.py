@@ -1,0 +1,343 @@
+"""Design an excitation trajectory in one call, look at it, keep it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from math import isfinite
+from os import PathLike
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.robot import Robot, RobotFile, load_robot
+from daq.trajectories import Motion
+from daq.trajectory_file import dump_trajectory, parse_trajectory
+from daq.trajectory_file import load_trajectory as read_trajectory
+from drivers.errors import IdentificationError, UsageError
+from drivers.streams import FloatArray
+from ident.excite.choices import DEFAULT_SECONDS, CriterionName, DesignChoices, Kind
+from ident.excite.constraints.surroundings import surroundings_warning
+from ident.excite.design import Design, design
+from ident.excite.figures import ExcitationFigures, excitation_figures
+from ident.excite.page.page import write_page
+from ident.excite.prior import Prior, find_prior
+from ident.excite.search import Found, SearchChoices
+from ident.excite.solve import Solver
+from ident.result.schema import replace_file
+from ident.result.tables import Table, table_of_rows
+
+
+class ExcitationTrajectory:
+    """A motion that excites an arm: designed by `design_excitation`, or read by `load_trajectory`.
+
+    Attributes:
+        robot_file: the arm.
+        text: of the trajectory file.
+        motion: what is played.
+        summary: how it was designed, in one line; empty of a trajectory that was read.
+
+    Example:
+        >>> import dynid
+        >>> motion = dynid.design_excitation("ur5e", starts=1, workers=1, harmonics=2, period=6.0)
+        >>> q, dq, ddq = motion.evaluate([0.0, motion.duration / 2])
+        >>> q.shape, bool(abs(dq[0]).max() < 1e-9)
+        ((2, 6), True)
+    """
+
+    def __init__(
+        self,
+        robot_file: RobotFile,
+        text: str,
+        motion: Motion,
+        prior: Prior,
+        summary: str = "",
+        notes: Sequence[tuple[str, str]] = (),
+    ) -> None:
+        """Hold a checked trajectory."""
+        self.robot_file, self.text, self.motion, self.summary = robot_file, text, motion, summary
+        self._prior, self._notes = prior, tuple(notes)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names (n,) of the joints, in the order of every array's columns."""
+        return self.robot_file.robot.joint_names
+
+    @property
+    def duration(self) -> float:
+        """From rest to rest [s]."""
+        return self.motion.duration
+
+    def evaluate(self, time: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Positions [rad], velocities [rad/s] and accelerations [rad/s²], each (N, n).
+
+        Args:
+            time: (N,) from the start [s].
+        """
+        stamps = np.atleast_1d(np.asarray(time, dtype=np.float64))
+        position, velocity, acceleration = (np.ascontiguousarray(part.T) for part in self.motion.evaluate(stamps))
+        return position, velocity, acceleration
+
+    @cached_property
+    def figures(self) -> ExcitationFigures:
+        """Condition number, predicted error bars, and how much of each limit is used."""
+        return excitation_figures(self.robot_file, self.motion, self._prior)
+
+    @property
+    def limits(self) -> Table:
+        """How much of each joint's limits is used [%]."""
+        headings = [("joint", ""), *((name, "%") for name in ("position", "velocity", "acceleration", "torque"))]
+        rows = [
+            (
+                joint.joint,
+                100.0 * joint.position_use,
+                100.0 * joint.velocity_use,
+                100.0 * joint.acceleration_use,
+                None if joint.torque_use is None else 100.0 * joint.torque_use,
+            )
+            for joint in self.figures.joints
+        ]
+        return table_of_rows(f"Limit utilisation of {self.robot_file.robot.name}", headings, rows)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the design could not know, such as the floor."""
+        warning = surroundings_warning(self.robot_file, self.motion)
+        return () if warning is None else (warning,)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the trajectory file (YAML) that `dynid record --trajectory` plays.
+
+        Raises:
+            UsageError: it cannot be written.
+        """
+        try:
+            replace_file(Path(path), self.text)
+        except OSError as error:
+            raise UsageError(f"cannot be written: {error.strerror}", where=str(path)) from error
+
+    def page(self, path: str | PathLike[str]) -> None:
+        """Write a page (HTML): figures, plots, the arm in motion.
+
+        Raises:
+            UsageError: it cannot be written.
+        """
+        write_page(Path(path), self.robot_file, self.motion, self._prior, self.figures, self._notes)
+
+    def __repr__(self) -> str:
+        return f"<dynid.ExcitationTrajectory of {self.robot_file.robot.name}, {self.duration:.4g} s>"
+
+    def __str__(self) -> str:
+        return "\n".join([str(self.limits), *([self.summary] if self.summary else [])])
+
+    def _repr_html_(self) -> str:
+        return self.limits._repr_html_()
+
+
+def design_excitation(
+    robot: str | Path | RobotFile,
+    *,
+    kind: Kind = DesignChoices.kind,
+    criterion: CriterionName = DesignChoices.criterion,
+    harmonics: int = DesignChoices.harmonics,
+    points: int = DesignChoices.points,
+    period: float = DesignChoices.period,
+    periods: int = DesignChoices.periods,
+    ramp: float = DesignChoices.ramp,
+    seed: int = 0,
+    time: float | None = None,
+    starts: int | None = None,
+    loaded: bool = False,
+    joints: Sequence[str] | None = None,
+    prior: str | Path | None = None,
+    margin: float = DesignChoices.margin,
+    self_collision: bool = True,
+    solver: Solver = "slsqp",
+    earlier: ExcitationTrajectory | None = None,
+    workers: int | None = None,
+) -> ExcitationTrajectory:
+    """Design an excitation trajectory within the arm's limits; Ctrl-C ends the search with the best so far.
+
+    With several processes a script needs `if __name__ == "__main__":` around the call.
+
+    Args:
+        robot: built-in name, robot file, URDF, or what `load_robot` gave.
+        kind: "fourier", "fourier-quintic", "sines" or "points".
+        criterion: "d-optimal", "e-optimal", "deviations", "condition", "plain-condition", "moments", "hadamard" or
+            "motion-size" (docs/excitation.md).
+        harmonics: of the series, or number of sines.
+        points: of a point-to-point motion.
+        period: of one repetition [s].
+        periods: repetitions.
+        ramp: from rest to full pace, and back [s].
+        seed: of the random starts.
+        time: search so long [s]; 20 s without `starts`.
+        starts: search from so many starts, whatever the machine's speed.
+        loaded: design for the last link, which a payload changes.
+        joints: names of the joints that move; the others rest.
+        prior: result.json that tells parameters and noise.
+        margin: share of every limit that is not used.
+        self_collision: keep links apart.
+        solver: "slsqp", "trust-constr" or "ipopt".
+        earlier: a trajectory to improve.
+        workers: processes; one per core where None, none but this one where 1.
+
+    Raises:
+        UsageError: an option that is not possible, or no motion keeps every limit; names the limit.
+        IdentificationError: the best motion passes a limit between the grid's points.
+
+    Example:
+        >>> import dynid
+        >>> motion = dynid.design_excitation("ur5e", starts=1, workers=1, harmonics=2, period=6.0)
+        >>> motion.limits.columns[1].heading, motion.figures.worst_use <= 1.0
+        ('position [%]', True)
+    """
+    check_design(kind, criterion, solver, seed)
+    check_search(time, starts)
+    robot_file = load_robot(robot)
+    known = find_prior(robot_file, None if prior is None else Path(prior))
+    choices = DesignChoices(
+        kind=kind,
+        criterion=criterion,
+        harmonics=harmonics,
+        points=points,
+        period=period,
+        periods=periods,
+        ramp=ramp,
+        moving=None if joints is None else tuple(joints),
+        loaded=loaded,
+        margin=margin,
+        self_collision=self_collision,
+    )
+    search = SearchChoices(
+        seed=seed,
+        starts=starts,
+        seconds=DEFAULT_SECONDS if time is None and starts is None else time,
+        solver=solver,
+        workers=workers,
+    )
+    begun_from = None if earlier is None else earlier.motion
+    return designed_trajectory(robot_file, known, choices, search, begun_from)
+
+
+def designed_trajectory(
+    robot_file: RobotFile,
+    prior: Prior,
+    choices: DesignChoices,
+    search: SearchChoices,
+    earlier: Motion | None = None,
+    progress: Callable[[Found], None] = lambda found: None,
+) -> ExcitationTrajectory:
+    """`design_excitation` with everything read and checked; `progress` is told after each round of a start."""
+    found = design(robot_file, prior, choices, search, earlier, progress)
+    figures = excitation_figures(robot_file, found.motion, prior)
+    text = trajectory_text(robot_file.robot, found, figures, choices)
+    summary = design_summary(found, figures, choices)
+    trajectory = ExcitationTrajectory(robot_file, text, found.motion, prior, summary, design_notes(found, choices))
+    trajectory.__dict__["figures"] = figures  # known already; the property would compute them again
+    return trajectory
+
+
+def load_trajectory(path: str | PathLike[str], robot: str | Path | RobotFile) -> ExcitationTrajectory:
+    """Read a trajectory file and check it against its robot: joints, limits, rest at both ends.
+
+    Args:
+        path: of the file (YAML; rad, s).
+        robot: built-in name, robot file, URDF, or what `load_robot` gave.
+
+    Raises:
+        UsageError: names file and key, what was found and what is allowed.
+
+    Example:
+        >>> import dynid, tempfile, pathlib
+        >>> motion = dynid.design_excitation("ur5e", starts=1, workers=1, harmonics=2, period=6.0)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder, "motion.yaml")
+        ...     motion.save(path)
+        ...     abs(dynid.load_trajectory(path, "ur5e").duration - motion.duration) < 1e-9
+        True
+    """
+    robot_file = load_robot(robot)
+    read = read_trajectory(Path(path), robot_file.robot)
+    return ExcitationTrajectory(robot_file, read.text, read.motion, find_prior(robot_file))
+
+
+def check_design(kind: str, criterion: str, solver: str, seed: int) -> None:
+    """Refuse what does not exist.
+
+    Raises:
+        UsageError: names the option and what is allowed.
+    """
+    for option, value, allowed in (
+        ("--kind", kind, get_args(Kind)),
+        ("--criterion", criterion, get_args(CriterionName)),
+        ("--solver", solver, get_args(Solver)),
+    ):
+        if value not in allowed:
+            raise UsageError(f"{option} '{value}' does not exist", hint=f"one of: {', '.join(allowed)}")
+    if seed < 0:
+        raise UsageError(f"--seed {seed} is below 0")
+
+
+def check_search(seconds: float | None, starts: int | None) -> None:
+    """Refuse a search that cannot end.
+
+    Raises:
+        UsageError: both are given, or one is not positive.
+    """
+    if seconds is not None and starts is not None:
+        raise UsageError(
+            "--time and --starts exclude each other", hint="--starts does not depend on the machine's speed"
+        )
+    if seconds is not None and not (isfinite(seconds) and seconds > 0):
+        raise UsageError(f"--time {seconds:g} is not a positive number of seconds")
+    if starts is not None and starts < 1:
+        raise UsageError(f"--starts {starts} is less than 1")
+
+
+def design_summary(found: Design, figures: ExcitationFigures, choices: DesignChoices) -> str:
+    """The figures of a design in one line."""
+    forecast = figures.forecast
+    use, limit = max([(figures.worst_use, figures.worst_limit), *zip(found.use.tolist(), found.limits, strict=True)])
+    return (
+        f"{choices.kind} of {figures.duration:.4g} s, {choices.criterion} {found.cost:.4g} along one repetition; "
+        f"as played: condition {forecast.condition:.4g}, with scaled columns {forecast.scaled_condition:.4g}, "
+        f"largest use of a limit {100 * use:.3g} % ({limit})"
+    )
+
+
+def trajectory_text(robot: Robot, found: Design, figures: ExcitationFigures, choices: DesignChoices) -> str:
+    """The file's text, read back and checked as `dynid record` will do it.
+
+    Raises:
+        IdentificationError: it would be refused.
+    """
+    comment = f"designed by dynid excite: {design_summary(found, figures, choices)}"
+    text = dump_trajectory(found.family.trajectory(found.variables, robot.name, comment))
+    try:
+        parse_trajectory(text, robot, where="the designed trajectory", folder=None)
+    except UsageError as error:
+        raise IdentificationError(error.message, where=error.where, hint="give a larger --margin") from error
+    return text
+
+
+def search_words(found: Design) -> str:
+    """How the search went."""
+    state = found.found
+    ended = ", ended by Ctrl-C" if state.interrupted else ""
+    return f"{state.finished} starts finished in {state.seconds:.1f} s{ended}"
+
+
+def design_notes(found: Design, choices: DesignChoices) -> list[tuple[str, str]]:
+    """What the page tells of the design."""
+    return [
+        ("Kind", choices.kind),
+        ("Criterion", f"{choices.criterion}: {found.cost:.4g} along one repetition at full pace"),
+        ("Designed for", "the last link, which a payload changes" if choices.loaded else "all base parameters"),
+        ("Joints that move", ", ".join(choices.moving) if choices.moving else "all"),
+        ("Margin", f"{100 * choices.margin:g} % of every limit"),
+        ("Self-collision", "looked for" if choices.self_collision else "not looked for"),
+        ("Search", search_words(found)),
+    ]

@@ -1,0 +1,373 @@
+"""Identify in one call: recordings in, a result that shows, saves and answers for itself out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import get_args
+
+from daq.robot import RobotFile, load_robot
+from drivers.errors import UsageError
+from ident.identify.identification import FrictionModel, IdentifyChoices, ModelChoices
+from ident.identify.identify import Progress
+from ident.identify.identify import identify as identify_recordings
+from ident.identify.summary import summarise
+from ident.regression.comparison import TorqueSeries
+from ident.regression.least_squares import Method
+from ident.regression.observability import ExperimentChoices
+from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.report import write_report
+from ident.result.model import Model, result_path
+from ident.result.schema import Fit, Result, check_folder, read_result, result_json, write_result
+from ident.result.tables import Cell, Table, table_of_rows
+from ident.signals.options import FilterKind
+from ident.signals.pipeline import PreprocessChoices
+from ident.tasks.runs import Runs, recordings_of
+
+
+class IdentificationResult:
+    """What an identification or a merge found; shows itself in a notebook, and is saved as the command saves it.
+
+    Attributes:
+        result: all of it, as `result.json` holds it.
+        fit_series, validation_series: measured and predicted torques [N·m], for the report; empty for results that
+            were read from a file.
+
+    Example:
+        >>> import dynid
+        >>> result = dynid.identify(dynid.simulate("ur5e", duration=10.0, seed=1))
+        >>> result.fit.relative_error < 0.2, result.warnings == tuple(result.result.warnings)
+        (True, True)
+        >>> result.parameters.row("Fv1")["unit"]
+        'N·m·s/rad'
+    """
+
+    def __init__(
+        self,
+        result: Result,
+        fit_series: Sequence[TorqueSeries] = (),
+        validation_series: Sequence[TorqueSeries] = (),
+    ) -> None:
+        """Hold a result with the torques behind it."""
+        self.result: Result = result
+        self.fit_series = tuple(fit_series)
+        self.validation_series = tuple(validation_series)
+
+    @property
+    def verdict(self) -> str:
+        """How far to trust the model, in a few sentences."""
+        return self.result.verdict
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to read before using it."""
+        return tuple(self.result.warnings)
+
+    @property
+    def fit(self) -> Fit | None:
+        """Errors on the identification data: `relative_error` (a ratio), `rmse` a joint [N·m], …; None of a merge."""
+        return self.result.fit
+
+    @property
+    def validation(self) -> Fit | None:
+        """The same on held-out data; None where nothing was held out."""
+        return self.result.validation
+
+    @cached_property
+    def parameters(self) -> Table:
+        """The base parameters: values, σ (corrected for autocorrelated residuals), significance, expressions."""
+        headings = [
+            ("name", ""),
+            ("value", ""),
+            ("std", ""),
+            ("unit", ""),
+            ("rsd", "%"),
+            ("significant", ""),
+            ("essential_value", ""),
+            ("kind", ""),
+            ("joint", ""),
+            ("expression", ""),
+        ]
+        rows = [
+            (
+                p.name,
+                p.value,
+                p.std,
+                p.unit,
+                p.rsd_percent,
+                p.significant,
+                p.essential_value,
+                p.kind,
+                p.joint,
+                p.expression,
+            )
+            for p in self.result.base_parameters
+        ]
+        return table_of_rows(f"Base parameters of {self.result.robot} ({self.result.method})", headings, rows)
+
+    @cached_property
+    def friction(self) -> Table:
+        """Friction of each joint with its σ; cells without a column in the model are empty."""
+        headings = [
+            ("joint", ""),
+            ("viscous", "N·m·s/rad"),
+            ("viscous_std", "N·m·s/rad"),
+            ("coulomb", "N·m"),
+            ("coulomb_std", "N·m"),
+            ("offset", "N·m"),
+            ("offset_std", "N·m"),
+        ]
+        rows = [tuple(getattr(joint, name) for name, _ in headings) for joint in self.result.friction]
+        return table_of_rows(f"Friction of {self.result.robot}", headings, rows)
+
+    @cached_property
+    def errors(self) -> Table:
+        """Errors of the filtered torque of each joint, on the identification data and on held-out data."""
+        return error_table(
+            f"Errors of {self.result.robot}",
+            self.result.joints,
+            {"fit": self.result.fit, "validation": self.result.validation},
+        )
+
+    @cached_property
+    def model(self) -> Model:
+        """The model of all base parameters; `load_model(…, parameters="essential")` gives the other one.
+
+        Raises:
+            ModelError: the recordings showed a part of the arm only.
+        """
+        return Model(self.result)
+
+    def save(self, folder: str | PathLike[str]) -> None:
+        """Write `result.json` and `report.html` into a folder, as `dynid identify -o` does.
+
+        Raises:
+            UsageError: it is a file, or cannot be written.
+        """
+        path = Path(folder)
+        check_folder(path)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            write_result(path / "result.json", self.result)
+        except OSError as error:
+            raise UsageError(f"cannot be written: {error.strerror}", where=str(path)) from error
+        write_report(path / "report.html", self.result, self.fit_series, self.validation_series)
+
+    def to_json(self) -> str:
+        """The text of `result.json`."""
+        return result_json(self.result)
+
+    def __str__(self) -> str:
+        warnings = [f"warning: {warning}" for warning in self.warnings]
+        return "\n".join([str(self.parameters), "", str(self.errors), "", self.verdict, *warnings])
+
+    def __repr__(self) -> str:
+        return f"<dynid.IdentificationResult {self.result.robot}, {len(self.result.base_parameters)} base parameters>"
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        warnings = "".join(f"<li>{escape(warning)}</li>" for warning in self.warnings)
+        tables = f"{self.errors._repr_html_()}{self.parameters._repr_html_()}"
+        return f"<p>{escape(self.verdict)}</p><ul>{warnings}</ul>{tables}"
+
+
+def identify(
+    runs: Runs,
+    *,
+    validation: Runs = (),
+    method: Method = "wls",
+    split: float | None = None,
+    robot: str | Path | RobotFile | None = None,
+    friction: FrictionModel | None = None,
+    offset: bool | None = None,
+    motor_inertia: bool | None = None,
+    smoothing: float | None = None,
+    delay: float | None = None,
+    position_cutoff: float | None = None,
+    torque_cutoff: float | None = None,
+    decimate: int | None = None,
+    position_decimate: int = 1,
+    filter: FilterKind = "butterworth",
+    measured_velocity: bool = False,
+    locked: Sequence[str] = (),
+    torques_of: Sequence[str] = (),
+    leave_out_reversals: float = 0.0,
+    energy_window: float | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    keep_rest: bool = False,
+    significance: float = SIGNIFICANT_RSD,
+    progress: Progress = lambda step: None,
+) -> IdentificationResult:
+    """Identify the dynamic model from recordings and validate it on held-out data: all that `dynid identify` does.
+
+    Method and options: docs/identification.md; weighted least squares after SR400 .4.3.
+
+    Args:
+        runs: a recording, or several of one arm, which stack; each read already or a path.
+        validation: held-out recordings; without any, the last 30 % of each of the others.
+        method: estimator: "ols", "wls", "energy" or "power".
+        split: identify on the data before this time, validate on the rest [s].
+        robot: in place of the recording's own robot file.
+        friction: "none", "viscous", "coulomb" or "coulomb-viscous"; the robot file's where None.
+        offset: a constant torque per joint [N·m].
+        motor_inertia: columns for motor inertia.
+        smoothing: ε of tanh(q̇/ε) in place of sign(q̇) [rad/s].
+        delay: of the torque behind the position [s]; searched where None.
+        position_cutoff: low-pass of the positions [Hz].
+        torque_cutoff: parallel filter of τ and W [Hz].
+        decimate: keep every N-th filtered sample.
+        position_decimate: decimate the positions first (Chebyshev).
+        filter: of the parallel filter: "butterworth" or "chebyshev".
+        measured_velocity: use the recorded velocity.
+        locked: names of joints that must not move.
+        torques_of: names of the joints whose motors' torques are used; all that turn where empty.
+        leave_out_reversals: leave out motors slower than this share of their rms velocity, such as 0.2.
+        energy_window: mean duration of the windows of the method "energy" [s].
+        start: leave out what lies before [s from the first stamp].
+        stop: leave out what lies behind [s from the first stamp].
+        keep_rest: keep segments in which no joint moves.
+        significance: threshold of the relative standard deviation [%].
+        progress: told each step before it begins.
+
+    Raises:
+        InputError: whatever is wrong with the recordings or the options, and where.
+        IdentificationError: there is no solution.
+
+    Example:
+        >>> import dynid
+        >>> run, other = (dynid.simulate("ur5e", duration=10.0, seed=seed) for seed in (1, 2))
+        >>> result = dynid.identify(run, validation=other)
+        >>> result.validation.relative_error < 0.2
+        True
+    """
+    choices = identify_choices(
+        method=method,
+        split=split,
+        friction=friction,
+        offset=offset,
+        motor_inertia=motor_inertia,
+        smoothing=smoothing,
+        delay=delay,
+        position_cutoff=position_cutoff,
+        torque_cutoff=torque_cutoff,
+        decimate=decimate,
+        position_decimate=position_decimate,
+        filter=filter,
+        measured_velocity=measured_velocity,
+        locked=_names(locked, "locked"),
+        torques_of=_names(torques_of, "torques_of"),
+        leave_out_reversals=leave_out_reversals,
+        energy_window=energy_window,
+        start=start,
+        stop=stop,
+        keep_rest=keep_rest,
+        significance=significance,
+    )
+    recordings, held_out = recordings_of(runs), recordings_of(validation)
+    found = identify_recordings(recordings, held_out, choices, None if robot is None else load_robot(robot), progress)
+    return IdentificationResult(summarise(found, recordings, held_out), found.fit_series, found.validation_series)
+
+
+def identify_choices(
+    *,
+    method: str,
+    split: float | None,
+    friction: str | None,
+    offset: bool | None,
+    motor_inertia: bool | None,
+    smoothing: float | None,
+    delay: float | None,
+    position_cutoff: float | None,
+    torque_cutoff: float | None,
+    decimate: int | None,
+    position_decimate: int,
+    filter: str,
+    measured_velocity: bool,
+    locked: Sequence[str],
+    torques_of: Sequence[str],
+    leave_out_reversals: float,
+    energy_window: float | None,
+    start: float | None,
+    stop: float | None,
+    keep_rest: bool,
+    significance: float,
+) -> IdentifyChoices:
+    """The options of `identify`, checked, as the pipeline takes them.
+
+    Raises:
+        UsageError: a method or friction model that does not exist, or a number out of its range.
+    """
+    *others, last = get_args(Method)
+    if method not in (*others, last):
+        raise UsageError(f"no method is called '{method}'", hint=f"{', '.join(others)} or {last}")
+    if friction is not None and friction not in get_args(FrictionModel):
+        raise UsageError(f"no friction model is called '{friction}'", hint="none, viscous, coulomb or coulomb-viscous")
+    if not 0 < significance <= 100:
+        raise UsageError(f"--significance {significance:g} is not a percentage", hint="the papers use 15")
+    return IdentifyChoices(
+        method=method,  # type: ignore[arg-type]  # checked above
+        model=ModelChoices(friction, offset, motor_inertia, smoothing),  # type: ignore[arg-type]  # checked above
+        preprocess=PreprocessChoices(
+            position_cutoff=position_cutoff,
+            torque_cutoff=torque_cutoff,
+            decimate=decimate,
+            position_decimate=position_decimate,
+            filter_kind=filter,  # type: ignore[arg-type]  # PreprocessChoices checks it
+            delay=delay or 0.0,
+            measured_velocity=measured_velocity,
+            start=start,
+            stop=stop,
+            keep_rest=keep_rest,
+        ),
+        search_delay=delay is None,
+        split=split,
+        significant_rsd=significance,
+        energy_window=energy_window,
+        experiment=ExperimentChoices(tuple(locked), tuple(torques_of)),
+        reversals=leave_out_reversals,
+    )
+
+
+def _names(given: Sequence[str], option: str) -> tuple[str, ...]:
+    if isinstance(given, str):  # a string is a sequence of letters
+        raise UsageError(f"'{given}' is one text; a list of joint names is needed", where=option, hint=f"['{given}']")
+    return tuple(given)
+
+
+def load_result(path: str | PathLike[str]) -> IdentificationResult:
+    """Read a result back.
+
+    Args:
+        path: a folder that `identify` wrote, or its result.json.
+
+    Raises:
+        ResultFileError: no such file, or it is no result.
+
+    Example:
+        >>> import dynid, tempfile
+        >>> result = dynid.identify(dynid.simulate("ur5e", duration=10.0, seed=1))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     result.save(folder)
+        ...     dynid.load_result(folder).verdict == result.verdict
+        True
+    """
+    return IdentificationResult(read_result(result_path(path)))
+
+
+def error_table(title: str, joints: Sequence[str], fits: dict[str, Fit | None]) -> Table:
+    """Errors a joint of one or several fits, by what they are called."""
+    headings = [("joint", "")]
+    columns: list[list[Cell]] = [list(joints)]
+    parts = (("rmse", "N·m"), ("low_speed_rmse", "N·m"), ("high_speed_rmse", "N·m"), ("relative_error", "%"))
+    for name, fit in fits.items():
+        for part, unit in parts:
+            headings.append((f"{name}_{part}", unit))
+            field = "joint_relative_error" if part == "relative_error" else part
+            cells = [None] * len(joints) if fit is None else getattr(fit, field)
+            factor = 100.0 if unit == "%" else 1.0
+            columns.append([None if cell is None else factor * cell for cell in cells])
+    return table_of_rows(title, headings, list(zip(*columns, strict=True)))

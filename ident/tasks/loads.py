@@ -1,0 +1,253 @@
+"""What a run without and a run with a load tell: the load, or the drives' gains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from daq.console import json_text
+from daq.robot import RobotFile, load_robot
+from drivers.errors import UsageError
+from drivers.streams import FloatArray
+from ident.experiments.drive_gains import DriveGains, identify_gains
+from ident.experiments.payload import Payload, identify_payload
+from ident.experiments.payload_summary import (
+    base_rows,
+    drives_text,
+    gain_unit,
+    gains_object,
+    load_rows,
+    payload_object,
+    payload_sentences,
+    slow_gains_object,
+)
+from ident.experiments.up_and_down import SlowGains, identify_slow_gains
+from ident.model.load import MASS, KnownLoad
+from ident.result.tables import Table, table_of_rows
+from ident.tasks.runs import Run, recording_of
+
+Vector = Sequence[float] | FloatArray
+
+
+@dataclass(frozen=True)
+class IdentifiedPayload:
+    """The load on an arm's tool, in the tool frame; σ hold noise and the drive gains' uncertainty.
+
+    Attributes:
+        found: all of the estimate.
+
+    Example:
+        >>> import dynid
+        >>> free, loaded = (dynid.simulate("ur5e", duration=10.0, seed=seed) for seed in (1, 2))
+        >>> load = dynid.payload(free, loaded)  # here both runs are without a load
+        >>> abs(load.mass) < 5 * load.mass_std + 1
+        True
+        >>> load.parameters.row("M_L")["unit"]
+        'kg'
+    """
+
+    found: Payload
+
+    @property
+    def mass(self) -> float:
+        """Identified mass without knowledge of the load [kg]; NaN where the motions do not show it."""
+        return float(self.found.load.standard[MASS])
+
+    @property
+    def mass_std(self) -> float:
+        """Its standard deviation σ [kg]."""
+        return float(np.sqrt(self.found.load.standard_covariance[MASS, MASS]))
+
+    @property
+    def com(self) -> FloatArray | None:
+        """Centre of mass (3,) [m], with what is known held fixed; None where the motions do not show it."""
+        centre = (self.found.with_mass or self.found.load).centre
+        return None if centre is None else centre[0]
+
+    @property
+    def com_std(self) -> FloatArray | None:
+        """Its standard deviations σ (3,) [m]."""
+        centre = (self.found.with_mass or self.found.load).centre
+        return None if centre is None else centre[1]
+
+    @property
+    def parameters(self) -> Table:
+        """The identifiable combinations of the load's ten parameters, with what is known held fixed."""
+        rows = load_rows(self.found.with_mass or self.found.load)
+        headings = [(name, "") for name in ("name", "value", "std", "noise_std", "gain_std", "unit", "expression")]
+        return table_of_rows("Load", headings, [tuple(row[name] for name, _ in headings) for row in rows])
+
+    @property
+    def changes(self) -> Table:
+        """Base parameters that a load changes: without it, predicted and identified with it (SR400 Table 4)."""
+        names = ("name", "free", "free_std", "predicted", "loaded", "loaded_std", "unit")
+        rows = [tuple(row[name] for name in names) for row in base_rows(self.found)]
+        return table_of_rows("Base parameters that a load changes", [(name, "") for name in names], rows)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The hypothesis tests in words: does a load, and does the known one, explain what changed?"""
+        return tuple(payload_sentences(self.found))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to read first."""
+        return self.found.warnings
+
+    def to_json(self) -> str:
+        """What `dynid payload --json` prints."""
+        return json_text(payload_object(self.found))
+
+    def __str__(self) -> str:
+        warnings = [f"warning: {warning}" for warning in self.warnings]
+        return "\n".join([str(self.parameters), "", *self.sentences, *warnings])
+
+    def _repr_html_(self) -> str:
+        return self.parameters._repr_html_() + self.changes._repr_html_()
+
+
+@dataclass(frozen=True)
+class IdentifiedGains:
+    """Gains of all drives, joint side, sign included; torque = gain · signal.
+
+    Attributes:
+        found: all of the estimate.
+
+    Example:
+        >>> import dynid
+        >>> dynid.IdentifiedGains.gains.__doc__.split(";")[0]
+        "A row a joint: the robot file's gain, the identified one with its σ [N·m/A or N·m/V]"
+    """
+
+    found: DriveGains | SlowGains
+
+    @property
+    def values(self) -> FloatArray:
+        """Gains (n,) [N·m/A or N·m/V]; NaN where one cannot be told."""
+        return self.found.values
+
+    @property
+    def std(self) -> FloatArray:
+        """Their standard deviations σ (n,), in the same unit."""
+        return np.array([gain.std for gain in self.found.gains])
+
+    @property
+    def gains(self) -> Table:
+        """A row a joint: the robot file's gain, the identified one with its σ [N·m/A or N·m/V]; relative σ [%]."""
+        unit = gain_unit(self.found.signal)
+        headings = [("joint", ""), ("file_gain", unit), ("gain", unit), ("std", unit), ("rsd", "%")]
+        rows = [(gain.joint, gain.file_gain, gain.gain, gain.std, gain.relative_std) for gain in self.found.gains]
+        return table_of_rows("Drive gains", headings, rows)
+
+    @property
+    def robot_file_text(self) -> str:
+        """The robot file's section `drives` with these gains."""
+        return drives_text(self.found)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to read first."""
+        return self.found.warnings
+
+    def to_json(self) -> str:
+        """What `dynid gains --json` prints."""
+        found = self.found
+        return json_text(gains_object(found) if isinstance(found, DriveGains) else slow_gains_object(found))
+
+    def __str__(self) -> str:
+        return "\n".join([str(self.gains), *(f"warning: {warning}" for warning in self.warnings)])
+
+    def _repr_html_(self) -> str:
+        return self.gains._repr_html_()
+
+
+def payload(
+    free: Run,
+    loaded: Run,
+    *,
+    mass: float | None = None,
+    com: Vector | None = None,
+    inertia: Vector | None = None,
+    robot: str | Path | RobotFile | None = None,
+    delay: float | None = None,
+) -> IdentifiedPayload:
+    """Identify the load on the tool, and test whether a load explains what changed between the runs (SR400 .4.4).
+
+    Args:
+        free: recording without the load, or its path.
+        loaded: recording of the same arm with it.
+        mass: of the load, where it was weighed [kg].
+        com: its centre of mass x, y, z in the tool frame [m].
+        inertia: xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²].
+        robot: in place of the free recording's own robot file.
+        delay: of the torque behind the position [s]; searched where None.
+
+    Raises:
+        UsageError: com or inertia without a mass, or numbers of no body.
+        DataError: different arms, no torque, no load parameter that the motions could show.
+        IdentificationError: there is no solution.
+
+    Example:
+        >>> import dynid
+        >>> free, loaded = (dynid.simulate("ur5e", duration=10.0, seed=seed) for seed in (1, 2))
+        >>> "M_L" in dynid.payload(free, loaded).parameters.names
+        True
+    """
+    if mass is None and (com is not None or inertia is not None):
+        raise UsageError("com and inertia describe a load whose mass is missing", hint="give mass in kg")
+    known = None if mass is None else _known_load(mass, com, inertia)
+    robot_file = None if robot is None else load_robot(robot)
+    return IdentifiedPayload(identify_payload(recording_of(free), recording_of(loaded), known, robot_file, delay))
+
+
+def drive_gains(
+    free: Run,
+    loaded: Run,
+    *,
+    mass: float,
+    com: Vector | None = None,
+    inertia: Vector | None = None,
+    robot: str | Path | RobotFile | None = None,
+    delay: float | None = None,
+    up_and_down: bool = False,
+) -> IdentifiedGains:
+    """Identify the gains of all drives from a run without and a run with a load of known mass (Gautier, Briot 2014).
+
+    Args:
+        free: recording without the load, or its path.
+        loaded: recording of the same arm with it.
+        mass: of the load [kg]; without it nothing tells twice the gains from twice the masses.
+        com: its centre of mass x, y, z in the tool frame [m].
+        inertia: xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²].
+        robot: in place of the free recording's own robot file.
+        delay: of the torque behind the position [s]; searched where None.
+        up_and_down: the runs are slow, one joint at a time goes there and back.
+
+    Raises:
+        UsageError: numbers of no body.
+        DataError: different arms, or no motor signal.
+        IdentificationError: there is no solution.
+
+    Example:
+        >>> import dynid
+        >>> dynid.drive_gains("free.h5", "loaded.h5", mass=2.8)
+        Traceback (most recent call last):
+        drivers.errors.RecordingError: free.h5: no such file
+    """
+    known = _known_load(mass, com, inertia)
+    runs = recording_of(free), recording_of(loaded)
+    robot_file = None if robot is None else load_robot(robot)
+    if up_and_down:
+        return IdentifiedGains(identify_slow_gains(*runs, known, robot_file, delay))
+    return IdentifiedGains(identify_gains(*runs, known, robot_file, delay))
+
+
+def _known_load(mass: float, com: Vector | None, inertia: Vector | None) -> KnownLoad:
+    try:
+        parts = [None if part is None else tuple(float(value) for value in part) for part in (com, inertia)]
+        return KnownLoad(float(mass), *parts)
+    except (TypeError, ValueError) as error:
+        raise UsageError("mass, com and inertia are numbers: kg, three of m, six of kg·m²") from error

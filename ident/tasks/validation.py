@@ -1,0 +1,169 @@
+"""Validate, compare and merge identified models in one call each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+from daq.robot import RobotFile
+from drivers.errors import UsageError
+from ident.experiments.merged_result import merge_results
+from ident.identify.revalidate import revalidate
+from ident.identify.summary import fit_result
+from ident.regression.least_squares import Method
+from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.result.model import Model, result_path
+from ident.result.schema import Fit, Result, read_result
+from ident.result.tables import Cell, Table, table_of_rows
+from ident.tasks.identification import IdentificationResult, error_table, identify
+from ident.tasks.runs import Run, Runs, recording_of, recordings_of
+
+Identified = IdentificationResult | Model | str | PathLike[str]
+"""A result, a model, or the path of either."""
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Errors of a model on a recording that it has not seen; filters and delay as at its identification.
+
+    Attributes:
+        joints: names (n,).
+        full: errors of all base parameters: `relative_error` (a ratio), `rmse` a joint [N·m], …
+        essential: the same of the significant ones.
+
+    Example:
+        >>> import dynid
+        >>> result = dynid.identify(dynid.simulate("ur5e", duration=10.0, seed=1))
+        >>> validation = dynid.validate(result, dynid.simulate("ur5e", duration=10.0, seed=2))
+        >>> validation.errors.columns[1].heading
+        'full_rmse [N·m]'
+    """
+
+    joints: tuple[str, ...]
+    full: Fit
+    essential: Fit
+
+    @property
+    def errors(self) -> Table:
+        """Errors of the filtered torque of each joint [N·m, %]."""
+        return error_table("Errors", self.joints, {"full": self.full, "essential": self.essential})
+
+    def __str__(self) -> str:
+        return str(self.errors)
+
+    def _repr_html_(self) -> str:
+        return self.errors._repr_html_()
+
+
+def validate(identified: Identified, run: Run) -> Validation:
+    """Predict a recording's torques [N·m] with an identified model and compare.
+
+    Args:
+        identified: a result, a model, or the folder or file of one.
+        run: a recording that it has not seen, or its path.
+
+    Raises:
+        DataError: the recording lacks what is needed, or shows a motion of which the model says nothing.
+        ResultFileError: the result's parts do not belong together.
+
+    Example:
+        >>> import dynid
+        >>> result = dynid.identify(dynid.simulate("ur5e", duration=10.0, seed=1))
+        >>> dynid.validate(result.model, dynid.simulate("ur5e", duration=10.0, seed=2)).full.relative_error < 0.2
+        True
+    """
+    result = _result(identified)
+    found = revalidate(result, recording_of(run))
+    return Validation(tuple(result.joints), fit_result(found.full), fit_result(found.essential))
+
+
+def merge(
+    results: Sequence[Identified], *, validation: Run | None = None, significance: float = SIGNIFICANT_RSD
+) -> IdentificationResult:
+    """One model from several experiments on one arm, each weighed by its covariance (SR400 .4.3 point 7).
+
+    Args:
+        results: results, models, or the folders or files of them.
+        validation: a recording that none of them has seen.
+        significance: threshold of the relative standard deviation [%].
+
+    Raises:
+        UsageError: fewer than two, different arms, or data that would count twice.
+        ResultFileError: a result without a covariance.
+        IdentificationError: the values do not determine any parameter.
+
+    Example:
+        >>> import dynid
+        >>> parts = [dynid.identify(dynid.simulate("ur5e", duration=10.0, seed=seed)) for seed in (1, 2)]
+        >>> merged = dynid.merge(parts)
+        >>> merged.result.merge.consistency.agree in (True, False)
+        True
+    """
+    if not 0 < significance <= 100:
+        raise UsageError(f"significance {significance:g} is not a percentage", hint="the papers use 15")
+    named = [(_label(identified, number), _result(identified)) for number, identified in enumerate(results, start=1)]
+    held_out = None if validation is None else recording_of(validation)
+    merged, validated = merge_results(named, held_out, significance)
+    return IdentificationResult(merged, (), validated.series if validated is not None else ())
+
+
+def compare(
+    runs: Runs,
+    methods: Sequence[Method] = ("ols", "wls"),
+    *,
+    validation: Runs = (),
+    robot: str | Path | RobotFile | None = None,
+) -> Table:
+    """Identify with several methods and set their errors side by side.
+
+    Args:
+        runs: a recording, or several of one arm, or their paths.
+        methods: of "ols", "wls", "energy" and "power".
+        validation: held-out recordings; the last 30 % without any.
+        robot: in place of the recording's own robot file.
+
+    Returns:
+        A row a method: relative errors of fit and validation [%], then the validation's RMSE of each joint [N·m].
+
+    Raises:
+        InputError: whatever is wrong with the recordings or the methods.
+        IdentificationError: a method has no solution.
+
+    Example:
+        >>> import dynid
+        >>> table = dynid.compare(dynid.simulate("ur5e", duration=10.0, seed=1), methods=("ols", "wls"))
+        >>> table.names
+        ('ols', 'wls')
+    """
+    if isinstance(methods, str) or not methods:
+        raise UsageError("methods must be a list of method names", hint='methods=("ols", "wls")')
+    recordings, held_out = recordings_of(runs), recordings_of(validation)
+    rows: list[tuple[Cell, ...]] = []
+    joints: list[str] = []
+    for method in methods:
+        result = identify(recordings, validation=held_out, method=method, robot=robot).result
+        joints = result.joints
+        rows.append((method, _percent(result.fit), _percent(result.validation), *_rmse(result.validation, joints)))
+    headings = [("method", ""), ("fit", "%"), ("validation", "%"), *((f"rmse_{name}", "N·m") for name in joints)]
+    return table_of_rows("Methods compared: relative errors, and RMSE of the validation", headings, rows)
+
+
+def _percent(fit: Fit | None) -> float | None:
+    return None if fit is None or fit.relative_error is None else 100.0 * fit.relative_error
+
+
+def _rmse(fit: Fit | None, joints: Sequence[str]) -> list[float | None]:
+    return [None] * len(joints) if fit is None else list(fit.rmse)
+
+
+def _result(identified: Identified) -> Result:
+    if isinstance(identified, (IdentificationResult, Model)):
+        return identified.result
+    return read_result(result_path(identified))
+
+
+def _label(identified: Identified, number: int) -> str:
+    given = isinstance(identified, (IdentificationResult, Model))
+    return f"result {number}" if given else str(result_path(identified))  # type: ignore[arg-type]
