@@ -126,8 +126,7 @@ def record_command(
     from daq.session import INTERRUPTED, TERMINATED, Play, load_driver, record
     from daq.trajectory_file import load_trajectory
     from drivers.clock import SYSTEM_CLOCK
-    from drivers.command import INTERRUPTED_STATUS
-    from drivers.errors import UsageError
+    from drivers.errors import INTERRUPTED_STATUS, UsageError
 
     if (trajectory is None) == (duration is None):
         raise UsageError("give either --trajectory or --duration")

@@ -126,4 +126,4 @@ def _priority() -> list[str]:
 
 
 def _dynid(*arguments: str) -> list[str]:
-    return [sys.executable, "-c", "from drivers.command import main; main()", *arguments]
+    return [sys.executable, "-m", "dynid", *arguments]

@@ -56,7 +56,7 @@ def test_the_robot_file_of_the_docs_is_valid():
 def test_options_named_in_the_docs_exist():
     from typer.main import get_command
 
-    from drivers.command import build_app
+    from dynid.command import build_app
 
     known: set[str] = {"--help", "--json", "--version"}
     stack = [get_command(build_app())]

@@ -26,7 +26,7 @@ from daq.player import ticks
 from daq.recording import read_recording
 from daq.recover import follow_recording, recover
 from daq.trajectory_file import load_trajectory
-from drivers import command
+from dynid import command
 from drivers.errors import RecordingError
 
 TRAJECTORY = {
@@ -286,7 +286,7 @@ MAIN = """
 import sys
 from types import SimpleNamespace
 from daq import session
-from drivers import command
+from dynid import command
 entry = SimpleNamespace(name="kinematic", load=lambda: lambda settings: arm)
 session.entry_points = lambda group: [entry]
 try:
@@ -397,7 +397,7 @@ def main():
     sys.path.insert(0, sys.argv.pop(1))
     from kinematic_arm import KinematicArm
     from daq import session
-    from drivers import command
+    from dynid import command
     entry = SimpleNamespace(name="kinematic", load=lambda: lambda settings: KinematicArm())
     session.entry_points = lambda group: [entry]
     command.main()

@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from drivers import command
 from drivers.errors import DataError, IdentificationError
+from dynid import command
 
 HEAVY = ("numpy", "scipy", "pinocchio", "cvxpy", "h5py", "pydantic", "plotly", "rosbags")
 
@@ -25,7 +25,7 @@ def run(monkeypatch, capsys, *arguments: str) -> tuple[int, str, str]:
 def test_help_imports_nothing_heavy():
     code = (
         "import sys; sys.argv = ['dynid', '--help']\n"
-        "from drivers.command import main\n"
+        "from dynid.command import main\n"
         "try:\n    main()\nexcept SystemExit:\n    pass\n"
         f"loaded = [name for name in {HEAVY!r} if name in sys.modules]\n"
         "sys.exit(f'loaded: {loaded}' if loaded else 0)\n"

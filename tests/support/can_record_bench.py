@@ -27,7 +27,7 @@ from daq.robot import load_robot
 from drivers.can_bus import close_bus, open_bus
 from drivers.errors import ConnectionFailedError
 
-COMMAND = "import sys; from drivers.command import main; sys.exit(main())"
+COMMAND = "import sys; from dynid.command import main; sys.exit(main())"
 SYNC_RATE = 100
 STATUSWORD = 0x6041
 NODES = range(1, 7)

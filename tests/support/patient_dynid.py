@@ -21,6 +21,6 @@ motion.SILENCE_LIMIT = motion.PATIENCE = motion.STOP_LIMIT = PATIENCE
 motion.WATCHDOG_RATE = 0.25
 
 if __name__ == "__main__":
-    from drivers.command import main
+    from dynid.command import main
 
     sys.exit(main())

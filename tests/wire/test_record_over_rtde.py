@@ -357,7 +357,7 @@ def test_a_busy_computer_delays_a_motion_and_costs_no_sample(bench: Bench, tmp_p
 
 SLOW = (0.06, 1.5)
 """Amplitude [rad] and frequency [rad/s] of a motion that bears a stall: what was missed is at most 0.12 rad."""
-SIMULATOR = ("-c", "import sys; from drivers.command import main; sys.exit(main())", "sim", "ur5e", "--no-ui", "--host")
+SIMULATOR = ("-c", "import sys; from dynid.command import main; sys.exit(main())", "sim", "ur5e", "--no-ui", "--host")
 
 
 @contextmanager

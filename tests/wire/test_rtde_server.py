@@ -114,7 +114,7 @@ def test_commands_are_obeyed_refused_and_ended() -> None:
 
 def test_the_command_serves_a_simulated_ur5e_and_obeys_typed_faults() -> None:
     host = loopback()
-    command = ("-c", "from drivers.command import main; main()", "sim", "ur5e", "--host", host, "--no-ui")
+    command = ("-c", "from dynid.command import main; main()", "sim", "ur5e", "--host", host, "--no-ui")
     with served(*command) as (ready, process), connected(host) as client:
         assert (ready["ready"], ready["robot"], ready["rate_hz"]) == (True, "ur5e", 500.0)
         client.stream(["timestamp", "actual_q", "joint_temperatures", "safety_mode"])

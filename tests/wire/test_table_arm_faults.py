@@ -50,7 +50,7 @@ HALT_TIME = 0.1
 FAULTS_APART = 0.2
 WAY = 0.3
 """Of each joint [rad]."""
-COMMAND = "import sys; from drivers.command import main; sys.exit(main())"
+COMMAND = "import sys; from dynid.command import main; sys.exit(main())"
 MINUTE = 60.0
 
 

@@ -14,7 +14,7 @@ from kinematic_arm import KinematicArm
 
 from daq import session
 from daq.robot import load_robot, parse_robot
-from drivers import command
+from dynid import command
 from drivers.base import DRIVERS_GROUP, Notice
 from drivers.errors import ConnectionFailedError, RobotFileError, UsageError
 from drivers.streams import ChannelLayout, StreamLayout

@@ -12,7 +12,7 @@ import pytest
 
 from daq.recording import write_recording
 from daq.robot import load_robot
-from drivers import command
+from dynid import command
 from ident.model.dynamics import build_model
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion

@@ -11,7 +11,7 @@ import pytest
 from loaded_arm import runs
 
 from daq.recording import write_recording
-from drivers import command
+from dynid import command
 from ident.model.parameters import INERTIAL
 
 

@@ -14,7 +14,7 @@ import yaml
 from daq.robot import load_robot
 from daq.trajectories import motion_extremes
 from daq.trajectory_file import load_trajectory
-from drivers import command
+from dynid import command
 from ident.excite import design as design_module
 
 QUICK = ("--starts", "1", "--harmonics", "2")

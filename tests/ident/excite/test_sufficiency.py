@@ -12,7 +12,7 @@ import pytest
 
 from daq.recording import JOINTS_STREAM, Recording, write_recording
 from daq.robot import RobotFile, parse_robot
-from drivers import command
+from dynid import command
 from drivers.errors import UsageError
 from ident.assessment.recorded_motion import recorded_motion
 from ident.excite.sufficiency import OWN_TORQUE, Sufficiency, check_wanted_rsd, motion_sufficiency, times_needed

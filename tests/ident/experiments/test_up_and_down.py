@@ -19,7 +19,7 @@ from daq.recording_writer import write_recording
 from daq.robot import RobotFile, load_robot, parse_robot
 from daq.trajectories import PointToPoint
 from daq.trajectory_file import parse_trajectory
-from drivers import command
+from dynid import command
 from drivers.errors import DataError, IdentificationError
 from ident.experiments.drive_gains import identify_gains
 from ident.experiments.payload_summary import drives_text, slow_gains_object

@@ -14,11 +14,10 @@ from typing import NoReturn
 
 import typer
 
-from drivers.errors import DynidError, InputError
+from drivers.errors import INTERRUPTED_STATUS, DynidError, InputError
 
 COMMANDS_GROUP = "dynid.commands"
 USAGE_STATUS = 2
-INTERRUPTED_STATUS = 130
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Set to 1 unless the user has set them, before NumPy is imported: dynid multiplies many small matrices, for which a

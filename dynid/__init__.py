@@ -1,0 +1,102 @@
+"""The public Python API of dynid: record a robot arm, identify its dynamic model, use the model.
+
+    import dynid
+    run = dynid.Recording.from_arrays("ur5e", time=t, position=q, current=i)
+    result = dynid.identify(run)
+    result.save("model")
+    model = dynid.load_model("model")
+    model.torque(q, dq, ddq)
+
+Arrays are (N, n): time first, joints last. Units are s, rad, rad/s, rad/s², A, N·m, kg, m. Every error that is meant
+for people is a `DynidError`. Names are imported when they are first used, so that `import dynid` costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from daq.importers.one_call import import_recording as import_recording
+    from daq.recording_reader import read_recording as read_recording
+    from daq.recording_writer import write_recording as write_recording
+    from daq.robot import RobotFile as RobotFile
+    from daq.robot import builtin_robots as builtin_robots
+    from daq.robot import load_robot as load_robot
+    from daq.streams import Recording as Recording
+    from drivers.errors import DataError as DataError
+    from drivers.errors import DynidError as DynidError
+    from drivers.errors import IdentificationError as IdentificationError
+    from drivers.errors import ImportFileError as ImportFileError
+    from drivers.errors import InputError as InputError
+    from drivers.errors import ModelError as ModelError
+    from drivers.errors import RecordingError as RecordingError
+    from drivers.errors import ResultFileError as ResultFileError
+    from drivers.errors import RobotFileError as RobotFileError
+    from drivers.errors import UsageError as UsageError
+    from drivers.errors import WorkError as WorkError
+    from ident.result.model import Model as Model
+    from ident.result.model import load_model as load_model
+    from ident.result.tables import Table as Table
+    from ident.tasks.arm import base_parameters as base_parameters
+    from ident.tasks.excitation import ExcitationTrajectory as ExcitationTrajectory
+    from ident.tasks.excitation import design_excitation as design_excitation
+    from ident.tasks.excitation import load_trajectory as load_trajectory
+    from ident.tasks.identification import IdentificationResult as IdentificationResult
+    from ident.tasks.identification import identify as identify
+    from ident.tasks.identification import load_result as load_result
+    from ident.tasks.loads import IdentifiedGains as IdentifiedGains
+    from ident.tasks.loads import IdentifiedPayload as IdentifiedPayload
+    from ident.tasks.loads import drive_gains as drive_gains
+    from ident.tasks.loads import payload as payload
+    from ident.tasks.validation import Validation as Validation
+    from ident.tasks.validation import compare as compare
+    from ident.tasks.validation import merge as merge
+    from ident.tasks.validation import validate as validate
+    from sim_drivers.simulated_run import simulate as simulate
+
+_HOMES = {
+    "daq.importers.one_call": ("import_recording",),
+    "daq.recording_reader": ("read_recording",),
+    "daq.recording_writer": ("write_recording",),
+    "daq.robot": ("RobotFile", "builtin_robots", "load_robot"),
+    "daq.streams": ("Recording",),
+    "drivers.errors": (
+        "DataError",
+        "DynidError",
+        "IdentificationError",
+        "ImportFileError",
+        "InputError",
+        "ModelError",
+        "RecordingError",
+        "ResultFileError",
+        "RobotFileError",
+        "UsageError",
+        "WorkError",
+    ),
+    "ident.result.model": ("Model", "load_model"),
+    "ident.result.tables": ("Table",),
+    "ident.tasks.arm": ("base_parameters",),
+    "ident.tasks.excitation": ("ExcitationTrajectory", "design_excitation", "load_trajectory"),
+    "ident.tasks.identification": ("IdentificationResult", "identify", "load_result"),
+    "ident.tasks.loads": ("IdentifiedGains", "IdentifiedPayload", "drive_gains", "payload"),
+    "ident.tasks.validation": ("Validation", "compare", "merge", "validate"),
+    "sim_drivers.simulated_run": ("simulate",),
+}
+"""Module → its public names. Type checkers read the imports above, which a test holds against this table."""
+
+_MODULE_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = sorted(_MODULE_OF)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'dynid' has no attribute '{name}'")
+    value = getattr(import_module(_MODULE_OF[name]), name)
+    globals()[name] = value  # the next use does not come here
+    return value
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

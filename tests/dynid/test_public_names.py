@@ -1,0 +1,156 @@
+"""The front door: names, docstrings, examples, units; and what `import dynid` does not import."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import functools
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import dynid
+
+HEAVY = ("numpy", "scipy", "pinocchio", "h5py", "pydantic", "yaml", "plotly", "rosbags", "pandas", "xarray")
+
+PHYSICAL = {
+    "bandwidth", "com", "current", "ddq", "delay", "dq", "duration", "energy_window", "inertia", "mass", "period",
+    "position", "position_cutoff", "q", "ramp", "rate", "smoothing", "split", "start", "stop", "tau", "temperature",
+    "time", "torque", "torque_cutoff", "velocity", "voltage", "significance",
+}  # fmt: skip
+"""Arguments that stand for a physical quantity, wherever they occur."""
+
+UNIT = re.compile(r"\[[^\]]*(s|rad|Hz|kg|N·m|A|V|°C|m|%)[^\]]*\]")
+
+CLASSES = [name for name in dynid.__all__ if inspect.isclass(getattr(dynid, name))]
+ERRORS = [name for name in CLASSES if issubclass(getattr(dynid, name), Exception)]
+EXEMPLARY = [name for name in dynid.__all__ if name not in ERRORS or name == "DynidError"]
+"""The kinds of error differ in one sentence only; the first one shows how they are caught."""
+
+FUNCTIONS = [name for name in dynid.__all__ if inspect.isfunction(getattr(dynid, name))]
+
+
+def public_callables() -> list[tuple[str, Any]]:
+    """Functions, and the methods and properties of public classes that dynid defines."""
+    found = [(name, getattr(dynid, name)) for name in FUNCTIONS]
+    for name in CLASSES:
+        if name in ERRORS or name == "RobotFile":
+            continue
+        for member, value in vars(getattr(dynid, name)).items():
+            if member.startswith("_"):
+                continue
+            plain = getattr(value, "__func__", getattr(value, "fget", getattr(value, "func", value)))
+            if inspect.isfunction(plain):
+                found.append((f"{name}.{member}", plain))
+    return found
+
+
+def test_the_table_of_names_is_that_of_the_type_checker():
+    tree = ast.parse(Path(dynid.__file__).read_text(encoding="utf-8"))
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    imported = {
+        (node.module, alias.name) for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names
+    }
+    assert imported == {(module, name) for name, module in dynid._MODULE_OF.items()}
+    assert set(dir(dynid)) == set(dynid.__all__)
+    assert 30 <= len(dynid.__all__) <= 40
+
+
+def test_a_wrong_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'identfy'"):
+        dynid.identfy  # noqa: B018
+
+
+def test_import_dynid_imports_nothing_heavy():
+    code = f"import sys, dynid; sys.exit(' '.join(name for name in {HEAVY!r} if name in sys.modules) or 0)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_using_one_name_does_not_import_the_numerics():
+    code = "import sys, dynid; dynid.load_robot('ur5e'); sys.exit('scipy' in sys.modules or 'pinocchio' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("name", dynid.__all__)
+def test_every_public_name_has_a_docstring(name):
+    doc = inspect.getdoc(getattr(dynid, name)) or ""
+    assert doc.strip()
+    assert len(doc.splitlines()[0]) <= 120
+
+
+@pytest.mark.parametrize("name", EXEMPLARY)
+def test_every_public_name_has_an_example(name):
+    assert ">>> " in (inspect.getdoc(getattr(dynid, name)) or ""), f"{name} has no example"
+
+
+@pytest.mark.parametrize(
+    ("name", "function"), public_callables(), ids=lambda value: value if isinstance(value, str) else ""
+)
+def test_every_physical_argument_names_its_unit(name, function):
+    doc = inspect.getdoc(function) or ""
+    assert doc.strip(), f"{name} has no docstring"
+    entries = dict(re.findall(r"^\s{4}(\w+): (.*(?:\n\s{8}.*)*)", doc, re.MULTILINE))
+    for argument in inspect.signature(function).parameters:
+        if argument in PHYSICAL:
+            text = entries.get(argument, "")
+            assert UNIT.search(text) or "the same of" in text, f"{name}: '{argument}' names no unit: {text!r}"
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_every_argument_of_a_public_function_is_described(name):
+    function = getattr(dynid, name)
+    doc = inspect.getdoc(function) or ""
+    arguments = list(inspect.signature(function).parameters)
+    for argument in arguments:
+        assert re.search(rf"^\s+{argument}: ", doc, re.MULTILINE), f"{name}: '{argument}' is not described"
+
+
+@pytest.mark.parametrize("name", EXEMPLARY)
+def test_the_examples_run(name, monkeypatch):
+    for costly in ("simulate", "identify", "design_excitation"):
+        monkeypatch.setitem(vars(dynid), costly, _remembered(costly))
+    value = getattr(dynid, name)
+    value = inspect.unwrap(value)
+    objects = [(name, value)]
+    if inspect.isclass(value):
+        for member, function in vars(value).items():
+            plain = getattr(function, "__func__", function)
+            if inspect.isfunction(plain) and not member.startswith("_"):
+                objects.append((f"{name}.{member}", plain))
+    runner = doctest.DocTestRunner(optionflags=doctest.IGNORE_EXCEPTION_DETAIL)
+    parser = doctest.DocTestParser()
+    output: list[str] = []
+    for label, documented in objects:
+        test = parser.get_doctest(inspect.getdoc(documented) or "", {}, label, None, 0)
+        runner.run(test, out=output.append)
+    assert runner.summarize(verbose=False).failed == 0, "".join(output)
+
+
+@functools.cache
+def _remembered(name: str) -> Any:
+    """A costly function that computes each of its examples once for the whole session."""
+    function = getattr(dynid, name)
+    function = inspect.unwrap(function)
+    known: dict[str, Any] = {}
+    kept = []
+
+    @functools.wraps(function)
+    def remembered(*arguments: Any, **named: Any) -> Any:
+        key = repr([_key(value) for value in (*arguments, *named, *named.values())])
+        if key not in known:
+            kept.append((arguments, named))  # or another object may get the same id
+            known[key] = function(*arguments, **named)
+        return known[key]
+
+    return remembered
+
+
+def _key(value: Any) -> Any:
+    return value if isinstance(value, (str, int, float, tuple)) else id(value)
