@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from hashlib import sha256
 from pathlib import Path
 from typing import Literal
 
@@ -317,6 +318,16 @@ def fit_result(figures: FitFigures) -> Fit:
     )
 
 
+def values_sha256(recording: Recording) -> str:
+    """SHA-256 of the values of a recording that has no file, as hexadecimal digits."""
+    digest = sha256()
+    for stream in recording.streams.values():
+        for name, values in (("time", stream.time), *((name, c.values) for name, c in stream.channels.items())):
+            digest.update(f"{stream.name}/{name}".encode())
+            digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()
+
+
 def _use(
     run: PreparedRun, recording: Recording, role: Literal["identification", "validation"], torques_of: list[str]
 ) -> RecordingUse:
@@ -324,7 +335,7 @@ def _use(
     path = recording.path
     return RecordingUse(
         file=str(Path(run.motion.label).name) if path is not None else run.motion.label,
-        sha256=file_sha256(path) if path is not None else "",
+        sha256=file_sha256(path) if path is not None else values_sha256(recording),
         role=role,
         window=(
             run.choices.start or 0.0,

@@ -1,0 +1,213 @@
+"""The tasks in one call each, beside the commands that do the same."""
+
+from __future__ import annotations
+
+import inspect
+import json
+
+import numpy as np
+import pytest
+from loaded_arm import LOAD, runs
+from typer.main import get_command
+
+import dynid
+from dynid.command import build_app
+
+
+def test_a_result_is_saved_and_read_back(result, tmp_path):
+    folder = tmp_path / "model"
+    result.save(folder)
+    assert {path.name for path in folder.iterdir()} == {"result.json", "report.html"}
+    assert json.loads(result.to_json()) == json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    again = dynid.load_result(folder / "result.json")
+    assert again.verdict == result.verdict
+    q = np.linspace(-1, 1, 6)
+    for kind in ("full", "essential"):
+        stored = dynid.load_model(folder, parameters=kind)
+        assert stored.kind == kind
+        np.testing.assert_array_equal(stored.gravity(q), dynid.Model(result.result, kind).gravity(q))
+
+
+def test_consistent_parameters_are_refused_in_one_sentence(result, tmp_path):
+    result.save(tmp_path)
+    with pytest.raises(dynid.UsageError, match="this result holds no physically consistent parameters"):
+        dynid.load_model(tmp_path, parameters="consistent")
+    with pytest.raises(dynid.UsageError, match="there are no 'best' parameters"):
+        dynid.load_model(tmp_path, parameters="best")
+    with pytest.raises(dynid.ResultFileError, match="cannot be read"):
+        dynid.load_model(tmp_path / "nowhere")
+
+
+def test_save_refuses_a_file(result, tmp_path):
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(dynid.UsageError, match="is a file"):
+        result.save(tmp_path / "file")
+
+
+def test_a_result_shows_itself(result):
+    text, html = str(result), result._repr_html_()
+    assert result.verdict in text
+    assert "ZZR1" in text
+    assert html.count("<table>") == 2
+    assert "wrist_3_joint" in result.errors._repr_html_()
+    assert result.friction.row("elbow_joint")["viscous"] > 0
+    assert result.fit.relative_error < 0.1
+    assert result.validation.relative_error < 0.1
+
+
+def test_a_table_becomes_a_frame(result):
+    pytest.importorskip("pandas")
+    frame = result.friction.to_frame()
+    assert frame.loc["elbow_joint", "viscous"] == result.friction.row("elbow_joint")["viscous"]
+    assert frame.attrs["units"]["viscous"] == "N·m·s/rad"
+    assert result.parameters.to_frame().shape == (len(result.parameters), 9)
+
+
+def test_a_table_escapes_what_it_shows():
+    from ident.result.tables import table_of_rows
+
+    table = table_of_rows("<t>", [("name", ""), ("value", "m")], [("<b>", 1.0), ("c", None)])
+    assert "<b>" not in table._repr_html_()
+    assert str(table).splitlines() == ["<t>", "name  value [m]", "<b>           1", "c             –"]
+    assert np.isnan(table["value"][1])
+    assert [row["name"] for row in table] == ["<b>", "c"]
+    with pytest.raises(dynid.UsageError, match="no column 'mass'"):
+        table["mass"]
+    with pytest.raises(dynid.UsageError, match="no row 'd'"):
+        table.row("d")
+    assert len(table_of_rows("empty", [("name", "")], [])) == 0
+
+
+def test_validate_takes_results_models_and_folders(result, other, tmp_path):
+    result.save(tmp_path)
+    for identified in (result, result.model, tmp_path, tmp_path / "result.json"):
+        validation = dynid.validate(identified, other)
+        assert validation.full.relative_error == pytest.approx(result.validation.relative_error, rel=0.05)
+    assert len(validation.errors) == 6
+
+
+def test_merge_halves_the_variance(result, other, run):
+    second = dynid.identify(other, validation=run)
+    merged = dynid.merge([result, second.model], validation=run)
+    assert merged.fit is None
+    assert merged.validation.relative_error < 0.05
+    known = merged.parameters["std"] / result.parameters["std"]
+    assert np.nanmedian(known) < 1
+    with pytest.raises(dynid.UsageError, match="count twice"):
+        dynid.merge([result, result])
+
+
+def test_compare_is_a_row_a_method(run, other):
+    table = dynid.compare(run, methods=("ols", "wls"), validation=other)
+    assert table.names == ("ols", "wls")
+    assert table["validation"].max() < 10
+    assert len(table.columns) == 3 + 6
+    with pytest.raises(dynid.UsageError, match="no method is called 'magic'"):
+        dynid.compare(run, methods=("magic",))
+    with pytest.raises(dynid.UsageError, match="must be a list"):
+        dynid.compare(run, methods="wls")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "magic"}, "no method is called 'magic'"),
+        ({"friction": "sticky"}, "no friction model is called"),
+        ({"significance": 0}, "is not a percentage"),
+        ({"locked": "elbow_joint"}, "a list of joint names is needed"),
+        ({"locked": ["elbow"]}, "no joint of ur5e is called 'elbow'"),
+        ({"delay": float("nan")}, "nan is not a number"),
+        ({"start": 5.0, "stop": 4.0}, "is empty"),
+        ({"robot": "ur5"}, "did you mean 'ur5e'"),
+        ({"validation": "nowhere.h5"}, "nowhere.h5: no such file"),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(run, options, message):
+    with pytest.raises(dynid.InputError, match=message) as refused:
+        dynid.identify(run, **options)
+    assert "\n" not in str(refused.value)
+
+
+def test_no_run_is_refused():
+    with pytest.raises(dynid.UsageError, match="no recording"):
+        dynid.identify([])
+
+
+RENAMED = {
+    "identify": {"validate": "validation"},
+    "excite": {"from": "earlier"},
+    "import": {"column": "columns"},
+    "merge": {"validate": "validation"},
+    "compare": {"validate": "validation"},
+}
+"""Options whose names would be odd in Python."""
+
+OF_FILES = {"out", "json", "help", "force", "page", "comment", "up_and_down"}
+
+
+@pytest.mark.parametrize(
+    ("command", "function"),
+    [
+        ("identify", dynid.identify),
+        ("merge", dynid.merge),
+        ("payload", dynid.payload),
+        ("gains", dynid.drive_gains),
+        ("excite", dynid.design_excitation),
+        ("import", dynid.import_recording),
+    ],
+)
+def test_keywords_are_the_options_of_the_command(command, function):
+    parameters = get_command(build_app()).commands[command].params
+    options = {
+        option.removeprefix("--").replace("-", "_")
+        for parameter in parameters
+        for option in parameter.opts
+        if option.startswith("--")
+    }
+    wanted = {RENAMED.get(command, {}).get(option, option) for option in options - OF_FILES}
+    assert wanted <= set(inspect.signature(function).parameters)
+
+
+def test_a_designed_motion_is_saved_and_shown(tmp_path):
+    motion = dynid.design_excitation("up6", starts=1, workers=1, harmonics=2, period=6.0)
+    motion.save(tmp_path / "motion.yaml")
+    motion.page(tmp_path / "motion.html")
+    assert "<html" in (tmp_path / "motion.html").read_text(encoding="utf-8")
+    read = dynid.load_trajectory(tmp_path / "motion.yaml", "up6")
+    time = np.linspace(0, motion.duration, 50)
+    for mine, theirs in zip(motion.evaluate(time), read.evaluate(time), strict=True):
+        assert mine.shape == (50, 3)
+        np.testing.assert_allclose(mine, theirs, atol=1e-9)
+    assert max(motion.limits["position"]) <= 100
+    assert read.figures.worst_use == pytest.approx(motion.figures.worst_use)
+    assert "designed" not in read.summary
+    assert motion.limits.title in str(motion)
+    with pytest.raises(dynid.UsageError, match="'magic' does not exist"):
+        dynid.design_excitation("up6", criterion="magic")
+    with pytest.raises(dynid.UsageError, match="cannot be written"):
+        motion.save(tmp_path / "nowhere" / "motion.yaml")
+
+
+def test_gains_need_numbers_of_a_load(run):
+    with pytest.raises(dynid.UsageError, match="are numbers"):
+        dynid.drive_gains(run, run, mass="heavy")
+    with pytest.raises(dynid.UsageError, match="whose mass is missing"):
+        dynid.payload(run, run, com=[0, 0, 0.1])
+
+
+def test_a_payload_and_the_gains_that_hide_behind_it():
+    free, loaded = runs(seed=1)
+    load = dynid.payload(free, loaded, mass=LOAD.mass)
+    assert load.mass == pytest.approx(LOAD.mass, abs=4 * load.mass_std)
+    assert load.com is not None
+    assert load.com_std is not None
+    np.testing.assert_array_less(np.abs(load.com - LOAD.com), 5 * load.com_std)
+    assert load.sentences
+    assert "free" in load.changes._repr_html_()
+    assert json.loads(load.to_json())["kind"] == "payload"
+    gains = dynid.drive_gains(free, loaded, mass=LOAD.mass, com=LOAD.com, inertia=np.array(LOAD.inertia))
+    assert json.loads(gains.to_json())["kind"] == "gains"
+    np.testing.assert_allclose(gains.values, gains.gains["file_gain"], rtol=0.2)
+    assert gains.robot_file_text.startswith("drives:")
+    assert gains.gains.columns[2].unit == "N·m/A"
+    assert "Drive gains" in str(gains)

@@ -1,0 +1,100 @@
+"""Results as an identification would write them, of arms whose parameters are known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from daq.robot import RobotFile
+from drivers.streams import FloatArray
+from ident.identify.summary import gain_results, model_options
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import build_model, truth_vector
+from ident.result.schema import (
+    UNITS,
+    BaseParameterResult,
+    DelayFigures,
+    Essential,
+    EstimateResult,
+    Excitation,
+    Residuals,
+    Result,
+)
+
+
+def true_result(
+    robot_file: RobotFile, values: Mapping[str, float | None] | None = None, covariance: FloatArray | None = None
+) -> Result:
+    """The result of an identification without error.
+
+    Args:
+        robot_file: with a truth.
+        values: base parameters that differ from the truth; None has no value.
+        covariance: (b, b) of the base parameters that have a value.
+    """
+    model = build_model(robot_file)
+    base = base_parameters(model)
+    truth = dict(zip(base.names, (base.projection @ truth_vector(robot_file)).tolist(), strict=True))
+    known: dict[str, float | None] = {**truth, **(values or {})}
+    symbols = [model.parameters[column].symbol for column in base.columns]
+    estimated = [name for name in base.names if known[name] is not None]
+    estimate = None
+    if covariance is not None:
+        root = np.linalg.qr(np.linalg.inv(np.linalg.cholesky(covariance)), mode="r")
+        estimate = EstimateResult(
+            parameters=estimated, root=root.tolist(), covariance=covariance.tolist(), taken_up={}, blocks=20
+        )
+    return Result(
+        created="2026-11-22T00:00:00+00:00",
+        robot=robot_file.robot.name,
+        robot_file=robot_file.text,
+        urdf=robot_file.urdf_text or "",
+        joints=list(robot_file.robot.joint_names),
+        method="truth",
+        options={},
+        model_options=model_options(model),
+        preprocessing=[],
+        delay=DelayFigures(used=0.0, best=None, note=""),
+        base_parameters=[
+            BaseParameterResult(
+                name=name,
+                expression=base.expressions[i],
+                kind=base.kinds[i],
+                joint=model.link_names[base.joints[i]],
+                unit=UNITS[symbols[i]],
+                value=known[name],
+                std=None,
+                rsd_percent=None,
+                classical_std=None,
+                significant=True,
+                essential_value=known[name],
+                essential_std=None,
+            )
+            for i, name in enumerate(base.names)
+        ],
+        friction=[],
+        drive_gains=gain_results(robot_file.robot),
+        fit=None,
+        validation=None,
+        validation_source="",
+        essential=Essential(count=len(estimated), dropped=[], stopped_by="", fit=None, validation=None),
+        excitation=Excitation(condition=1.0, scaled_condition=1.0, singular_values=[], unexcited=[]),
+        condition=1.0,
+        residuals=Residuals(
+            rows=0,
+            effective_rows=None,
+            joint_std=[],
+            autocorrelation=[],
+            block_length=0,
+            blocks=0,
+            repetitions=1.0,
+            correction="",
+        ),
+        rank_margin=base.margin,
+        recordings=[],
+        versions={},
+        verdict="",
+        warnings=[],
+        estimate=estimate,
+    )
