@@ -19,6 +19,7 @@ from benchmarks import (
     decimation,
     excitation,
     memory,
+    model,
     parameters,
     pipeline,
     plant,
@@ -38,6 +39,7 @@ GOALS = {
     "error_vs_lstsq_cond_1e6": ("≤", 10.0),
     "decimation_vs_column_loop": ("≥", 5.0),
     "help_vs_import_numpy": ("≤", 3.0),
+    "import_vs_import_numpy": ("≤", 1.0),
     "plant_vs_real_time": ("≥", 30.0),
     "excitation_time_to_cond12_vs_slsqp_pin": ("≥", 4.0),
 }
@@ -55,12 +57,13 @@ RUNS = (
     accuracy.run,
     decimation.run,
     pipeline.run,
+    model.run,
     plant.run,
     recorder.run,
     excitation.run,
 )
 
-MODULES = (regressor, parameters, memory, accuracy, decimation, startup, pipeline, plant, recorder, excitation)
+MODULES = (regressor, parameters, memory, accuracy, decimation, startup, pipeline, model, plant, recorder, excitation)
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""How long `dynid --help` keeps a user waiting, against the import of NumPy alone."""
+"""How long `dynid --help` and `import dynid` keep a user waiting, against the import of NumPy alone."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from benchmarks.timing import medians
 
 COMPARED = """\
 help_vs_import_numpy: the command `dynid --help` of this environment over `python -c "import numpy"`, both whole
-  processes."""
+  processes.
+import_vs_import_numpy: `python -c "import dynid"` over `python -c "import numpy"`, less the interpreter's start."""
 
 
 def run(rounds: int = 11) -> dict[str, float]:
@@ -27,9 +28,18 @@ def run(rounds: int = 11) -> dict[str, float]:
     sides: dict[str, Callable[[], object]] = {
         "help": lambda: _process([str(command), "--help"]),
         "numpy": lambda: _process([sys.executable, "-c", "import numpy"]),
+        "dynid": lambda: _process([sys.executable, "-c", "import dynid"]),
+        "nothing": lambda: _process([sys.executable, "-c", "pass"]),
     }
     seconds = medians(sides, rounds)
-    return {"help_vs_import_numpy": seconds["help"] / seconds["numpy"], "help_seconds": seconds["help"]}
+    numpy, dynid = (seconds[name] - seconds["nothing"] for name in ("numpy", "dynid"))
+    return {
+        "help_vs_import_numpy": seconds["help"] / seconds["numpy"],
+        "help_seconds": seconds["help"],
+        "import_vs_import_numpy": dynid / numpy,
+        "import_dynid_ms": 1e3 * dynid,
+        "import_numpy_ms": 1e3 * numpy,
+    }
 
 
 def _process(command: list[str]) -> None:

@@ -21,10 +21,24 @@ def example(name: str) -> ModuleType:
     return module
 
 
-def test_identify_from_arrays(capsys):
-    found = example("identify_from_arrays").main(duration=12.0)
-    assert found.validation.relative_error < 0.1
-    assert "held-out relative error" in capsys.readouterr().out
+def test_identify_from_arrays(capsys, tmp_path):
+    model = example("identify_from_arrays").main(duration=12.0, folder=str(tmp_path / "model"))
+    assert model.result.validation.relative_error < 0.1
+    assert "predicted torque differs from measured torque by" in capsys.readouterr().out
+
+
+def test_the_notebook_runs_and_holds_no_outputs(capsys):
+    import json
+
+    cells = json.loads((REPOSITORY / "examples" / "quickstart.ipynb").read_text(encoding="utf-8"))["cells"]
+    codes = [cell for cell in cells if cell["cell_type"] == "code"]
+    assert not any(cell["outputs"] or cell["execution_count"] for cell in codes)
+    names: dict[str, object] = {}
+    for cell in codes:
+        exec(compile("".join(cell["source"]), cell["id"], "exec"), names)  # our own text, as a user would run it
+    assert "predicted torque differs" in capsys.readouterr().out
+    error = names["measured"] - names["predicted"]
+    assert (error**2).mean() < 0.1 * (names["measured"] ** 2).mean()
 
 
 def test_coverage_runs(capsys):
