@@ -5,7 +5,8 @@ R⁻ᵀ times these (SR400 eq. 6).
 
 Base parameters are not the masses and inertias of bodies, but the dynamics are linear in the parameters: every standard
 vector x with projection @ x = base has the same torques. Pinocchio divides by the masses, so x gets a mass of 1 kg for
-each link whose mass is not kept, and the kept parameters make up for it.
+each link whose mass is not kept, and the kept parameters make up for it. Where they cannot, or where a kept mass is
+estimated as 0 or below, the link gets 1 kg and the torques of an arm of these extra point masses are taken off again.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 from drivers.streams import FloatArray
 from ident.model.base_parameters import BaseParameters
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamics import INERTIAL, DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
 from ident.model.pinocchio_model import pinocchio_model
 from ident.model.regressor import model_torque
@@ -27,8 +28,8 @@ LOOP_BELOW = 400
 PLACEHOLDER_MASS = 1.0
 """[kg] of a link whose mass is no base parameter."""
 
-LEAST_MASS = 1e-6
-"""[kg] in place of a kept mass of 0, as the essential model may have it: too little for a torque to show."""
+LEAST_MASS = 0.01
+"""[kg]; links whose kept mass is less get `PLACEHOLDER_MASS`, and the difference is taken off again."""
 
 
 class InverseDynamics:
@@ -52,8 +53,11 @@ class InverseDynamics:
             if standard[column].kind != "inertial"
         ]
         self._rotors = self._rotor_inertia()
-        self._arm: Any = pinocchio_model(model, _with_masses(model, base, parameters))
-        self._data = self._arm.createData()
+        inertial, extra = _with_masses(model, base, parameters)
+        self._arms: list[tuple[Any, Any, float]] = []
+        for arm, sign in ((pinocchio_model(model, inertial), 1.0), (_point_masses(model, extra), -1.0)):
+            if arm is not None:
+                self._arms.append((arm, arm.createData(), sign))
 
     def torque(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Joint torques (n, N) [N·m] of a motion (n, N)."""
@@ -69,11 +73,12 @@ class InverseDynamics:
 
         motion = self.model.tree_motion(position, velocity, acceleration)
         motion_signals = (motion.position, motion.velocity, motion.acceleration)
-        tree = np.empty_like(motion.position)
-        inverse, arm, data = pin.rnea, self._arm, self._data
-        signals = zip(*(np.ascontiguousarray(signal.T) for signal in motion_signals), strict=True)
-        for sample, (q, rate, change) in enumerate(signals):
-            tree[:, sample] = inverse(arm, data, q, rate, change)
+        tree = np.zeros_like(motion.position)
+        inverse = pin.rnea
+        signals = [np.ascontiguousarray(signal.T) for signal in motion_signals]
+        for arm, data, sign in self._arms:
+            for sample, (q, rate, change) in enumerate(zip(*signals, strict=True)):
+                tree[:, sample] += sign * inverse(arm, data, q, rate, change)
         return tree if self.model.transmission is None else _from_tree(motion.follow, tree)
 
     def friction(self, velocity: FloatArray) -> FloatArray:
@@ -88,20 +93,15 @@ class InverseDynamics:
 
     def inertia(self, position: FloatArray) -> FloatArray:
         """Inertia matrices (N, n, n) [kg·m²] at positions (n, N), motor inertias included."""
-        import pinocchio as pin
-
         still = np.zeros_like(position)
-        motion = self.model.tree_motion(position, still, still)
-        joints, count = motion.position.shape
-        upper = np.empty((count, joints, joints))
-        composite, arm, data = pin.crba, self._arm, self._data
-        for sample, q in enumerate(motion.position.T):
-            upper[sample] = composite(arm, data, q)
-        matrices = np.triu(upper) + np.triu(upper, 1).transpose(0, 2, 1)
-        if self.model.transmission is not None:
-            follow = motion.follow if motion.follow.ndim == 2 else np.moveaxis(motion.follow, -1, 0)
-            matrices = np.swapaxes(follow, -1, -2) @ matrices @ follow
-        return np.asarray(matrices + self._rotors)
+        holding = self.links(position, still, still)
+        matrices = np.empty((position.shape[1], self.model.dof, self.model.dof))
+        for joint in range(self.model.dof):
+            # Column by column: Pinocchio's crba demands joints in depth-first order, which a robot file need not have.
+            unit = still.copy()
+            unit[joint] = 1.0
+            matrices[:, :, joint] = (self.links(position, still, unit) - holding).T
+        return np.asarray(0.5 * (matrices + matrices.transpose(0, 2, 1)) + self._rotors)
 
     def _rotor_inertia(self) -> FloatArray:
         """Inertia (n, n) [kg·m²] of the motors, and of what turns with a coupled joint beside its motor."""
@@ -122,13 +122,32 @@ def _from_tree(follow: FloatArray, tree: FloatArray) -> FloatArray:
     return np.asarray(follow.T @ tree if follow.ndim == 2 else np.einsum("mnN,mN->nN", follow, tree))
 
 
-def _with_masses(model: DynamicModel, base: BaseParameters, parameters: FloatArray) -> FloatArray:
-    """Inertial standard parameters (10·links,) with the dynamics of these base parameters and masses that are not 0."""
+def _with_masses(
+    model: DynamicModel, base: BaseParameters, parameters: FloatArray
+) -> tuple[FloatArray, dict[int, float]]:
+    """Inertial standard parameters (10·links,) with these dynamics but for extra point masses, link → [kg]."""
     standard = np.zeros(base.projection.shape[1])
-    masses = range(9, 10 * len(model.joints), 10)
-    standard[[mass for mass in masses if mass not in base.columns]] = PLACEHOLDER_MASS
+    masses = {10 * link + INERTIAL.index("M"): link for link in range(len(model.joints))}
+    # The mass on a vertical slide may be regrouped on its motor inertia and offset: those are no link's.
+    of_joints = [row for row, kind in enumerate(base.kinds) if kind != "inertial"]
+    apart = [mass for mass in masses if mass not in base.columns and not np.any(base.projection[of_joints, mass])]
+    standard[apart] = PLACEHOLDER_MASS
     standard[list(base.columns)] = parameters - base.projection @ standard
-    for mass in masses:
-        if abs(standard[mass]) < LEAST_MASS:
-            standard[mass] = LEAST_MASS
-    return standard[: 10 * len(model.joints)]
+    extra = {}
+    for mass, link in masses.items():
+        if standard[mass] < LEAST_MASS:
+            extra[link] = PLACEHOLDER_MASS - float(standard[mass])
+            standard[mass] = PLACEHOLDER_MASS
+    return standard[: 10 * len(model.joints)], extra
+
+
+def _point_masses(model: DynamicModel, masses: dict[int, float]) -> Any:
+    """An arm of point masses at the origins of these links' frames; None where there are none."""
+    import pinocchio as pin
+
+    if not masses:
+        return None
+    arm = pinocchio_model(model)
+    for link, mass in masses.items():
+        arm.inertias[link + 1] = pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))
+    return arm

@@ -6,6 +6,7 @@ are coupled, motor torques are R⁻ᵀ times these, R = `Model.coupling` (SR400 
 
 from __future__ import annotations
 
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import Literal, get_args
@@ -272,18 +273,13 @@ class Model:
             ResultFileError: the result holds no covariance.
         """
         motion, single = samples(self.joint_names, q=q, dq=dq, ddq=ddq)
-        active, covariance = self._covariance()
-        known = np.isfinite(np.diag(covariance))
-        powers, axes = np.linalg.eigh(covariance[np.ix_(known, known)])
-        root = axes * np.sqrt(np.clip(powers, 0.0, None))
-        sure, unsure = np.array(active)[known], np.array(active)[~known]
+        sure, root, unsure = self._deviations
         deviations = np.empty_like(motion[0])
         for start in range(0, deviations.shape[1], CHUNK):
             part = slice(start, start + CHUNK)
             columns = self._columns(*(signal[:, part] for signal in motion))
             self._require(columns)
-            spread = np.einsum("nbN,bk->nNk", columns[:, sure], root, optimize=True)
-            deviations[:, part] = np.sqrt(np.einsum("nNk,nNk->nN", spread, spread))
+            deviations[:, part] = np.linalg.norm(np.swapaxes(columns[:, sure], 1, 2) @ root, axis=-1)
             if len(unsure):
                 acting = np.any(np.abs(columns[:, unsure]) > ROUNDING, axis=1)
                 deviations[:, part] = np.where(acting, np.inf, deviations[:, part])
@@ -348,6 +344,15 @@ class Model:
                 hint="record a longer or stronger motion, or leave out motor inertia where the torque sensors sit "
                 "behind the gears",
             )
+
+    @cached_property
+    def _deviations(self) -> tuple[list[int], FloatArray, list[int]]:
+        """Parameters of known variance, a root (a, a) of their covariance, and parameters of unknown variance."""
+        active, covariance = self._covariance()
+        known = np.isfinite(np.diag(covariance))
+        powers, axes = np.linalg.eigh(covariance[np.ix_(known, known)])
+        sure = [number for number, there in zip(active, known, strict=True) if there]
+        return sure, axes * np.sqrt(np.clip(powers, 0.0, None)), [number for number in active if number not in sure]
 
     def _covariance(self) -> tuple[tuple[int, ...], FloatArray]:
         """Base parameters that were estimated, and their covariance."""
