@@ -26,8 +26,8 @@ from daq.player import ticks
 from daq.recording import read_recording
 from daq.recover import follow_recording, recover
 from daq.trajectory_file import load_trajectory
-from dynid import command
 from drivers.errors import RecordingError
+from dynid import command
 
 TRAJECTORY = {
     "robot": "two-links",

@@ -14,10 +14,10 @@ from kinematic_arm import KinematicArm
 
 from daq import session
 from daq.robot import load_robot, parse_robot
-from dynid import command
 from drivers.base import DRIVERS_GROUP, Notice
 from drivers.errors import ConnectionFailedError, RobotFileError, UsageError
 from drivers.streams import ChannelLayout, StreamLayout
+from dynid import command
 from ident.checks import connection_check, robot_check
 from ident.checks.connection_check import FIRST_SAMPLE_LIMIT, LISTEN, check_connections
 from ident.checks.robot_check import bus_budgets, check_robot

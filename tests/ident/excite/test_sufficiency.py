@@ -12,8 +12,8 @@ import pytest
 
 from daq.recording import JOINTS_STREAM, Recording, write_recording
 from daq.robot import RobotFile, parse_robot
-from dynid import command
 from drivers.errors import UsageError
+from dynid import command
 from ident.assessment.recorded_motion import recorded_motion
 from ident.excite.sufficiency import OWN_TORQUE, Sufficiency, check_wanted_rsd, motion_sufficiency, times_needed
 from ident.model.dynamics import build_model

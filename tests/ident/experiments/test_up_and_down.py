@@ -19,8 +19,8 @@ from daq.recording_writer import write_recording
 from daq.robot import RobotFile, load_robot, parse_robot
 from daq.trajectories import PointToPoint
 from daq.trajectory_file import parse_trajectory
-from dynid import command
 from drivers.errors import DataError, IdentificationError
+from dynid import command
 from ident.experiments.drive_gains import identify_gains
 from ident.experiments.payload_summary import drives_text, slow_gains_object
 from ident.experiments.slow_passes import BINS, passes_of, sweeps_of
