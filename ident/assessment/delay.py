@@ -18,7 +18,8 @@ from ident.regression.comparison import compare_torques
 from ident.regression.least_squares import excited_columns, ordinary_least_squares
 from ident.regression.observation_matrix import Reduction, only_torques, reduce_segments
 from ident.signals.filters import ZeroPhaseFilter
-from ident.signals.pipeline import Segment, shift_torque
+from ident.signals.prepared import Segment
+from ident.signals.resampling import shift_torque
 
 WORTHWHILE_GAIN = 0.01
 """A delay is used only if it lowers the residual's norm by at least this share."""

@@ -13,7 +13,7 @@ from ident.model.base_parameters import BaseParameters
 from ident.model.joint_columns import combined
 from ident.regression.least_squares import excited_columns
 from ident.regression.observation_matrix import Reduction
-from ident.signals.pipeline import Prepared
+from ident.signals.prepared import Prepared
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,7 @@ def excited_base_columns(reduction: Reduction, base: BaseParameters, parts: Sequ
 
     def moves(column: int) -> bool:
         return any(
-            bool(
-                np.any(np.abs(combined(base.motions[column], segment.velocity)) >= (part.choices.rest_velocity or 0.0))
-            )
+            bool(np.any(np.abs(combined(base.motions[column], segment.velocity)) >= part.rest_velocity))
             for part in parts
             for segment in part.segments
         )

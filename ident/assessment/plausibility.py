@@ -14,7 +14,7 @@ from ident.model.regressor import RegressorKernel, regressor
 from ident.regression.least_squares import LeastSquares, excited_columns, ordinary_least_squares
 from ident.regression.observation_matrix import Reduction, only_torques, reduce_segments, stack_reductions
 from ident.signals.filters import ZeroPhaseFilter
-from ident.signals.pipeline import Segment
+from ident.signals.prepared import Segment
 
 POSES = 200
 CLEARLY_SMALLER = 0.99

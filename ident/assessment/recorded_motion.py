@@ -14,8 +14,10 @@ from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamics import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel
 from ident.regression.observation_matrix import Reduction, reduce_segments
-from ident.signals.joint_signals import JointPositions, MeasuredMotion, joint_positions, measured_motion
-from ident.signals.pipeline import Prepared, PreprocessChoices, prepare
+from ident.signals.joint_signals import JointPositions, JointSignals, joint_positions, read_joint_signals
+from ident.signals.options import PreprocessChoices
+from ident.signals.pipeline import prepare
+from ident.signals.prepared import Prepared
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class RecordedMotion:
     base: BaseParameters
     kernel: RegressorKernel
     positions: JointPositions
-    measured: MeasuredMotion | None
+    measured: JointSignals | None
     prepared: Prepared
 
     @cached_property
@@ -55,8 +57,7 @@ def recorded_motion(recording: Recording, robot_file: RobotFile) -> RecordedMoti
     try:
         positions = joint_positions(recording, robot_file.robot)
         measured = _measured(recording, robot_file)
-        torque = np.zeros_like(positions.position) if measured is None else measured.torque
-        prepared = prepare(positions.time, positions.position, torque, PreprocessChoices())
+        prepared = prepare(_without_torque(positions) if measured is None else measured, PreprocessChoices())
         model = build_model(robot_file)
     except (DataError, UsageError, RobotFileError):
         return None
@@ -65,8 +66,15 @@ def recorded_motion(recording: Recording, robot_file: RobotFile) -> RecordedMoti
     return RecordedMotion(robot_file, model, base, kernel, positions, measured, prepared)
 
 
-def _measured(recording: Recording, robot_file: RobotFile) -> MeasuredMotion | None:
+def _without_torque(positions: JointPositions) -> JointSignals:
+    torque = np.zeros_like(positions.position)
+    return JointSignals(
+        positions.label, positions.joint_names, positions.time, positions.position, torque, "no torque recorded"
+    )
+
+
+def _measured(recording: Recording, robot_file: RobotFile) -> JointSignals | None:
     try:
-        return measured_motion(recording, robot_file.robot)
+        return read_joint_signals(recording, robot_file.robot)
     except DynidError:  # no torque, or no gain that makes one of the motors' signals
         return None

@@ -22,7 +22,7 @@ from ident.regression.jackknife import BlockSum, CorrectedCovariance, FilteredRu
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observation_matrix import JointFactor, Reduction
 from ident.signals.filters import ZeroPhaseFilter
-from ident.signals.pipeline import Prepared, Segment
+from ident.signals.prepared import Prepared, Segment
 from ident.signals.repetition import motion_phases
 
 

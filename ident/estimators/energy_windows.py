@@ -27,7 +27,7 @@ from ident.estimators.energy_equations import EnergyRows
 from ident.model.dynamics import DynamicModel
 from ident.model.energy import CHUNK, EnergyKernel, motor_velocity
 from ident.signals.filters import StreamedFilter, ZeroPhaseFilter
-from ident.signals.pipeline import Segment
+from ident.signals.prepared import Segment
 
 HALF_POWER = 0.443
 """Frequency times duration at which a moving average passes half the power."""

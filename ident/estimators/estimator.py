@@ -36,7 +36,7 @@ from ident.regression.least_squares import (
     weighted_least_squares,
 )
 from ident.regression.observation_matrix import Reduction, reduce_segments, stack_reductions
-from ident.signals.pipeline import Prepared, Step
+from ident.signals.prepared import Prepared, Step
 
 
 class Estimator(Protocol):
@@ -141,13 +141,8 @@ def estimator_of(
                 f"windows of {window:g} s do not fit into the data, whose longest motion lasts {longest:.3g} s",
                 where="energy_window",
             )
-    duration = mean_duration(energy, segments, _cutoff(parts[0])) if window is None else window
+    duration = mean_duration(energy, segments, parts[0].cutoffs.torque) if window is None else window
     return EnergyEstimator(EnergyWindows(energy, exchange_for(kernel.model, segments, duration)), method)
-
-
-def _cutoff(prepared: Prepared) -> float:
-    """The parallel filter's cut-off [Hz]."""
-    return float({step.name: step.settings for step in prepared.steps}["parallel filter"]["torque_cutoff_hz"])
 
 
 def estimable(method: Method, model: DynamicModel, base: BaseParameters) -> tuple[int, ...]:

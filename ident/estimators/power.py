@@ -18,7 +18,8 @@ from ident.estimators.energy_equations import EnergyRows
 from ident.estimators.energy_windows import motor_power
 from ident.model.energy import CHUNK, EnergyKernel
 from ident.signals.filters import StreamedFilter, ZeroPhaseFilter
-from ident.signals.pipeline import Segment, central_difference
+from ident.signals.prepared import Segment
+from ident.signals.segments import central_difference
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,9 @@ from ident.regression.comparison import compare_torques
 from ident.regression.jackknife import FilteredRun, block_jackknife
 from ident.regression.least_squares import weighted_least_squares
 from ident.regression.pruning import SIGNIFICANT_RSD
-from ident.signals.joint_signals import MeasuredMotion
-from ident.signals.pipeline import PreprocessChoices, prepare
+from ident.signals.joint_signals import JointSignals
+from ident.signals.options import PreprocessChoices
+from ident.signals.pipeline import prepare
 
 OWN_TORQUE = "a quick identification of this recording"
 """Source of parameters and noise where the recording holds torque."""
@@ -93,9 +94,8 @@ def motion_sufficiency(motion: RecordedMotion, delay: float = 0.0) -> Sufficienc
     return _summary(motion, prior)
 
 
-def _shifted(motion: RecordedMotion, measured: MeasuredMotion, delay: float) -> RecordedMotion:
-    choices = PreprocessChoices(delay=delay)
-    return replace(motion, prepared=prepare(measured.time, measured.position, measured.torque, choices))
+def _shifted(motion: RecordedMotion, measured: JointSignals, delay: float) -> RecordedMotion:
+    return replace(motion, prepared=prepare(measured, PreprocessChoices(delay=delay)))
 
 
 def _summary(motion: RecordedMotion, prior: Prior, repetitions: float = 1.0) -> Sufficiency:

@@ -239,7 +239,7 @@ def _alone_share(pair: RunPair) -> float:
     alone, samples = 0, 0
     for run in pair.runs:
         for segment in run.prepared.segments:
-            moving = np.abs(segment.velocity[:, segment.used]) >= (run.prepared.choices.rest_velocity or 0.0)
+            moving = np.abs(segment.velocity[:, segment.used]) >= run.prepared.rest_velocity
             alone += int((moving.sum(axis=0) == 1).sum())
             samples += moving.shape[1]
     return alone / samples

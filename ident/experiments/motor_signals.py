@@ -7,7 +7,7 @@ from daq.robot import Robot
 from drivers.errors import DataError
 from drivers.streams import FloatArray
 from ident.experiments.run_pair import Motion
-from ident.signals.joint_signals import MeasuredMotion, measured_motion
+from ident.signals.joint_signals import JointSignals, read_joint_signals
 
 
 def signal_of(robot: Robot) -> str:
@@ -39,7 +39,7 @@ def torques_by(gains: FloatArray) -> Motion:
     The returned function raises DataError where the recording has no such signal.
     """
 
-    def motion(recording: Recording, robot: Robot) -> MeasuredMotion:
+    def motion(recording: Recording, robot: Robot) -> JointSignals:
         signal = signal_of(robot)
         stream = recording.streams.get(JOINTS_STREAM)
         if stream is not None and signal not in stream.channels:
@@ -53,6 +53,6 @@ def torques_by(gains: FloatArray) -> Motion:
             robot.drive(name).model_copy(update={"gain": float(gain)})
             for name, gain in zip(robot.joint_names, gains, strict=True)
         )
-        return measured_motion(recording, robot.model_copy(update={"drives": drives}))
+        return read_joint_signals(recording, robot.model_copy(update={"drives": drives}))
 
     return motion

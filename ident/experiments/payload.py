@@ -35,7 +35,7 @@ from ident.experiments.load_estimate import (
 from ident.experiments.run_pair import FREE, LOADED, RunPair, prepare_pair, resting_warnings
 from ident.model.load import INDEPENDENT, MASS, KnownLoad, load_effect
 from ident.regression.hypothesis_tests import ChanceTest, chi_square_test
-from ident.signals.joint_signals import measured_motion
+from ident.signals.joint_signals import read_joint_signals
 
 NEGLIGIBLE = 0.002
 """A mass within this share of the known one is as good as it, however little noise there is."""
@@ -128,7 +128,7 @@ def identify_payload(
         DataError: different arms, no torque, no load column that the motions could show.
         IdentificationError: the system has no solution.
     """
-    pair = prepare_pair(free, loaded, measured_motion, robot_file, delay)
+    pair = prepare_pair(free, loaded, read_joint_signals, robot_file, delay)
     effect = load_effect(pair.model, pair.base, pair.robot_file.robot)
     separate, grams = identify_separately(pair)
     estimate = estimate_load(pair, grams, effect, separate.weights, None)

@@ -15,7 +15,7 @@ import numpy as np
 
 from daq.recording import Recording
 from daq.robot import Robot, RobotFile
-from drivers.errors import DataError, DynidError, UsageError
+from drivers.errors import DataError, UsageError
 from drivers.streams import FloatArray
 from ident.assessment.delay import search_delay
 from ident.assessment.excitation import excited_base_columns
@@ -27,14 +27,16 @@ from ident.regression.comparison import TorqueSeries, compare_torques
 from ident.regression.jackknife import block_length
 from ident.regression.observation_matrix import Reduction, filtered_blocks, reduce_segments, stack_reductions
 from ident.regression.velocity_reversals import without_reversals
-from ident.signals.joint_signals import MeasuredMotion
-from ident.signals.pipeline import Prepared, PreprocessChoices, prepare
+from ident.signals.joint_signals import JointSignals
+from ident.signals.options import PreprocessChoices
+from ident.signals.pipeline import prepare
+from ident.signals.prepared import Prepared
 from ident.signals.repetition import motion_phases
 
 FREE, LOADED = 0, 1
 """Numbers of the two runs, in every list of two."""
 
-Motion = Callable[[Recording, Robot], MeasuredMotion]
+Motion = Callable[[Recording, Robot], JointSignals]
 """What is taken from a recording: positions, and torques or motor signals."""
 
 
@@ -138,14 +140,14 @@ def prepare_pair(
     model = build_model(robot_file)
     base = base_parameters(model)
     kernel = RegressorKernel(model, base.columns)
-    first = _prepare(motions[FREE], PreprocessChoices(delay=delay or 0.0))
+    first = prepare(motions[FREE], PreprocessChoices(delay=delay or 0.0))
     choices, note = first.choices, "as given, not searched"
     if delay is None:
         found = search_delay(kernel, without_reversals(kernel, first.segments), first.parallel_filter)
         choices, note = replace(choices, delay=found.used), found.note
     runs = []
     for motion in motions:
-        prepared = _prepare(motion, choices)
+        prepared = prepare(motion, choices)
         reduction = reduce_segments(kernel, prepared.segments, prepared.parallel_filter)
         runs.append(Run(motion.label, prepared, reduction))
     pair = (runs[FREE], runs[LOADED])
@@ -159,23 +161,18 @@ def resting_warnings(pair: RunPair) -> list[str]:
     """A sentence for each run in which joints rest throughout: static friction may hold any part of their load."""
     warnings = []
     for run in pair.runs:
-        limit = run.prepared.choices.rest_velocity or 0.0
         speed = np.max([np.max(np.abs(segment.velocity), axis=1) for segment in run.prepared.segments], axis=0)
-        resting = [name for name, value in zip(pair.model.joint_names, speed, strict=True) if value < limit]
+        resting = [
+            name
+            for name, value in zip(pair.model.joint_names, speed, strict=True)
+            if value < run.prepared.rest_velocity
+        ]
         if resting:
             warnings.append(
                 f"{', '.join(resting)} rest{'s' if len(resting) == 1 else ''} throughout {run.label}: static friction "
                 "may hold part of what their motors seem to bear; move all joints in both runs"
             )
     return warnings
-
-
-def _prepare(motion: MeasuredMotion, choices: PreprocessChoices) -> Prepared:
-    try:
-        return prepare(motion.time, motion.position, motion.torque, choices, velocity=motion.velocity)
-    except DynidError as error:
-        where = f"{motion.label}: {error.where}" if error.where else motion.label
-        raise type(error)(error.message, where=where, hint=error.hint) from error
 
 
 def block_grams(

@@ -24,7 +24,7 @@ from drivers.streams import FloatArray
 from ident.experiments.drive_gains import LEAST_GAP
 from ident.experiments.motor_signals import signal_of, torques_by
 from ident.experiments.run_pair import check_same_robot
-from ident.experiments.slow_passes import Pass, Sweep, passes_of, sweeps_of
+from ident.experiments.slow_passes import Sweep, passes_of, sweeps_of
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.linear_algebra.triangular import triangular
 from ident.model.base_parameters import base_parameters
@@ -36,7 +36,9 @@ from ident.regression.autocorrelation import lag_one
 from ident.regression.jackknife import block_length
 from ident.regression.pruning import SIGNIFICANT_RSD
 from ident.regression.total_least_squares import NullVector, null_vector, null_vector_of_gram, signal_noise
-from ident.signals.pipeline import Prepared, PreprocessChoices, prepare
+from ident.signals.options import PreprocessChoices
+from ident.signals.pipeline import prepare
+from ident.signals.prepared import Prepared
 
 LEAST_SIGNAL = 10.0
 """What the load adds to a joint's signal, as a vector over its bins, must be this many deviations of one bin long: a
@@ -169,7 +171,7 @@ def identify_slow_gains(
     robot = robot_file.robot
     model = build_model(robot_file)
     prepared = [_prepared(recording, robot, delay or 0.0) for recording in (free, loaded)]
-    passes = [_passes(part) for part in prepared]
+    passes = [passes_of(run.segments, run.rest_velocity) for run in prepared]
     sweeps = sweeps_of(*passes)
     if not sweeps:
         raise DataError(
@@ -197,14 +199,8 @@ def identify_slow_gains(
 
 
 def _prepared(recording: Recording, robot: Robot, delay: float) -> Prepared:
-    motion = torques_by(np.ones(len(robot.joint_names)))(recording, robot)
-    return prepare(
-        motion.time, motion.position, motion.torque, PreprocessChoices(delay=delay), velocity=motion.velocity
-    )
-
-
-def _passes(part: Prepared) -> list[Pass]:
-    return passes_of(part.segments, part.choices.rest_velocity or 0.0)
+    signals = torques_by(np.ones(len(robot.joint_names)))(recording, robot)
+    return prepare(signals, PreprocessChoices(delay=delay))
 
 
 def _joint_rows(model: DynamicModel, robot: Robot, sweeps: Sequence[Sweep]) -> list[_JointRows]:

@@ -20,7 +20,7 @@ from ident.estimators.estimator import estimable, estimator_of, fits_energy_bett
 from ident.identify.identification import Identification
 from ident.model.regressor import RegressorKernel
 from ident.regression.least_squares import ENERGY_METHODS, ordinary_least_squares
-from ident.regression.observability import experiment_states, turning_motors, whole_arm
+from ident.regression.observability import experiment_states, moving_motors, whole_arm
 from ident.regression.observation_matrix import only_torques
 from ident.regression.pruning import relative_std
 from ident.regression.velocity_reversals import ADVISED_SHARE, leave_out_reversals
@@ -109,7 +109,7 @@ def _experiment_warnings(found: Identification) -> list[str]:
             f"{'this joint' if len(unsaid) == 1 else 'these joints'} fixed, and hold for no other position of "
             f"{'it' if len(unsaid) == 1 else 'them'}; name what is locked on purpose with --locked"
         )
-    turning = turning_motors(found.model, experiment.locked)
+    turning = moving_motors(found.model, experiment.locked)
     held = [names[motor] for motor in experiment.torques if motor not in turning]
     if held:
         warnings.append(

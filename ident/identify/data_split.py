@@ -12,13 +12,13 @@ from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.assessment.validation import HELD_OUT_SHARE
 from ident.identify.played_motion import played_window
-from ident.signals.joint_signals import MeasuredMotion, measured_motion
-from ident.signals.pipeline import PreprocessChoices
+from ident.signals.joint_signals import JointSignals, read_joint_signals
+from ident.signals.options import PreprocessChoices
 
 Window = dict[str, float | None]
 """`start` and `stop` of a part, from its recording's first stamp [s]."""
 
-Part = tuple[MeasuredMotion, Window]
+Part = tuple[JointSignals, Window]
 """A recording's signals, and which part of them counts."""
 
 
@@ -43,16 +43,16 @@ def split_data(
 
     Raises:
         UsageError: a window or a border without data.
-        DataError: as `measured_motion`.
+        DataError: as `read_joint_signals`.
     """
-    motions = [measured_motion(recording, robot) for recording in recordings]
+    motions = [read_joint_signals(recording, robot) for recording in recordings]
     windows = [_window(recording, motion, chosen) for recording, motion in zip(recordings, motions, strict=True)]
     if validation:
         if split is not None:
             raise UsageError(
                 "--split and --validate exclude each other", hint="name the held-out recording, or split one"
             )
-        held = [measured_motion(recording, robot) for recording in validation]
+        held = [read_joint_signals(recording, robot) for recording in validation]
         names = ", ".join(motion.label for motion in held)
         held_windows = [
             _window(recording, motion, PreprocessChoices()) for recording, motion in zip(validation, held, strict=True)
@@ -82,7 +82,7 @@ def split_data(
     return parts, held_out, source
 
 
-def _window(recording: Recording, motion: MeasuredMotion, chosen: PreprocessChoices) -> Window:
+def _window(recording: Recording, motion: JointSignals, chosen: PreprocessChoices) -> Window:
     """As the user says, else the played motion where joints that are locked move on their way to it."""
     start, stop = chosen.start, chosen.stop
     if start is None and stop is None:

@@ -22,8 +22,9 @@ from ident.regression.observability import Experiment, ExperimentChoices
 from ident.regression.observation_matrix import Reduction
 from ident.regression.pruning import SIGNIFICANT_RSD, Pruned
 from ident.regression.velocity_reversals import check_share
-from ident.signals.joint_signals import MeasuredMotion
-from ident.signals.pipeline import Prepared, PreprocessChoices
+from ident.signals.joint_signals import JointSignals
+from ident.signals.options import PreprocessChoices
+from ident.signals.prepared import Prepared
 
 FrictionModel = Literal["none", "viscous", "coulomb", "coulomb-viscous"]
 
@@ -95,7 +96,7 @@ class IdentifyChoices:
 class PreparedRun:
     """A recording, or a part of one, ready for the estimator."""
 
-    motion: MeasuredMotion
+    motion: JointSignals
     choices: PreprocessChoices
     prepared: Prepared
 

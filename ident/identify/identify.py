@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.recording import Recording
 from daq.robot import RobotFile
-from drivers.errors import DataError, UsageError
+from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.assessment.delay import search_delay
 from ident.assessment.excitation import excited_base_columns
@@ -32,8 +32,8 @@ from ident.regression.observability import (
 from ident.regression.observation_matrix import only_torques
 from ident.regression.pruning import prune
 from ident.regression.velocity_reversals import leave_out_reversals, without_reversals
-from ident.signals.joint_signals import MeasuredMotion
-from ident.signals.pipeline import PreprocessChoices, prepare
+from ident.signals.options import PreprocessChoices
+from ident.signals.pipeline import prepare
 
 Progress = Callable[[str], None]
 """Told what is done next, in words."""
@@ -173,18 +173,10 @@ def apply_model_choices(model: DynamicModel, choices: ModelChoices) -> DynamicMo
     return model
 
 
-def _prepare(motion: MeasuredMotion, choices: PreprocessChoices) -> PreparedRun:
-    try:
-        prepared = prepare(motion.time, motion.position, motion.torque, choices, velocity=motion.velocity)
-    except (DataError, UsageError) as error:
-        where = f"{motion.label}: {error.where}" if error.where else motion.label
-        raise type(error)(error.message, where=where, hint=error.hint) from error
-    return PreparedRun(motion, choices, prepared)
-
-
 def _prepare_window(part: Part, resolved: PreprocessChoices) -> PreparedRun:
     motion, window = part
-    return _prepare(motion, replace(resolved, start=window.get("start"), stop=window.get("stop")))
+    choices = replace(resolved, start=window.get("start"), stop=window.get("stop"))
+    return PreparedRun(motion, choices, prepare(motion, choices))
 
 
 def _compare(

@@ -15,8 +15,9 @@ from ident.regression.comparison import TorqueSeries, compare_torques, only_pred
 from ident.regression.observability import predictable_torques
 from ident.result.load import stored_model
 from ident.result.schema import Result
-from ident.signals.joint_signals import measured_motion
-from ident.signals.pipeline import PreprocessChoices, prepare
+from ident.signals.joint_signals import read_joint_signals
+from ident.signals.options import PreprocessChoices
+from ident.signals.pipeline import prepare
 
 
 @dataclass(frozen=True)
@@ -40,16 +41,10 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
     stored = {parameter.name: parameter for parameter in result.base_parameters}
     full = np.array([stored[name].value or 0.0 for name in base.names])
     essential = np.array([stored[name].essential_value or 0.0 for name in base.names])
-    motion = measured_motion(recording, stored_parts.robot_file.robot)
+    motion = read_joint_signals(recording, stored_parts.robot_file.robot)
     start, stop = played_window(recording, motion.position)
     choices = replace(_stored_choices(result), start=start, stop=stop)
-    prepared = prepare(
-        motion.time,
-        motion.position,
-        motion.torque,
-        choices,
-        velocity=motion.velocity,
-    )
+    prepared = prepare(motion, choices)
     seconds = motion.time - motion.time[0]
     inside = (seconds >= (start or 0.0)) & (seconds <= (np.inf if stop is None else stop))
     torques = predictable_torques(model, stored_parts.experiments, motion.label, motion.position[inside])

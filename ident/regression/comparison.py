@@ -12,7 +12,7 @@ from drivers.streams import FloatArray
 from ident.model.dynamics import DynamicModel
 from ident.model.regressor import model_torque
 from ident.signals.filters import ZeroPhaseFilter
-from ident.signals.pipeline import Segment
+from ident.signals.prepared import Segment
 
 
 @dataclass(frozen=True)

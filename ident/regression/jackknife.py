@@ -29,7 +29,7 @@ from ident.regression.comparison import TorqueSeries
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observation_matrix import filtered_blocks
 from ident.signals.filters import ZeroPhaseFilter
-from ident.signals.pipeline import Segment
+from ident.signals.prepared import Segment
 from ident.signals.repetition import motion_phases
 
 FEWEST_BLOCKS = 30

@@ -111,7 +111,7 @@ def find_experiment(
         if not any(np.allclose(pose, other, rtol=0.0, atol=SAME_POSE) for other in poses):
             poses.append(pose)
     torques = joint_numbers(model, choices.torques_of, "--torques-of")
-    return Experiment(locked, tuple(poses), tuple(sorted(torques)) or turning_motors(model, locked))
+    return Experiment(locked, tuple(poses), tuple(sorted(torques)) or moving_motors(model, locked))
 
 
 def joint_numbers(model: DynamicModel, names: Sequence[str], option: str) -> tuple[int, ...]:
@@ -128,7 +128,7 @@ def joint_numbers(model: DynamicModel, names: Sequence[str], option: str) -> tup
     return tuple(dict.fromkeys(model.joint_names.index(name) for name in names))
 
 
-def turning_motors(model: DynamicModel, locked: Sequence[int]) -> tuple[int, ...]:
+def moving_motors(model: DynamicModel, locked: Sequence[int]) -> tuple[int, ...]:
     """Numbers of the motors that turn when every joint but the locked ones moves."""
     free = [joint for joint in range(model.dof) if joint not in locked]
     if model.transmission is None:

@@ -27,7 +27,7 @@ from ident.linear_algebra.triangular import (
 )
 from ident.model.regressor import RegressorKernel, evaluate_in_chunks, motion_factor
 from ident.signals.filters import StreamedFilter, ZeroPhaseFilter
-from ident.signals.pipeline import Segment
+from ident.signals.prepared import Segment
 
 CONDITION_SAMPLES = 1000
 """Samples, spread over the data, from which condition and preconditioner come before the first pass."""
@@ -131,17 +131,17 @@ class Block:
         regressor: (kernel.row_count, m) packed rows; samples at rest are there, see `used`. 0 for motors that turn.
         torque: as `torques`, filtered; 0 for motors that turn.
         used: (m,) whether the sample takes part.
-        turning: (n, m) motors that turn round there, whose equation takes no part; None where all do.
+        reversing: (n, m) motors that turn round there, whose equation takes no part; None where all do.
     """
 
     regressor: FloatArray
     torque: FloatArray
     used: npt.NDArray[np.bool_]
-    turning: npt.NDArray[np.bool_] | None
+    reversing: npt.NDArray[np.bool_] | None
 
     def counts(self, motor: int) -> npt.NDArray[np.bool_]:
         """(m,) whether a motor's equation takes part."""
-        return self.used if self.turning is None else self.used & ~self.turning[motor]
+        return self.used if self.reversing is None else self.used & ~self.reversing[motor]
 
 
 def filtered_blocks(
@@ -160,16 +160,16 @@ def filtered_blocks(
     """
     rows = kernel.row_count
     every = slice(None, None, parallel_filter.factor)
-    used, turning = segment.used[every], None if segment.turning is None else segment.turning[:, every]
+    used, reversing = segment.used[every], None if segment.reversing is None else segment.reversing[:, every]
 
     def block(regressor: FloatArray, torque: FloatArray, part: slice) -> Block:
-        if turning is None:
+        if reversing is None:
             return Block(regressor, torque, used[part], None)
         regressor, torque = regressor.copy(), torque.copy()
-        for motor, turns in enumerate(turning[:, part]):
+        for motor, turns in enumerate(reversing[:, part]):
             regressor[kernel.joint_rows[motor].rows, turns] = 0.0
             torque[motor :: kernel.model.dof, turns] = 0.0
-        return Block(regressor, torque, used[part], turning[:, part])
+        return Block(regressor, torque, used[part], reversing[:, part])
 
     chunks = evaluate_in_chunks(kernel, segment.position, segment.velocity, segment.acceleration)
     if parallel_filter.factor == 1 and len(parallel_filter.sos) == 0:

@@ -18,7 +18,7 @@ from ident.model.regressor import RegressorKernel
 from ident.signals.prepared import Prepared, Segment, Step
 
 ADVISED_SHARE = 0.2
-"""Of a velocity's root mean square: what is slower is turning round (docs/excitation.md has the figures)."""
+"""Of a velocity's root mean square: what is slower is reversing round (docs/excitation.md has the figures)."""
 
 
 def without_reversals(
@@ -29,7 +29,7 @@ def without_reversals(
     The search of a delay takes these: a joint that stands still while it turns round gives its torque back late, which
     looks like a delay of many milliseconds.
     """
-    return tuple(replace(part, turning=turning(kernel, part, share)) for part in segments)
+    return tuple(replace(part, reversing=reversal_mask(kernel, part, share)) for part in segments)
 
 
 def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: float) -> Prepared:
@@ -38,7 +38,7 @@ def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: floa
     Args:
         kernel: says which motors have Coulomb friction, and of which motion.
         prepared: data.
-        share: slower than this share of its root mean square is turning round; 0 leaves out nothing.
+        share: slower than this share of its root mean square is reversing round; 0 leaves out nothing.
 
     Raises:
         UsageError: the share is not within [0, 1).
@@ -48,7 +48,7 @@ def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: floa
         return prepared
     segments = without_reversals(kernel, prepared.segments, share)
     counted = sum(int(part.used.sum()) for part in segments) * kernel.model.dof
-    left_out = sum(int((part.turning & part.used).sum()) for part in segments if part.turning is not None)
+    left_out = sum(int((part.reversing & part.used).sum()) for part in segments if part.reversing is not None)
     step = Step(
         "reversals",
         {"share": share, "left_out": left_out / max(1, counted)},
@@ -68,7 +68,7 @@ def check_share(share: float) -> None:
         raise UsageError(f"{share:g} is no share of a velocity", where="--leave-out-reversals", hint="give 0 to 0.9")
 
 
-def turning(kernel: RegressorKernel, segment: Segment, share: float) -> npt.NDArray[np.bool_]:
+def reversal_mask(kernel: RegressorKernel, segment: Segment, share: float) -> npt.NDArray[np.bool_]:
     """(n, N) motors that turn round: a velocity whose sign is in their equation is below `share` of its rms."""
     found = np.zeros((kernel.model.dof, segment.velocity.shape[1]), dtype=np.bool_)
     for row in kernel.joint_parameter_rows:

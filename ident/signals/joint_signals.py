@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,36 +15,68 @@ from drivers.streams import FloatArray
 from ident.signals.finite import check_finite
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class JointPositions:
-    """Stamps (N,) [s] and positions (N, n) [rad or m] of the joints."""
-
-    time: FloatArray
-    position: FloatArray
-
-
-@dataclass(frozen=True)
-class MeasuredMotion:
-    """One recording's joint signals as recorded; N samples, n joints.
+    """One recording's joint positions as recorded; N samples, n joints in the robot's order.
 
     Attributes:
-        label: what messages call the recording.
+        label: what messages call the recording; may be empty.
+        joint_names: (n,).
         time: (N,) the source's clock [s].
         position: (N, n) [rad or m].
-        torque: (N, n) of the motors, referred to the joint side [N·m or N].
-        velocity: (N, n) [rad/s or m/s] where it was recorded.
-        torque_source: where the torque comes from, in words.
+
+    Raises:
+        DataError: a position is not finite.
     """
 
     label: str
+    joint_names: tuple[str, ...]
+    time: FloatArray
+    position: FloatArray
+
+    def __post_init__(self) -> None:
+        _check(self.label, self.joint_names, self.time, {"position": self.position})
+
+
+@dataclass(frozen=True, eq=False)
+class JointSignals:
+    """One recording's joint signals as recorded; N samples, n joints in the robot's order.
+
+    Attributes:
+        label: what messages call the recording; may be empty.
+        joint_names: (n,).
+        time: (N,) the source's clock [s].
+        position: (N, n) [rad or m].
+        torque: (N, n) of the motors, referred to the joint side [N·m or N].
+        torque_origin: where the torque comes from, in words.
+        velocity: (N, n) [rad/s or m/s]; None where it was not recorded.
+
+    Raises:
+        DataError: a value is not finite; names the first such sample and its joint.
+    """
+
+    label: str
+    joint_names: tuple[str, ...]
     time: FloatArray
     position: FloatArray
     torque: FloatArray
-    velocity: FloatArray | None
-    torque_source: str
+    torque_origin: str
+    velocity: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        optional = {} if self.velocity is None else {"velocity": self.velocity}
+        quantities = {"position": self.position, "torque": self.torque, **optional}
+        _check(self.label, self.joint_names, self.time, quantities)
 
 
-def measured_motion(recording: Recording, robot: Robot) -> MeasuredMotion:
+def _check(label: str, joint_names: Sequence[str], time: FloatArray, quantities: Mapping[str, FloatArray]) -> None:
+    for name, values in quantities.items():
+        if values.shape != (len(time), len(joint_names)):
+            raise ValueError(f"{name} of shape {values.shape}, {len(time)} stamps, {len(joint_names)} joints")
+        check_finite(name, values, joint_names, label)
+
+
+def read_joint_signals(recording: Recording, robot: Robot) -> JointSignals:
     """Positions and torques of a recording; a motor signal is turned into torque by the robot file's gains.
 
     Γ = gain · signal (SR400 .4.3 point 1; AUBO eq. 2). Where both are there, a signal with a known gain goes before a
@@ -55,19 +88,11 @@ def measured_motion(recording: Recording, robot: Robot) -> MeasuredMotion:
     """
     positions = joint_positions(recording, robot)
     stream = recording.streams[JOINTS_STREAM]
-    torque, source = _joint_torque(stream, robot, recording)
-    motion = MeasuredMotion(
-        label=recording.label,
-        time=positions.time,
-        position=positions.position,
-        torque=torque,
-        velocity=_joint_values(stream, "velocity", robot, recording),
-        torque_source=source,
+    torque, origin = _joint_torque(stream, robot, recording)
+    velocity = _joint_values(stream, "velocity", robot, recording)
+    return JointSignals(
+        recording.label, tuple(robot.joint_names), positions.time, positions.position, torque, origin, velocity
     )
-    check_finite("torque", motion.torque, robot.joint_names, motion.label)
-    if motion.velocity is not None:
-        check_finite("velocity", motion.velocity, robot.joint_names, motion.label)
-    return motion
 
 
 def joint_positions(recording: Recording, robot: Robot) -> JointPositions:
@@ -78,13 +103,12 @@ def joint_positions(recording: Recording, robot: Robot) -> JointPositions:
     """
     stream = recording.streams.get(JOINTS_STREAM)
     if stream is None:
-        found = ", ".join(recording.streams) or "none"
-        raise DataError(f"has no stream '{JOINTS_STREAM}'; streams: {found}", where=recording.label)
+        streams = ", ".join(recording.streams) or "none"
+        raise DataError(f"has no stream '{JOINTS_STREAM}'; streams: {streams}", where=recording.label)
     position = _joint_values(stream, "position", robot, recording)
     if position is None:
         raise DataError("records no position", where=f"{recording.label}: {JOINTS_STREAM}")
-    check_finite("position", position, robot.joint_names, recording.label)
-    return JointPositions(stream.time, position)
+    return JointPositions(recording.label, tuple(robot.joint_names), stream.time, position)
 
 
 def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[FloatArray, str]:
@@ -105,9 +129,9 @@ def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[F
                 hint=f"give it in a robot file (drives: - {{joint: {unknown[0]}, gain: …}}), name that with --robot",
             )
     if recorded is None:
-        found = ", ".join(sorted(stream.channels)) or "nothing"
+        quantities = ", ".join(sorted(stream.channels)) or "nothing"
         raise DataError(
-            f"records neither torque nor {signal if signal != 'torque' else 'current'}; it has {found}",
+            f"records neither torque nor {signal if signal != 'torque' else 'current'}; it has {quantities}",
             where=recording.label,
         )
     gains = np.array([drive.gain if drive.signal == "torque" and drive.gain else 1.0 for drive in drives])

@@ -10,13 +10,13 @@ import numpy.typing as npt
 
 from drivers.streams import FloatArray
 from ident.signals.filters import ZeroPhaseFilter
-from ident.signals.options import PreprocessChoices
+from ident.signals.options import Cutoffs, PreprocessChoices
 from ident.signals.resampling import Irregularity
 
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the pipeline as it was done.
+    """One step of the pipeline as it was done; for people only, nothing is computed from it.
 
     Attributes:
         name: of the step.
@@ -31,7 +31,7 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A stretch without gaps on a uniform grid.
+    """Consecutive samples without gaps on a uniform grid.
 
     Attributes:
         time: (N,) [s], in the recording's clock.
@@ -41,7 +41,8 @@ class Segment:
         torque: (n, N) joint side, shifted by the delay, not filtered but for a decimation [N·m or N].
         rate: [Hz].
         used: (N,) whether the sample counts: in a window with motion, away from the ends.
-        turning: (n, N) motors whose equation does not count there (see `velocity_reversals`); None where all do.
+        reversing: (n, N) motors near a velocity reversal, whose equations are left out (see `velocity_reversals`);
+            None where all equations are used.
     """
 
     time: FloatArray
@@ -51,7 +52,7 @@ class Segment:
     torque: FloatArray
     rate: float
     used: npt.NDArray[np.bool_]
-    turning: npt.NDArray[np.bool_] | None = None
+    reversing: npt.NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,26 +60,36 @@ class Prepared:
     """A recording, ready for the model.
 
     Attributes:
-        segments: one or more stretches at the same rate.
+        segments: one or more at the same rate.
         steps: the pipeline, in order.
         parallel_filter: to be applied to τ and to every column of W of each segment.
+        cutoffs: that were used, chosen or given.
         irregularity: of the recorded stamps.
         choices: the user's, with every number filled in that was taken from the data.
-        velocity_difference_rms: (n,) recorded velocity, filtered alike, minus the derived one; None if none was.
     """
 
     segments: tuple[Segment, ...]
     steps: tuple[Step, ...]
     parallel_filter: ZeroPhaseFilter
+    cutoffs: Cutoffs
     irregularity: Irregularity
     choices: PreprocessChoices
-    velocity_difference_rms: FloatArray | None
+
+    @property
+    def rest_velocity(self) -> float:
+        """Speed below which a joint counts as at rest [rad/s or m/s]."""
+        return self.choices.rest_velocity or 0.0
+
+    @property
+    def filtered_rate(self) -> float:
+        """Rate of the filtered torques [Hz]."""
+        return self.segments[0].rate / self.parallel_filter.factor
 
     def __str__(self) -> str:
         return describe(self)
 
 
 def describe(prepared: Prepared) -> str:
-    """The pipeline as it was done, a line a step."""
+    """The pipeline as it was done, one line per step."""
     width = max(len(step.name) for step in prepared.steps)
     return "\n".join(f"{number}. {step.name:<{width}}  {step.text}" for number, step in enumerate(prepared.steps, 1))

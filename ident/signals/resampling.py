@@ -15,7 +15,7 @@ GAP_SECONDS = 0.05
 """A hole longer than both, `GAP_PERIODS` periods and `GAP_SECONDS`, is a gap: nothing is interpolated across it."""
 
 REGULAR_WITHIN = 0.01
-"""Stamps count as regular when none is further than this part of a period from a uniform grid."""
+"""Stamps count as regular when none is further than this fraction of a period from a uniform grid."""
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,8 @@ def measure_irregularity(time: FloatArray) -> Irregularity:
     )
 
 
-def stretches_between_gaps(time: FloatArray, median_period: float) -> tuple[slice, ...]:
-    """The stretches of `time` (N,) without a gap, as slices."""
+def gap_free_segments(time: FloatArray, median_period: float) -> tuple[slice, ...]:
+    """The gap-free segments of `time` (N,), as slices."""
     gaps = np.flatnonzero(np.diff(time) > max(GAP_PERIODS * median_period, GAP_SECONDS)) + 1
     edges = [0, *gaps.tolist(), len(time)]
     return tuple(slice(start, stop) for start, stop in pairwise(edges))
@@ -127,16 +127,16 @@ def shift_torque(torque: FloatArray, rate: float, delay: float) -> FloatArray:
     Cubic through the four neighbours (Lagrange). Positive where the torque lags behind the position. Before the first
     and after the last sample the end's value is held: those columns are no measurements, see `shiftable`.
     """
-    whole, part = _whole_and_part(delay * rate)
+    whole, fraction = _whole_and_fraction(delay * rate)
     last = torque.shape[1] - 1
     columns = np.arange(last + 1) + whole
-    if part == 0:
+    if fraction == 0:
         return np.ascontiguousarray(torque[:, np.clip(columns, 0, last)])
     weights = (
-        -part * (part - 1) * (part - 2) / 6,
-        (part + 1) * (part - 1) * (part - 2) / 2,
-        -(part + 1) * part * (part - 2) / 2,
-        (part + 1) * part * (part - 1) / 6,
+        -fraction * (fraction - 1) * (fraction - 2) / 6,
+        (fraction + 1) * (fraction - 1) * (fraction - 2) / 2,
+        -(fraction + 1) * fraction * (fraction - 2) / 2,
+        (fraction + 1) * fraction * (fraction - 1) / 6,
     )
     shifted = np.zeros_like(torque)
     for offset, weight in zip((-1, 0, 1, 2), weights, strict=True):
@@ -146,14 +146,14 @@ def shift_torque(torque: FloatArray, rate: float, delay: float) -> FloatArray:
 
 def shiftable(samples: int, rate: float, delay: float) -> slice:
     """The columns of `shift_torque` of N = `samples` that come from measured samples only; may be empty."""
-    whole, part = _whole_and_part(delay * rate)
-    before, behind = (1, 2) if part else (0, 0)
+    whole, fraction = _whole_and_fraction(delay * rate)
+    before, behind = (1, 2) if fraction else (0, 0)
     start = min(max(0, before - whole), samples)
     return slice(start, max(start, min(samples, samples - behind - whole)))
 
 
-def _whole_and_part(periods: float) -> tuple[int, float]:
+def _whole_and_fraction(periods: float) -> tuple[int, float]:
     """Whole periods and the remainder in [0, 1); a remainder within rounding is none."""
     whole = int(np.floor(periods + 1e-9))
-    part = periods - whole
-    return whole, part if part > 1e-9 else 0.0
+    fraction = periods - whole
+    return whole, fraction if fraction > 1e-9 else 0.0

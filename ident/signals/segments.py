@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,21 +15,21 @@ from ident.signals.options import Cutoffs, PreprocessChoices
 from ident.signals.prepared import Segment, Step
 
 END_PERIODS = 2.0
-"""Periods of the positions' cut-off that are left out at both ends of a stretch. A low-pass cannot know how the motion
-goes on beyond them, and two derivatives make much of a wrong guess: a stretch that ends in full motion can be off by
-its whole acceleration there, and a few such samples outweigh thousands of good ones."""
+"""Periods of the positions' cut-off that are left out at both ends of a segment. A low-pass cannot know how the motion
+goes on beyond them, and two derivatives amplify a wrong guess: a segment that ends in full motion can be off by its
+whole acceleration there, and a few such samples outweigh thousands of good ones."""
 
 FILTERED_END_PERIODS = 1.0
 """Periods of the parallel filter's cut-off at both ends that do not count. τ and W pass them alike, but an odd
 extension pins the filter to the end's raw sample: its noise comes through unfiltered, many times that of the others."""
 
 SHORTEST_SEGMENT = 16
-"""Samples; a shorter stretch between two gaps holds nothing worth differentiating."""
+"""Samples; a shorter segment between two gaps is not worth differentiating."""
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
-    """Signals on a uniform grid on their way through the steps; shapes as in `Segment`."""
+class UniformSegment:
+    """Gap-free signals on a uniform grid, not yet differentiated; shapes as in `Segment`."""
 
     time: FloatArray
     position: FloatArray
@@ -45,10 +46,18 @@ def central_difference(rows: FloatArray, rate: float) -> FloatArray:
     return np.asarray(np.gradient(rows, 1 / rate, axis=1, edge_order=2))
 
 
-def with_motion_windows(
-    stretches: tuple[Stretch, ...], velocities: list[FloatArray], choices: PreprocessChoices, steps: list[Step]
-) -> tuple[tuple[Segment, ...], float]:
-    """Step 'motion windows': the finished segments, those without any motion left out, and the rest velocity.
+def differentiate(
+    segments: Sequence[UniformSegment], velocities: Sequence[FloatArray], choices: PreprocessChoices
+) -> tuple[tuple[Segment, ...], float, Step]:
+    """Step 'motion windows': segments with acceleration, those without any motion left out.
+
+    Args:
+        segments: filtered.
+        velocities: (n, N) of each [rad/s or m/s].
+        choices: rest velocity, and whether samples at rest are kept.
+
+    Returns:
+        The segments, the rest velocity [rad/s or m/s], and the step.
 
     Raises:
         DataError: nothing moves.
@@ -56,24 +65,25 @@ def with_motion_windows(
     threshold = choices.rest_velocity
     if threshold is None:
         threshold = max(default_rest_velocity(velocity) for velocity in velocities)
-    segments = []
-    for stretch, velocity in zip(stretches, velocities, strict=True):
-        moving = moving_mask(velocity, stretch.rate, threshold)
-        segments.append(
-            Segment(
-                time=stretch.time,
-                position=stretch.position,
-                velocity=velocity,
-                acceleration=central_difference(velocity, stretch.rate),
-                torque=stretch.torque,
-                rate=stretch.rate,
-                used=np.ones_like(moving) if choices.keep_rest else moving,
-            )
+    masks = [
+        moving_mask(velocity, segment.rate, threshold) for segment, velocity in zip(segments, velocities, strict=True)
+    ]
+    complete = [
+        Segment(
+            time=segment.time,
+            position=segment.position,
+            velocity=velocity,
+            acceleration=central_difference(velocity, segment.rate),
+            torque=segment.torque,
+            rate=segment.rate,
+            used=np.ones_like(moving) if choices.keep_rest else moving,
         )
-    seconds = sum(len(segment.time) for segment in segments) / stretches[0].rate
-    at_rest = sum(int((~segment.used).sum()) for segment in segments) / stretches[0].rate
-    segments = [segment for segment in segments if segment.used.any()]
-    if not segments:
+        for segment, velocity, moving in zip(segments, velocities, masks, strict=True)
+    ]
+    seconds = sum(len(segment.time) for segment in complete) / segments[0].rate
+    at_rest = sum(int((~segment.used).sum()) for segment in complete) / segments[0].rate
+    moved = tuple(segment for segment in complete if segment.used.any())
+    if not moved:
         raise DataError(
             f"no joint reaches the rest velocity of {threshold:.3g} rad/s for {SHORTEST_REST:g} s: nothing moves",
             hint="choose another window or a lower rest velocity, or keep the samples at rest",
@@ -85,47 +95,46 @@ def with_motion_windows(
             f"{at_rest:.4g} of {seconds:.4g} s left out, in which every joint stays below {threshold:.3g} rad/s "
             f"for {SHORTEST_REST:g} s or longer"
         )
-    settings: dict[str, float | int | str] = {"rest_velocity": threshold, "left_out_s": at_rest, "total_s": seconds}
-    steps.append(Step("motion windows", settings, text))
-    return tuple(segments), threshold
+    settings = {"rest_velocity": threshold, "left_out_s": at_rest, "total_s": seconds}
+    return moved, threshold, Step("motion windows", settings, text)
 
 
-def without_ends(segments: tuple[Segment, ...], cutoffs: Cutoffs, steps: list[Step]) -> tuple[Segment, ...]:
+def without_ends(segments: Sequence[Segment], cutoffs: Cutoffs) -> tuple[tuple[Segment, ...], Step]:
     """Step 'ends': both ends cut off where the low-pass is not valid, and not counted where the parallel filter is not.
 
     Raises:
         DataError: nothing with motion is left.
     """
     cut, uncounted = END_PERIODS / cutoffs.position, FILTERED_END_PERIODS / cutoffs.torque
-    kept = []
-    for segment in segments:
-        edge = math.ceil(cut * segment.rate)
-        inner = slice(edge, len(segment.time) - edge)
-        if inner.stop - inner.start < SHORTEST_SEGMENT:
-            continue
-        used = segment.used[inner].copy()
-        margin = math.ceil(uncounted * segment.rate)
-        used[:margin] = False
-        used[max(0, len(used) - margin) :] = False
-        if not used.any():
-            continue
-        kept.append(
-            Segment(
-                time=segment.time[inner],
-                position=np.ascontiguousarray(segment.position[:, inner]),
-                velocity=np.ascontiguousarray(segment.velocity[:, inner]),
-                acceleration=np.ascontiguousarray(segment.acceleration[:, inner]),
-                torque=np.ascontiguousarray(segment.torque[:, inner]),
-                rate=segment.rate,
-                used=used,
-            )
-        )
+    shortened = tuple(part for segment in segments if (part := _without_ends(segment, cut, uncounted)) is not None)
     ends = cut + uncounted
-    if not kept:
+    if not shortened:
         raise DataError(
             f"nothing with motion is left once {ends:.3g} s at both ends are left out, where the filters are not valid",
             hint="record longer, or give higher cut-offs",
         )
-    text = f"the first and the last {ends:.3g} s of every stretch left out, where the filters are not valid"
-    steps.append(Step("ends", {"cut_off_s": cut, "not_counted_s": uncounted}, text))
-    return tuple(kept)
+    text = f"the first and the last {ends:.3g} s of every segment left out, where the filters are not valid"
+    return shortened, Step("ends", {"cut_off_s": cut, "not_counted_s": uncounted}, text)
+
+
+def _without_ends(segment: Segment, cut: float, uncounted: float) -> Segment | None:
+    """Without `cut` [s] at both ends, the next `uncounted` [s] not used; None where nothing is left."""
+    edge = math.ceil(cut * segment.rate)
+    inner = slice(edge, len(segment.time) - edge)
+    if inner.stop - inner.start < SHORTEST_SEGMENT:
+        return None
+    used = segment.used[inner].copy()
+    margin = math.ceil(uncounted * segment.rate)
+    used[:margin] = False
+    used[max(0, len(used) - margin) :] = False
+    if not used.any():
+        return None
+    return Segment(
+        time=segment.time[inner],
+        position=np.ascontiguousarray(segment.position[:, inner]),
+        velocity=np.ascontiguousarray(segment.velocity[:, inner]),
+        acceleration=np.ascontiguousarray(segment.acceleration[:, inner]),
+        torque=np.ascontiguousarray(segment.torque[:, inner]),
+        rate=segment.rate,
+        used=used,
+    )

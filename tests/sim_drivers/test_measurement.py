@@ -10,7 +10,7 @@ from daq.robot import builtin_robots, load_robot, parse_robot
 from drivers.errors import RobotFileError
 from ident.model.dynamics import build_model, truth_vector
 from ident.model.pinocchio_model import pinocchio_model
-from ident.signals.joint_signals import measured_motion
+from ident.signals.joint_signals import read_joint_signals
 from sim_drivers.measurement import simulate_recording
 from sim_drivers.motion import random_fourier_motion
 
@@ -63,7 +63,7 @@ def test_current_times_gain_is_rnea_plus_friction_and_motor(ur5e, motion):
     arm = pinocchio_model(model, truth[: 10 * model.dof])
     data = arm.createData()
     q, dq, ddq = motion.evaluate(joints_of(recording).time)
-    torque = measured_motion(recording, perfect.robot).torque
+    torque = read_joint_signals(recording, perfect.robot).torque
     for sample in range(0, len(torque), 10):
         expected = pin.rnea(arm, data, q[:, sample], dq[:, sample], ddq[:, sample])
         for joint, name in enumerate(perfect.robot.joint_names):
@@ -75,8 +75,8 @@ def test_current_times_gain_is_rnea_plus_friction_and_motor(ur5e, motion):
 
 def test_noise_is_as_large_as_the_file_says(ur5e, motion):
     noise = ur5e.robot.truth.noise
-    recorded = measured_motion(simulate_recording(ur5e, motion, 10.0, seed=1), ur5e.robot)
-    exact = measured_motion(simulate_recording(without_noise(ur5e), motion, 10.0, seed=1), ur5e.robot)
+    recorded = read_joint_signals(simulate_recording(ur5e, motion, 10.0, seed=1), ur5e.robot)
+    exact = read_joint_signals(simulate_recording(without_noise(ur5e), motion, 10.0, seed=1), ur5e.robot)
     added = recorded.torque - exact.torque
     for joint, name in enumerate(ur5e.robot.joint_names):
         variance = noise.torque_std[name] ** 2 + noise.ripple_amplitude[name] ** 2 / 2
@@ -114,9 +114,9 @@ def test_a_coupled_arm_s_torque_is_recorded_at_its_joints():
     start, end = text.index("\ndrives:\n"), text.index("\nfriction:")
     bare = parse_robot(text[:start] + text[end:], where="bare", folder=None)
     motion = random_fourier_motion(build_model(robot_file), 8.0, seed=1, candidates=2)
-    at_motors = measured_motion(simulate_recording(robot_file, motion, 1.0, seed=1), robot_file.robot)
+    at_motors = read_joint_signals(simulate_recording(robot_file, motion, 1.0, seed=1), robot_file.robot)
     recording = simulate_recording(bare, motion, 1.0, seed=1)
-    from_joints = measured_motion(recording, bare.robot)
+    from_joints = read_joint_signals(recording, bare.robot)
     np.testing.assert_allclose(from_joints.torque, at_motors.torque, atol=1e-9)
     recorded = joints_of(recording).channels["torque"].values
     assert np.allclose(recorded[:, 3], at_motors.torque[:, 3] + at_motors.torque[:, 4], atol=1e-9)

@@ -20,8 +20,8 @@ from ident.regression.observability import (
     describe,
     experiment_base,
     find_experiment,
+    moving_motors,
     predictable_torques,
-    turning_motors,
     whole_arm,
 )
 
@@ -102,11 +102,11 @@ def test_names_that_no_joint_has_are_refused(ur, choices):
 
 def test_a_coupled_motor_turns_with_either_joint(sr400):
     names = sr400.joint_names
-    assert [names[motor] for motor in turning_motors(sr400, [names.index("j6")])] == list(names)
-    still = turning_motors(sr400, [names.index("j5"), names.index("j6")])
+    assert [names[motor] for motor in moving_motors(sr400, [names.index("j6")])] == list(names)
+    still = moving_motors(sr400, [names.index("j5"), names.index("j6")])
     assert [names[motor] for motor in still] == ["j1", "j2", "j4", "j7"]
-    assert names.index("j6") in turning_motors(sr400, [names.index("j5")])
-    assert names.index("j5") not in turning_motors(sr400, [names.index("j5")])
+    assert names.index("j6") in moving_motors(sr400, [names.index("j5")])
+    assert names.index("j5") not in moving_motors(sr400, [names.index("j5")])
 
 
 EXPERIMENTS = [
@@ -154,7 +154,7 @@ def test_they_are_combinations_of_the_whole_arm_s(robot, experiment):
 def test_the_paper_s_two_experiments_show_the_whole_sr400(sr400, wrist, counts):
     """SR400 .4.3 point 7: the wrist's own equations in free motion, then the wrist locked; they share nothing."""
     joints = tuple(sr400.joint_names.index(name) for name in wrist)
-    arm = Experiment(joints, ((0.0,) * len(joints),), turning_motors(sr400, joints))
+    arm = Experiment(joints, ((0.0,) * len(joints),), moving_motors(sr400, joints))
     free = Experiment((), ((),), joints)
     assert tuple(experiment_base(sr400, [one]).count for one in (arm, free)) == counts
     together = experiment_base(sr400, [arm, free])

@@ -14,7 +14,7 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model, truth_vector
 from ident.model.regressor import RegressorKernel, regressor
 from ident.regression.observation_matrix import filtered_blocks, reduce_segments
-from ident.regression.velocity_reversals import turning, without_reversals
+from ident.regression.velocity_reversals import reversal_mask, without_reversals
 from ident.signals.filters import butterworth, no_filter
 
 
@@ -37,7 +37,7 @@ def solved(kernel, segment) -> np.ndarray:
 
 def test_slow_motors_turn_and_fast_ones_do_not(arm, segment):
     model, base, _ = arm
-    found = turning(RegressorKernel(model, base.columns), segment, 0.3)
+    found = reversal_mask(RegressorKernel(model, base.columns), segment, 0.3)
     speed = np.abs(segment.velocity) / np.sqrt(np.mean(segment.velocity[:, segment.used] ** 2, axis=1, keepdims=True))
     rubbing = np.array(model.coulomb)
     assert rubbing.any()
@@ -49,8 +49,8 @@ def test_slow_motors_turn_and_fast_ones_do_not(arm, segment):
 def test_just_their_equations_are_left_out(arm, segment, zero_phase):
     model, base, _ = arm
     kernel = RegressorKernel(model, base.columns, chunk=128)
-    turns = turning(kernel, segment, 0.3)
-    reduction = reduce_segments(kernel, [replace(segment, turning=turns)], zero_phase)
+    turns = reversal_mask(kernel, segment, 0.3)
+    reduction = reduce_segments(kernel, [replace(segment, reversing=turns)], zero_phase)
     every = slice(None, None, zero_phase.factor)
     dense = zero_phase.apply(
         np.concatenate(
@@ -74,8 +74,8 @@ def test_what_the_kernel_keeps_between_chunks_is_not_touched(arm, segment):
     model, base, _ = arm
     kernel = RegressorKernel(model, base.columns, chunk=128)
     plain = [block.regressor.copy() for block in filtered_blocks(kernel, segment, no_filter(), segment.torque)]
-    turns = turning(kernel, segment, 0.5)
-    list(filtered_blocks(kernel, replace(segment, turning=turns), no_filter(), segment.torque))
+    turns = reversal_mask(kernel, segment, 0.5)
+    list(filtered_blocks(kernel, replace(segment, reversing=turns), no_filter(), segment.torque))
     again = [block.regressor.copy() for block in filtered_blocks(kernel, segment, no_filter(), segment.torque)]
     assert all(np.array_equal(one, other) for one, other in zip(plain, again, strict=True))
 
@@ -83,13 +83,13 @@ def test_what_the_kernel_keeps_between_chunks_is_not_touched(arm, segment):
 def test_friction_that_sticks_at_reversals_does_no_harm(three_joint, arm, segment):
     model, base, truth = arm
     kernel = RegressorKernel(model, base.columns)
-    turns = turning(kernel, segment, 0.2)
+    turns = reversal_mask(kernel, segment, 0.2)
     torque = segment.torque.copy()
     for motor in range(model.dof):  # one sign too late: what a joint does that has to be torn loose
         slow = turns[motor]
         torque[motor, slow] -= 1.5 * np.sign(segment.velocity[motor, slow])
     stuck = replace(segment, torque=torque)
-    kept, left_out = solved(kernel, stuck), solved(kernel, replace(stuck, turning=turns))
+    kept, left_out = solved(kernel, stuck), solved(kernel, replace(stuck, reversing=turns))
     assert np.allclose(left_out, truth, rtol=1e-6, atol=1e-6)
     assert np.max(np.abs(kept - truth)) > 0.02
 

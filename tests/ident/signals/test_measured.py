@@ -9,7 +9,7 @@ from daq.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot import RobotFile, parse_robot
 from drivers.errors import DataError
 from drivers.streams import UNITS
-from ident.signals.joint_signals import joint_positions, measured_motion
+from ident.signals.joint_signals import joint_positions, read_joint_signals
 
 ROBOT = """
 name: two
@@ -47,16 +47,16 @@ CURRENT = POSITION + 0.5
 
 
 def test_torque_is_gain_times_current_sign_included():
-    motion = measured_motion(recording(position=POSITION, current=CURRENT), robot(*GAINS).robot)
+    motion = read_joint_signals(recording(position=POSITION, current=CURRENT), robot(*GAINS).robot)
     assert np.array_equal(motion.torque, CURRENT * [10.0, -4.0])
     assert np.array_equal(motion.position, POSITION)
-    assert "current" in motion.torque_source
+    assert "current" in motion.torque_origin
     assert motion.velocity is None
 
 
 def test_voltage_is_taken_where_the_drives_say_so():
     drives = ("{joint: a, gain: 10, signal: voltage}", "{joint: b, gain: -4, signal: voltage}")
-    motion = measured_motion(recording(position=POSITION, voltage=CURRENT), robot(*drives).robot)
+    motion = read_joint_signals(recording(position=POSITION, voltage=CURRENT), robot(*drives).robot)
     assert np.array_equal(motion.torque, CURRENT * [10.0, -4.0])
 
 
@@ -64,7 +64,7 @@ def test_columns_go_by_name_whatever_their_order_and_company():
     swapped = recording(("gripper", "b", "a"), position=np.c_[np.full(4, 99.0), POSITION[:, ::-1]],
                         current=np.c_[np.full(4, np.nan), CURRENT[:, ::-1]],
                         velocity=np.c_[np.full(4, 99.0), POSITION[:, ::-1] + 1])  # fmt: skip
-    motion = measured_motion(swapped, robot(*GAINS).robot)
+    motion = read_joint_signals(swapped, robot(*GAINS).robot)
     assert np.array_equal(motion.position, POSITION)
     assert np.array_equal(motion.torque, CURRENT * [10.0, -4.0])
     assert np.array_equal(motion.velocity, POSITION + 1)
@@ -72,25 +72,25 @@ def test_columns_go_by_name_whatever_their_order_and_company():
 
 def test_a_current_with_known_gains_goes_before_a_recorded_torque():
     both = recording(position=POSITION, current=CURRENT, torque=np.zeros((4, 2)))
-    assert np.array_equal(measured_motion(both, robot(*GAINS).robot).torque, CURRENT * [10.0, -4.0])
+    assert np.array_equal(read_joint_signals(both, robot(*GAINS).robot).torque, CURRENT * [10.0, -4.0])
 
 
 def test_recorded_torque_is_used_where_no_gain_is_known():
     both = recording(position=POSITION, current=CURRENT, torque=CURRENT - 7)
-    motion = measured_motion(both, robot().robot)
+    motion = read_joint_signals(both, robot().robot)
     assert np.array_equal(motion.torque, CURRENT - 7)
-    assert motion.torque_source == "torque as recorded"
+    assert motion.torque_origin == "torque as recorded"
 
 
 def test_a_gain_on_a_torque_signal_scales_the_torque():
     drives = ("{joint: a, gain: -1, signal: torque}", "{joint: b, signal: torque}")
-    motion = measured_motion(recording(position=POSITION, torque=CURRENT), robot(*drives).robot)
+    motion = read_joint_signals(recording(position=POSITION, torque=CURRENT), robot(*drives).robot)
     assert np.array_equal(motion.torque, CURRENT * [-1.0, 1.0])
 
 
 def test_an_unknown_gain_is_named_with_what_to_write():
     with pytest.raises(DataError, match="gain of b is unknown") as caught:
-        measured_motion(recording(position=POSITION, current=CURRENT), robot("{joint: a, gain: 10}").robot)
+        read_joint_signals(recording(position=POSITION, current=CURRENT), robot("{joint: a, gain: 10}").robot)
     assert "joint: b, gain" in caught.value.hint
     assert "--robot" in caught.value.hint
 
@@ -98,13 +98,13 @@ def test_an_unknown_gain_is_named_with_what_to_write():
 def test_recordings_without_what_is_needed_are_refused():
     arm = robot(*GAINS).robot
     with pytest.raises(DataError, match="no position"):
-        measured_motion(recording(current=CURRENT), arm)
+        read_joint_signals(recording(current=CURRENT), arm)
     with pytest.raises(DataError, match=r"neither torque nor current.*position, velocity"):
-        measured_motion(recording(position=POSITION, velocity=POSITION), arm)
+        read_joint_signals(recording(position=POSITION, velocity=POSITION), arm)
     with pytest.raises(DataError, match="no stream 'joints'; streams: thermometer"):
-        measured_motion(recording(stream="thermometer", position=POSITION), arm)
+        read_joint_signals(recording(stream="thermometer", position=POSITION), arm)
     with pytest.raises(DataError, match=r"no column for joint.*b") as caught:
-        measured_motion(recording(("a", "other"), position=POSITION, current=CURRENT), arm)
+        read_joint_signals(recording(("a", "other"), position=POSITION, current=CURRENT), arm)
     assert "--robot" in caught.value.hint
 
 
@@ -114,7 +114,7 @@ def test_values_that_are_no_numbers_are_named_by_sample_and_joint(quantity, valu
     values = {"position": POSITION.copy(), "current": CURRENT.copy(), "velocity": POSITION.copy()}
     values[quantity][2, 1] = value
     with pytest.raises(DataError, match="first at sample 2") as caught:
-        measured_motion(recording(**values), robot(*GAINS).robot)
+        read_joint_signals(recording(**values), robot(*GAINS).robot)
     assert caught.value.where.endswith(f"{'torque' if quantity == 'current' else quantity} of b")
 
 

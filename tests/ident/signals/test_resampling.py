@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from drivers.errors import DataError
 from ident.signals.resampling import (
     check_stamps,
+    gap_free_segments,
     measure_irregularity,
     resample,
     shift_torque,
     shiftable,
-    stretches_between_gaps,
     uniform_grid,
 )
 
@@ -60,7 +60,7 @@ def test_gaps_are_longer_than_ten_periods_and_fifty_ms(period: float, hole: floa
     time = np.arange(400) * period
     time[200:] += hole - period
     assert measure_irregularity(time).gaps == gaps
-    parts = stretches_between_gaps(time, period)
+    parts = gap_free_segments(time, period)
     assert [(part.start, part.stop) for part in parts] == ([(0, 200), (200, 400)] if gaps else [(0, 400)])
 
 
