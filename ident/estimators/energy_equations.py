@@ -1,4 +1,4 @@
-"""Least squares on equations of the whole arm's energy: one scalar equation a row instead of one a joint.
+"""Least squares on equations of the whole arm's energy: one scalar equation per row instead of one per joint.
 
 `energy_windows` (differences of energy, SR400 eq. 10 to 12) and `power` (their differential form) make the
 rows; here they become a `Reduction` and error bars, as the joints' torque equations do in `observation_matrix` and
@@ -18,12 +18,20 @@ from drivers.streams import FloatArray
 from ident.linear_algebra.triangular import QrAccumulator
 from ident.model.energy import EnergyKernel
 from ident.regression.autocorrelation import independent_share, lag_one, residual_autocorrelation
-from ident.regression.jackknife import BlockSum, CorrectedCovariance, FilteredRun, block_length, jackknife, total_gram
+from ident.regression.jackknife import (
+    BlockSums,
+    CorrectedCovariance,
+    FilteredRun,
+    block_count,
+    block_length,
+    distinct_samples,
+    jackknife_covariance,
+    tolerant_moves,
+)
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observation_matrix import JointFactor, Reduction
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Prepared, Segment
-from ident.signals.repetition import motion_phases
 
 
 @dataclass(frozen=True)
@@ -31,9 +39,9 @@ class EnergyRows:
     """Some of the equations, in the order of time.
 
     Attributes:
-        regressor: (b, M) of base columns [J or W a unit].
+        regressor: (b, M) of base columns [J or W per unit].
         work: (M,) what the motors did [J or W].
-        sample: (M,) number of the parallel filter's output sample that each belongs to.
+        sample: (M,) index of the parallel filter's output sample that each belongs to.
     """
 
     regressor: FloatArray
@@ -94,32 +102,35 @@ def energy_jackknife(
     Rows that overlap have residuals that depend on each other; a block is several times longer than they do.
     """
     series = [part for run in runs for part in run.series]
-    phases = motion_phases([part.velocity for part in series])
-    counted = np.concatenate([phase[part.used] for phase, part in zip(phases, series, strict=True)])
-    different = np.unique(counted)
+    samples = distinct_samples(series)
     active = list(solution.active)
-    parts: list[tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]] = []
-    remaining = iter(phases)
+    numbers = iter(samples.numbers)
+    equation_parts: list[tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]] = []
     for run in runs:
         for segment in run.segments:
-            phase = next(remaining)
+            sample_numbers = next(numbers)
             for rows in equations.rows(segment, run.parallel_filter):
                 residual = rows.work - solution.parameters @ rows.regressor
-                parts.append((rows.regressor[active], residual, np.searchsorted(different, phase[rows.sample])))
-    of_rows = lag_one([residual[None] for _, residual, _ in parts])
-    samples_a_row = len(counted) / solution.rows
-    new = len(different) / len(counted)
-    length_in_rows = max(equations.overlap, block_length(of_rows, round(new * solution.rows)))
-    length = int(np.ceil(samples_a_row * length_in_rows))
-    sums: dict[int, BlockSum] = {}
-    for regressor, residual, place in parts:
-        number = place // length
-        for block_number in np.unique(number).tolist():
-            inside = number == block_number
-            block = sums.setdefault(block_number, BlockSum(np.zeros((len(active),) * 2), np.zeros(len(active))))
-            block.gram += regressor[:, inside] @ regressor[:, inside].T
-            block.score += regressor[:, inside] @ residual[inside]
-    effective = solution.rows * independent_share(of_rows) * new
+                equation_parts.append((rows.regressor[active], residual, sample_numbers[rows.sample]))
+    of_rows = lag_one([residual[None] for _, residual, _ in equation_parts])
+    samples_per_row = sum(int(part.used.sum()) for part in series) / solution.rows
+    length_in_rows = max(equations.overlap, block_length(of_rows, round(samples.share * solution.rows)))
+    length = int(np.ceil(samples_per_row * length_in_rows))
+    sums = BlockSums.empty(block_count(samples.count, length), len(active))
+    occupied = np.zeros(len(sums.gram), dtype=np.bool_)  # windows hold many samples: a block may be left without a row
+    for regressor, residual, sample_numbers in equation_parts:
+        blocks = sample_numbers // length
+        for block in np.unique(blocks).tolist():
+            inside = blocks == block
+            occupied[block] = True
+            sums.gram[block] += regressor[:, inside] @ regressor[:, inside].T
+            sums.score[block] += regressor[:, inside] @ residual[inside]
+    sums = BlockSums(sums.gram[occupied], sums.score[occupied])
     return CorrectedCovariance(
-        jackknife(sums, total_gram(sums)), length, len(sums), residual_autocorrelation(series), effective, 1.0 / new
+        covariance=jackknife_covariance(tolerant_moves(sums, sums.gram.sum(axis=0))),
+        block_length=length,
+        blocks=len(sums.gram),
+        autocorrelation=residual_autocorrelation(series),
+        effective_rows=solution.rows * independent_share(of_rows) * samples.share,
+        repetitions=1.0 / samples.share,
     )

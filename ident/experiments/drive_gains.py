@@ -33,6 +33,7 @@ from ident.experiments.gain_system import GainSystem, jackknife_moves, own_angle
 from ident.experiments.motor_signals import signal_of, torques_by
 from ident.experiments.run_pair import BlockGrams, RunPair, prepare_pair, resting_warnings
 from ident.model.load import KnownLoad, LoadColumns
+from ident.regression.jackknife import jackknife_covariance
 from ident.regression.pruning import SIGNIFICANT_RSD
 
 LEAST_GAP = 2.0
@@ -160,7 +161,7 @@ def identify_gains(
     system = solve_gains(prepare_pair(free, loaded, torques_by(gains), robot_file, delay), known)
     grams = system_blocks(system)
     moves = jackknife_moves(system, grams)
-    covariance = np.asarray((grams.count - 1) / grams.count * moves.T @ moves)
+    covariance = jackknife_covariance(moves)
     found = _gains(system, known, signal, gains, covariance, grams)
     return replace(found, warnings=tuple(_warnings(found, (free, loaded))))
 

@@ -12,6 +12,7 @@ from drivers.streams import FloatArray
 from ident.experiments.run_pair import FREE, LOADED, BlockGrams, RunPair, block_grams, widened
 from ident.linear_algebra.triangular import triangular
 from ident.model.load import KnownLoad, LoadColumns, load_columns, load_effect
+from ident.regression.jackknife import delete_block_moves
 from ident.regression.least_squares import excited_columns
 from ident.regression.observation_matrix import JointFactor, Reduction
 from ident.regression.total_least_squares import (
@@ -141,17 +142,9 @@ def jackknife_moves(system: GainSystem, grams: BlockGrams) -> FloatArray:
             place = [*range(width), width + position]
             gram = solution.weights[position] ** 2 * (wide.T @ grams.grams[number][joint] @ wide)
             blocks[np.ix_(range(grams.count), place, place)] += gram
-    total = blocks.sum(axis=0)
-    whole = np.concatenate(null_vector_of_gram(total, solution.scale))
-    moves = np.empty((grams.count, len(whole)))
-    for number, block in enumerate(blocks):
-        try:
-            moves[number] = whole - np.concatenate(null_vector_of_gram(total - block, solution.scale))
-        except np.linalg.LinAlgError as error:
-            raise IdentificationError(
-                "one short part of the motion alone determines a parameter", hint="record longer, or a richer motion"
-            ) from error
-    return moves[:, :-1]
+    return delete_block_moves(
+        lambda gram: np.concatenate(null_vector_of_gram(gram, solution.scale))[:-1], blocks
+    )  # the known load stays what it is
 
 
 def own_angles(system: GainSystem) -> FloatArray:

@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.errors import DataError, IdentificationError
+from drivers.errors import DataError
 from drivers.streams import FloatArray
 from ident.experiments.run_pair import FREE, LOADED, BlockGrams, RunPair, block_grams, widened
 from ident.model.load import MASS, KnownLoad, LoadColumns, load_columns
 from ident.regression.gain_uncertainty import relative_gain_std
+from ident.regression.jackknife import BlockSums, jackknife_covariance, least_squares_moves
 from ident.regression.least_squares import LeastSquares, excited_columns, ordinary_least_squares
 from ident.regression.observation_matrix import JointFactor, Reduction
 from ident.regression.total_least_squares import signal_noise
@@ -240,21 +241,6 @@ def _excited(reduction: Reduction, among: tuple[int, ...]) -> tuple[int, ...]:
 
 def _moves(blocks: FloatArray, solution: LeastSquares) -> FloatArray:
     """(B, a) how far leaving out each block moves the active parameters; `blocks` (B, a + 1, a + 1) are weighted."""
-    values = solution.parameters[list(solution.active)]
-    scores = blocks[:, :-1, -1] - blocks[:, :-1, :-1] @ values
-    normal = np.linalg.inv(solution.inverse)
-    scale = np.sqrt(np.diag(normal))
-    rest = (normal - blocks[:, :-1, :-1]) / np.outer(scale, scale)
-    try:
-        moved = np.linalg.solve(rest, (scores / scale)[:, :, None])[:, :, 0]
-    except np.linalg.LinAlgError as error:
-        raise IdentificationError(
-            "one short part of the motion alone determines a parameter", hint="record longer, or a richer motion"
-        ) from error
-    return np.asarray(moved / scale)
-
-
-def jackknife_covariance(moves: FloatArray) -> FloatArray:
-    """Delete-block covariance (a, a) from how far each block moves the parameters (B, a) (see `jackknife`)."""
-    blocks = len(moves)
-    return np.asarray((blocks - 1) / blocks * moves.T @ moves)
+    gram = blocks[:, :-1, :-1]
+    score = blocks[:, :-1, -1] - gram @ solution.parameters[list(solution.active)]
+    return least_squares_moves(BlockSums(gram, score), np.asarray(np.linalg.inv(solution.inverse)))

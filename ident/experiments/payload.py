@@ -30,11 +30,11 @@ from ident.experiments.load_estimate import (
     change_between,
     estimate_load,
     identify_separately,
-    jackknife_covariance,
 )
 from ident.experiments.run_pair import FREE, LOADED, RunPair, prepare_pair, resting_warnings
 from ident.model.load import INDEPENDENT, MASS, KnownLoad, load_effect
 from ident.regression.hypothesis_tests import ChanceTest, chi_square_test
+from ident.regression.jackknife import jackknife_covariance
 from ident.signals.joint_signals import read_joint_signals
 
 NEGLIGIBLE = 0.002

@@ -7,9 +7,8 @@ joint torque, or the motor's signal) and the Gram matrices of its blocks, from w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -24,14 +23,14 @@ from ident.model.dynamics import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel
 from ident.regression.autocorrelation import residual_autocorrelation
 from ident.regression.comparison import TorqueSeries, compare_torques
-from ident.regression.jackknife import block_length
-from ident.regression.observation_matrix import Reduction, filtered_blocks, reduce_segments, stack_reductions
+from ident.regression.jackknife import block_count, block_length, distinct_samples, rows_by_block
+from ident.regression.observation_matrix import Reduction, reduce_segments, stack_reductions
 from ident.regression.velocity_reversals import without_reversals
 from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
 from ident.signals.prepared import Prepared
-from ident.signals.repetition import motion_phases
+from ident.signals.repetition import IntArray
 
 FREE, LOADED = 0, 1
 """Numbers of the two runs, in every list of two."""
@@ -187,56 +186,34 @@ def block_grams(
     """
     series = [_series(pair, run, values) for run, values in zip(pair.runs, parameters, strict=True)]
     everything = [part for of_run in series for part in of_run]
-    phases = iter(motion_phases([part.velocity for part in everything]))
-    numbers = [[next(phases) for _ in of_run] for of_run in series]
-    counted = np.concatenate(
-        [
-            number[part.used]
-            for of_run, parts in zip(numbers, series, strict=True)
-            for number, part in zip(of_run, parts, strict=True)
-        ]
-    )
-    different = np.unique(counted)
+    samples = distinct_samples(everything)
     autocorrelation = residual_autocorrelation(everything)
-    length = block_length(autocorrelation if joints is None else autocorrelation[list(joints)], len(different))
-    blocks = (len(different) - 1) // length + 1
-    grams = []
-    for run, of_run in zip(pair.runs, numbers, strict=True):
-        sums = [
-            np.zeros((blocks, rows.rows.stop - rows.rows.start + 1, rows.rows.stop - rows.rows.start + 1))
-            for rows in pair.kernel.joint_rows
-        ]
-        for segment, number in zip(run.prepared.segments, of_run, strict=True):
-            position = 0
-            for block in filtered_blocks(pair.kernel, segment, run.prepared.parallel_filter, segment.torque):
-                part = number[position : position + len(block.used)]
-                position += len(block.used)
-                index = np.searchsorted(different, part[block.used]) // length
-                _add(sums, pair.kernel, block.regressor[:, block.used], block.torque[:, block.used], index)
-        grams.append(tuple(sums))
-    return BlockGrams((grams[FREE], grams[LOADED]), length)
+    length = block_length(autocorrelation if joints is None else autocorrelation[list(joints)], samples.count)
+    blocks = block_count(samples.count, length)
+    numbers = iter(samples.numbers)
+    free, loaded = (_block_grams(pair.kernel, run.prepared, numbers, length, blocks) for run in pair.runs)
+    return BlockGrams((free, loaded), length)
+
+
+def _block_grams(
+    kernel: RegressorKernel, prepared: Prepared, numbers: Iterator[IntArray], length: int, blocks: int
+) -> tuple[FloatArray, ...]:
+    """One run's Gram matrices (B, w + 1, w + 1), joint by joint."""
+    widths = [joint.rows.stop - joint.rows.start + 1 for joint in kernel.joint_rows]
+    grams = tuple(np.zeros((blocks, width, width)) for width in widths)
+    for segment in prepared.segments:
+        of_block = next(numbers) // length
+        for part in rows_by_block(kernel, segment, prepared.parallel_filter, of_block, segment.torque):
+            for joint, gram in enumerate(grams):
+                rows = np.vstack([part.regressor[kernel.joint_rows[joint].rows], part.torque[joint : joint + 1]])
+                gram[part.block] += rows @ rows.T
+    return grams
 
 
 def _series(pair: RunPair, run: Run, parameters: FloatArray) -> tuple[TorqueSeries, ...]:
     return compare_torques(
         pair.model, pair.base.columns, parameters, run.prepared.segments, run.prepared.parallel_filter
     )
-
-
-def _add(
-    sums: list[FloatArray],
-    kernel: RegressorKernel,
-    regressor: FloatArray,
-    torque: FloatArray,
-    index: np.ndarray[tuple[int], np.dtype[np.int64]],
-) -> None:
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(index)) + 1, [len(index)]]).tolist()
-    for start, stop in pairwise(edges):
-        if start == stop:
-            continue
-        for joint, rows in enumerate(kernel.joint_rows):
-            wide = np.vstack([regressor[rows.rows, start:stop], torque[joint : joint + 1, start:stop]])
-            sums[joint][index[start]] += wide @ wide.T
 
 
 def widened(columns: tuple[int, ...], count: int, effect: FloatArray, shift: FloatArray) -> FloatArray:

@@ -33,7 +33,7 @@ from ident.model.load import FIRST_MOMENTS, KnownLoad, load_effect
 from ident.model.parameters import INERTIAL
 from ident.model.regressor import regressor
 from ident.regression.autocorrelation import lag_one
-from ident.regression.jackknife import block_length
+from ident.regression.jackknife import block_length, delete_block_moves, jackknife_covariance
 from ident.regression.pruning import SIGNIFICANT_RSD
 from ident.regression.total_least_squares import NullVector, null_vector, null_vector_of_gram, signal_noise
 from ident.signals.options import PreprocessChoices
@@ -314,11 +314,11 @@ def _jackknife(wides: Sequence[FloatArray], solution: NullVector) -> FloatArray:
             block = np.zeros((size, size))
             block[place] = part.T @ part
             blocks.append(block)
-    total = np.sum(blocks, axis=0)
-    whole = np.concatenate(null_vector_of_gram(total, solution.scale))
-    moves = np.array([whole - np.concatenate(null_vector_of_gram(total - block, solution.scale)) for block in blocks])
-    moves = moves[:, :-1]  # the known load stays what it is
-    return np.asarray((len(blocks) - 1) / len(blocks) * moves.T @ moves)
+    return jackknife_covariance(
+        delete_block_moves(
+            lambda gram: np.concatenate(null_vector_of_gram(gram, solution.scale))[:-1], np.array(blocks)
+        )  # the known load stays what it is
+    )
 
 
 def _found(

@@ -1,4 +1,4 @@
-"""Covariance of least-squares parameters when the residuals are not white.
+"""Covariance of estimated parameters when the residuals are autocorrelated: the only jackknife there is here.
 
 The classical covariance σ²(WᵀW)⁻¹ (SR400 eq. 14) takes every row as independent and of the same variance. Filtered
 torques are not, nor are ripple, friction and model errors, and a fit takes more out of its residual in the motion's own
@@ -6,28 +6,31 @@ band than elsewhere: the error bars come out too small. Here they come from the 
 of Statistics 17, 1989): leave out one block of consecutive samples after the other, all joints together, and see how
 far the parameters move,
 
-    C = (B − 1)/B · Σ_b δ_b δ_bᵀ,   δ_b = (WᵀW − W_bᵀW_b)⁻¹ W_bᵀ ρ_b
+    C = (B − 1)/B · Σ_b δ_b δ_bᵀ
 
-Blocks longer than the residuals' memory make it insensitive to correlation, also between joints; leaving the block out
-of the normal matrix accounts for its leverage. Samples of the same phase of a repeated motion belong to the same block
-(`ident.signals.repetition`). It costs one more pass over the data.
+For least squares δ_b = (WᵀW − W_bᵀW_b)⁻¹ W_bᵀ ρ_b (`least_squares_moves`), for any other estimator it is the difference
+of two estimates (`delete_block_moves`). Blocks longer than the residuals' memory make it insensitive to correlation,
+also between joints; leaving the block out of the normal matrix accounts for its leverage. Samples of the same phase of
+a repeated motion belong to the same block (`ident.signals.repetition`). It costs one more pass over the data.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
+from drivers.errors import IdentificationError
 from drivers.streams import FloatArray
 from ident.model.regressor import RegressorKernel
 from ident.regression.autocorrelation import independent_share, residual_autocorrelation
 from ident.regression.comparison import TorqueSeries
 from ident.regression.least_squares import LeastSquares
-from ident.regression.observation_matrix import filtered_blocks
+from ident.regression.observation_matrix import filtered_samples
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
 from ident.signals.repetition import motion_phases
@@ -43,7 +46,7 @@ class CorrectedCovariance:
 
     Attributes:
         covariance: (a, a); inf on the diagonal where one block alone determines a parameter.
-        block_length: samples a block, after filtering.
+        block_length: samples per block, after filtering.
         blocks: number of blocks B.
         autocorrelation: (n,) lag-one autocorrelation of each joint's residual.
         effective_rows: number of independent rows that the residuals are worth.
@@ -67,67 +70,140 @@ class FilteredRun:
     series: tuple[TorqueSeries, ...]
 
 
-def block_jackknife(
-    kernel: RegressorKernel, runs: Sequence[FilteredRun], solution: LeastSquares
-) -> CorrectedCovariance:
-    """Corrected covariance of a solution's active parameters."""
-    series = [part for run in runs for part in run.series]
-    autocorrelation = residual_autocorrelation(series)
-    phases = motion_phases([part.velocity for part in series])
-    counted = np.concatenate([phase[part.used] for phase, part in zip(phases, series, strict=True)])
-    different = np.unique(counted)
-    length = block_length(autocorrelation, len(different))
-    sums: dict[int, BlockSum] = {}
-    remaining = iter(phases)
-    for run in runs:
-        for segment, part in zip(run.segments, run.series, strict=True):
-            # Blocks of different motions never share a number: their phases are disjoint.
-            numbers = np.searchsorted(different, next(remaining)) // length
-            _add_block_sums(sums, kernel, segment, run.parallel_filter, part, solution, numbers)
-    normal = np.asarray(np.linalg.inv(solution.inverse))
-    if not np.all(np.diag(normal) > 0.0):  # rounding, where columns are hardly excited
-        normal = total_gram(sums)
-    covariance = jackknife(sums, normal)
-    share = independent_share(autocorrelation[solution.weights > 0])
-    new = len(different) / len(counted)
-    return CorrectedCovariance(covariance, length, len(sums), autocorrelation, solution.rows * share * new, 1.0 / new)
+@dataclass(frozen=True)
+class DistinctSamples:
+    """Filtered samples numbered along the motion, those of a repeated phase alike.
+
+    Attributes:
+        numbers: for each series (M,), without holes over the samples that count; blocks are runs of these numbers.
+            Different motions never share a number.
+        count: of different samples that count.
+        share: of these among all samples that count.
+    """
+
+    numbers: tuple[npt.NDArray[np.int64], ...]
+    count: int
+    share: float
 
 
-@dataclass
-class BlockSum:
-    """W_bᵀW_b (a, a) and W_bᵀρ_b (a,) of one block, weighted."""
+@dataclass(frozen=True, eq=False)
+class BlockSums:
+    """W_bᵀW_b (B, a, a) and W_bᵀρ_b (B, a) of B blocks, weighted."""
 
     gram: FloatArray
     score: FloatArray
 
-
-def total_gram(sums: Mapping[int, BlockSum]) -> FloatArray:
-    """WᵀW (a, a) of all blocks together."""
-    return np.asarray(np.sum([block.gram for block in sums.values()], axis=0))
-
-
-def jackknife(sums: Mapping[int, BlockSum], normal: FloatArray) -> FloatArray:
-    """Covariance (a, a) of a solution's active parameters from the sums of all its blocks and WᵀW (a, a)."""
-    scale = np.sqrt(np.diag(normal))
-    scaled_normal = normal / np.outer(scale, scale)
-    blocks = len(sums)
-    total = np.zeros_like(normal)
-    for block in sums.values():
-        moved = _move(scaled_normal - block.gram / np.outer(scale, scale), block.score / scale)
-        total += np.outer(moved, moved)
-    return np.asarray((blocks - 1) / blocks * total / np.outer(scale, scale))
+    @classmethod
+    def empty(cls, blocks: int, parameters: int) -> BlockSums:
+        """Of no rows."""
+        return cls(np.zeros((blocks, parameters, parameters)), np.zeros((blocks, parameters)))
 
 
-def _move(rest: FloatArray, score: FloatArray) -> FloatArray:
-    """By how much the scaled parameters move without a block; very far where the rest cannot determine them."""
+def block_jackknife(
+    kernel: RegressorKernel, runs: Sequence[FilteredRun], solution: LeastSquares
+) -> CorrectedCovariance:
+    """Corrected covariance of a solution of the joints' torque equations."""
+    series = [part for run in runs for part in run.series]
+    autocorrelation = residual_autocorrelation(series)
+    samples = distinct_samples(series)
+    length = block_length(autocorrelation, samples.count)
+    sums = BlockSums.empty(block_count(samples.count, length), len(solution.active))
+    numbers = iter(samples.numbers)
+    for run in runs:
+        for segment, part in zip(run.segments, run.series, strict=True):
+            rows = rows_by_block(kernel, segment, run.parallel_filter, next(numbers) // length)
+            _add_torque_rows(sums, kernel, solution, rows, part.residual)
+    normal = np.asarray(np.linalg.inv(solution.inverse))
+    if not np.all(np.diag(normal) > 0.0):  # rounding, where columns are hardly excited
+        normal = sums.gram.sum(axis=0)
+    share = independent_share(autocorrelation[solution.weights > 0])
+    return CorrectedCovariance(
+        covariance=jackknife_covariance(tolerant_moves(sums, normal)),
+        block_length=length,
+        blocks=len(sums.gram),
+        autocorrelation=autocorrelation,
+        effective_rows=solution.rows * share * samples.share,
+        repetitions=1.0 / samples.share,
+    )
+
+
+def jackknife_covariance(moves: FloatArray) -> FloatArray:
+    """Delete-block covariance (a, a) from how far each block moves the parameters (B, a)."""
+    return np.asarray((len(moves) - 1) / len(moves) * moves.T @ moves)
+
+
+def least_squares_moves(sums: BlockSums, normal: FloatArray) -> FloatArray:
+    """(B, a) how far leaving out each block moves the parameters of a least-squares solution.
+
+    Args:
+        sums: of all blocks.
+        normal: WᵀW (a, a).
+
+    Raises:
+        IdentificationError: without one block the others do not determine a parameter.
+    """
+    rest, score, scale = _without_each(sums, normal)
+    with _undetermined():
+        return np.asarray(np.linalg.solve(rest, score[:, :, None])[:, :, 0] / scale)
+
+
+def delete_block_moves(estimate: Callable[[FloatArray], FloatArray], blocks: FloatArray) -> FloatArray:
+    """(B, a) how far leaving out each block moves what `estimate` makes of the sum of the others.
+
+    Args:
+        estimate: parameters (a,) from a summed Gram matrix (k, k).
+        blocks: (B, k, k) Gram matrix of each block.
+
+    Raises:
+        IdentificationError: without one block the others do not determine a parameter.
+    """
+    total = blocks.sum(axis=0)
+    whole = estimate(total)
+    with _undetermined():
+        return np.array([whole - estimate(total - block) for block in blocks])
+
+
+@contextmanager
+def _undetermined() -> Iterator[None]:
     try:
-        return np.asarray(np.linalg.solve(rest, score))
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(rest, rcond=1e-14, hermitian=True) @ score)
+        yield
+    except np.linalg.LinAlgError as error:
+        raise IdentificationError(
+            "one short part of the motion alone determines a parameter", hint="record longer, or a richer motion"
+        ) from error
+
+
+def _without_each(sums: BlockSums, normal: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Normal matrices (B, a, a) without each block and scores (B, a) of it, scaled, and the scale (a,)."""
+    scale = np.sqrt(np.diag(normal))
+    pairs = np.outer(scale, scale)
+    return normal / pairs - sums.gram / pairs, sums.score / scale, scale
+
+
+def tolerant_moves(sums: BlockSums, normal: FloatArray) -> FloatArray:
+    """As `least_squares_moves`; very far, and no error, where the other blocks do not determine a parameter."""
+
+    def move(rest: FloatArray, score: FloatArray) -> FloatArray:
+        try:
+            return np.asarray(np.linalg.solve(rest, score))
+        except np.linalg.LinAlgError:
+            return np.asarray(np.linalg.pinv(rest, rcond=1e-14, hermitian=True) @ score)
+
+    rest, scores, scale = _without_each(sums, normal)
+    return np.array([move(*block) for block in zip(rest, scores, strict=True)]) / scale
+
+
+def distinct_samples(series: Sequence[TorqueSeries]) -> DistinctSamples:
+    """Number the filtered samples of several series along their motions."""
+    phases = motion_phases([part.velocity for part in series])
+    counted = np.concatenate([phase[part.used] for phase, part in zip(phases, series, strict=True)])
+    different = np.unique(counted)
+    numbers = tuple(np.searchsorted(different, phase) for phase in phases)
+    return DistinctSamples(numbers, len(different), len(different) / len(counted))
 
 
 def block_length(autocorrelation: FloatArray, samples: int) -> int:
-    """Samples a block: the kernel width that Andrews advises for AR(1) residuals (Econometrica 59, 1991, eq. 6.4).
+    """Samples per block: the kernel width that Andrews advises for AR(1) residuals (Econometrica 59, 1991, eq. 6.4).
 
     Within `FEWEST_BLOCKS` and `MOST_BLOCKS` of them.
     """
@@ -137,37 +213,76 @@ def block_length(autocorrelation: FloatArray, samples: int) -> int:
     return max(1, int(np.clip(width, np.ceil(samples / MOST_BLOCKS), max(1, samples // FEWEST_BLOCKS))))
 
 
-def _add_block_sums(
-    sums: dict[int, BlockSum],
+def block_count(samples: int, length: int) -> int:
+    """Number of blocks of `length` samples, the last one possibly shorter."""
+    return -(-samples // length)
+
+
+@dataclass(frozen=True, eq=False)
+class BlockRows:
+    """Consecutive samples of one block.
+
+    Attributes:
+        block: its number.
+        samples: (m,) which of the segment's filtered samples.
+        regressor: (kernel.row_count, m) packed rows; valid until the next ones are asked for.
+        torque: (k, m) filtered; valid as long.
+    """
+
+    block: int
+    samples: npt.NDArray[np.int64]
+    regressor: FloatArray
+    torque: FloatArray
+
+
+def rows_by_block(
     kernel: RegressorKernel,
     segment: Segment,
     parallel_filter: ZeroPhaseFilter,
-    series: TorqueSeries,
+    blocks: npt.NDArray[np.int64],
+    torque: FloatArray | None = None,
+) -> Iterator[BlockRows]:
+    """Stream a segment's equations, cut where the block changes.
+
+    Args:
+        kernel: gives the regressor's packed rows.
+        segment: motion on a uniform grid.
+        parallel_filter: for τ and W.
+        blocks: (M,) number of each filtered sample's block.
+        torque: (k, N) to be filtered alike; none where None.
+    """
+    torque = np.empty((0, len(segment.time))) if torque is None else torque
+    position = 0
+    for filtered in filtered_samples(kernel, segment, parallel_filter, torque):
+        samples = position + np.flatnonzero(filtered.used)
+        position += len(filtered.used)
+        if len(samples) == 0:
+            continue
+        regressor, filtered_torque = filtered.regressor[:, filtered.used], filtered.torque[:, filtered.used]
+        numbers = blocks[samples]
+        edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
+        for start, stop in pairwise(edges):
+            within = slice(start, stop)
+            yield BlockRows(int(numbers[start]), samples[within], regressor[:, within], filtered_torque[:, within])
+
+
+def _add_torque_rows(
+    sums: BlockSums,
+    kernel: RegressorKernel,
     solution: LeastSquares,
-    numbers: npt.NDArray[np.int64],
+    block_rows: Iterator[BlockRows],
+    residual: FloatArray,
 ) -> None:
-    """Add one segment's samples to the blocks that `numbers` (M,) says they belong to."""
-    size = len(solution.active)
+    """Add one segment's equations of the active columns; `residual` (n, M) of its filtered samples."""
     place = {column: position for position, column in enumerate(solution.active)}
     # Which packed rows belong to active columns, and to which of them.
     chosen = []
-    for rows in kernel.joint_rows:
-        pairs = [(rows.rows.start + i, place[column]) for i, column in enumerate(rows.columns) if column in place]
+    for joint in kernel.joint_rows:
+        pairs = [(joint.rows.start + i, place[column]) for i, column in enumerate(joint.columns) if column in place]
         chosen.append(([row for row, _ in pairs], np.array([column for _, column in pairs], dtype=int)))
-    position = 0
-    nothing = np.empty((0, segment.torque.shape[1]))
-    for filtered in filtered_blocks(kernel, segment, parallel_filter, nothing):
-        whole = slice(position, position + len(filtered.used))
-        position = whole.stop
-        residual = series.residual[:, whole][:, filtered.used]
-        regressor = filtered.regressor[:, filtered.used]
-        number = numbers[whole][filtered.used]
-        edges = np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1, [len(number)]])
-        for start, stop in pairwise(edges.tolist()):
-            if start == stop:
-                continue
-            block = sums.setdefault(int(number[start]), BlockSum(np.zeros((size, size)), np.zeros(size)))
-            for joint, (packed_rows, columns) in enumerate(chosen):
-                rows = solution.weights[joint] * regressor[packed_rows, start:stop]
-                block.gram[columns[:, None], columns] += rows @ rows.T
-                block.score[columns] += rows @ (solution.weights[joint] * residual[joint, start:stop])
+    for part in block_rows:
+        gram, score = sums.gram[part.block], sums.score[part.block]
+        for motor, (packed_rows, columns) in enumerate(chosen):
+            rows = solution.weights[motor] * part.regressor[packed_rows]
+            gram[columns[:, None], columns] += rows @ rows.T
+            score[columns] += rows @ (solution.weights[motor] * residual[motor, part.samples])

@@ -124,14 +124,14 @@ def stack_reductions(reductions: Sequence[Reduction]) -> Reduction:
 
 
 @dataclass(frozen=True)
-class Block:
+class FilteredSamples:
     """Consecutive filtered samples.
 
     Attributes:
-        regressor: (kernel.row_count, m) packed rows; samples at rest are there, see `used`. 0 for motors that turn.
-        torque: as `torques`, filtered; 0 for motors that turn.
+        regressor: (kernel.row_count, m) packed rows; samples at rest are there, see `used`. 0 at velocity reversals.
+        torque: as `torques`, filtered; 0 at velocity reversals.
         used: (m,) whether the sample takes part.
-        reversing: (n, m) motors that turn round there, whose equation takes no part; None where all do.
+        reversing: (n, m) motors near a velocity reversal, whose equation takes no part; None where all do.
     """
 
     regressor: FloatArray
@@ -144,9 +144,9 @@ class Block:
         return self.used if self.reversing is None else self.used & ~self.reversing[motor]
 
 
-def filtered_blocks(
+def filtered_samples(
     kernel: RegressorKernel, segment: Segment, parallel_filter: ZeroPhaseFilter, torques: FloatArray
-) -> Iterator[Block]:
+) -> Iterator[FilteredSamples]:
     """Stream one segment through kernel and parallel filter (SR400 .4.3 point 4).
 
     Args:
@@ -156,32 +156,32 @@ def filtered_blocks(
         torques: (m·n, N).
 
     Yields:
-        Blocks whose arrays are valid until the next one is asked for.
+        Samples whose arrays are valid until the next one is asked for.
     """
     rows = kernel.row_count
     every = slice(None, None, parallel_filter.factor)
     used, reversing = segment.used[every], None if segment.reversing is None else segment.reversing[:, every]
 
-    def block(regressor: FloatArray, torque: FloatArray, part: slice) -> Block:
+    def samples(regressor: FloatArray, torque: FloatArray, part: slice) -> FilteredSamples:
         if reversing is None:
-            return Block(regressor, torque, used[part], None)
+            return FilteredSamples(regressor, torque, used[part], None)
         regressor, torque = regressor.copy(), torque.copy()
-        for motor, turns in enumerate(reversing[:, part]):
-            regressor[kernel.joint_rows[motor].rows, turns] = 0.0
-            torque[motor :: kernel.model.dof, turns] = 0.0
-        return Block(regressor, torque, used[part], reversing[:, part])
+        for motor, left_out in enumerate(reversing[:, part]):
+            regressor[kernel.joint_rows[motor].rows, left_out] = 0.0
+            torque[motor :: kernel.model.dof, left_out] = 0.0
+        return FilteredSamples(regressor, torque, used[part], reversing[:, part])
 
     chunks = evaluate_in_chunks(kernel, segment.position, segment.velocity, segment.acceleration)
     if parallel_filter.factor == 1 and len(parallel_filter.sos) == 0:
         for part, packed in chunks:
-            yield block(packed, torques[:, part], part)
+            yield samples(packed, torques[:, part], part)
         return
     streamed = StreamedFilter(parallel_filter, rows + torques.shape[0])
     position = 0
     ready = (streamed.push(np.concatenate([packed, torques[:, part]])) for part, packed in chunks)
     for filtered in itertools.chain(ready, _finished(streamed)):
         if width := filtered.shape[1]:
-            yield block(filtered[:rows], filtered[rows:], slice(position, position + width))
+            yield samples(filtered[:rows], filtered[rows:], slice(position, position + width))
             position += width
 
 
@@ -233,11 +233,11 @@ def _accumulate(
     """Hand each joint's rows of [W τ…] to its accumulator; the number of samples that took part."""
     samples = 0
     for segment, torque in zip(segments, torques, strict=True):
-        for block in filtered_blocks(kernel, segment, parallel_filter, torque):
-            samples += int(block.used.sum())
+        for filtered in filtered_samples(kernel, segment, parallel_filter, torque):
+            samples += int(filtered.used.sum())
             for joint, accumulator in enumerate(accumulators):
-                rows = _joint_rows(kernel, joint, block.regressor, block.torque)
-                counts = block.counts(joint)
+                rows = _joint_rows(kernel, joint, filtered.regressor, filtered.torque)
+                counts = filtered.counts(joint)
                 accumulator.add(rows if counts.all() else rows[:, counts])
     return samples
 

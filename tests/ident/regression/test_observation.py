@@ -13,7 +13,7 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model, truth_vector
 from ident.model.pinocchio_model import pinocchio_regressor
 from ident.model.regressor import RegressorKernel, regressor
-from ident.regression.observation_matrix import estimate_condition, filtered_blocks, reduce_segments, stack_reductions
+from ident.regression.observation_matrix import estimate_condition, filtered_samples, reduce_segments, stack_reductions
 from ident.signals.filters import ZeroPhaseFilter, butterworth, chebyshev_decimation, no_filter
 from ident.signals.pipeline import Segment
 
@@ -191,7 +191,7 @@ def test_blocks_hold_every_kept_sample_once(three_joint, noisy_segment, length):
     kernel = RegressorKernel(model, base_parameters(model).columns, chunk=64)
     segment = noisy_segment(length)
     zero_phase = FILTERS["butterworth, every fifth"]
-    used = [block.used.copy() for block in filtered_blocks(kernel, segment, zero_phase, segment.torque)]
+    used = [block.used.copy() for block in filtered_samples(kernel, segment, zero_phase, segment.torque)]
     assert np.array_equal(np.concatenate(used), segment.used[::5])
 
 

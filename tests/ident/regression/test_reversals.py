@@ -13,7 +13,7 @@ from ident.identify.identification import IdentifyChoices
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model, truth_vector
 from ident.model.regressor import RegressorKernel, regressor
-from ident.regression.observation_matrix import filtered_blocks, reduce_segments
+from ident.regression.observation_matrix import filtered_samples, reduce_segments
 from ident.regression.velocity_reversals import reversal_mask, without_reversals
 from ident.signals.filters import butterworth, no_filter
 
@@ -73,10 +73,10 @@ def test_just_their_equations_are_left_out(arm, segment, zero_phase):
 def test_what_the_kernel_keeps_between_chunks_is_not_touched(arm, segment):
     model, base, _ = arm
     kernel = RegressorKernel(model, base.columns, chunk=128)
-    plain = [block.regressor.copy() for block in filtered_blocks(kernel, segment, no_filter(), segment.torque)]
+    plain = [block.regressor.copy() for block in filtered_samples(kernel, segment, no_filter(), segment.torque)]
     turns = reversal_mask(kernel, segment, 0.5)
-    list(filtered_blocks(kernel, replace(segment, reversing=turns), no_filter(), segment.torque))
-    again = [block.regressor.copy() for block in filtered_blocks(kernel, segment, no_filter(), segment.torque)]
+    list(filtered_samples(kernel, replace(segment, reversing=turns), no_filter(), segment.torque))
+    again = [block.regressor.copy() for block in filtered_samples(kernel, segment, no_filter(), segment.torque)]
     assert all(np.array_equal(one, other) for one, other in zip(plain, again, strict=True))
 
 
