@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,11 +16,43 @@ from ident.identify.played_motion import played_window
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import PreprocessChoices
 
-Window = dict[str, float | None]
-"""`start` and `stop` of a part, from its recording's first stamp [s]."""
 
-Part = tuple[JointSignals, Window]
-"""A recording's signals, and which part of them counts."""
+@dataclass(frozen=True)
+class RunWindow:
+    """One recording's signals, and the window of them that counts.
+
+    Attributes:
+        signals: as recorded.
+        start, stop: of the window, from the recording's first stamp [s]; None where the recording begins or ends.
+    """
+
+    signals: JointSignals
+    start: float | None
+    stop: float | None
+
+    @property
+    def duration(self) -> float:
+        """Of the whole recording [s]."""
+        time = self.signals.time
+        return float(time[-1] - time[0]) if len(time) else 0.0
+
+    @property
+    def position(self) -> FloatArray:
+        """Positions (N, n) within the window, as recorded; all of them where it holds none [rad or m]."""
+        time = self.signals.time - self.signals.time[:1]
+        inside = (time >= (-np.inf if self.start is None else self.start)) & (
+            time <= (np.inf if self.stop is None else self.stop)
+        )
+        return self.signals.position[inside] if inside.any() else self.signals.position
+
+
+@dataclass(frozen=True)
+class DataSplit:
+    """Recordings to identify from, recordings that are held out, and these in words."""
+
+    identification: tuple[RunWindow, ...]
+    held_out: tuple[RunWindow, ...]
+    validation_source: str
 
 
 def split_data(
@@ -28,7 +61,7 @@ def split_data(
     robot: Robot,
     chosen: PreprocessChoices,
     split: float | None,
-) -> tuple[list[Part], list[Part], str]:
+) -> DataSplit:
     """What to identify from and what to hold out: other recordings, or the last part of each.
 
     Args:
@@ -38,62 +71,49 @@ def split_data(
         chosen: start and stop of the data.
         split: end of the identification part [s]; None takes the first 70 %.
 
-    Returns:
-        Parts to identify from, parts that are held out, and these in words.
-
     Raises:
         UsageError: a window or a border without data.
         DataError: as `read_joint_signals`.
     """
-    motions = [read_joint_signals(recording, robot) for recording in recordings]
-    windows = [_window(recording, motion, chosen) for recording, motion in zip(recordings, motions, strict=True)]
+    runs = tuple(_run_window(recording, robot, chosen) for recording in recordings)
     if validation:
         if split is not None:
             raise UsageError(
                 "--split and --validate exclude each other", hint="name the held-out recording, or split one"
             )
-        held = [read_joint_signals(recording, robot) for recording in validation]
-        names = ", ".join(motion.label for motion in held)
-        held_windows = [
-            _window(recording, motion, PreprocessChoices()) for recording, motion in zip(validation, held, strict=True)
-        ]
-        return list(zip(motions, windows, strict=True)), list(zip(held, held_windows, strict=True)), names
-    parts: list[Part] = []
-    held_out: list[Part] = []
-    for motion, window in zip(motions, windows, strict=True):
-        start, end = window["start"] or 0.0, window["stop"]
-        length = float(motion.time[-1] - motion.time[0]) if len(motion.time) else 0.0
-        stop = length if end is None else min(end, length)
-        if not start < stop:
-            raise UsageError(
-                f"the window from {start:g} to {stop:g} s holds no samples; the recording lasts {length:g} s",
-                where=motion.label,
-            )
-        border = start + (1.0 - HELD_OUT_SHARE) * (stop - start) if split is None else split
-        if not start < border < stop:
-            raise UsageError(
-                f"--split {border:g} s is outside the data, which last from {start:g} to {stop:g} s",
-                hint="leave it out to hold out the last 30 %",
-            )
-        parts.append((motion, {"start": start, "stop": border}))
-        held_out.append((motion, {"start": border, "stop": end}))
+        held_out = tuple(_run_window(recording, robot, PreprocessChoices()) for recording in validation)
+        return DataSplit(runs, held_out, ", ".join(run.signals.label for run in held_out))
+    halves = [_split(run, split) for run in runs]
     share = "last 30 %" if split is None else f"part after {split:g} s"
-    source = f"the {share} of the recording{'s' if len(motions) > 1 else ''}, held out of the identification"
-    return parts, held_out, source
+    return DataSplit(
+        identification=tuple(first for first, _ in halves),
+        held_out=tuple(last for _, last in halves),
+        validation_source=f"the {share} of the recording{'s' if len(runs) > 1 else ''}, held out of the identification",
+    )
 
 
-def _window(recording: Recording, motion: JointSignals, chosen: PreprocessChoices) -> Window:
+def _run_window(recording: Recording, robot: Robot, chosen: PreprocessChoices) -> RunWindow:
     """As the user says, else the played motion where joints that are locked move on their way to it."""
+    signals = read_joint_signals(recording, robot)
     start, stop = chosen.start, chosen.stop
     if start is None and stop is None:
-        start, stop = played_window(recording, motion.position)
-    return {"start": start, "stop": stop}
+        start, stop = played_window(recording, signals.position)
+    return RunWindow(signals, start, stop)
 
 
-def part_positions(part: Part) -> tuple[str, FloatArray]:
-    """Label and positions (N, n) of a part of a recording, as recorded."""
-    motion, window = part
-    time = motion.time - motion.time[0] if len(motion.time) else motion.time
-    start, stop = window.get("start"), window.get("stop")
-    inside = (time >= (-np.inf if start is None else start)) & (time <= (np.inf if stop is None else stop))
-    return motion.label, motion.position[inside] if inside.any() else motion.position
+def _split(run: RunWindow, split: float | None) -> tuple[RunWindow, RunWindow]:
+    """The window before the border, and the one behind it."""
+    start = run.start or 0.0
+    stop = run.duration if run.stop is None else min(run.stop, run.duration)
+    if not start < stop:
+        raise UsageError(
+            f"the window from {start:g} to {stop:g} s holds no samples; the recording lasts {run.duration:g} s",
+            where=run.signals.label,
+        )
+    border = start + (1.0 - HELD_OUT_SHARE) * (stop - start) if split is None else split
+    if not start < border < stop:
+        raise UsageError(
+            f"--split {border:g} s is outside the data, which last from {start:g} to {stop:g} s",
+            hint="leave it out to hold out the last 30 %",
+        )
+    return RunWindow(run.signals, start, border), RunWindow(run.signals, border, run.stop)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -92,18 +92,45 @@ class IdentifyChoices:
             raise UsageError(f"windows of {self.energy_window:g} s hold nothing", where="energy_window")
 
 
+def apply_model_choices(model: DynamicModel, choices: ModelChoices) -> DynamicModel:
+    """The model with the user's columns."""
+    everywhere, nowhere = (True,) * model.dof, (False,) * model.dof
+    changes: dict[str, tuple[bool, ...]] = {}
+    if choices.friction is not None:
+        for column in ("viscous", "coulomb"):
+            changes[column] = everywhere if column in choices.friction.split("-") else nowhere
+    if choices.offset is not None:
+        changes["offset"] = everywhere if choices.offset else nowhere
+    if choices.motor_inertia is not None:
+        changes["motor_inertia"] = everywhere if choices.motor_inertia else nowhere
+    model = replace(model, **changes)  # type: ignore[arg-type]
+    if choices.smoothing is not None:
+        if not (np.isfinite(choices.smoothing) and choices.smoothing >= 0):
+            raise UsageError(f"--smoothing {choices.smoothing} is not a speed", hint="give ε ≥ 0 in rad/s")
+        model = replace(model, smoothing=choices.smoothing)
+    return model
+
+
 @dataclass(frozen=True)
 class PreparedRun:
-    """A recording, or a part of one, ready for the estimator."""
+    """A recording, or a part of one, ready for the estimator.
 
-    motion: JointSignals
+    Attributes:
+        signals: as recorded.
+        choices: its preprocessing and its window.
+        prepared: what came of it.
+        torques: motors whose torques the model of this experiment predicts.
+    """
+
+    signals: JointSignals
     choices: PreprocessChoices
     prepared: Prepared
+    torques: tuple[int, ...]
 
 
 @dataclass(frozen=True)
 class Identification:
-    """Everything that the run found; `ident.identify.summary` turns it into a Result.
+    """Everything that an identification holds; `ident.identify.summary` turns it into a Result.
 
     Attributes:
         robot_file: the robot it was done for.

@@ -1,8 +1,8 @@
-"""The main job: recordings in, validated model out. Each step is a function of its own module; this is their order."""
+"""The main job: recordings in, validated model out, in the order of SR400 .4.3. Each step is a function of its own."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,33 +10,24 @@ import numpy as np
 from daq.recording import Recording
 from daq.robot import RobotFile
 from drivers.errors import UsageError
-from drivers.streams import FloatArray
-from ident.assessment.delay import search_delay
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.validation import fit_figures
-from ident.estimators.estimator import estimable, estimator_of
+from ident.estimators.estimator import Estimator, estimable, estimator_of
 from ident.identify.checks import identification_warnings
-from ident.identify.data_split import Part, part_positions, split_data
-from ident.identify.identification import Identification, IdentifyChoices, ModelChoices, PreparedRun
+from ident.identify.data_split import split_data
+from ident.identify.identification import Identification, IdentifyChoices, PreparedRun, apply_model_choices
+from ident.identify.preparation import Progress, compare_run, prepare_data
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamics import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel
-from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
+from ident.regression.comparison import TorqueSeries
 from ident.regression.jackknife import FilteredRun
 from ident.regression.least_squares import ENERGY_METHODS
-from ident.regression.observability import (
-    experiment_base,
-    find_experiment,
-    predictable_torques,
-)
-from ident.regression.observation_matrix import only_torques
+from ident.regression.observability import Experiment, experiment_base, find_experiment, predictable_torques
+from ident.regression.observation_matrix import Reduction, only_torques
 from ident.regression.pruning import prune
-from ident.regression.velocity_reversals import leave_out_reversals, without_reversals
-from ident.signals.options import PreprocessChoices
-from ident.signals.pipeline import prepare
 
-Progress = Callable[[str], None]
-"""Told what is done next, in words."""
+__all__ = ["Progress", "apply_model_choices", "identify"]
 
 
 def identify(
@@ -62,56 +53,27 @@ def identify(
         raise UsageError("no recording to identify from")
     robot_file = recordings[0].robot() if robot_file is None else robot_file
     model = apply_model_choices(build_model(robot_file), choices.model)
-    parts, held_out, validation_source = split_data(
-        recordings, validation, robot_file.robot, choices.preprocess, choices.split
-    )
+    data = split_data(recordings, validation, robot_file.robot, choices.preprocess, choices.split)
+
     progress("base parameters")
-    experiment = find_experiment(model, [part_positions(part) for part in parts], choices.experiment)
-    held_out_torques = [predictable_torques(model, [experiment], *part_positions(part)) for part in held_out]
+    positions = [(run.signals.label, run.position) for run in data.identification]
+    experiment = find_experiment(model, positions, choices.experiment)
+    predictable = [predictable_torques(model, [experiment], run.signals.label, run.position) for run in data.held_out]
     base = experiment_base(model, [experiment])
     kernel = RegressorKernel(model, base.columns)
 
     progress("preprocessing")
-    # Cut-offs and delay come from the first part, all data are then treated alike.
-    first = _prepare_window(parts[0], choices.preprocess)
-    resolved = first.prepared.choices
-    delay = None
-    if choices.search_delay:
-        progress("delay")
-        searched = without_reversals(kernel, first.prepared.segments)
-        delay = search_delay(kernel, searched, first.prepared.parallel_filter, experiment.torques)
-        resolved = replace(resolved, delay=delay.used)
-    prepared_runs = (_prepare_window(part, resolved) for part in parts)
-    runs = tuple(
-        replace(run, prepared=leave_out_reversals(kernel, run.prepared, choices.reversals)) for run in prepared_runs
-    )
-    validation_runs = tuple(_prepare_window(part, resolved) for part in held_out)
+    prepared = prepare_data(kernel, data, experiment.torques, predictable, choices, progress)
 
     progress("regression")
-    parts_used = [run.prepared for run in runs]
-    estimator = estimator_of(choices.method, kernel, parts_used, choices.energy_window)
-    runs = tuple(
-        replace(run, prepared=replace(run.prepared, steps=(*run.prepared.steps, *estimator.notes(run.prepared))))
-        for run in runs
-    )
-    reduction = estimator.reduce(parts_used)
-    if choices.method not in ENERGY_METHODS:
-        reduction = only_torques(reduction, experiment.torques)
-    estimated = estimable(choices.method, model, base)
-    active = tuple(column for column in excited_base_columns(reduction, base, parts_used) if column in estimated)
+    estimator = estimator_of(choices.method, kernel, [run.prepared for run in prepared.runs], choices.energy_window)
+    runs = tuple(_with_notes(run, estimator) for run in prepared.runs)
+    reduction, active = _observation(estimator, runs, model, experiment, base, choices)
     solution = estimator.solve(reduction, active)
-
-    def compared(parameters: FloatArray) -> tuple[TorqueSeries, ...]:
-        return _compare(model, base, parameters, runs, [experiment.torques] * len(runs))
-
-    def compared_held_out(parameters: FloatArray) -> tuple[TorqueSeries, ...]:
-        return _compare(model, base, parameters, validation_runs, held_out_torques)
-
-    fit_series = compared(solution.parameters)
-    filtered = _filtered_runs(runs, fit_series)
+    fit = [compare_run(kernel, solution.parameters, run) for run in runs]
 
     progress("error bars")
-    corrected = estimator.covariance(filtered, solution)
+    corrected = estimator.covariance(list(_filtered_runs(runs, fit)), solution)
     inflation = np.ones(base.count)
     inflation[list(active)] = np.sqrt(np.diag(corrected.covariance) / np.diag(solution.covariance))
     pruned = prune(
@@ -123,7 +85,9 @@ def identify(
     )
 
     progress("validation")
-    validation_series = compared_held_out(solution.parameters)
+    fit_series = _flat(fit)
+    held_out = prepared.validation_runs
+    validation_series = _flat(compare_run(kernel, solution.parameters, run) for run in held_out)
     essential = pruned.solution.parameters
     identification = Identification(
         robot_file=robot_file,
@@ -132,11 +96,11 @@ def identify(
         base=base,
         choices=replace(
             choices,
-            preprocess=replace(resolved, start=choices.preprocess.start, stop=choices.preprocess.stop),
+            preprocess=replace(prepared.choices, start=choices.preprocess.start, stop=choices.preprocess.stop),
         ),
         runs=runs,
-        validation_runs=validation_runs,
-        delay=delay,
+        validation_runs=held_out,
+        delay=prepared.delay,
         reduction=reduction,
         solution=solution,
         corrected=corrected,
@@ -145,67 +109,49 @@ def identify(
         validation_series=validation_series,
         fit=fit_figures(fit_series),
         validation=fit_figures(validation_series),
-        essential_fit=fit_figures(compared(essential)),
-        essential_validation=fit_figures(compared_held_out(essential)),
-        validation_source=validation_source,
+        essential_fit=fit_figures(_flat(compare_run(kernel, essential, run) for run in runs)),
+        essential_validation=fit_figures(_flat(compare_run(kernel, essential, run) for run in held_out)),
+        validation_source=data.validation_source,
         warnings=(),
     )
+
     progress("plausibility")
     return replace(identification, warnings=tuple(identification_warnings(identification, recordings)))
 
 
-def apply_model_choices(model: DynamicModel, choices: ModelChoices) -> DynamicModel:
-    """The model with the user's columns."""
-    everywhere, nowhere = (True,) * model.dof, (False,) * model.dof
-    changes: dict[str, tuple[bool, ...]] = {}
-    if choices.friction is not None:
-        for column in ("viscous", "coulomb"):
-            changes[column] = everywhere if column in choices.friction.split("-") else nowhere
-    if choices.offset is not None:
-        changes["offset"] = everywhere if choices.offset else nowhere
-    if choices.motor_inertia is not None:
-        changes["motor_inertia"] = everywhere if choices.motor_inertia else nowhere
-    model = replace(model, **changes)  # type: ignore[arg-type]
-    if choices.smoothing is not None:
-        if not (np.isfinite(choices.smoothing) and choices.smoothing >= 0):
-            raise UsageError(f"--smoothing {choices.smoothing} is not a speed", hint="give ε ≥ 0 in rad/s")
-        model = replace(model, smoothing=choices.smoothing)
-    return model
+def _with_notes(run: PreparedRun, estimator: Estimator) -> PreparedRun:
+    """The run with the estimator's own steps among the others."""
+    steps = (*run.prepared.steps, *estimator.notes(run.prepared))
+    return replace(run, prepared=replace(run.prepared, steps=steps))
 
 
-def _prepare_window(part: Part, resolved: PreprocessChoices) -> PreparedRun:
-    motion, window = part
-    choices = replace(resolved, start=window.get("start"), stop=window.get("stop"))
-    return PreparedRun(motion, choices, prepare(motion, choices))
-
-
-def _compare(
-    model: DynamicModel,
-    base: BaseParameters,
-    parameters: FloatArray,
+def _observation(
+    estimator: Estimator,
     runs: Sequence[PreparedRun],
-    torques: Sequence[Sequence[int]],
-) -> tuple[TorqueSeries, ...]:
-    """Measured and predicted torques of all runs; of each run, only those of some motors are predicted."""
-    return tuple(
-        only_predicted(series, predicted)
-        for run, predicted in zip(runs, torques, strict=True)
-        for series in compare_torques(
-            model, base.columns, parameters, run.prepared.segments, run.prepared.parallel_filter
-        )
-    )
+    model: DynamicModel,
+    experiment: Experiment,
+    base: BaseParameters,
+    choices: IdentifyChoices,
+) -> tuple[Reduction, tuple[int, ...]]:
+    """The observation matrix, reduced, and its columns that the data excite and the method can tell apart."""
+    prepared = [run.prepared for run in runs]
+    reduction = estimator.reduce(prepared)
+    if choices.method not in ENERGY_METHODS:
+        reduction = only_torques(reduction, experiment.torques)
+    identifiable = estimable(choices.method, model, base)
+    excited = excited_base_columns(reduction, base, prepared)
+    return reduction, tuple(column for column in excited if column in identifiable)
 
 
-def _filtered_runs(runs: Sequence[PreparedRun], series: Sequence[TorqueSeries]) -> list[FilteredRun]:
+def _filtered_runs(runs: Sequence[PreparedRun], series: Sequence[Sequence[TorqueSeries]]) -> Iterator[FilteredRun]:
     """What the jackknife looks at: torques that were not used leave no residual."""
-    series = [
-        replace(part, predicted=np.where(np.isnan(part.predicted), part.measured, part.predicted)) for part in series
-    ]
-    filtered, position = [], 0
-    for run in runs:
-        count = len(run.prepared.segments)
-        filtered.append(
-            FilteredRun(run.prepared.segments, run.prepared.parallel_filter, tuple(series[position : position + count]))
+    for run, of_run in zip(runs, series, strict=True):
+        known = tuple(
+            replace(part, predicted=np.where(np.isnan(part.predicted), part.measured, part.predicted))
+            for part in of_run
         )
-        position += count
-    return filtered
+        yield FilteredRun(run.prepared.segments, run.prepared.parallel_filter, known)
+
+
+def _flat(series: Iterable[Sequence[TorqueSeries]]) -> tuple[TorqueSeries, ...]:
+    return tuple(part for of_run in series for part in of_run)

@@ -1,4 +1,4 @@
-"""From what an identification found to the Result that is written to disk."""
+"""From an identification to the Result that is written to disk."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -48,93 +48,88 @@ POOR_ERROR = 0.20
 """Relative validation errors that the verdict's words stand for; published arms lie between 1.4 and 8.5 %."""
 
 
-def summarise(found: Identification, recordings: Sequence[Recording], validation: Sequence[Recording]) -> Result:
+def summarise(
+    identification: Identification, recordings: Sequence[Recording], validation: Sequence[Recording]
+) -> Result:
     """The Result of an identification."""
-    robot = found.robot_file.robot
-    solution = found.solution
-    factor = found.reduction.stacked()[:, list(solution.active)]
+    robot = identification.robot_file.robot
+    model, base, solution = identification.model, identification.base, identification.solution
+    corrected, pruned = identification.corrected, identification.pruned
+    factor = identification.reduction.stacked()[:, list(solution.active)]
     lengths = np.linalg.norm(factor, axis=0)
     held_out = validation or recordings  # without validation recordings, their last parts
-    used = [found.model.joint_names[motor] for motor in found.experiment.torques]
+    used = [model.joint_names[motor] for motor in identification.experiment.torques]
     return Result(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         robot=robot.name,
-        robot_file=found.robot_file.text,
-        urdf=found.robot_file.urdf_text or "",
+        robot_file=identification.robot_file.text,
+        urdf=identification.robot_file.urdf_text or "",
         joints=list(robot.joint_names),
         method=solution.method,
-        options=_options(found),
-        model_options=model_options(found.model),
+        options=_options(identification),
+        model_options=model_options(model),
         preprocessing=[
-            ProcessingStep(name=step.name, settings=dict(step.settings), text=step.text)
-            for step in (*found.runs[0].prepared.steps, _experiment_step(found))
+            ProcessingStep.model_validate(step, from_attributes=True)
+            for step in (*identification.runs[0].prepared.steps, _experiment_step(identification))
         ],
         delay=DelayFigures(
-            used=found.choices.preprocess.delay,
-            best=found.delay.best if found.delay is not None else None,
-            note=found.delay.note if found.delay is not None else "as given, not searched",
+            used=identification.choices.preprocess.delay,
+            best=None if identification.delay is None else identification.delay.best,
+            note="as given, not searched" if identification.delay is None else identification.delay.note,
         ),
-        base_parameters=_base_parameters(found),
-        friction=friction_results(found.model, found.base, solution, found.std),
+        base_parameters=parameter_results(
+            model, base, solution, identification.std, pruned, identification.choices.significant_rsd
+        ),
+        friction=friction_results(model, base, solution, identification.std),
         drive_gains=gain_results(robot),
-        fit=fit_result(found.fit),
-        validation=fit_result(found.validation),
-        validation_source=found.validation_source,
+        fit=fit_result(identification.fit),
+        validation=fit_result(identification.validation),
+        validation_source=identification.validation_source,
         essential=Essential(
-            count=len(found.pruned.solution.active),
-            dropped=[found.base.names[i] for i in found.pruned.dropped],
-            stopped_by=found.pruned.stopped_by,
-            fit=fit_result(found.essential_fit),
-            validation=fit_result(found.essential_validation),
+            count=len(pruned.solution.active),
+            dropped=[base.names[i] for i in pruned.dropped],
+            stopped_by=pruned.stopped_by,
+            fit=fit_result(identification.essential_fit),
+            validation=fit_result(identification.essential_validation),
         ),
         excitation=Excitation(
             condition=solution.condition,
             scaled_condition=solution.scaled_condition,
             singular_values=np.linalg.svd(factor / lengths, compute_uv=False).tolist(),
-            unexcited=[found.base.names[i] for i in range(found.base.count) if i not in solution.active],
+            unexcited=[base.names[i] for i in range(base.count) if i not in solution.active],
         ),
         condition=solution.condition,
         residuals=Residuals(
+            **_plain(corrected),
             rows=solution.rows,
-            effective_rows=found.corrected.effective_rows,
-            joint_std=found.joint_std.tolist(),
-            autocorrelation=found.corrected.autocorrelation.tolist(),
-            block_length=found.corrected.block_length,
-            blocks=found.corrected.blocks,
-            repetitions=found.corrected.repetitions,
-            correction=f"delete-block jackknife, {found.corrected.blocks} blocks of "
-            f"{found.corrected.block_length} samples, repetitions of a motion in the same block",
+            joint_std=identification.joint_std.tolist(),
+            correction=f"delete-block jackknife, {corrected.blocks} blocks of {corrected.block_length} samples, "
+            "repetitions of a motion in the same block",
         ),
-        rank_margin=found.base.margin,
+        rank_margin=base.margin,
         recordings=[
-            *(_use(*pair, "identification", used) for pair in zip(found.runs, recordings, strict=True)),
-            *(_use(*pair, "validation", used) for pair in zip(found.validation_runs, held_out, strict=True)),
+            *(_use(*pair, "identification", used) for pair in zip(identification.runs, recordings, strict=True)),
+            *(_use(*pair, "validation", used) for pair in zip(identification.validation_runs, held_out, strict=True)),
         ],
         versions=software_versions(),
-        verdict=verdict(found),
-        warnings=list(found.warnings),
-        experiments=[experiment_result(found.model, found.experiment)],
-        estimate=estimate_result(found.estimate, found.base.names),
+        verdict=verdict(identification),
+        warnings=list(identification.warnings),
+        experiments=[experiment_result(model, identification.experiment)],
+        estimate=estimate_result(identification.estimate, base.names),
     )
 
 
 def model_options(model: DynamicModel) -> ModelOptions:
     """Which columns the model has."""
-    return ModelOptions(
-        motor_inertia=list(model.motor_inertia),
-        viscous=list(model.viscous),
-        coulomb=list(model.coulomb),
-        offset=list(model.offset),
-        smoothing=model.smoothing,
-    )
+    return ModelOptions.model_validate(model, from_attributes=True)
 
 
 def experiment_result(model: DynamicModel, experiment: Experiment) -> ExperimentResult:
     """An experiment by the names of the joints."""
     return ExperimentResult(
         locked={
-            model.joint_names[joint]: [pose[place] for pose in experiment.poses]
-            for place, joint in enumerate(experiment.locked)
+            model.joint_names[joint]: [pose[index] for pose in experiment.poses]
+            for index, joint in enumerate(experiment.locked)
         },
         torques_of=[model.joint_names[motor] for motor in experiment.torques],
     )
@@ -142,30 +137,30 @@ def experiment_result(model: DynamicModel, experiment: Experiment) -> Experiment
 
 def estimate_result(estimate: Estimate, names: Sequence[str]) -> EstimateResult:
     """An estimate by the names of the base parameters."""
-    others = [number for number in range(len(names)) if number not in estimate.active]
+    others = [column for column in range(len(names)) if column not in estimate.active]
     return EstimateResult(
-        parameters=[names[number] for number in estimate.active],
+        parameters=[names[column] for column in estimate.active],
         root=estimate.root.tolist(),
         covariance=estimate.covariance.tolist(),
         taken_up={
-            names[number]: shares.tolist()
-            for number, shares in zip(others, estimate.taken_up.T, strict=True)
+            names[column]: shares.tolist()
+            for column, shares in zip(others, estimate.taken_up.T, strict=True)
             if np.any(shares)
         },
         blocks=estimate.blocks,
     )
 
 
-def _experiment_step(found: Identification) -> Step:
+def _experiment_step(identification: Identification) -> Step:
     """The experiment among the steps."""
-    names = found.model.joint_names
+    names = identification.model.joint_names
     return Step(
         "experiment",
         {
-            "locked": ", ".join(names[joint] for joint in found.experiment.locked),
-            "torques_of": ", ".join(names[motor] for motor in found.experiment.torques),
+            "locked": ", ".join(names[joint] for joint in identification.experiment.locked),
+            "torques_of": ", ".join(names[motor] for motor in identification.experiment.torques),
         },
-        describe(found.model, found.experiment),
+        describe(identification.model, identification.experiment),
     )
 
 
@@ -180,56 +175,42 @@ def judgement(error: float) -> str:
     return "not to be trusted: the model misses much of what moves this arm"
 
 
-def verdict(found: Identification) -> str:
+def verdict(identification: Identification) -> str:
     """How far to trust the model, in a few sentences."""
-    error = found.validation.relative_error
-    significant = int(np.sum(_significant(found)))
+    model, base, experiment = identification.model, identification.base, identification.experiment
+    error = identification.validation.relative_error
+    significant = int(np.sum(_significant(identification)))
     text = (
-        f"On {found.validation_source}, predicted torque differs from measured torque by {error * 100:.1f} % "
-        f"(identification: {found.fit.relative_error * 100:.1f} %). That is {judgement(error)}. "
-        f"{significant} of {found.base.count} base parameters are significant; "
-        f"the essential model keeps {len(found.pruned.solution.active)} of them and is off by "
-        f"{found.essential_validation.relative_error * 100:.1f} %."
+        f"On {identification.validation_source}, predicted torque differs from measured torque by {error * 100:.1f} % "
+        f"(identification: {identification.fit.relative_error * 100:.1f} %). That is {judgement(error)}. "
+        f"{significant} of {base.count} base parameters are significant; "
+        f"the essential model keeps {len(identification.pruned.solution.active)} of them and is off by "
+        f"{identification.essential_validation.relative_error * 100:.1f} %."
     )
-    if found.experiment != whole_arm(found.model):
-        text += f" All of this holds for the experiment as it was: {describe(found.model, found.experiment)}."
-    if found.warnings:
-        count = len(found.warnings)
+    if experiment != whole_arm(model):
+        text += f" All of this holds for the experiment as it was: {describe(model, experiment)}."
+    if identification.warnings:
+        count = len(identification.warnings)
         text += f" {count} warning{'s' if count > 1 else ''} to read first."
     return text
 
 
-def _significant(found: Identification) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    return np.asarray(relative_std(found.solution.parameters, found.std) < found.choices.significant_rsd)
-
-
-def _options(found: Identification) -> dict[str, float | int | str | bool | None]:
-    """What the run was asked for, cut-offs resolved, so that it can be repeated and a new recording treated alike."""
-    chosen = found.choices
-    preprocess = chosen.preprocess
-    return {
-        "position_cutoff": preprocess.position_cutoff,
-        "torque_cutoff": preprocess.torque_cutoff,
-        "decimate": preprocess.decimate,
-        "position_decimate": preprocess.position_decimate,
-        "filter_kind": preprocess.filter_kind,
-        "delay": preprocess.delay,
-        "measured_velocity": preprocess.measured_velocity,
-        "start": preprocess.start,
-        "stop": preprocess.stop,
-        "rest_velocity": preprocess.rest_velocity,
-        "keep_rest": preprocess.keep_rest,
-        "split": chosen.split,
-        "significant_rsd": chosen.significant_rsd,
-        "energy_window": chosen.energy_window,
-        "reversals": chosen.reversals,
-    }
-
-
-def _base_parameters(found: Identification) -> list[BaseParameterResult]:
-    return parameter_results(
-        found.model, found.base, found.solution, found.std, found.pruned, found.choices.significant_rsd
+def _significant(identification: Identification) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    return np.asarray(
+        relative_std(identification.solution.parameters, identification.std) < identification.choices.significant_rsd
     )
+
+
+def _options(identification: Identification) -> dict[str, float | int | str | bool | None]:
+    """What the run was asked for, cut-offs resolved, so that it can be repeated and a new recording treated alike."""
+    choices = identification.choices
+    return {
+        **asdict(choices.preprocess),
+        "split": choices.split,
+        "significant_rsd": choices.significant_rsd,
+        "energy_window": choices.energy_window,
+        "reversals": choices.reversals,
+    }
 
 
 def parameter_results(
@@ -271,6 +252,9 @@ def parameter_results(
     return [entry(i) for i in range(base.count)]
 
 
+FRICTION_KINDS: tuple[Kind, ...] = ("viscous", "coulomb", "offset")
+
+
 def friction_results(
     model: DynamicModel, base: BaseParameters, solution: LeastSquares, std: FloatArray
 ) -> list[JointFriction]:
@@ -284,12 +268,8 @@ def friction_results(
     return [
         JointFriction(
             joint=name,
-            viscous=value("viscous", joint, solution.parameters),
-            viscous_std=value("viscous", joint, std),
-            coulomb=value("coulomb", joint, solution.parameters),
-            coulomb_std=value("coulomb", joint, std),
-            offset=value("offset", joint, solution.parameters),
-            offset_std=value("offset", joint, std),
+            **{kind: value(kind, joint, solution.parameters) for kind in FRICTION_KINDS},
+            **{f"{kind}_std": value(kind, joint, std) for kind in FRICTION_KINDS},
         )
         for joint, name in zip(model.active, model.joint_names, strict=True)
     ]
@@ -297,25 +277,18 @@ def friction_results(
 
 def gain_results(robot: Robot) -> list[DriveGain]:
     """The drive gains of a robot file."""
-    return [
-        DriveGain(
-            joint=name, signal=robot.drive(name).signal, gain=robot.drive(name).gain, std=robot.drive(name).gain_std
-        )
-        for name in robot.joint_names
-    ]
+    drives = [robot.drive(name) for name in robot.joint_names]
+    return [DriveGain(joint=drive.joint, signal=drive.signal, gain=drive.gain, std=drive.gain_std) for drive in drives]
 
 
 def fit_result(figures: FitFigures) -> Fit:
     """Errors as they are stored."""
-    return Fit(
-        relative_error=figures.relative_error,
-        joint_relative_error=figures.joint_relative_error.tolist(),
-        rmse=figures.rmse.tolist(),
-        low_speed_rmse=figures.low_speed_rmse.tolist(),
-        high_speed_rmse=figures.high_speed_rmse.tolist(),
-        max_error=figures.max_error.tolist(),
-        samples=figures.samples,
-    )
+    return Fit.model_validate(_plain(figures))
+
+
+def _plain(values: object) -> dict[str, Any]:
+    """Fields of a dataclass or of a model by name, arrays as lists."""
+    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(values).items()}
 
 
 def values_sha256(recording: Recording) -> str:
@@ -331,10 +304,10 @@ def values_sha256(recording: Recording) -> str:
 def _use(
     run: PreparedRun, recording: Recording, role: Literal["identification", "validation"], torques_of: list[str]
 ) -> RecordingUse:
-    time = run.motion.time
+    time = run.signals.time
     path = recording.path
     return RecordingUse(
-        file=str(Path(run.motion.label).name) if path is not None else run.motion.label,
+        file=str(Path(run.signals.label).name) if path is not None else run.signals.label,
         sha256=file_sha256(path) if path is not None else values_sha256(recording),
         role=role,
         window=(

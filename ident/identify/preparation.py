@@ -1,0 +1,84 @@
+"""All data of an identification, preprocessed alike: cut-offs and delay come from the first recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from drivers.streams import FloatArray
+from ident.assessment.delay import DelaySearch, search_delay
+from ident.identify.data_split import DataSplit, RunWindow
+from ident.identify.identification import IdentifyChoices, PreparedRun
+from ident.model.regressor import RegressorKernel
+from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
+from ident.regression.velocity_reversals import leave_out_reversals, without_reversals
+from ident.signals.options import PreprocessChoices
+from ident.signals.pipeline import prepare
+
+Progress = Callable[[str], None]
+"""Told what is done next, in words."""
+
+
+@dataclass(frozen=True)
+class PreparedData:
+    """All data, ready for the estimator.
+
+    Attributes:
+        runs, validation_runs: to identify from, and held out.
+        delay: the search, where one was made.
+        choices: of all recordings, cut-offs and delay filled in.
+    """
+
+    runs: tuple[PreparedRun, ...]
+    validation_runs: tuple[PreparedRun, ...]
+    delay: DelaySearch | None
+    choices: PreprocessChoices
+
+
+def prepare_data(
+    kernel: RegressorKernel,
+    data: DataSplit,
+    torques: Sequence[int],
+    held_out_torques: Sequence[Sequence[int]],
+    choices: IdentifyChoices,
+    progress: Progress,
+) -> PreparedData:
+    """Preprocess all recordings with the filters and the delay of the first.
+
+    Args:
+        kernel: of the base columns.
+        data: recordings and their windows.
+        torques: motors whose torques are used.
+        held_out_torques: of each held-out recording, the motors whose torques can be predicted.
+        choices: the user's.
+        progress: called before the search for the delay.
+    """
+    first = _prepare_run(data.identification[0], choices.preprocess, torques).prepared
+    resolved, delay = first.choices, None
+    if choices.search_delay:
+        progress("delay")
+        segments = without_reversals(kernel, first.segments)
+        delay = search_delay(kernel, segments, first.parallel_filter, torques)
+        resolved = replace(resolved, delay=delay.used)
+    runs = [_prepare_run(run, resolved, torques) for run in data.identification]
+    return PreparedData(
+        runs=tuple(replace(run, prepared=leave_out_reversals(kernel, run.prepared, choices.reversals)) for run in runs),
+        validation_runs=tuple(
+            _prepare_run(run, resolved, predictable)
+            for run, predictable in zip(data.held_out, held_out_torques, strict=True)
+        ),
+        delay=delay,
+        choices=resolved,
+    )
+
+
+def _prepare_run(run: RunWindow, resolved: PreprocessChoices, torques: Sequence[int]) -> PreparedRun:
+    choices = replace(resolved, start=run.start, stop=run.stop)
+    return PreparedRun(run.signals, choices, prepare(run.signals, choices), tuple(torques))
+
+
+def compare_run(kernel: RegressorKernel, parameters: FloatArray, run: PreparedRun) -> tuple[TorqueSeries, ...]:
+    """Measured and predicted torques of a run for base parameters (b,), a series per segment."""
+    prepared = run.prepared
+    series = compare_torques(kernel.model, kernel.columns, parameters, prepared.segments, prepared.parallel_filter)
+    return tuple(only_predicted(part, run.torques) for part in series)
