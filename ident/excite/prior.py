@@ -11,9 +11,11 @@ import numpy as np
 from daq.robot import JointLimits, Robot, RobotFile
 from drivers.errors import ResultFileError, UsageError
 from drivers.streams import FloatArray
+from ident.identify.revalidate import stored_choices
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamics import build_model, truth_vector
 from ident.result.schema import Result, read_result
+from ident.signals.options import filtered_rate
 
 ASSUMED_NOISE_SHARE = 0.01
 """Torque noise of a joint of which nothing is known, as a share of its torque limit."""
@@ -130,8 +132,7 @@ _AGAIN = "identify again with this dynid"
 def _filtered_rate(result: Result, where: str) -> float:
     """Rate [Hz] of the filtered torques that an identification compared."""
     used = [use for use in result.recordings if use.role == "identification"]
-    step = next((step for step in result.preprocessing if step.name == "parallel filter"), None)
-    factor = step.settings.get("factor") if step is not None else None
-    if not used or not isinstance(factor, int | float) or factor < 1 or not used[0].rate_hz > 0:
+    rate = filtered_rate(stored_choices(result), used[0].rate_hz) if used and used[0].rate_hz > 0 else None
+    if rate is None:
         raise ResultFileError("does not say the rate of its filtered torques", where=where, hint=_AGAIN)
-    return used[0].rate_hz / factor
+    return rate

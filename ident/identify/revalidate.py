@@ -43,7 +43,7 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
     essential = np.array([stored[name].essential_value or 0.0 for name in base.names])
     motion = read_joint_signals(recording, stored_parts.robot_file.robot)
     start, stop = played_window(recording, motion.position)
-    choices = replace(_stored_choices(result), start=start, stop=stop)
+    choices = replace(stored_choices(result), start=start, stop=stop)
     prepared = prepare(motion, choices)
     seconds = motion.time - motion.time[0]
     inside = (seconds >= (start or 0.0)) & (seconds <= (np.inf if stop is None else stop))
@@ -58,7 +58,7 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
     return Revalidation(fit_figures(full_series), fit_figures(essential_series), full_series)
 
 
-def _stored_choices(result: Result) -> PreprocessChoices:
+def stored_choices(result: Result) -> PreprocessChoices:
     """The preprocessing of the identification, its window left out: that belonged to its own recording."""
     names = PreprocessChoices.__dataclass_fields__
     chosen = {key: value for key, value in result.options.items() if key in names and key not in ("start", "stop")}

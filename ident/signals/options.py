@@ -167,6 +167,16 @@ def resolve(choices: PreprocessChoices, cutoffs: Cutoffs, rest_velocity: float) 
     )
 
 
+def filtered_rate(resolved: PreprocessChoices, rate: float) -> float | None:
+    """Rate [Hz] of the filtered torques of data at `rate` [Hz]; None where the cut-off was left to the data.
+
+    Needs no data: with the cut-off or the factor given, the band of the motion decides nothing more.
+    """
+    if resolved.torque_cutoff is None and resolved.decimate is None:
+        return None
+    return rate / choose_cutoffs(0.0, rate, resolved).decimate
+
+
 def parallel_filter(cutoffs: Cutoffs, kind: FilterKind, rate: float) -> ZeroPhaseFilter:
     """The filter for τ and every column of W (SR400 .4.3 point 4) at `rate` [Hz]."""
     if kind == "chebyshev":

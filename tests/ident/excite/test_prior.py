@@ -102,7 +102,7 @@ def test_incomplete_results_are_refused(three_joint, tmp_path, identification):
     residuals = result.residuals.model_copy(update={"joint_std": [0.1, None, 0.1]})
     for changes, words in (
         ({"residuals": residuals}, "residual of a joint"),
-        ({"preprocessing": []}, "rate"),
+        ({"options": {}}, "rate"),
         ({"recordings": []}, "rate"),
     ):
         with pytest.raises(ResultFileError, match=words):
