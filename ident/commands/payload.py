@@ -52,14 +52,14 @@ def payload(
     from daq.console import print_json
     from drivers.errors import UsageError
     from ident.experiments.payload import identify_payload
-    from ident.experiments.payload_summary import payload_object
+    from ident.experiments.payload_summary import payload_result
 
     if mass is None and (com is not None or inertia is not None):
         raise UsageError("--com and --inertia describe a load whose mass is missing", hint="add --mass KG")
     known = None if mass is None else _known_load(mass, com, inertia)
     found = _identified("payload", identify_payload, (free, loaded), known, robot, delay, quiet=as_json)
     if as_json:
-        print_json(payload_object(found))
+        print_json(payload_result(found).model_dump())
     else:
         print_payload(found)
 
@@ -83,7 +83,7 @@ def gains(
     from daq.console import print_json
     from drivers.errors import UsageError
     from ident.experiments.drive_gains import identify_gains
-    from ident.experiments.payload_summary import gains_object, slow_gains_object
+    from ident.experiments.payload_summary import gains_result, slow_gains_result
     from ident.experiments.up_and_down import identify_slow_gains
 
     if mass is None:
@@ -96,13 +96,13 @@ def gains(
     if up_and_down:
         slow = _identified("gains", identify_slow_gains, (free, loaded), known, robot, delay, quiet=as_json)
         if as_json:
-            print_json(slow_gains_object(slow))
+            print_json(slow_gains_result(slow).model_dump())
         else:
             print_slow_gains(slow)
         return
     found = _identified("gains", identify_gains, (free, loaded), known, robot, delay, quiet=as_json)
     if as_json:
-        print_json(gains_object(found))
+        print_json(gains_result(found).model_dump())
     else:
         print_gains(found)
 
@@ -110,7 +110,8 @@ def gains(
 def print_payload(found: Payload) -> None:
     """The load as a person reads it at the terminal."""
     from daq.console import print_table
-    from ident.experiments.payload_summary import FRAME_TEXT, base_rows, load_rows, payload_sentences
+    from ident.experiments.payload_summary import FRAME_TEXT, base_changes, load_parameters, payload_sentences
+    from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
     print(f"delay: {found.pair.delay_note}\n{FRAME_TEXT}")
     for estimate, title in ((found.load, "Load"), (found.with_mass, "Load with what is known held fixed")):
@@ -118,14 +119,16 @@ def print_payload(found: Payload) -> None:
             continue
         print_table(
             f"\n{title}",
-            ("name", "value", "σ", "of it noise", "of it gains", "unit", "expression"),
+            ("name", "value", "σ", "σ by noise", "σ by gains", "unit", "expression"),
             [
-                (row["name"], *(row[key] for key in ("value", "std", "noise_std", "gain_std", "unit", "expression")))
-                for row in load_rows(estimate)
+                (row.name, row.value, row.std, row.noise_std, row.gain_std, row.unit, row.expression)
+                for row in load_parameters(estimate)
             ],
         )
         if estimate.centre is not None:
-            values = ", ".join(f"{value:.4g} ± {std:.1g}" for value, std in zip(*estimate.centre, strict=True))
+            values = ", ".join(
+                f"{value:.4g} ± {WITHIN_95_PERCENT * std:.1g}" for value, std in zip(*estimate.centre, strict=True)
+            )
             print(f"centre of mass [m]: {values}")
         if estimate.columns.no_effect:
             print(f"without effect on this arm: {', '.join(estimate.columns.no_effect)}")
@@ -133,8 +136,8 @@ def print_payload(found: Payload) -> None:
         "\nBase parameters that a load changes",
         ("name", "free", "σ", "free plus load", "identified loaded", "σ", "unit"),
         [
-            tuple(row[key] for key in ("name", "free", "free_std", "predicted", "loaded", "loaded_std", "unit"))
-            for row in base_rows(found)
+            (row.name, row.free, row.free_std, row.predicted, row.loaded, row.loaded_std, row.unit)
+            for row in base_changes(found)
         ],
     )
     print()
@@ -191,6 +194,7 @@ def print_slow_gains(found: SlowGains) -> None:
     """Gains from slow up-and-down runs as a person reads them at the terminal."""
     from daq.console import print_table
     from ident.experiments.payload_summary import drives_text, gain_unit
+    from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
     print_table(
         f"\nDrive gains [{gain_unit(found.signal)}], joint side, by half sums of slow runs up and down",
@@ -217,7 +221,7 @@ def print_slow_gains(found: SlowGains) -> None:
     )
     if found.known.com is None:
         centre = ", ".join(
-            f"{value / found.known.mass:.4g} ± {std / found.known.mass:.1g}"
+            f"{value / found.known.mass:.4g} ± {WITHIN_95_PERCENT * std / found.known.mass:.1g}"
             for value, std in zip(found.moments, found.moments_std, strict=True)
         )
         print(f"\ncentre of mass [m]: {centre}; null vector {found.gap:.3g} times below the next")

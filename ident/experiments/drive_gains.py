@@ -57,7 +57,8 @@ class GainEstimate:
         file_gain: of the robot file; None where it names none.
         angle: between the motor signal and the span of the columns that act on this joint alone (its friction, its
             motor inertia, …) [degrees]; small where gain and inertia can hardly be told apart.
-        confused_with: inertial parameter or other gain whose estimate moves most with this one's, and the correlation.
+        confused_with: inertial parameter or other gain whose estimate is most correlated with this one's, and how much.
+        noise: standard deviation of the filtered motor signal about the model [A or V].
     """
 
     joint: str
@@ -66,6 +67,7 @@ class GainEstimate:
     file_gain: float | None
     angle: float
     confused_with: tuple[str, float]
+    noise: float
 
     @property
     def relative_std(self) -> float:
@@ -91,7 +93,6 @@ class DriveGains:
         load, load_std: (k,) of it; nan where the motions do not show it.
         condition: largest over second-smallest singular value of what the model's columns leave of the motor signals.
         gap: second-smallest over smallest one; the null vector is sure where it is large.
-        noise: (n,) standard deviation of each filtered motor signal about the model [A or V].
         blocks, block_length: of the jackknife.
         warnings: for the user.
     """
@@ -110,7 +111,6 @@ class DriveGains:
     load_std: FloatArray
     condition: float
     gap: float
-    noise: FloatArray
     blocks: int
     block_length: int
     warnings: tuple[str, ...]
@@ -124,6 +124,11 @@ class DriveGains:
     def values(self) -> FloatArray:
         """(n,) gains."""
         return np.array([gain.gain for gain in self.gains])
+
+    @property
+    def noise(self) -> FloatArray:
+        """(n,) standard deviation of each filtered motor signal about the model [A or V]."""
+        return np.array([gain.noise for gain in self.gains])
 
     @property
     def std(self) -> FloatArray:
@@ -209,6 +214,7 @@ def _gains(
                 file_gain=robot.drive(name).gain,
                 angle=float(angles[joint]),
                 confused_with=_most_correlated(correlation[joint], joint, names, telling),
+                noise=float(system.noise[joint] / abs(gains[joint])),
             )
             for joint, name in enumerate(robot.joint_names)
         ),
@@ -221,7 +227,6 @@ def _gains(
         load_std=spread[count:],
         condition=system.solution.condition,
         gap=system.solution.gap,
-        noise=system.noise / np.abs(gains),
         blocks=grams.count,
         block_length=grams.length,
         warnings=(),

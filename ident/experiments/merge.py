@@ -25,7 +25,7 @@ from drivers.errors import IdentificationError
 from drivers.streams import FloatArray
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.linear_algebra.triangular import scaled_condition, triangular
-from ident.regression.hypothesis_tests import ChanceTest, chi_square_test
+from ident.regression.hypothesis_tests import SignificanceTest, chi_square_test
 from ident.regression.least_squares import EXCITATION_TOLERANCE, LeastSquares
 
 CONTRADICTING = 3.0
@@ -70,7 +70,7 @@ class MergedEstimate:
     covariance: FloatArray
     root: FloatArray
     taken_up: FloatArray
-    consistency: ChanceTest | None
+    consistency: SignificanceTest | None
     deviations: tuple[FloatArray, ...]
     fitted: tuple[FloatArray, ...]
 
@@ -172,7 +172,7 @@ def merge(parts: Sequence[Information], active: Sequence[int]) -> MergedEstimate
 
 def _consistency(
     right: FloatArray, spread: FloatArray, system: FloatArray, residual: FloatArray, blocks: int
-) -> ChanceTest | None:
+) -> SignificanceTest | None:
     """Whether the values of several experiments differ by chance only from what one set of parameters gives.
 
     Where the jackknife has too few blocks for the test, its variances count by their mean alone.
@@ -186,7 +186,7 @@ def _consistency(
     if test is not None:
         return test
     statistic = float(residual @ residual)
-    return ChanceTest(statistic, freedom, float(chi2.sf(statistic, freedom)))
+    return SignificanceTest(statistic, freedom, float(chi2.sf(statistic, freedom)))
 
 
 def _deviations(parts: Sequence[Information], residual: FloatArray, covariance: FloatArray) -> tuple[FloatArray, ...]:

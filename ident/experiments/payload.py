@@ -33,7 +33,7 @@ from ident.experiments.load_estimate import (
 )
 from ident.experiments.run_pair import FREE, LOADED, RunPair, prepare_pair, resting_warnings
 from ident.model.load import INDEPENDENT, MASS, KnownLoad, load_effect
-from ident.regression.hypothesis_tests import ChanceTest, chi_square_test
+from ident.regression.hypothesis_tests import SignificanceTest, chi_square_test
 from ident.regression.jackknife import jackknife_covariance
 from ident.signals.joint_signals import read_joint_signals
 
@@ -73,7 +73,7 @@ class LargestChange:
     number: int
     free: float
     loaded: float
-    test: ChanceTest
+    test: SignificanceTest
 
 
 @dataclass(frozen=True)
@@ -97,11 +97,11 @@ class Payload:
     pair: RunPair
     load: LoadEstimate
     with_mass: LoadEstimate | None
-    mass_test: ChanceTest | None
-    values_test: ChanceTest | None
+    mass_test: SignificanceTest | None
+    values_test: SignificanceTest | None
     changes: BaseChange
-    load_test: ChanceTest | None
-    known_test: ChanceTest | None
+    load_test: SignificanceTest | None
+    known_test: SignificanceTest | None
     rest: LargestChange | None
     blocks: int
     block_length: int
@@ -186,7 +186,7 @@ def _largest_change(
     chance = min(1.0, len(telling) * 2.0 * float(t_distribution.sf(size, blocks - 1)))
     number = separate.active[worst]
     free, loaded = (float(values[number]) for values in separate.parameters)
-    return LargestChange(number, free, loaded, ChanceTest(size**2, 1, chance))
+    return LargestChange(number, free, loaded, SignificanceTest(size**2, 1, chance))
 
 
 def _changing(effect: FloatArray, active: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -195,17 +195,17 @@ def _changing(effect: FloatArray, active: tuple[int, ...]) -> tuple[tuple[int, .
     return tuple(i for i in active if changes[i]), tuple(i for i in active if not changes[i])
 
 
-def _mass_test(estimate: LoadEstimate, known: KnownLoad | None) -> ChanceTest | None:
+def _mass_test(estimate: LoadEstimate, known: KnownLoad | None) -> SignificanceTest | None:
     if known is None or not np.isfinite(estimate.standard[MASS]):
         return None
     from scipy.stats import chi2
 
     place = estimate.columns.kept.index(MASS)
     statistic = float((estimate.standard[MASS] - known.mass) ** 2 / estimate.covariance[place, place])
-    return ChanceTest(statistic, 1, float(chi2.sf(statistic, 1)))
+    return SignificanceTest(statistic, 1, float(chi2.sf(statistic, 1)))
 
 
-def _values_test(estimate: LoadEstimate, known: KnownLoad | None, blocks: int) -> ChanceTest | None:
+def _values_test(estimate: LoadEstimate, known: KnownLoad | None, blocks: int) -> SignificanceTest | None:
     if known is None or len(known.known) < 2:
         return None
     places = [

@@ -1,47 +1,64 @@
-"""What a free and a loaded run say, in words and as the object that `--json` prints."""
+"""What a free and a loaded run say: the tests in words, and the results that `--json` prints."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
+from drivers.streams import FloatArray
 from ident.experiments.drive_gains import DriveGains
 from ident.experiments.load_estimate import LoadEstimate
 from ident.experiments.payload import Payload
+from ident.experiments.schema import (
+    BaseParameterChange,
+    CentreOfMass,
+    DelayUsed,
+    EstimatedValue,
+    GainResult,
+    GainsResult,
+    KnownLoadValues,
+    LoadParameter,
+    PayloadResult,
+    PayloadTests,
+    SignificanceResult,
+    SlowGainResult,
+    SlowGainsResult,
+    UnchangedResult,
+)
 from ident.experiments.up_and_down import SlowGains
 from ident.model.dynamics import DynamicModel
 from ident.model.load import FIRST_MOMENTS, KnownLoad, LoadColumns
 from ident.model.parameters import INERTIAL
-from ident.regression.hypothesis_tests import LEVEL, ChanceTest
+from ident.regression.hypothesis_tests import LEVEL, WITHIN_95_PERCENT, SignificanceTest
 from ident.result.schema import UNITS
 
 FRAME_TEXT = "tool frame: origin at workspace.tool, axes of the last joint's frame"
 
 
-def payload_sentences(found: Payload) -> list[str]:
+def payload_sentences(payload: Payload) -> list[str]:
     """The tests in words."""
     sentences = []
-    mass, known = found.load.standard[INERTIAL.index("M")], _known(found)
-    if found.mass_test is not None and known is not None:
-        place = found.load.columns.kept.index(INERTIAL.index("M"))
-        noise = float(np.sqrt(found.load.covariance[place, place]))
-        gains = float(np.sqrt(found.load.gain_covariance[place, place]))
-        verdict = "agrees with" if found.mass_test.passed else "does not agree with"
+    mass, known = payload.load.standard[INERTIAL.index("M")], _known(payload)
+    if payload.mass_test is not None and known is not None:
+        place = payload.load.columns.kept.index(INERTIAL.index("M"))
+        noise = float(np.sqrt(payload.load.covariance[place, place]))
+        gains = float(np.sqrt(payload.load.gain_covariance[place, place]))
+        verdict = "agrees with" if payload.mass_test.passed else "does not agree with"
         text = (
-            f"mass: identified without it, {mass:.4g} ± {noise:.2g} kg {verdict} the known {known.mass:g} kg "
-            f"({_p_value(found.mass_test)})"
+            f"mass: identified without it, {mass:.4g} ± {WITHIN_95_PERCENT * noise:.2g} kg {verdict} the known "
+            f"{known.mass:g} kg ({_test_text(payload.mass_test)})"
         )
-        if not found.mass_test.passed and abs(mass - known.mass) < 2 * np.hypot(noise, gains):
+        if not payload.mass_test.passed and abs(mass - known.mass) < 2 * np.hypot(noise, gains):
             text += (
-                f"; the robot file's standard deviations of the drive gains make ± {gains:.2g} kg of it, which covers "
-                "the difference"
+                f"; the drive gains' standard deviations in the robot file add ± {WITHIN_95_PERCENT * gains:.2g} kg, "
+                "which covers the difference"
             )
         sentences.append(text)
-    if found.values_test is not None:
+    if payload.values_test is not None:
         sentences.append(
             _sentence(
-                found.values_test,
+                payload.values_test,
                 "the identified load parameters agree with all the known ones",
                 "the identified load parameters do not agree with all the known ones",
                 "",
@@ -49,7 +66,7 @@ def payload_sentences(found: Payload) -> list[str]:
         )
     sentences.append(
         _sentence(
-            found.load_test,
+            payload.load_test,
             "what changed between the runs is what a load on the last link changes",
             "what changed between the runs is not what a load on the last link changes",
             "whether a load explains what changed",
@@ -58,55 +75,52 @@ def payload_sentences(found: Payload) -> list[str]:
     if known is not None and len(known.known) == len(INERTIAL):
         sentences.append(
             _sentence(
-                found.known_test,
+                payload.known_test,
                 "the free run's base parameters plus the known load agree with those identified loaded",
                 "the free run's base parameters plus the known load do not agree with those identified loaded",
                 "whether the known load explains what changed",
             )
         )
-    if found.rest is not None:
-        rest, unit = found.rest, base_unit(found.pair.model, found.pair.base.columns[found.rest.number])
+    if payload.rest is not None:
+        rest, unit = payload.rest, base_unit(payload.pair.model, payload.pair.base.columns[payload.rest.number])
         stayed = "stayed" if rest.test.passed else "did not stay"
         sentences.append(
             f"what a load does not change (friction, motor inertia, …) {stayed} the same: the largest difference is "
-            f"{found.pair.base.names[rest.number]}'s, from {rest.free:.4g} to "
-            f"{rest.loaded:.4g} {unit}, {rest.test.statistic**0.5:.1f} standard deviations ({_chance(rest.test)})"
+            f"{payload.pair.base.names[rest.number]}'s, from {rest.free:.4g} to "
+            f"{rest.loaded:.4g} {unit}, {rest.test.statistic**0.5:.1f} σ ({_p_value_text(rest.test)})"
         )
     return sentences
 
 
-def _sentence(test: ChanceTest | None, yes: str, no: str, question: str) -> str:
+def _sentence(test: SignificanceTest | None, yes: str, no: str, question: str) -> str:
     if test is None:
-        return f"{question}: too few blocks of data to say; record longer, or other motions beside"
-    return f"{yes if test.passed else no} ({_p_value(test)})"
+        return f"{question}: too few blocks of data to tell; record longer, or add other motions"
+    return f"{yes if test.passed else no} ({_test_text(test)})"
 
 
-def _p_value(test: ChanceTest) -> str:
-    return f"χ² = {test.statistic:.1f} with {test.freedom} degrees of freedom; {_chance(test)}"
+def _test_text(test: SignificanceTest) -> str:
+    freedom = f"{test.freedom} degree{'s' * (test.freedom > 1)} of freedom"
+    return f"χ² = {test.statistic:.1f} with {freedom}, {_p_value_text(test)}"
 
 
-def _chance(test: ChanceTest) -> str:
-    rare = test.p_value < 1e-4
-    chance = "less than one run in 10 000" if rare else f"{100 * test.p_value:.2g} % of all runs"
-    limit = "" if test.passed else f", the limit is {100 * LEVEL:g} %"
-    return f"chance gives more in {chance}{limit}"
+def _p_value_text(test: SignificanceTest) -> str:
+    value = "p < 0.0001" if test.p_value < 1e-4 else f"p = {test.p_value:.2g}"
+    return value if test.passed else f"{value}, significant below {LEVEL:g}"
 
 
-def load_rows(estimate: LoadEstimate) -> list[dict[str, Any]]:
-    """One entry an identified combination."""
-    noise, gains = np.sqrt(np.diag(estimate.covariance)), np.sqrt(np.diag(estimate.gain_covariance))
-    return [
-        {
-            "name": name,
-            "expression": estimate.columns.expressions[i],
-            "unit": estimate.columns.units[i],
-            "value": float(estimate.values[i]),
-            "std": float(estimate.std[i]),
-            "noise_std": float(noise[i]),
-            "gain_std": float(gains[i]),
-        }
-        for i, name in enumerate(estimate.columns.names)
-    ]
+def load_parameters(estimate: LoadEstimate) -> list[LoadParameter]:
+    """One entry per identified combination."""
+    columns = zip(
+        estimate.columns.names,
+        estimate.columns.expressions,
+        estimate.columns.units,
+        estimate.values.tolist(),
+        estimate.std.tolist(),
+        np.sqrt(np.diag(estimate.covariance)).tolist(),
+        np.sqrt(np.diag(estimate.gain_covariance)).tolist(),
+        strict=True,
+    )
+    return [LoadParameter(**dict(zip(LoadParameter.model_fields, column, strict=True))) for column in columns]
 
 
 def base_unit(model: DynamicModel, column: int) -> str:
@@ -114,138 +128,99 @@ def base_unit(model: DynamicModel, column: int) -> str:
     return UNITS[model.parameters[column].symbol]
 
 
-def base_rows(found: Payload) -> list[dict[str, Any]]:
+def base_changes(payload: Payload) -> list[BaseParameterChange]:
     """Base parameters that the load changes, as SR400 Table 4 has them."""
-    pair, changes = found.pair, found.changes
-    return [
-        {
-            "name": pair.base.names[number],
-            "unit": base_unit(pair.model, pair.base.columns[number]),
-            "free": float(changes.free[i]),
-            "free_std": float(changes.free_std[i]),
-            "predicted": float(changes.predicted[i]),
-            "loaded": float(changes.loaded[i]),
-            "loaded_std": float(changes.loaded_std[i]),
-        }
-        for i, number in enumerate(changes.numbers)
+    pair, changes = payload.pair, payload.changes
+    values = (changes.free, changes.free_std, changes.predicted, changes.loaded, changes.loaded_std)
+    rows = [
+        (pair.base.names[index], base_unit(pair.model, pair.base.columns[index]), *row)
+        for index, row in zip(changes.numbers, np.array(values).T.tolist(), strict=True)
     ]
+    return [BaseParameterChange(**dict(zip(BaseParameterChange.model_fields, row, strict=True))) for row in rows]
 
 
-def payload_object(found: Payload) -> dict[str, Any]:
+def payload_result(payload: Payload) -> PayloadResult:
     """What `dynid payload --json` prints."""
-    centre = (found.with_mass or found.load).centre
-    return {
-        "kind": "payload",
-        "robot": found.pair.robot_file.robot.name,
-        "runs": [run.label for run in found.pair.runs],
-        "frame": FRAME_TEXT,
-        "load": load_rows(found.load),
-        "load_with_known": None if found.with_mass is None else load_rows(found.with_mass),
-        "centre_of_mass": None if centre is None else {"value": centre[0].tolist(), "std": centre[1].tolist()},
-        "not_identifiable": _regrouped(found.load.columns),
-        "unexcited": list(found.load.unexcited),
-        "known": _known_object(_known(found)),
-        "base_parameters": base_rows(found),
-        "tests": {
-            "mass": _test_object(found.mass_test),
-            "values": _test_object(found.values_test),
-            "load": _test_object(found.load_test),
-            "known_load": _test_object(found.known_test),
-            "unchanged": None
-            if found.rest is None
-            else {**(_test_object(found.rest.test) or {}), "worst": found.pair.base.names[found.rest.number]},
-        },
-        "sentences": payload_sentences(found),
-        "delay": {"used": found.pair.delay, "note": found.pair.delay_note},
-        "blocks": found.blocks,
-        "block_length": found.block_length,
-        "warnings": list(found.warnings),
-    }
+    pair, base = payload.pair, payload.pair.base
+    centre = (payload.with_mass or payload.load).centre
+    known, unchanged = _known(payload), payload.rest
+    return PayloadResult(
+        robot=pair.robot_file.robot.name,
+        runs=[run.label for run in pair.runs],
+        frame=FRAME_TEXT,
+        load=load_parameters(payload.load),
+        load_with_known=None if payload.with_mass is None else load_parameters(payload.with_mass),
+        centre_of_mass=None if centre is None else CentreOfMass(value=centre[0].tolist(), std=centre[1].tolist()),
+        not_identifiable=_regrouped(payload.load.columns),
+        unexcited=list(payload.load.unexcited),
+        known=None if known is None else KnownLoadValues.model_validate(known),
+        base_parameters=base_changes(payload),
+        tests=PayloadTests(
+            mass=_test_result(payload.mass_test),
+            values=_test_result(payload.values_test),
+            load=_test_result(payload.load_test),
+            known_load=_test_result(payload.known_test),
+            unchanged=None
+            if unchanged is None
+            else UnchangedResult(
+                **SignificanceResult.model_validate(unchanged.test).model_dump(), worst=base.names[unchanged.number]
+            ),
+        ),
+        sentences=payload_sentences(payload),
+        delay=DelayUsed(used=pair.delay, note=pair.delay_note),
+        blocks=payload.blocks,
+        block_length=payload.block_length,
+        warnings=list(payload.warnings),
+    )
 
 
-def gains_object(found: DriveGains) -> dict[str, Any]:
+def gains_result(drives: DriveGains) -> GainsResult:
     """What `dynid gains --json` prints."""
-    pair = found.pair
-    return {
-        "kind": "gains",
-        "robot": pair.robot_file.robot.name,
-        "runs": [run.label for run in pair.runs],
-        "signal": found.signal,
-        "unit": gain_unit(found.signal),
-        "known": _known_object(found.known),
-        "gains": [
-            {
-                "joint": gain.joint,
-                "gain": gain.gain,
-                "std": gain.std,
-                "rsd_percent": gain.relative_std,
-                "file_gain": gain.file_gain,
-                "angle_degrees": gain.angle,
-                "confused_with": gain.confused_with[0],
-                "correlation": gain.confused_with[1],
-                "noise": float(noise),
-            }
-            for gain, noise in zip(found.gains, found.noise, strict=True)
-        ],
-        "covariance": found.covariance.tolist(),
-        "base_parameters": [
-            {
-                "name": name,
-                "unit": base_unit(pair.model, pair.base.columns[i]),
-                "value": float(found.parameters[i]),
-                "std": float(found.parameter_std[i]),
-            }
-            for i, name in enumerate(pair.base.names)
-        ],
-        "load": [
-            {"name": name, "unit": unit, "value": float(value), "std": float(std)}
-            for name, unit, value, std in zip(
-                found.columns.names, found.columns.units, found.load, found.load_std, strict=True
-            )
-        ],
-        "condition": found.condition,
-        "gap": found.gap,
-        "delay": {"used": pair.delay, "note": pair.delay_note},
-        "blocks": found.blocks,
-        "block_length": found.block_length,
-        "robot_file_text": drives_text(found),
-        "warnings": list(found.warnings),
-    }
+    pair, base, columns = drives.pair, drives.pair.base, drives.columns
+    return GainsResult(
+        robot=pair.robot_file.robot.name,
+        runs=[run.label for run in pair.runs],
+        signal=drives.signal,
+        unit=gain_unit(drives.signal),
+        known=KnownLoadValues.model_validate(drives.known),
+        gains=[GainResult.model_validate(gain) for gain in drives.gains],
+        covariance=drives.covariance.tolist(),
+        base_parameters=_estimated(
+            base.names, [base_unit(pair.model, i) for i in base.columns], drives.parameters, drives.parameter_std
+        ),
+        load=_estimated(columns.names, columns.units, drives.load, drives.load_std),
+        condition=drives.condition,
+        gap=drives.gap,
+        delay=DelayUsed(used=pair.delay, note=pair.delay_note),
+        blocks=drives.blocks,
+        block_length=drives.block_length,
+        robot_file_text=drives_text(drives),
+        warnings=list(drives.warnings),
+    )
 
 
-def slow_gains_object(found: SlowGains) -> dict[str, Any]:
+def slow_gains_result(drives: SlowGains) -> SlowGainsResult:
     """What `dynid gains --up-and-down --json` prints."""
-    return {
-        "kind": "gains-up-and-down",
-        "robot": found.robot.name,
-        "runs": list(found.runs),
-        "signal": found.signal,
-        "unit": gain_unit(found.signal),
-        "known": _known_object(found.known),
-        "gains": [
-            {
-                "joint": gain.joint,
-                "gain": gain.gain,
-                "std": gain.std,
-                "rsd_percent": gain.relative_std,
-                "file_gain": gain.file_gain,
-                "sweeps": gain.sweeps,
-                "positions": gain.bins,
-                "speed": gain.speed,
-                "friction_free": gain.free_friction,
-                "friction_loaded": gain.loaded_friction,
-                "reason": gain.reason or None,
-            }
-            for gain in found.gains
-        ],
-        "load": [
-            {"name": f"{INERTIAL[column]}_L", "unit": "kg·m", "value": float(value), "std": float(std)}
-            for column, value, std in zip(FIRST_MOMENTS, found.moments, found.moments_std, strict=True)
-        ],
-        "gap": found.gap,
-        "robot_file_text": drives_text(found),
-        "warnings": list(found.warnings),
-    }
+    moments = [f"{INERTIAL[column]}_L" for column in FIRST_MOMENTS]
+    return SlowGainsResult(
+        robot=drives.robot.name,
+        runs=list(drives.runs),
+        signal=drives.signal,
+        unit=gain_unit(drives.signal),
+        known=KnownLoadValues.model_validate(drives.known),
+        gains=[SlowGainResult.model_validate(gain) for gain in drives.gains],
+        load=_estimated(moments, ["kg·m"] * len(moments), drives.moments, drives.moments_std),
+        gap=drives.gap,
+        robot_file_text=drives_text(drives),
+        warnings=list(drives.warnings),
+    )
+
+
+def _estimated(
+    names: Sequence[str], units: Sequence[str], values: FloatArray, deviations: FloatArray
+) -> list[EstimatedValue]:
+    rows = zip(names, units, values.tolist(), deviations.tolist(), strict=True)
+    return [EstimatedValue(name=name, unit=unit, value=value, std=std) for name, unit, value, std in rows]
 
 
 def gain_unit(signal: str) -> str:
@@ -253,48 +228,31 @@ def gain_unit(signal: str) -> str:
     return "N·m/A" if signal == "current" else "N·m/V"
 
 
-def drives_text(found: DriveGains | SlowGains) -> str:
-    """The robot file's section `drives` with the identified gains; where there is none, as the file has it."""
-    robot = found.robot
+def drives_text(drives: DriveGains | SlowGains) -> str:
+    """The robot file's section `drives` with the identified gains; where none was identified, that of the file."""
+    robot = drives.robot
     lines = ["drives:"]
-    for gain in found.gains:
+    for gain in drives.gains:
         drive = robot.drive(gain.joint)
-        told = bool(np.isfinite(gain.gain))
+        identified = bool(np.isfinite(gain.gain))
         fields = {"joint": gain.joint}
         for key, value in (
-            ("gain", f"{gain.gain:.5g}" if told else drive.gain),
-            ("gain_std", f"{gain.std:.2g}" if told else drive.gain_std),
+            ("gain", f"{gain.gain:.5g}" if identified else drive.gain),
+            ("gain_std", f"{gain.std:.2g}" if identified else drive.gain_std),
         ):
             if value is not None:
                 fields[key] = str(value)
-        fields |= {"signal": found.signal, "inertia": str(drive.inertia).lower()}
+        fields |= {"signal": drives.signal, "inertia": str(drive.inertia).lower()}
         lines.append(f"  - {{{', '.join(f'{key}: {value}' for key, value in fields.items())}}}")
     return "\n".join(lines)
 
 
-def _known(found: Payload) -> KnownLoad | None:
-    return None if found.with_mass is None else found.with_mass.known
+def _known(payload: Payload) -> KnownLoad | None:
+    return None if payload.with_mass is None else payload.with_mass.known
 
 
-def _known_object(known: KnownLoad | None) -> dict[str, Any] | None:
-    if known is None:
-        return None
-    return {
-        "mass": known.mass,
-        "com": None if known.com is None else list(known.com),
-        "inertia": None if known.inertia is None else list(known.inertia),
-    }
-
-
-def _test_object(test: ChanceTest | None) -> dict[str, Any] | None:
-    if test is None:
-        return None
-    return {
-        "statistic": test.statistic,
-        "degrees_of_freedom": test.freedom,
-        "p_value": test.p_value,
-        "passed": test.passed,
-    }
+def _test_result(test: SignificanceTest | None) -> SignificanceResult | None:
+    return None if test is None else SignificanceResult.model_validate(test)
 
 
 def _regrouped(columns: LoadColumns) -> list[str]:

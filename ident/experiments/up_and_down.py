@@ -60,7 +60,7 @@ class SlowGain:
         sweeps, bins: poses of the other joints in which it passed up and down, and positions compared in all of them.
         speed: mean [rad/s or m/s].
         free_friction, loaded_friction: mean half difference, by the gain [N·m].
-        reason: why there is no value; empty where there is one.
+        reason: why there is no value; None where there is one.
     """
 
     joint: str
@@ -72,7 +72,7 @@ class SlowGain:
     speed: float
     free_friction: float
     loaded_friction: float
-    reason: str
+    reason: str | None
 
     @property
     def relative_std(self) -> float:
@@ -371,7 +371,7 @@ def _slow_gain(robot: Robot, joint: int, gain: float, std: float, sweeps: Sequen
         speed=speed,
         free_friction=float(friction[0]),
         loaded_friction=float(friction[1]),
-        reason=reason,
+        reason=reason or None,
     )
 
 

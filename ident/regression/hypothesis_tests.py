@@ -20,7 +20,7 @@ FEWEST_EXTRA_BLOCKS = 5
 
 
 @dataclass(frozen=True)
-class ChanceTest:
+class SignificanceTest:
     """A comparison of two sets of numbers that should differ by chance only.
 
     Attributes:
@@ -41,7 +41,7 @@ class ChanceTest:
 
 def chi_square_test(
     difference: FloatArray, covariance: FloatArray, blocks: int, explained_by: FloatArray | None = None
-) -> ChanceTest | None:
+) -> SignificanceTest | None:
     """Whether a difference is chance, once its part in the span of some columns has been taken out.
 
     Args:
@@ -72,4 +72,4 @@ def chi_square_test(
         return None
     statistic = float(left @ np.linalg.solve(spread, left))
     ratio = statistic * (blocks - freedom) / (freedom * (blocks - 1))
-    return ChanceTest(statistic, freedom, float(f_distribution.sf(ratio, freedom, blocks - freedom)))
+    return SignificanceTest(statistic, freedom, float(f_distribution.sf(ratio, freedom, blocks - freedom)))

@@ -13,7 +13,7 @@ from daq.robot import load_robot, parse_robot
 from daq.trajectories import FourierSeries
 from drivers.errors import DataError
 from ident.experiments.drive_gains import identify_gains
-from ident.experiments.payload_summary import drives_text, gains_object
+from ident.experiments.payload_summary import drives_text, gains_result
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model, truth_vector
 from ident.model.load import KnownLoad
@@ -151,7 +151,7 @@ def test_the_text_for_the_robot_file_is_valid(found):
 
 
 def test_the_object_is_complete(found):
-    content = gains_object(found[0])
+    content = gains_result(found[0]).model_dump()
     assert [gain["joint"] for gain in content["gains"]] == list(HIDDEN)
     assert len(content["base_parameters"]) == found[0].pair.base.count
     assert content["gap"] > 1

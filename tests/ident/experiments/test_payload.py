@@ -11,7 +11,7 @@ from loaded_arm import LOAD, RATE, runs
 from daq.robot import load_robot, parse_robot
 from drivers.errors import DataError, UsageError
 from ident.experiments.payload import identify_payload
-from ident.experiments.payload_summary import payload_object, payload_sentences
+from ident.experiments.payload_summary import payload_result, payload_sentences
 from ident.model.dynamics import build_model
 from ident.model.load import KnownLoad
 from ident.model.parameters import INERTIAL
@@ -174,7 +174,7 @@ def test_the_same_file_twice_is_refused(tmp_path):
 
 
 def test_the_object_is_complete(found):
-    content = payload_object(found[0])
+    content = payload_result(found[0]).model_dump()
     assert [row["name"] for row in content["load"]] == [f"{symbol}_L" for symbol in INERTIAL]
     assert content["tests"]["mass"]["passed"] is True
     assert content["not_identifiable"] == []

@@ -22,7 +22,7 @@ from daq.trajectory_file import parse_trajectory
 from drivers.errors import DataError, IdentificationError
 from dynid import command
 from ident.experiments.drive_gains import identify_gains
-from ident.experiments.payload_summary import drives_text, slow_gains_object
+from ident.experiments.payload_summary import drives_text, slow_gains_result
 from ident.experiments.slow_passes import BINS, passes_of, sweeps_of
 from ident.experiments.up_and_down import SlowGains, identify_slow_gains
 from ident.model.dynamics import build_model, truth_vector
@@ -186,7 +186,7 @@ def test_the_text_is_for_the_robot_file(found, three_joint):
     robot = parse_robot(text[:start] + drives_text(found) + "\n" + text[stop:], where="new", folder=None).robot
     assert [robot.drive(name).gain for name in ("j2", "j3")] == pytest.approx(found.values[1:], rel=1e-4)
     assert robot.drive("j1").gain == 10.0
-    content = slow_gains_object(found)
+    content = slow_gains_result(found).model_dump()
     assert content["gains"][0]["reason"]
     assert content["gains"][1]["reason"] is None
 
