@@ -15,6 +15,7 @@ from ident.linear_algebra.triangular import triangular
 from ident.model.regressor import RegressorKernel
 from ident.regression.autocorrelation import independent_share, residual_autocorrelation
 from ident.regression.comparison import compare_torques
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.least_squares import excited_columns, ordinary_least_squares
 from ident.regression.observation_matrix import Reduction, only_torques, reduce_segments
 from ident.signals.filters import ZeroPhaseFilter
@@ -25,7 +26,7 @@ WORTHWHILE_GAIN = 0.01
 """A delay is used only if it lowers the residual's norm by at least this share."""
 
 SURE_DEVIATIONS = 4.0
-"""… and if it is this many standard deviations away from 0."""
+"""… and if it is this many σ from 0."""
 
 LONGEST = 0.1
 """Delays beyond this [s] are not a drive's: something else is wrong with the stamps."""
@@ -36,14 +37,14 @@ _SETTLED = 1e-5
 
 @dataclass(frozen=True)
 class DelaySearch:
-    """What the search found.
+    """Outcome of the search.
 
     Attributes:
         best: delay [s] with the smallest residual, positive where the torque lags; nan where none was found.
         std: its standard deviation [s], corrected for the residuals' autocorrelation; nan where none was found.
         gain: share by which it lowers the residual's norm.
         used: the delay to use [s]: `best` where it is worthwhile, else 0.
-        note: the finding in words.
+        note: the outcome in words.
     """
 
     best: float
@@ -95,14 +96,14 @@ def search_delay(
             return DelaySearch(float("nan"), float("nan"), 0.0, 0.0, note)
     gain = 1.0 - norm / at_zero
     std = _standard_deviation(kernel, segments, parallel_filter, reduction, steepness, joints)
-    side = "behind" if delay > 0 else "ahead of"
-    found = f"torque lies {abs(delay) * 1e3:.2f} ± {std * 1e3:.2f} ms {side} the motion"
+    side = "lags" if delay > 0 else "leads"
+    lag = f"torque {side} the motion by {abs(delay) * 1e3:.2f} ± {WITHIN_95_PERCENT * std * 1e3:.2f} ms"
     if abs(delay) < SURE_DEVIATIONS * std:
-        return DelaySearch(delay, std, gain, 0.0, f"{found}: not sure to be one, none used")
-    found += f" (residual {gain * 100:.1f} % smaller)"
+        return DelaySearch(delay, std, gain, 0.0, f"{lag}: less than {SURE_DEVIATIONS:g} σ, none used")
+    lag += f" (residual {gain * 100:.1f} % smaller)"
     if gain < WORTHWHILE_GAIN:
-        return DelaySearch(delay, std, gain, 0.0, f"{found}: too little to matter, none used")
-    return DelaySearch(delay, std, gain, delay, found)
+        return DelaySearch(delay, std, gain, 0.0, f"{lag}: too small to matter, none used")
+    return DelaySearch(delay, std, gain, delay, lag)
 
 
 def _standard_deviation(

@@ -1,4 +1,4 @@
-"""Checks that a small residual does not replace: gravity's sign, a positive inertia matrix, friction that brakes."""
+"""Checks that a small residual does not replace: sign of gravity, positive definite inertia, dissipative friction."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ POSES = 200
 CLEARLY_SMALLER = 0.99
 """What the opposite gravity's sum of squared residuals must fall below, relative to the file's: not by rounding."""
 
-CHANCE = 0.01
-"""Level of the test that tells a better fit from luck."""
+LEVEL = 0.01
+"""Significance level of the F-test on a smaller residual."""
 
 SURE_DEVIATIONS = 3.0
-"""A wrong sign counts once it is this many standard deviations away from 0."""
+"""A wrong sign is reported beyond this many σ from 0."""
 
 
 def inertia_matrices(
@@ -79,30 +79,30 @@ def refitted(reduction: Reduction, active: Sequence[int]) -> LeastSquares:
     return ordinary_least_squares(reduction, [column for column in excited_columns(reduction) if column in active])
 
 
-def share_by_chance(freedom: float) -> float:
-    """Smallest ratio of two residual variances of so many degrees of freedom that chance brings (F-test, `CHANCE`).
+def critical_variance_ratio(freedom: float) -> float:
+    """Ratio of two residual variances, each of so many degrees of freedom, below which they differ significantly.
 
     With few independent equations for many parameters, as the energy model has, one sign of gravity leaves a little
     less than the other whatever the truth.
     """
     from scipy.stats import f as f_distribution
 
-    return float(min(CLEARLY_SMALLER, f_distribution.ppf(CHANCE, freedom, freedom))) if freedom >= 1 else 0.0
+    return float(min(CLEARLY_SMALLER, f_distribution.ppf(LEVEL, freedom, freedom))) if freedom >= 1 else 0.0
 
 
 def sign_warnings(base: BaseParameters, parameters: FloatArray, std: FloatArray) -> list[str]:
     """Warnings for friction and motor inertia that are clearly negative."""
     wrong = [
-        number
-        for number, kind in enumerate(base.kinds)
-        if kind in ("viscous", "coulomb", "motor_inertia") and parameters[number] < -SURE_DEVIATIONS * std[number]
+        column
+        for column, kind in enumerate(base.kinds)
+        if kind in ("viscous", "coulomb", "motor_inertia") and parameters[column] < -SURE_DEVIATIONS * std[column]
     ]
     warnings = []
     friction = [base.names[i] for i in wrong if base.kinds[i] != "motor_inertia"]
     if friction:
         warnings.append(
-            f"{', '.join(friction)} came out negative: friction that drives. The sign of a drive gain, or a model that "
-            "lacks a friction term, is the usual reason"
+            f"{', '.join(friction)} came out negative (not dissipative): usually the sign of a drive gain, or a model "
+            "that lacks a friction term"
         )
     motors = [base.names[i] for i in wrong if base.kinds[i] == "motor_inertia"]
     if motors:

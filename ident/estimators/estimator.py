@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from drivers.errors import UsageError
-from ident.assessment.plausibility import refitted, share_by_chance
+from ident.assessment.plausibility import critical_variance_ratio, refitted
 from ident.estimators.energy_equations import EnergyEquations, energy_jackknife, independent_rows, reduce_energy
 from ident.estimators.energy_windows import (
     EnergyWindows,
@@ -156,7 +156,7 @@ def estimable(method: Method, model: DynamicModel, base: BaseParameters) -> tupl
 def fits_energy_better(
     other: Estimator, parts: Sequence[Prepared], active: Sequence[int], residual_sum: float, independent: float
 ) -> bool:
-    """Whether another energy model's residual is smaller than `residual_sum` by more than chance.
+    """Whether another energy model's residual is significantly smaller than `residual_sum`.
 
     Args:
         other: of the other model's equations; the torque equations' never fit better in this sense.
@@ -169,4 +169,4 @@ def fits_energy_better(
         return False
     solution = refitted(other.reduce(parts), active)
     rows = max(independent, independent_rows(other.equations, parts, solution.parameters))
-    return solution.residual_sum < share_by_chance(rows - len(active)) * residual_sum
+    return solution.residual_sum < critical_variance_ratio(rows - len(active)) * residual_sum

@@ -8,8 +8,8 @@ Joint torque is gain times motor signal, τ_j = g_j·v_j, so both runs are linea
 without a right-hand side: the solution is the null vector of the concatenated matrix, known but for its length, and the
 known load (κ = 1) fixes that. No gain is presumed.
 
-The noise is in V, the motor signals, and hardly in W, which comes from encoders. So total least squares is applied
-where the noise is: the columns of W are eliminated exactly, and the smallest singular vector is taken of what remains
+The noise is in V, the motor signals; that of W, from encoders, is negligible. So total least squares is applied where
+the noise is: the columns of W are eliminated exactly, and the smallest singular vector is taken of what remains
 of V, rows and columns scaled so that its noise is the same everywhere (mixed LS-TLS: Golub, Hoffman and Stewart, Linear
 Algebra and its Applications 88, 1987). Ordinary least squares would draw the weakly seen gains towards zero, total
 least squares over all columns alike would blame W for the motors' noise.
@@ -37,13 +37,13 @@ from ident.regression.jackknife import jackknife_covariance
 from ident.regression.pruning import SIGNIFICANT_RSD
 
 LEAST_GAP = 2.0
-"""Second-smallest over smallest singular value below which the null vector is hardly told from another one."""
+"""Second-smallest over smallest singular value below which the null vector is poorly determined."""
 
 ONE_AT_A_TIME = 0.5
 """Share of the time with one joint alone in motion above which the runs are not for this method."""
 
 SMALL_ANGLE = 5.0
-"""A motor signal nearer than this [degrees] to its own joint's columns says little of its gain."""
+"""A motor signal nearer than this [degrees] to its own joint's columns contains little information on its gain."""
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,11 @@ class GainEstimate:
 
     Attributes:
         joint: its name.
-        gain: torque per signal, joint side, sign included [N·m/A or N·m/V]; nan where it cannot be told.
+        gain: torque per signal, joint side, sign included [N·m/A or N·m/V]; nan where it is not identifiable.
         std: its standard deviation; inf there.
         file_gain: of the robot file; None where it names none.
         angle: between the motor signal and the span of the columns that act on this joint alone (its friction, its
-            motor inertia, …) [degrees]; small where gain and inertia can hardly be told apart.
+            motor inertia, …) [degrees]; small where gain and inertia are hardly distinguishable.
         confused_with: inertial parameter or other gain whose estimate is most correlated with this one's, and how much.
         noise: standard deviation of the filtered motor signal about the model [A or V].
     """
@@ -77,14 +77,14 @@ class GainEstimate:
 
 @dataclass(frozen=True)
 class DriveGains:
-    """All that two runs say of the drives.
+    """Gains of all drives, from two runs.
 
     Attributes:
         pair: the runs, torques by the gains of a first pass.
-        relative_to_pair: (n,) identified gains over those of that pass; nan where they cannot be told.
+        relative_to_pair: (n,) identified gains over those of that pass; nan where they are not identifiable.
         signal: what was recorded of the motors: "current" or "voltage".
         known: the load.
-        gains: one a joint.
+        gains: one per joint.
         covariance: (n, n) of the gains.
         active: base columns that were estimated.
         parameters, parameter_std: (b,) base parameters, the gains' uncertainty in their deviations; nan where they were
@@ -154,7 +154,7 @@ def identify_gains(
 
     Raises:
         DataError: different arms, no motor signal, or a known load that the motions do not show.
-        IdentificationError: the gains cannot be told apart at all.
+        IdentificationError: no gain is identifiable.
     """
     robot_file = free.robot() if robot_file is None else robot_file
     robot = robot_file.robot
@@ -167,8 +167,8 @@ def identify_gains(
     grams = system_blocks(system)
     moves = jackknife_moves(system, grams)
     covariance = jackknife_covariance(moves)
-    found = _gains(system, known, signal, gains, covariance, grams)
-    return replace(found, warnings=tuple(_warnings(found, (free, loaded))))
+    drives = _gains(system, known, signal, gains, covariance, grams)
+    return replace(drives, warnings=tuple(_warnings(drives, (free, loaded))))
 
 
 def _gains(
@@ -178,10 +178,10 @@ def _gains(
     robot, count, dof = pair.robot_file.robot, pair.base.count, pair.model.dof
     used = list(system.used)
     scale = np.concatenate([gains[used], np.ones(len(system.layout) - 1)])
-    # Joints whose gain cannot be told have no finite variance.
-    told = [*used, *range(dof, dof + len(system.layout) - 1)]
+    # Joints whose gain is not identifiable have no finite variance.
+    identifiable = [*used, *range(dof, dof + len(system.layout) - 1)]
     wide = np.diag(np.full(dof + len(system.layout) - 1, np.inf))
-    wide[np.ix_(told, told)] = covariance * np.outer(scale, scale)
+    wide[np.ix_(identifiable, identifiable)] = covariance * np.outer(scale, scale)
     covariance = wide
     deviations = np.sqrt(np.diag(covariance))
     values, spread = np.full(count + len(columns.names), np.nan), np.full(count + len(columns.names), np.nan)
@@ -195,10 +195,10 @@ def _gains(
         for place, column in enumerate(estimated)
         if column >= count or pair.base.kinds[column] in ("inertial", "motor_inertia")
     ]
-    telling = [*used, *inertial]
+    others = [*used, *inertial]
     correlation = np.eye(len(deviations))
-    within = np.ix_(told, told)
-    correlation[within] = covariance[within] / np.outer(deviations[told], deviations[told])
+    within = np.ix_(identifiable, identifiable)
+    correlation[within] = covariance[within] / np.outer(deviations[identifiable], deviations[identifiable])
     angles = own_angles(system)
     identified = gains * system.relative_gains
     return DriveGains(
@@ -213,7 +213,7 @@ def _gains(
                 std=float(deviations[joint]),
                 file_gain=robot.drive(name).gain,
                 angle=float(angles[joint]),
-                confused_with=_most_correlated(correlation[joint], joint, names, telling),
+                confused_with=_most_correlated(correlation[joint], joint, names, others),
                 noise=float(system.noise[joint] / abs(gains[joint])),
             )
             for joint, name in enumerate(robot.joint_names)
@@ -251,42 +251,43 @@ def _alone_share(pair: RunPair) -> float:
     return alone / samples
 
 
-def _warnings(found: DriveGains, recordings: tuple[Recording, Recording]) -> list[str]:
+def _warnings(drives: DriveGains, recordings: tuple[Recording, Recording]) -> list[str]:
     warnings = [
         f"{recording.label} was not closed in order: its end may be missing"
         for recording in recordings
         if not recording.complete
     ]
-    warnings += resting_warnings(found.pair)
-    if _alone_share(found.pair) > ONE_AT_A_TIME:
+    warnings += resting_warnings(drives.pair)
+    if _alone_share(drives.pair) > ONE_AT_A_TIME:
         warnings.append(
             "most of the time one joint moves alone, and static friction holds the others: try --up-and-down"
         )
-    for gain in found.gains:
+    for gain in drives.gains:
         name, correlation = gain.confused_with
         if not np.isfinite(gain.gain):
             warnings.append(
-                f"the data cannot tell the gain of {gain.joint} from its own friction and inertia (angle "
-                f"{gain.angle:.1f}°): no value for it, its rows are left out; place the load off its axis"
+                f"the gain of {gain.joint} is not distinguishable from its own friction and inertia (angle "
+                f"{gain.angle:.1f}°): it has no value, its equations are left out; place the load off its axis"
             )
         elif gain.relative_std >= SIGNIFICANT_RSD:
             warnings.append(
-                f"the data cannot tell the gain of {gain.joint} from {name} (correlation {correlation:+.2f}): known to "
-                f"{gain.relative_std:.0f} % only; move the joints around it more, or place the load off its axis"
+                f"the gain of {gain.joint} is confounded with {name} (correlation {correlation:+.2f}): its relative "
+                f"standard deviation is {gain.relative_std:.0f} %; move the joints around it more, or place the load "
+                "off its axis"
             )
         elif gain.angle < SMALL_ANGLE:
             warnings.append(
-                f"what the motor of {gain.joint} shows is nearly all its own friction and inertia (angle "
-                f"{gain.angle:.1f}°): its gain hangs on the little that other joints share with it"
+                f"the motor signal of {gain.joint} is almost entirely its own friction and inertia (angle "
+                f"{gain.angle:.1f}°): its gain rests on weak coupling to other joints"
             )
         if gain.file_gain is not None and gain.gain * gain.file_gain < 0:
             warnings.append(f"the gain of {gain.joint} has the opposite sign of the robot file's")
-    if found.gap < LEAST_GAP:
+    if drives.gap < LEAST_GAP:
         warnings.append(
-            f"the gains are hardly determined: singular values {found.gap:.1f} times apart, another set of gains and "
+            f"the gains are poorly determined: singular values {drives.gap:.1f} times apart, another set of gains and "
             "inertias fits nearly as well; record a richer motion or a heavier load"
         )
-    silent = [found.pair.base.names[i] for i in range(found.pair.base.count) if i not in found.active]
-    if silent:
-        warnings.append(f"the motions do not excite {', '.join(silent)}: no values for them")
+    unexcited = [drives.pair.base.names[i] for i in range(drives.pair.base.count) if i not in drives.active]
+    if unexcited:
+        warnings.append(f"the motions do not excite {', '.join(unexcited)}: they have no value")
     return warnings

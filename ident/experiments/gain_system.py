@@ -24,7 +24,7 @@ from ident.regression.total_least_squares import (
 )
 
 LEAST_DISTINCTNESS = 1.5
-"""A motor signal of which the model's columns leave less than this times its noise says nothing of its gain."""
+"""A motor signal of which the model's columns leave less than this times its noise does not determine its gain."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class GainSystem:
         parts: (b, k + 1) effect of these and, last, of the known load on the base parameters.
         layout: the unknowns: base columns that are excited, b + i for load column i, b + k for the known load, last.
         noise: (n,) standard deviation of each joint's torque about its own columns [N·m].
-        used: joints whose gain can be told; the rows of the others are left out.
+        used: joints whose gain is identifiable; the rows of the others are left out.
         solution: null vector of these.
     """
 
@@ -51,7 +51,7 @@ class GainSystem:
 
     @property
     def relative_gains(self) -> FloatArray:
-        """(n,) gains over those that made the torques; nan where they cannot be told."""
+        """(n,) gains over those that made the torques; nan where they are not identifiable."""
         relative = np.full(self.pair.model.dof, np.nan)
         relative[list(self.used)] = self.solution.factors
         return relative
@@ -62,7 +62,7 @@ def solve_gains(pair: RunPair, known: KnownLoad) -> GainSystem:
 
     Raises:
         DataError: the motions do not show the known load.
-        IdentificationError: no gain can be told.
+        IdentificationError: no gain is identifiable.
     """
     robot = pair.robot_file.robot
     effect = load_effect(pair.model, pair.base, robot)
@@ -83,14 +83,14 @@ def solve_gains(pair: RunPair, known: KnownLoad) -> GainSystem:
                 hint="move more joints: dynid excite ROBOT --loaded",
             )
         chosen = [factors[joint][:, [*layout, size]] for joint in used]
-        telling = distinctness(chosen, rows[used], noise[used])
-        worst = int(np.argmin(telling))
-        if telling[worst] >= LEAST_DISTINCTNESS:
+        distinct = distinctness(chosen, rows[used], noise[used])
+        worst = int(np.argmin(distinct))
+        if distinct[worst] >= LEAST_DISTINCTNESS:
             break
         # Its gain goes with its own friction and inertia: it would drag the others along.
         if len(used) == 1:
             raise IdentificationError(
-                "no motor's signal can be told from the friction and inertia of its own joint",
+                "no motor signal is distinguishable from the friction and inertia of its own joint",
                 where=pair.runs[LOADED].label,
                 hint="record a richer motion or a heavier load, off the last joint's axis",
             )

@@ -62,7 +62,7 @@ class MergedEstimate:
         taken_up: (k, b − k) how much of each inactive parameter is in each active one.
         consistency: whether the experiments agree; None where they share nothing.
         deviations: for each experiment (a,), how many standard deviations its values are from the merged ones; 0 where
-            no other experiment tells the same.
+            no other experiment determines the same.
         fitted: for each experiment (a,), what the merged parameters give for its values.
     """
 
@@ -101,8 +101,8 @@ def usable(information: Information) -> Information:
     )
 
 
-def told_columns(parts: Sequence[Information], preferred: Sequence[int]) -> tuple[int, ...]:
-    """Parameters that the experiments tell apart together, the preferred ones first."""
+def identifiable_columns(parts: Sequence[Information], preferred: Sequence[int]) -> tuple[int, ...]:
+    """Parameters that the experiments identify together, the preferred ones first."""
     system = np.vstack([part.root @ part.combinations for part in parts])
     lengths = np.linalg.norm(system, axis=0)
     there = lengths > EXCITATION_TOLERANCE * lengths.max()
@@ -121,6 +121,8 @@ def merge(parts: Sequence[Information], active: Sequence[int]) -> MergedEstimate
     Raises:
         IdentificationError: the values do not determine the parameters.
     """
+    from scipy.linalg import block_diag
+
     active = tuple(active)
     system = np.vstack([part.root @ part.combinations for part in parts])
     right = np.concatenate([part.root @ part.values for part in parts])
@@ -131,7 +133,7 @@ def merge(parts: Sequence[Information], active: Sequence[int]) -> MergedEstimate
     q, r = np.linalg.qr(chosen / lengths)
     if not np.all(np.abs(np.diag(r)) > EXCITATION_TOLERANCE):
         raise IdentificationError(
-            "the experiments tell some parameters in the same combination only", hint="merge with another experiment"
+            "some parameters act in the same combination in all experiments", hint="merge with another experiment"
         )
     inverse_factor = np.linalg.solve(r, np.eye(len(active))) / lengths[:, None]
     gain = inverse_factor @ q.T
@@ -139,7 +141,7 @@ def merge(parts: Sequence[Information], active: Sequence[int]) -> MergedEstimate
     parameters = np.zeros(system.shape[1])
     parameters[list(active)] = values
     # Of the whitened values: near to one, and block diagonal.
-    spread = _block_diagonal([part.root @ part.covariance @ part.root.T for part in parts])
+    spread = block_diag(*(part.root @ part.covariance @ part.root.T for part in parts))
     covariance = gain @ spread @ gain.T
     left = np.eye(len(right)) - q @ q.T
     residual = right - q @ (q.T @ right)
@@ -173,7 +175,7 @@ def merge(parts: Sequence[Information], active: Sequence[int]) -> MergedEstimate
 def _consistency(
     right: FloatArray, spread: FloatArray, system: FloatArray, residual: FloatArray, blocks: int
 ) -> SignificanceTest | None:
-    """Whether the values of several experiments differ by chance only from what one set of parameters gives.
+    """Whether the values of several experiments differ significantly from what one set of parameters gives.
 
     Where the jackknife has too few blocks for the test, its variances count by their mean alone.
     """
@@ -191,7 +193,7 @@ def _consistency(
 
 def _deviations(parts: Sequence[Information], residual: FloatArray, covariance: FloatArray) -> tuple[FloatArray, ...]:
     """Differences in standard deviations, value by value, from whitened ones (all,) with their covariance."""
-    found, start = [], 0
+    deviations, start = [], 0
     for part in parts:
         rows = slice(start, start + len(part.values))
         start = rows.stop
@@ -200,21 +202,11 @@ def _deviations(parts: Sequence[Information], residual: FloatArray, covariance: 
         std = np.sqrt(np.clip(np.diag(back @ covariance[rows, rows] @ back.T), 0.0, None))
         own = np.sqrt(np.diag(part.covariance))
         shared = std > 1e-6 * own
-        found.append(np.divide(difference, std, out=np.zeros(len(std)), where=shared))
-    return tuple(found)
+        deviations.append(np.divide(difference, std, out=np.zeros(len(std)), where=shared))
+    return tuple(deviations)
 
 
 def _without_rounding(shares: FloatArray, lengths: FloatArray) -> FloatArray:
     """Shares (k, …) of other columns in columns of these lengths (k,), small ones set to 0."""
     contribution = np.abs(shares) * lengths[:, None]
     return np.where(contribution > EXCITATION_TOLERANCE * np.max(contribution, axis=0, initial=0.0), shares, 0.0)
-
-
-def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
-    size = sum(len(block) for block in blocks)
-    whole, start = np.zeros((size, size)), 0
-    for block in blocks:
-        stop = start + len(block)
-        whole[start:stop, start:stop] = block
-        start = stop
-    return whole

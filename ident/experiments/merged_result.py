@@ -10,7 +10,7 @@ import numpy as np
 from daq.recording import Recording, software_versions
 from drivers.streams import FloatArray
 from ident.assessment.plausibility import indefinite_share, sign_warnings
-from ident.experiments.merge import CONTRADICTING, MergedEstimate, merge, told_columns
+from ident.experiments.merge import CONTRADICTING, MergedEstimate, identifiable_columns, merge
 from ident.experiments.merge_input import MergeInput, merge_inputs, used_recordings
 from ident.identify.revalidate import Revalidation, revalidate
 from ident.identify.summary import (
@@ -63,7 +63,7 @@ def merge_results(
     parts, base = merge_inputs(results)
     model = parts[0].stored.model
     informations = [part.information for part in parts]
-    merged = merge(informations, told_columns(informations, range(base.count)))
+    merged = merge(informations, identifiable_columns(informations, range(base.count)))
     std = np.full(base.count, np.inf)
     std[list(merged.solution.active)] = np.sqrt(np.diag(merged.covariance))
     inflation = np.divide(std, merged.solution.std, out=np.ones(base.count), where=np.isfinite(std))
@@ -186,7 +186,7 @@ def _consistency(parts: Sequence[MergeInput], merged: MergedEstimate) -> Consist
     test = merged.consistency
     if test is None:
         return None
-    found = [
+    contradictions = [
         Contradiction(
             file=part.label, parameter=name, value=float(value), merged=float(fitted), deviations=float(deviation)
         )
@@ -194,14 +194,14 @@ def _consistency(parts: Sequence[MergeInput], merged: MergedEstimate) -> Consist
         for name, value, fitted, deviation in zip(part.names, part.information.values, fits, deviations, strict=True)
         if abs(deviation) > CONTRADICTING
     ]
-    found.sort(key=lambda one: -abs(one.deviations))
-    shared = f"the {test.freedom} combination{'s' if test.freedom > 1 else ''} of parameters that more than one tells"
-    chance = f"χ² = {test.statistic:.1f}, chance alone gives a larger one in {_percent(test.p_value)} of cases"
+    contradictions.sort(key=lambda one: -abs(one.deviations))
+    shared = f"the {test.freedom} combination{'s' if test.freedom > 1 else ''} of parameters that several models share"
+    outcome = f"χ² = {test.statistic:.1f}, {test.p_text}"
     if test.passed:
-        text = f"The models agree on {shared} ({chance})."
+        text = f"The models agree on {shared} ({outcome})."
     else:
         text = (
-            f"The models contradict each other on {shared} ({chance}): another arm, load, temperature or drive gains, "
+            f"The models contradict each other on {shared} ({outcome}): another arm, load, temperature or drive gains, "
             "or error bars that are too small."
         )
     return Consistency(
@@ -210,14 +210,8 @@ def _consistency(parts: Sequence[MergeInput], merged: MergedEstimate) -> Consist
         p_value=test.p_value,
         agree=test.passed,
         text=text,
-        contradictions=found[:MOST_CONTRADICTIONS],
+        contradictions=contradictions[:MOST_CONTRADICTIONS],
     )
-
-
-def _percent(share: float) -> str:
-    if share < 1e-4:
-        return "less than 0.01 %"
-    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
 
 
 def _warnings(
@@ -236,7 +230,7 @@ def _warnings(
         )
         warnings.append(consistency.text + (f" Furthest from the merged model: {worst}." if worst else ""))
     if unexcited:
-        warnings.append(f"the recordings do not excite {', '.join(unexcited)}: no values for them")
+        warnings.append(f"the recordings do not excite {', '.join(unexcited)}: they have no value")
     whole = base_parameters(model)
     if base.count < whole.count:
         warnings.append(

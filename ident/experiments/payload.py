@@ -78,7 +78,7 @@ class LargestChange:
 
 @dataclass(frozen=True)
 class Payload:
-    """All that two runs say of a load.
+    """Load identified from two runs, and tests of it.
 
     Attributes:
         pair: the runs.
@@ -120,7 +120,7 @@ def identify_payload(
     Args:
         free: recording without the load.
         loaded: recording of the same arm with it.
-        known: what is known of the load; None where it is to be found.
+        known: what is known of the load; None where it is to be payload.
         robot_file: in place of the one that the free recording carries.
         delay: of the torque [s]; searched where None.
 
@@ -178,15 +178,15 @@ def _largest_change(
     from scipy.stats import t as t_distribution
 
     spread = np.sqrt(np.diag(covariance))
-    telling = [place for place in places if spread[place] > 0]
-    if not telling:
+    with_error_bars = [place for place in places if spread[place] > 0]
+    if not with_error_bars:
         return None
-    worst = max(telling, key=lambda place: abs(float(difference[place] / spread[place])))
+    worst = max(with_error_bars, key=lambda place: abs(float(difference[place] / spread[place])))
     size = abs(float(difference[worst] / spread[worst]))
-    chance = min(1.0, len(telling) * 2.0 * float(t_distribution.sf(size, blocks - 1)))
+    p_value = min(1.0, len(with_error_bars) * 2.0 * float(t_distribution.sf(size, blocks - 1)))
     number = separate.active[worst]
     free, loaded = (float(values[number]) for values in separate.parameters)
-    return LargestChange(number, free, loaded, SignificanceTest(size**2, 1, chance))
+    return LargestChange(number, free, loaded, SignificanceTest(size**2, 1, p_value))
 
 
 def _changing(effect: FloatArray, active: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -219,33 +219,39 @@ def _values_test(estimate: LoadEstimate, known: KnownLoad | None, blocks: int) -
     )
 
 
-def _warnings(found: Payload, recordings: tuple[Recording, Recording]) -> list[str]:
+def _warnings(payload: Payload, recordings: tuple[Recording, Recording]) -> list[str]:
     warnings = [
         f"{recording.label} was not closed in order: its end may be missing"
         for recording in recordings
         if not recording.complete
     ]
-    warnings += resting_warnings(found.pair)
-    if found.load.unexcited:
+    warnings += resting_warnings(payload.pair)
+    if payload.load.unexcited:
         warnings.append(
-            f"the two motions cannot tell {', '.join(found.load.unexcited)}: no values for them, and other parameters "
-            "may have taken theirs up"
+            f"the two motions do not excite {', '.join(payload.load.unexcited)}: they have no value, and other "
+            "parameters may have absorbed them"
         )
-    mass, known = found.load.standard[MASS], found.load.known or (found.with_mass and found.with_mass.known)
-    if found.mass_test is not None and known and not found.mass_test.passed and abs(mass / known.mass - 1) > NEGLIGIBLE:
+    mass, known = payload.load.standard[MASS], payload.load.known or (payload.with_mass and payload.with_mass.known)
+    if (
+        payload.mass_test is not None
+        and known
+        and not payload.mass_test.passed
+        and abs(mass / known.mass - 1) > NEGLIGIBLE
+    ):
         warnings.append(
-            f"the identified mass is {100 * (mass / known.mass - 1):+.1f} % off the known one, more than noise "
-            "explains: if the load was weighed right, drive gains are off by about as much; dynid gains finds them"
+            f"the identified mass is {100 * (mass / known.mass - 1):+.1f} % off the known one, which noise does "
+            "not explain: if the load was weighed right, drive gains are off by about as much; identify them with "
+            "dynid gains"
         )
-    place = found.load.columns.kept.index(MASS) if MASS in found.load.columns.kept else None
-    if place is not None and np.isfinite(mass) and mass < 2 * np.sqrt(found.load.covariance[place, place]):
-        warnings.append("no load shows: the identified mass is not larger than two standard deviations")
-    if found.load_test is not None and not found.load_test.passed:
+    place = payload.load.columns.kept.index(MASS) if MASS in payload.load.columns.kept else None
+    if place is not None and np.isfinite(mass) and mass < 2 * np.sqrt(payload.load.covariance[place, place]):
+        warnings.append("no load detected: the identified mass is below 2 σ")
+    if payload.load_test is not None and not payload.load_test.passed:
         warnings.append(
             "what changed between the runs is not what a load on the last link changes: it slips, drags a hose, "
             "touches something, or the drive gains are wrong"
         )
-    if found.rest is not None and not found.rest.test.passed:
+    if payload.rest is not None and not payload.rest.test.passed:
         warnings.append(
             "friction or motor inertia changed between the runs, although a load does not change them: warm the arm up "
             "before both, or the drive gains are wrong"

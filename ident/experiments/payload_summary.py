@@ -104,8 +104,7 @@ def _test_text(test: SignificanceTest) -> str:
 
 
 def _p_value_text(test: SignificanceTest) -> str:
-    value = "p < 0.0001" if test.p_value < 1e-4 else f"p = {test.p_value:.2g}"
-    return value if test.passed else f"{value}, significant below {LEVEL:g}"
+    return test.p_text if test.passed else f"{test.p_text}, significant below {LEVEL:g}"
 
 
 def load_parameters(estimate: LoadEstimate) -> list[LoadParameter]:
@@ -258,4 +257,4 @@ def _test_result(test: SignificanceTest | None) -> SignificanceResult | None:
 def _regrouped(columns: LoadColumns) -> list[str]:
     """Parameters that no column of their own shows: without effect, or only seen together with others."""
     alone = {columns.kept[i] for i in range(len(columns.kept)) if np.count_nonzero(columns.projection[i]) == 1}
-    return [f"{symbol}_L" for number, symbol in enumerate(INERTIAL) if number not in alone]
+    return [f"{symbol}_L" for index, symbol in enumerate(INERTIAL) if index not in alone]

@@ -57,8 +57,8 @@ class RunPair:
         model, base, kernel: its model, base parameters and their regressor.
         runs: free, then loaded.
         active: base columns that the two runs together excite.
-        delay: of the torque [s], used for both runs, and what was found in words.
-        delay_note: what the search for it found, in words.
+        delay: of the torque [s], used for both runs.
+        delay_note: outcome of its search, in words.
     """
 
     robot_file: RobotFile
@@ -77,7 +77,7 @@ class BlockGrams:
 
     Attributes:
         grams: for each run and joint (B, w + 1, w + 1), w its structurally non-zero base columns, y_j last.
-        length: samples a block.
+        length: samples per block.
     """
 
     grams: tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]
@@ -142,8 +142,8 @@ def prepare_pair(
     first = prepare(motions[FREE], PreprocessChoices(delay=delay or 0.0))
     choices, note = first.choices, "as given, not searched"
     if delay is None:
-        found = search_delay(kernel, without_reversals(kernel, first.segments), first.parallel_filter)
-        choices, note = replace(choices, delay=found.used), found.note
+        search = search_delay(kernel, without_reversals(kernel, first.segments), first.parallel_filter)
+        choices, note = replace(choices, delay=search.used), search.note
     runs = []
     for motion in motions:
         prepared = prepare(motion, choices)
@@ -157,7 +157,7 @@ def prepare_pair(
 
 
 def resting_warnings(pair: RunPair) -> list[str]:
-    """A sentence for each run in which joints rest throughout: static friction may hold any part of their load."""
+    """A sentence for each run in which joints rest throughout: static friction may carry any part of their load."""
     warnings = []
     for run in pair.runs:
         speed = np.max([np.max(np.abs(segment.velocity), axis=1) for segment in run.prepared.segments], axis=0)
@@ -169,7 +169,7 @@ def resting_warnings(pair: RunPair) -> list[str]:
         if resting:
             warnings.append(
                 f"{', '.join(resting)} rest{'s' if len(resting) == 1 else ''} throughout {run.label}: static friction "
-                "may hold part of what their motors seem to bear; move all joints in both runs"
+                "may carry part of the apparent load torque; move all joints in both runs"
             )
     return warnings
 
@@ -181,7 +181,7 @@ def block_grams(
 
     Args:
         pair: the runs.
-        parameters: base parameters (b,) of each run, whose residuals tell how long a block must be.
+        parameters: base parameters (b,) of each run, whose residuals determine the length of a block.
         joints: those whose residuals do; all where None.
     """
     series = [_series(pair, run, values) for run, values in zip(pair.runs, parameters, strict=True)]

@@ -45,12 +45,12 @@ LEAST_SIGNAL = 10.0
 gain is then known to about 10 %."""
 
 FEWEST_BINS = 8
-"""Bins of a joint below which its jackknife says nothing."""
+"""Bins of a joint below which its jackknife is not reliable."""
 
 
 @dataclass(frozen=True)
 class SlowGain:
-    """Gain of one joint's drive from slow passes; nan, and inf for the deviation, where they tell nothing.
+    """Gain of one joint's drive from slow passes; nan, and inf for the deviation, where they are not identifiable.
 
     Attributes:
         joint: its name.
@@ -82,14 +82,14 @@ class SlowGain:
 
 @dataclass(frozen=True)
 class SlowGains:
-    """All that slow up-and-down runs say of the drives.
+    """Gains of the drives from slow up-and-down runs.
 
     Attributes:
         robot: content of the robot file.
         runs: what messages call the free and the loaded recording.
         signal: what was recorded of the motors: "current" or "voltage".
         known: the load.
-        gains: one a joint.
+        gains: one per joint.
         moments, moments_std: (3,) first moments of the load in the tool frame [kg·m], nan where they do not show;
             those that are known have no deviation.
         gap: second-smallest over smallest singular value; inf where one gain, or each for itself, is identified.
@@ -164,7 +164,7 @@ def identify_slow_gains(
 
     Raises:
         DataError: different arms, no motor signal, no joint with slow passes in both directions and both runs.
-        IdentificationError: the gains cannot be told from the unknown centre of mass.
+        IdentificationError: the gains are confounded with the unknown centre of mass.
     """
     check_same_robot(free, loaded)
     robot_file = free.robot() if robot_file is None else robot_file
@@ -186,7 +186,7 @@ def identify_slow_gains(
     used = [each for each in rows if not reasons[each.joint]]
     if not used:
         raise DataError(
-            "no joint tells its gain: "
+            "no joint's gain is identifiable: "
             + "; ".join(f"{robot.joint_names[each.joint]}: {reasons[each.joint]}" for each in rows),
             where=loaded.label,
             hint="move joints whose axes are not vertical, as fast up as down, with a heavier load",
@@ -195,7 +195,7 @@ def identify_slow_gains(
         solved = [_solve([each], (), known) for each in used]
     else:
         solved = [_with_moments(used, known, reasons, loaded.label)]
-    return _found(robot, (free.label, loaded.label), known, sweeps, reasons, solved)
+    return _slow_gains(robot, (free.label, loaded.label), known, sweeps, reasons, solved)
 
 
 def _prepared(recording: Recording, robot: Robot, delay: float) -> Prepared:
@@ -225,7 +225,7 @@ def _reasons(rows: Sequence[_JointRows], known: KnownLoad, dof: int) -> list[str
         if len(each.signal) < FEWEST_BINS:
             reasons[each.joint] = f"only {len(each.signal)} positions are passed both ways at the same speed"
         elif _explained(factor) < LEAST_SIGNAL * signal_noise([factor], count)[0]:
-            reasons[each.joint] = "the load's weight about its axis does not rise out of the noise"
+            reasons[each.joint] = "the load's weight about its axis does not exceed the noise"
         else:
             reasons[each.joint] = ""
     return reasons
@@ -238,10 +238,10 @@ def _explained(factor: FloatArray) -> float:
 
 
 def _with_moments(used: Sequence[_JointRows], known: KnownLoad, reasons: list[str], where: str) -> _Solved:
-    """Gains and first moments together; without the joints on which moments alone act, where these are not told so.
+    """Gains and first moments together; without the joints on which moments alone act, where those prevent it.
 
     Raises:
-        IdentificationError: gains and centre of mass cannot be told apart.
+        IdentificationError: gains and centre of mass are not distinguishable.
     """
     bearing = [each for each in used if _bears(each, known)]
     for joints in (used, bearing):
@@ -255,7 +255,7 @@ def _with_moments(used: Sequence[_JointRows], known: KnownLoad, reasons: list[st
                     reasons[each.joint] = "only the load's unknown moments act on it; give its centre of mass"
             return solved
     raise IdentificationError(
-        "these passes cannot tell the gains from the load's centre of mass, which is unknown",
+        "in these passes the gains are confounded with the load's centre of mass, which is unknown",
         where=where,
         hint="give it with --com, or let more joints pass up and down, in several poses of the others",
     )
@@ -321,7 +321,7 @@ def _jackknife(wides: Sequence[FloatArray], solution: NullVector) -> FloatArray:
     )
 
 
-def _found(
+def _slow_gains(
     robot: Robot,
     runs: tuple[str, str],
     known: KnownLoad,
@@ -382,8 +382,8 @@ def _warnings(gains: Sequence[SlowGain], moments: FloatArray) -> list[str]:
             warnings.append(f"no value for the gain of {gain.joint}: {gain.reason}")
         elif gain.relative_std >= SIGNIFICANT_RSD:
             warnings.append(
-                f"the gain of {gain.joint} is known to {gain.relative_std:.0f} % only; let it pass more often, with a "
-                "heavier load, or where the load is farther from its axis"
+                f"the gain of {gain.joint} has a relative standard deviation of {gain.relative_std:.0f} %; let it pass "
+                "more often, with a heavier load, or where the load is farther from its axis"
             )
         if gain.file_gain is not None and gain.gain * gain.file_gain < 0:
             warnings.append(f"the gain of {gain.joint} has the opposite sign of the robot file's")

@@ -1,4 +1,4 @@
-"""Whether a difference of identified numbers is chance, its covariance coming from few blocks of data."""
+"""Whether a difference of identified values is statistically significant, its covariance coming from few blocks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ WITHIN_95_PERCENT = 1.96
 """95 % of a normal distribution lie within so many standard deviations of its mean."""
 
 LEVEL = 0.01
-"""A test rejects where chance alone would give so large a difference less often than this."""
+"""Significance level: a p-value below it rejects."""
 
 FEWEST_EXTRA_BLOCKS = 5
 """The test needs so many blocks more than it has degrees of freedom."""
@@ -21,12 +21,12 @@ FEWEST_EXTRA_BLOCKS = 5
 
 @dataclass(frozen=True)
 class SignificanceTest:
-    """A comparison of two sets of numbers that should differ by chance only.
+    """A comparison of two sets of values that should differ by noise only.
 
     Attributes:
         statistic: χ² (Hotelling's T²), the squared difference in its own standard deviations.
         freedom: its degrees of freedom.
-        p_value: how often chance alone gives a larger one.
+        p_value: probability of a larger statistic from noise alone.
     """
 
     statistic: float
@@ -35,14 +35,19 @@ class SignificanceTest:
 
     @property
     def passed(self) -> bool:
-        """Whether chance may explain the difference."""
+        """Whether the difference is not statistically significant."""
         return self.p_value >= LEVEL
+
+    @property
+    def p_text(self) -> str:
+        """The p-value in print."""
+        return "p < 0.0001" if self.p_value < 1e-4 else f"p = {self.p_value:.2g}"
 
 
 def chi_square_test(
     difference: FloatArray, covariance: FloatArray, blocks: int, explained_by: FloatArray | None = None
 ) -> SignificanceTest | None:
-    """Whether a difference is chance, once its part in the span of some columns has been taken out.
+    """Whether a difference is significant, once its part in the span of some columns has been taken out.
 
     Args:
         difference: (m,).

@@ -92,11 +92,11 @@ def null_vector(factors: Sequence[FloatArray], rows: FloatArray, noise: FloatArr
     count = len(factors)
     if not np.all(noise > 0):
         raise IdentificationError(f"signal {int(np.argmin(noise)) + 1} is zero throughout", hint="record all motors")
-    found = np.ones(count)
+    factor = np.ones(count)
     for _ in range(ITERATIONS):
-        weights = 1.0 / (noise * np.abs(found))
+        weights = 1.0 / (noise * np.abs(factor))
         square, width = _concatenated(factors, weights)
-        scale = np.abs(found) / np.sqrt(rows)
+        scale = np.abs(factor) / np.sqrt(rows)
         _, singular, vectors = np.linalg.svd(square[width:, width:] * scale)
         rest = vectors[-1] * scale
         lengths = np.linalg.norm(square[:width, :width], axis=0)
@@ -104,13 +104,13 @@ def null_vector(factors: Sequence[FloatArray], rows: FloatArray, noise: FloatArr
             raise IdentificationError("the columns of the system depend on each other", hint="record a richer motion")
         unknowns = np.linalg.solve(square[:width, :width] / lengths, square[:width, width:] @ rest) / lengths
         refined, unknowns = _normalised(rest, unknowns)
-        change = np.max(np.abs(np.abs(refined / found) - 1.0))
-        found = refined
+        change = np.max(np.abs(np.abs(refined / factor) - 1.0))
+        factor = refined
         if change < SETTLED:
-            return NullVector(found, unknowns, singular, weights, scale)
+            return NullVector(factor, unknowns, singular, weights, scale)
     raise IdentificationError(
         f"the weights of the motor signals did not settle in {ITERATIONS} iterations",
-        hint="the motion tells the gains too badly apart; record longer, or with a heavier load",
+        hint="the motion separates the gains poorly; record longer, or with a heavier load",
     )
 
 

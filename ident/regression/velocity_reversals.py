@@ -1,7 +1,7 @@
-"""Equations of motors that turn round, where Coulomb friction is no sign of the velocity.
+"""Equations near velocity reversals, where Coulomb friction is not well defined.
 
-A joint that changes its direction stands still for a while; meanwhile friction is anything between its two values, and
-a static model does not hold (AUBO .IV: below 0.1 rad/s). Filters carry the error into the samples beside it.
+A joint that reverses stands still for a while; meanwhile friction takes any value between its two limits, and a static
+model does not hold (AUBO .IV: below 0.1 rad/s). Filters carry the error into the neighbouring samples.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ident.model.regressor import RegressorKernel
 from ident.signals.prepared import Prepared, Segment, Step
 
 ADVISED_SHARE = 0.2
-"""Of a velocity's root mean square: what is slower is reversing round (docs/excitation.md has the figures)."""
+"""Of a velocity's root mean square: below it a motor is near a reversal (docs/excitation.md has the figures)."""
 
 
 def without_reversals(
@@ -26,19 +26,19 @@ def without_reversals(
 ) -> tuple[Segment, ...]:
     """Segments without the equations of motors slower than `share` of their velocity's root mean square.
 
-    The search of a delay takes these: a joint that stands still while it turns round gives its torque back late, which
+    The search of a delay takes these: a joint that sticks at a reversal passes its torque on late, which
     looks like a delay of many milliseconds.
     """
     return tuple(replace(part, reversing=reversal_mask(kernel, part, share)) for part in segments)
 
 
 def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: float) -> Prepared:
-    """The same data without the equations of motors that turn round.
+    """The same data without the equations near velocity reversals.
 
     Args:
         kernel: says which motors have Coulomb friction, and of which motion.
         prepared: data.
-        share: slower than this share of its root mean square is reversing round; 0 leaves out nothing.
+        share: a motor slower than this share of its root mean square is near a reversal; 0 leaves out nothing.
 
     Raises:
         UsageError: the share is not within [0, 1).
@@ -69,12 +69,12 @@ def check_share(share: float) -> None:
 
 
 def reversal_mask(kernel: RegressorKernel, segment: Segment, share: float) -> npt.NDArray[np.bool_]:
-    """(n, N) motors that turn round: a velocity whose sign is in their equation is below `share` of its rms."""
-    found = np.zeros((kernel.model.dof, segment.velocity.shape[1]), dtype=np.bool_)
+    """(n, N) motors near a reversal: a velocity whose sign is in their equation is below `share` of its rms."""
+    reversing = np.zeros((kernel.model.dof, segment.velocity.shape[1]), dtype=np.bool_)
     for row in kernel.joint_parameter_rows:
         if row.column.quantity != "coulomb":
             continue
-        motor = next(number for number, rows in enumerate(kernel.joint_rows) if row.row < rows.rows.stop)
+        motor = next(joint for joint, rows in enumerate(kernel.joint_rows) if row.row < rows.rows.stop)
         speed = np.abs(combined(row.column.motion, segment.velocity))
-        found[motor] |= speed < share * np.sqrt(np.mean(np.square(speed[segment.used])))
-    return found
+        reversing[motor] |= speed < share * np.sqrt(np.mean(np.square(speed[segment.used])))
+    return reversing

@@ -106,7 +106,7 @@ def test_clearly_negative_friction_and_motor_inertia_are_warned_of(three_joint):
     for name in ("Fv2", "Fs3"):
         parameters[base.names.index(name)] = -1.0
     (friction,) = sign_warnings(base, parameters, std)
-    assert friction.startswith("Fv2, Fs3 came out negative: friction that drives")
+    assert friction.startswith("Fv2, Fs3 came out negative (not dissipative)")
     parameters[base.names.index("Ia3")] = -1.0
     motors = sign_warnings(base, parameters, std)[1]
     assert motors.startswith("Ia3 came out negative")
@@ -131,4 +131,4 @@ def test_a_reversed_drive_gain_is_hinted_at(three_joint, joint, gain):
     assert any("sign" in warning and "drive gain" in warning for warning in found.warnings)
     assert any("not positive definite" in warning for warning in found.warnings)
     if joint != "j3":  # of a light last joint only the standard deviations show it
-        assert any(f"Fs{joint[1]}" in warning and "friction that drives" in warning for warning in found.warnings)
+        assert any(f"Fs{joint[1]}" in warning and "not dissipative" in warning for warning in found.warnings)

@@ -16,7 +16,7 @@ from daq.recording import JOINTS_STREAM, Recording
 from daq.robot import load_robot, parse_robot
 from daq.trajectories import FourierSeries
 from drivers.errors import DataError, UsageError
-from ident.assessment.plausibility import CLEARLY_SMALLER, share_by_chance
+from ident.assessment.plausibility import CLEARLY_SMALLER, critical_variance_ratio
 from ident.estimators.energy_equations import energy_jackknife, reduce_energy
 from ident.estimators.energy_windows import (
     OVERLAP,
@@ -289,11 +289,11 @@ def test_gravity_of_the_wrong_sign_is_warned_of(three_joint, method):
 
 
 def test_luck_is_told_from_a_better_fit():
-    shares = [share_by_chance(freedom) for freedom in (0.5, 2, 10, 100, 1000, 1e9)]
+    shares = [critical_variance_ratio(freedom) for freedom in (0.5, 2, 10, 100, 1000, 1e9)]
     assert shares[0] == 0.0
     assert shares == sorted(shares)
     assert shares[-1] == CLEARLY_SMALLER
-    assert 0.3 < share_by_chance(20) < 0.4  # tables: F(0.99; 20, 20) = 2.94
+    assert 0.3 < critical_variance_ratio(20) < 0.4  # tables: F(0.99; 20, 20) = 2.94
 
 
 @pytest.mark.parametrize("method", METHODS)

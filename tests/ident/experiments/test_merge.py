@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import IdentificationError
-from ident.experiments.merge import Information, merge, told_columns, usable, variance_ratio
+from ident.experiments.merge import Information, identifiable_columns, merge, usable, variance_ratio
 from ident.linear_algebra.triangular import triangular
 from ident.regression.estimate import estimate_of
 from ident.regression.least_squares import excited_columns, ordinary_least_squares, weighted_least_squares
@@ -97,7 +97,7 @@ def test_exact_values_of_combinations_give_the_exact_parameters(seed, first, sec
         root = np.triu(generator.standard_normal((count, count))) + 3 * np.eye(count)
         covariance = np.linalg.inv(root.T @ root)
         parts.append(Information(combined @ truth, combined, root, covariance, BLOCKS))
-    told = told_columns(parts, range(5))
+    told = identifiable_columns(parts, range(5))
     assert len(told) == min(5, first + second)
     merged = merge(parts, told)
     others = [column for column in range(5) if column not in told]

@@ -129,7 +129,7 @@ def test_no_load_is_said():
         rate=RATE,
     )
     each = identify_payload(free, again)
-    assert any("no load shows" in warning for warning in each.warnings)
+    assert any("no load detected" in warning for warning in each.warnings)
 
 
 def test_friction_that_changed_is_said():

@@ -100,7 +100,7 @@ def test_gains_whatever_the_friction(found):
 def test_the_vertical_axis_tells_nothing(found):
     assert np.isnan(found.values[0])
     assert np.isinf(found.std[0])
-    assert "does not rise out of the noise" in found.gains[0].reason
+    assert "does not exceed the noise" in found.gains[0].reason
     assert any("j1" in warning for warning in found.warnings)
 
 
@@ -176,7 +176,7 @@ def test_a_motion_of_all_joints_has_no_passes(three_joint):
 def test_without_a_load_nothing_shows(three_joint):
     free, _ = runs(three_joint, passes())
     again, _ = runs(three_joint, passes(), seed=5)
-    with pytest.raises(DataError, match="does not rise out of the noise"):
+    with pytest.raises(DataError, match="does not exceed the noise"):
         identify_slow_gains(free, again, KnownLoad(LOAD.mass, LOAD.com))
 
 
