@@ -82,13 +82,13 @@ def reduce_energy(
     )
 
 
-def independent_rows(equations: EnergyEquations, parts: Sequence[Prepared], parameters: FloatArray) -> float:
+def independent_rows(equations: EnergyEquations, runs: Sequence[Prepared], parameters: FloatArray) -> float:
     """Number of independent equations that the residuals of base parameters (b,) are worth."""
     residuals = [
         (rows.work - parameters @ rows.regressor)[None]
-        for part in parts
-        for segment in part.segments
-        for rows in equations.rows(segment, part.parallel_filter)
+        for run in runs
+        for segment in run.segments
+        for rows in equations.rows(segment, run.parallel_filter)
     ]
     count: int = sum(residual.shape[1] for residual in residuals)
     return count * independent_share(lag_one(residuals))

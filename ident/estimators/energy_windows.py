@@ -2,10 +2,10 @@
 
     H(t_b) − H(t_a) + Σ (Fv·∫q̇² dt + Fs·∫|q̇| dt + Fo·∫q̇ dt) = ∫ q̇mᵀτ dt
 
-A window says something only if energy is exchanged in it: one during which the arm hardly moves is a row of noise. So
+A window is informative only if energy is exchanged in it: one in which the arm hardly moves is a row of noise. So
 windows are not cut by the clock but by the exchange ∫ Σ|q̇m·τ| dt, of which each holds the same amount; they are short
-where the arm is fast and long where it turns. Each begins a quarter of its exchange after the one before, so that what
-happens near its ends is seen in the middle of others.
+where the arm is fast and long near velocity reversals. Each begins a quarter of its exchange after the one before, so
+that what happens near its ends is seen in the middle of others.
 
 Both sides, as functions of a window's end, pass the parallel filter before they are differenced (SR400 .4.3 point 4):
 H holds q̇ squared at the two ends alone, where nothing else would average the encoders' noise. Longer windows hold more
@@ -63,32 +63,35 @@ class EnergyWindows:
     def rows(self, segment: Segment, parallel_filter: ZeroPhaseFilter) -> Iterator[EnergyRows]:
         """The equations of one segment; energy and work are filtered at the segment's rate."""
         model = self.kernel.model
-        borders = [window_borders(model, segment, part, self.exchange) for part in moving_stretches(segment)]
-        borders = [each for each in borders if len(each) > OVERLAP]
+        borders = [window_borders(model, segment, span, self.exchange) for span in moving_spans(segment)]
+        borders = [samples for samples in borders if len(samples) > OVERLAP]
         if not borders:
             return
         balance = self._balance_at(np.concatenate(borders), segment, replace(parallel_filter, factor=1))
         position = 0
-        for each in borders:
-            here = balance[:, position : position + len(each)]
-            position += len(each)
-            rows = here[:, OVERLAP:] - here[:, :-OVERLAP]
-            yield EnergyRows(rows[:-1], rows[-1], (each[:-OVERLAP] + each[OVERLAP:]) // 2 // parallel_filter.factor)
+        for samples in borders:
+            at_borders = balance[:, position : position + len(samples)]
+            position += len(samples)
+            rows = at_borders[:, OVERLAP:] - at_borders[:, :-OVERLAP]
+            middle = (samples[:-OVERLAP] + samples[OVERLAP:]) // 2
+            yield EnergyRows(rows[:-1], rows[-1], middle // parallel_filter.factor)
 
     def _balance_at(self, samples: npt.NDArray[np.int64], segment: Segment, smoothing: ZeroPhaseFilter) -> FloatArray:
         """Energy stored and lost since the start, last the work, filtered, at rising samples (k,) → (b + 1, k)."""
         streamed = StreamedFilter(smoothing, len(self.kernel.columns) + 1)
-        found = np.empty((len(self.kernel.columns) + 1, len(samples)))
+        balance = np.empty((len(self.kernel.columns) + 1, len(samples)))
         position = 0
         for chunk in self._balance(segment):
             filtered = streamed.finish() if chunk is None else streamed.push(chunk)
             start, stop = np.searchsorted(samples, [position, position + filtered.shape[1]])
-            found[:, start:stop] = filtered[:, samples[start:stop] - position]
+            balance[:, start:stop] = filtered[:, samples[start:stop] - position]
             position += filtered.shape[1]
-        return found
+        return balance
 
     def _balance(self, segment: Segment) -> Iterator[FloatArray | None]:
         """Energy stored and lost since the start (b, m), and last the work, chunk by chunk; None behind the end."""
+        from scipy.integrate import cumulative_trapezoid
+
         count = segment.position.shape[1]
         work = motor_power(self.kernel.model, segment)
         spent = np.zeros((len(self.kernel.friction_rows) + 1, 1))
@@ -97,7 +100,7 @@ class EnergyWindows:
             # With the last sample of the chunk before, so that the integral goes on from there.
             around = slice(max(0, start - 1), inside.stop)
             power = np.vstack([self.kernel.friction_power(segment.velocity[:, around]), work[around]])
-            integral = spent + _integral(power, segment.rate)
+            integral = spent + cumulative_trapezoid(power, dx=1.0 / segment.rate, axis=1, initial=0)
             spent = integral[:, -1:]
             integral = integral[:, inside.start - around.start :]
             balance = np.vstack(
@@ -113,8 +116,8 @@ def motor_power(model: DynamicModel, segment: Segment) -> FloatArray:
     return np.asarray(np.einsum("nk,nk->k", motor_velocity(model, segment.velocity), segment.torque))
 
 
-def moving_stretches(segment: Segment) -> tuple[slice, ...]:
-    """The stretches of consecutive samples that count."""
+def moving_spans(segment: Segment) -> tuple[slice, ...]:
+    """Spans of consecutive samples that count."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], segment.used, [False]]).astype(np.int8)))
     return tuple(slice(int(start), int(stop)) for start, stop in edges.reshape(-1, 2))
 
@@ -144,11 +147,13 @@ def mean_duration(kernel: EnergyKernel, segments: Sequence[Segment], cutoff: flo
     return float(np.clip(enough, HALF_POWER / (SHORTEST * cutoff), HALF_POWER / (LONGEST * cutoff)))
 
 
-def window_borders(model: DynamicModel, segment: Segment, part: slice, exchange: float) -> npt.NDArray[np.int64]:
+def window_borders(model: DynamicModel, segment: Segment, span: slice, exchange: float) -> npt.NDArray[np.int64]:
     """Samples of the segment, `exchange` / `OVERLAP` apart; a window ends at the `OVERLAP`-th behind its start."""
-    spent = _integral(exchange_rate(model, segment)[None, part], segment.rate)[0]
+    from scipy.integrate import cumulative_trapezoid
+
+    spent = cumulative_trapezoid(exchange_rate(model, segment)[span], dx=1.0 / segment.rate, initial=0)
     levels = np.arange(0.0, spent[-1], exchange / OVERLAP)
-    return np.asarray(np.unique(np.searchsorted(spent, levels)) + part.start)
+    return np.asarray(np.unique(np.searchsorted(spent, levels)) + span.start)
 
 
 def describe_windows(equations: EnergyWindows, segments: Sequence[Segment]) -> tuple[int, float]:
@@ -156,15 +161,8 @@ def describe_windows(equations: EnergyWindows, segments: Sequence[Segment]) -> t
     lengths = [
         (borders[OVERLAP:] - borders[:-OVERLAP]) / segment.rate
         for segment in segments
-        for part in moving_stretches(segment)
-        if len(borders := window_borders(equations.kernel.model, segment, part, equations.exchange)) > OVERLAP
+        for span in moving_spans(segment)
+        if len(borders := window_borders(equations.kernel.model, segment, span, equations.exchange)) > OVERLAP
     ]
     durations = np.concatenate([*lengths, np.empty(0)])
     return len(durations), float(durations.mean()) if len(durations) else 0.0
-
-
-def _integral(rows: FloatArray, rate: float) -> FloatArray:
-    """Integral (k, N) of `rows` (k, N) from the first sample, by the trapezoidal rule."""
-    integral = np.zeros_like(rows)
-    np.cumsum(0.5 / rate * (rows[:, 1:] + rows[:, :-1]), axis=1, out=integral[:, 1:])
-    return integral

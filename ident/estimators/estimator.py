@@ -19,7 +19,7 @@ from ident.estimators.energy_windows import (
     describe_windows,
     exchange_for,
     mean_duration,
-    moving_stretches,
+    moving_spans,
 )
 from ident.estimators.power import PowerSamples
 from ident.model.base_parameters import BaseParameters
@@ -42,17 +42,17 @@ from ident.signals.prepared import Prepared, Step
 class Estimator(Protocol):
     """One way to estimate base parameters."""
 
-    def notes(self, part: Prepared) -> tuple[Step, ...]:
+    def notes(self, run: Prepared) -> tuple[Step, ...]:
         """What it does to a recording's data before the regression, for the list of steps."""
 
-    def reduce(self, parts: Sequence[Prepared]) -> Reduction:
+    def reduce(self, runs: Sequence[Prepared]) -> Reduction:
         """The system of all data."""
 
     def solve(self, reduction: Reduction, active: Sequence[int]) -> LeastSquares:
         """Its solution for the active base columns."""
 
     def covariance(self, runs: Sequence[FilteredRun], solution: LeastSquares) -> CorrectedCovariance:
-        """Covariance of a solution's active parameters, for residuals that are not white."""
+        """Covariance of a solution's active parameters, for autocorrelated residuals."""
 
 
 @dataclass(frozen=True)
@@ -62,13 +62,13 @@ class TorqueEstimator:
     kernel: RegressorKernel
     method: LinearMethod
 
-    def notes(self, part: Prepared) -> tuple[Step, ...]:
+    def notes(self, run: Prepared) -> tuple[Step, ...]:
         """Nothing that is not in the list."""
         return ()
 
-    def reduce(self, parts: Sequence[Prepared]) -> Reduction:
-        """One factor a joint."""
-        return stack_reductions([reduce_segments(self.kernel, part.segments, part.parallel_filter) for part in parts])
+    def reduce(self, runs: Sequence[Prepared]) -> Reduction:
+        """One factor per joint."""
+        return stack_reductions([reduce_segments(self.kernel, run.segments, run.parallel_filter) for run in runs])
 
     def solve(self, reduction: Reduction, active: Sequence[int]) -> LeastSquares:
         """OLS or WLS."""
@@ -88,11 +88,11 @@ class EnergyEstimator:
     equations: EnergyEquations
     method: Method
 
-    def notes(self, part: Prepared) -> tuple[Step, ...]:
+    def notes(self, run: Prepared) -> tuple[Step, ...]:
         """The energy windows, where there are any."""
         if not isinstance(self.equations, EnergyWindows):
             return ()
-        count, duration = describe_windows(self.equations, part.segments)
+        count, duration = describe_windows(self.equations, run.segments)
         exchange = self.equations.exchange
         text = (
             f"{count} windows that each exchange {exchange:.3g} J between motors and arm, {duration:.3g} s long on "
@@ -100,9 +100,9 @@ class EnergyEstimator:
         )
         return (Step("energy windows", {"windows": count, "exchange_j": exchange, "mean_s": duration}, text),)
 
-    def reduce(self, parts: Sequence[Prepared]) -> Reduction:
+    def reduce(self, runs: Sequence[Prepared]) -> Reduction:
         """One factor for the whole arm."""
-        return stack_reductions([reduce_energy(self.equations, part.segments, part.parallel_filter) for part in parts])
+        return stack_reductions([reduce_energy(self.equations, run.segments, run.parallel_filter) for run in runs])
 
     def solve(self, reduction: Reduction, active: Sequence[int]) -> LeastSquares:
         """OLS: windows of equal exchange weigh alike."""
@@ -114,14 +114,14 @@ class EnergyEstimator:
 
 
 def estimator_of(
-    method: Method, kernel: RegressorKernel, parts: Sequence[Prepared], window: float | None = None
+    method: Method, kernel: RegressorKernel, runs: Sequence[Prepared], window: float | None = None
 ) -> Estimator:
     """The estimator that a method's name stands for.
 
     Args:
         method: its name.
         kernel: of the torque equations' base columns; the energy's are the same.
-        parts: the data, from which the energy windows' exchange follows.
+        runs: the data, from which the energy windows' exchange follows.
         window: mean duration of the energy windows [s]; from the parallel filter's cut-off and the data where None.
 
     Raises:
@@ -133,20 +133,20 @@ def estimator_of(
     energy = EnergyKernel(kernel.model, kernel.columns)
     if method == "power":
         return EnergyEstimator(PowerSamples(energy), method)
-    segments = [segment for part in parts for segment in part.segments]
+    segments = [segment for run in runs for segment in run.segments]
     if window is not None:
-        longest = max((part.stop - part.start) / s.rate for s in segments for part in moving_stretches(s))
+        longest = max((span.stop - span.start) / s.rate for s in segments for span in moving_spans(s))
         if window > longest:
             raise UsageError(
                 f"windows of {window:g} s do not fit into the data, whose longest motion lasts {longest:.3g} s",
                 where="energy_window",
             )
-    duration = mean_duration(energy, segments, parts[0].cutoffs.torque) if window is None else window
+    duration = mean_duration(energy, segments, runs[0].cutoffs.torque) if window is None else window
     return EnergyEstimator(EnergyWindows(energy, exchange_for(kernel.model, segments, duration)), method)
 
 
 def estimable(method: Method, model: DynamicModel, base: BaseParameters) -> tuple[int, ...]:
-    """Numbers of the base parameters that a method's equations can tell apart, whatever the data."""
+    """Numbers of the base parameters that a method's equations can identify, whatever the data."""
     if method not in ENERGY_METHODS:
         return tuple(range(base.count))
     kept = set(energy_base_parameters(model).columns)
@@ -154,19 +154,19 @@ def estimable(method: Method, model: DynamicModel, base: BaseParameters) -> tupl
 
 
 def fits_energy_better(
-    other: Estimator, parts: Sequence[Prepared], active: Sequence[int], residual_sum: float, independent: float
+    other: Estimator, runs: Sequence[Prepared], active: Sequence[int], residual_sum: float, independent: float
 ) -> bool:
     """Whether another energy model's residual is significantly smaller than `residual_sum`.
 
     Args:
         other: of the other model's equations; the torque equations' never fit better in this sense.
-        parts: the data.
+        runs: the data.
         active: base columns to fit.
         residual_sum: of the model in question.
         independent: equations that its residuals are worth; the better model's are whiter, and count if they are more.
     """
     if not isinstance(other, EnergyEstimator):
         return False
-    solution = refitted(other.reduce(parts), active)
-    rows = max(independent, independent_rows(other.equations, parts, solution.parameters))
+    solution = refitted(other.reduce(runs), active)
+    rows = max(independent, independent_rows(other.equations, runs, solution.parameters))
     return solution.residual_sum < critical_variance_ratio(rows - len(active)) * residual_sum

@@ -31,7 +31,7 @@ from daq.robot import Robot, RobotFile
 from drivers.streams import FloatArray
 from ident.experiments.gain_system import GainSystem, jackknife_moves, own_angles, solve_gains, system_blocks
 from ident.experiments.motor_signals import signal_of, torques_by
-from ident.experiments.run_pair import BlockGrams, RunPair, prepare_pair, resting_warnings
+from ident.experiments.run_pair import BlockGrams, RunPair, pair_warnings, prepare_pair
 from ident.model.load import KnownLoad, LoadColumns
 from ident.regression.jackknife import jackknife_covariance
 from ident.regression.pruning import SIGNIFICANT_RSD
@@ -252,12 +252,7 @@ def _alone_share(pair: RunPair) -> float:
 
 
 def _warnings(drives: DriveGains, recordings: tuple[Recording, Recording]) -> list[str]:
-    warnings = [
-        f"{recording.label} was not closed in order: its end may be missing"
-        for recording in recordings
-        if not recording.complete
-    ]
-    warnings += resting_warnings(drives.pair)
+    warnings = pair_warnings(drives.pair, recordings)
     if _alone_share(drives.pair) > ONE_AT_A_TIME:
         warnings.append(
             "most of the time one joint moves alone, and static friction holds the others: try --up-and-down"

@@ -8,9 +8,9 @@ import numpy as np
 
 from drivers.errors import DataError
 from drivers.streams import FloatArray
-from ident.experiments.run_pair import FREE, LOADED, BlockGrams, RunPair, block_grams, widened
+from ident.experiments.run_pair import FREE, LOADED, BlockGrams, RunPair, block_grams, weighted_blocks, widened
 from ident.model.load import MASS, KnownLoad, LoadColumns, load_columns
-from ident.regression.gain_uncertainty import relative_gain_std
+from ident.regression.gain_uncertainty import gain_sensitivity, relative_gain_std
 from ident.regression.jackknife import BlockSums, jackknife_covariance, least_squares_moves
 from ident.regression.least_squares import LeastSquares, excited_columns, ordinary_least_squares
 from ident.regression.observation_matrix import JointFactor, Reduction
@@ -22,11 +22,11 @@ class LoadEstimate:
     """Identified load.
 
     Attributes:
-        columns: what can be told apart.
+        columns: identifiable combinations.
         values: (k,) of the combinations.
         covariance: (k, k) from noise and errors that change along the motion.
         gain_covariance: (k, k) from the drive gains' standard deviations; zero where the file names none.
-        unexcited: combinations that these two motions cannot tell apart; nan in `values`.
+        unexcited: combinations that these two motions do not excite; nan in `values`.
         known: what was taken as known.
         standard: (10,) standard parameters in the tool frame; nan for those that only combinations reveal.
         standard_covariance: (10, 10), both causes together; nan where `standard` is.
@@ -89,15 +89,11 @@ def identify_separately(pair: RunPair) -> tuple[SeparateRuns, BlockGrams]:
     ]
     parameters = (solutions[FREE].parameters, solutions[LOADED].parameters)
     grams = block_grams(pair, parameters)
-    none = np.zeros((pair.base.count, 0))
-    moves = []
-    for number, solution in enumerate(solutions):
-        summed = np.zeros((grams.count, len(active) + 1, len(active) + 1))
-        chosen = [*active, pair.base.count]
-        for joint, rows in enumerate(pair.kernel.joint_rows):
-            wide = widened(rows.columns, pair.base.count, none, np.zeros(pair.base.count))[:, chosen]
-            summed += weights[number][joint] ** 2 * (wide.T @ grams.grams[number][joint] @ wide)
-        moves.append(_moves(summed, solution))
+    unchanged, chosen = (np.zeros((pair.base.count, 0)), np.zeros(pair.base.count)), [*active, pair.base.count]
+    moves = [
+        _moves(weighted_blocks(pair, grams, run, weights[run], unchanged, chosen), solutions[run])
+        for run in (FREE, LOADED)
+    ]
     return SeparateRuns(active, parameters, (weights[FREE], weights[LOADED]), (moves[FREE], moves[LOADED])), grams
 
 
@@ -134,22 +130,14 @@ def estimate_load(
             hint="move more joints, the last ones too: dynid excite ROBOT --loaded",
         )
     solution = ordinary_least_squares(system, active)  # its rows are weighted already
-    # One contribution a joint: of the blocks' cross products, and of the torque alone for the gains' part.
-    chosen = [*active, size]
-    summed = np.zeros((grams.count, len(active) + 1, len(active) + 1))
-    joint_scores = np.zeros((pair.model.dof, len(active)))
-    none = np.zeros(count)
-    for number in (FREE, LOADED):
-        run_effect = columns.effect if number == LOADED else np.zeros_like(columns.effect)
-        for joint, rows in enumerate(pair.kernel.joint_rows):
-            gram = grams.grams[number][joint]
-            weight = weights[number][joint] ** 2
-            wide = widened(rows.columns, count, run_effect, shift if number == LOADED else none)[:, chosen]
-            summed += weight * (wide.T @ gram @ wide)
-            plain = widened(rows.columns, count, run_effect, none)[:, chosen]
-            joint_scores[joint] += weight * (plain.T @ gram.sum(axis=0) @ plain)[:-1, -1]
+    unchanged = (np.zeros_like(columns.effect), np.zeros(count))
+    summed = weighted_blocks(pair, grams, FREE, weights[FREE], unchanged, [*active, size])
+    summed += weighted_blocks(pair, grams, LOADED, weights[LOADED], (columns.effect, shift), [*active, size])
     covariance = jackknife_covariance(_moves(summed, solution))
-    moved_by_gain = joint_scores @ solution.inverse
+    # The known part of the load is no torque of the drives: their gains act on the torques as they were measured.
+    measured = _joint_system(pair, columns.effect, np.zeros(count), weights)
+    free_part, loaded_part = np.split(gain_sensitivity(measured, solution)[list(active)].T, 2)
+    moved_by_gain = free_part + loaded_part  # (n, a)
     relative = relative_gain_std(pair.robot_file.robot)
     gain_covariance = (moved_by_gain * relative[:, None] ** 2).T @ moved_by_gain
     return _with_standard(columns, known, solution, places, covariance, gain_covariance, count)

@@ -31,7 +31,7 @@ from ident.experiments.load_estimate import (
     estimate_load,
     identify_separately,
 )
-from ident.experiments.run_pair import FREE, LOADED, RunPair, prepare_pair, resting_warnings
+from ident.experiments.run_pair import FREE, LOADED, RunPair, pair_warnings, prepare_pair
 from ident.model.load import INDEPENDENT, MASS, KnownLoad, load_effect
 from ident.regression.hypothesis_tests import SignificanceTest, chi_square_test
 from ident.regression.jackknife import jackknife_covariance
@@ -220,12 +220,7 @@ def _values_test(estimate: LoadEstimate, known: KnownLoad | None, blocks: int) -
 
 
 def _warnings(payload: Payload, recordings: tuple[Recording, Recording]) -> list[str]:
-    warnings = [
-        f"{recording.label} was not closed in order: its end may be missing"
-        for recording in recordings
-        if not recording.complete
-    ]
-    warnings += resting_warnings(payload.pair)
+    warnings = pair_warnings(payload.pair, recordings)
     if payload.load.unexcited:
         warnings.append(
             f"the two motions do not excite {', '.join(payload.load.unexcited)}: they have no value, and other "

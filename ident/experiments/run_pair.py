@@ -18,6 +18,7 @@ from drivers.errors import DataError, UsageError
 from drivers.streams import FloatArray
 from ident.assessment.delay import search_delay
 from ident.assessment.excitation import excited_base_columns
+from ident.assessment.recorded_motion import unclosed_warnings
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamics import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel
@@ -156,9 +157,9 @@ def prepare_pair(
     return RunPair(robot_file, model, base, kernel, pair, active, choices.delay, note)
 
 
-def resting_warnings(pair: RunPair) -> list[str]:
-    """A sentence for each run in which joints rest throughout: static friction may carry any part of their load."""
-    warnings = []
+def pair_warnings(pair: RunPair, recordings: Sequence[Recording]) -> list[str]:
+    """Recordings that were not closed, and runs in which joints rest throughout: friction may carry their load."""
+    warnings = unclosed_warnings(recordings)
     for run in pair.runs:
         speed = np.max([np.max(np.abs(segment.velocity), axis=1) for segment in run.prepared.segments], axis=0)
         resting = [
@@ -214,6 +215,31 @@ def _series(pair: RunPair, run: Run, parameters: FloatArray) -> tuple[TorqueSeri
     return compare_torques(
         pair.model, pair.base.columns, parameters, run.prepared.segments, run.prepared.parallel_filter
     )
+
+
+def weighted_blocks(
+    pair: RunPair,
+    grams: BlockGrams,
+    run: int,
+    weights: FloatArray,
+    change: tuple[FloatArray, FloatArray],
+    chosen: Sequence[int],
+) -> FloatArray:
+    """(B, c, c) Gram matrices of one run's blocks over all joints, in the chosen columns of `widened`.
+
+    Args:
+        pair: the runs.
+        grams: of their blocks.
+        run: `FREE` or `LOADED`.
+        weights: (n,) of each joint's rows.
+        change: effect (b, k) and shift (b,), as of `widened`.
+        chosen: (c,) columns.
+    """
+    summed = np.zeros((grams.count, len(chosen), len(chosen)))
+    for joint, gram, weight in zip(pair.kernel.joint_rows, grams.grams[run], weights, strict=True):
+        wide = widened(joint.columns, pair.base.count, *change)[:, chosen]
+        summed += weight**2 * (wide.T @ gram @ wide)
+    return summed
 
 
 def widened(columns: tuple[int, ...], count: int, effect: FloatArray, shift: FloatArray) -> FloatArray:

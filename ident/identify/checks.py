@@ -16,6 +16,7 @@ from ident.assessment.plausibility import (
     inertia_matrices,
     sign_warnings,
 )
+from ident.assessment.recorded_motion import unclosed_warnings
 from ident.estimators.estimator import estimable, estimator_of, fits_energy_better
 from ident.identify.identification import Identification
 from ident.model.regressor import RegressorKernel
@@ -38,11 +39,8 @@ NEGLIGIBLE = 1e-3
 
 def identification_warnings(identification: Identification, recordings: Sequence[Recording]) -> list[str]:
     """What a user should know before trusting the numbers."""
-    warnings = []
+    warnings = unclosed_warnings(recordings)
     base, solution = identification.base, identification.solution
-    for recording in recordings:
-        if not recording.complete:
-            warnings.append(f"{recording.label} was not closed in order: its end may be missing")
     count = len(solution.active)
     if solution.rows < ROWS_PER_PARAMETER * count:
         more = "take shorter windows" if identification.choices.method == "energy" else "decimate less"

@@ -12,7 +12,6 @@ from daq.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot import Robot
 from drivers.errors import DataError
 from drivers.streams import FloatArray
-from ident.signals.finite import check_finite
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +72,14 @@ def _check(label: str, joint_names: Sequence[str], time: FloatArray, quantities:
     for name, values in quantities.items():
         if values.shape != (len(time), len(joint_names)):
             raise ValueError(f"{name} of shape {values.shape}, {len(time)} stamps, {len(joint_names)} joints")
-        check_finite(name, values, joint_names, label)
+        bad = np.argwhere(~np.isfinite(values))
+        if len(bad):
+            sample, joint = bad[0]
+            raise DataError(
+                f"{len(bad)} value(s) are not numbers, the first at sample {sample}",
+                where=f"{label}: {name} of {joint_names[joint]}".removeprefix(": "),
+                hint="import the source again with --repair drop-nan",
+            )
 
 
 def read_joint_signals(recording: Recording, robot: Robot) -> JointSignals:

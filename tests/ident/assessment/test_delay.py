@@ -42,7 +42,7 @@ def test_a_known_delay_is_found_within_a_fifth_of_a_millisecond(search, delay):
     assert found.best == pytest.approx(delay, abs=0.2e-3)
     assert found.used == found.best
     assert 0.0 < found.gain < 1.0
-    assert ("behind" if delay > 0 else "ahead of") in found.note
+    assert ("lags" if delay > 0 else "leads") in found.note
 
 
 def test_without_noise_a_smooth_torque_gives_the_delay_to_microseconds(search):

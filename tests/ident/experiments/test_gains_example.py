@@ -17,4 +17,4 @@ def test_gains_example_runs(capsys):
     out = capsys.readouterr().out
     assert "wrist_3_joint" in out
     assert "all gains of the file 10 % too high" in out
-    assert "dynid gains finds them" in out
+    assert "identify them with dynid gains" in out
