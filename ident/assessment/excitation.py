@@ -18,7 +18,7 @@ from ident.signals.prepared import Prepared
 
 @dataclass(frozen=True)
 class ExcitationReached:
-    """Figures of a recorded motion; lists have one entry a joint.
+    """Figures of a recorded motion; lists have one entry per joint.
 
     Attributes:
         condition: of the filtered regressor, columns as they are.
@@ -55,17 +55,17 @@ def excitation_reached(motion: RecordedMotion) -> ExcitationReached:
     )
 
 
-def excited_base_columns(reduction: Reduction, base: BaseParameters, parts: Sequence[Prepared]) -> tuple[int, ...]:
-    """Base columns that the data can tell apart, without the friction of joints that stay at rest throughout.
+def excited_base_columns(reduction: Reduction, base: BaseParameters, runs: Sequence[Prepared]) -> tuple[int, ...]:
+    """Base columns that the data identify, without the friction of joints that stay at rest throughout.
 
-    There sign(q̇) is the noise of the encoder: independent of everything, and no sign of friction.
+    There sign(q̇) is encoder noise: independent of everything, and unrelated to friction.
     """
 
     def moves(column: int) -> bool:
         return any(
-            bool(np.any(np.abs(combined(base.motions[column], segment.velocity)) >= part.rest_velocity))
-            for part in parts
-            for segment in part.segments
+            bool(np.any(np.abs(combined(base.motions[column], segment.velocity)) >= run.rest_velocity))
+            for run in runs
+            for segment in run.segments
         )
 
     rubbing = ("viscous", "coulomb", "coupling")

@@ -1,4 +1,4 @@
-"""A recording's motion prepared once, for all that `dynid info` tells of it."""
+"""A recording's motion prepared once, for `dynid info`."""
 
 from __future__ import annotations
 

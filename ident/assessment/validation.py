@@ -25,7 +25,7 @@ class FitFigures:
 
     Attributes:
         relative_error: ‖τ − Ŵx‖ / ‖τ‖ over all samples of the joints whose torque is predicted.
-        joint_relative_error: (n,) the same of each joint; nan where it bears no torque.
+        joint_relative_error: (n,) the same of each joint; nan where it carries no torque.
         rmse: (n,) root mean square error [N·m]; nan, as all errors, where the model predicts no torque.
         low_speed_rmse, high_speed_rmse: (n,) below and above `LOW_SPEED` [N·m]; nan where there is no such sample.
         max_error: (n,) largest error [N·m].
@@ -42,7 +42,7 @@ class FitFigures:
 
 
 def fit_figures(series: Sequence[TorqueSeries]) -> FitFigures:
-    """Errors over all stretches together.
+    """Errors over all segments together.
 
     Raises:
         DataError: no sample counts (the arm never moves).

@@ -71,6 +71,11 @@ def solve_gains(pair: RunPair, known: KnownLoad) -> GainSystem:
     factors, rows = _joint_factors(pair, parts)
     count, size = pair.base.count, pair.base.count + parts.shape[1]
     noise = _noise(factors, rows, (*pair.active, *range(count, size)))
+    if not np.all(noise > 0):
+        silent = [name for name, value in zip(robot.joint_names, noise, strict=True) if value <= 0]
+        raise IdentificationError(
+            f"the motor signal of {', '.join(silent)} is zero throughout", hint="record all motors"
+        )
     everything, used = tuple(range(size)), list(range(len(factors)))
     while True:
         joints = tuple(JointFactor(everything, factors[joint], int(rows[joint])) for joint in used)

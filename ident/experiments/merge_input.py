@@ -26,7 +26,7 @@ class MergeInput:
         stored: its model.
         information: what it says of the merged base parameters, weighed.
         names: of its values.
-        ratio: mean variance, corrected for residuals that are not white over white.
+        ratio: mean variance, corrected for autocorrelation over white.
     """
 
     label: str

@@ -43,9 +43,9 @@ def torques_by(gains: FloatArray) -> Motion:
         signal = signal_of(robot)
         stream = recording.streams.get(JOINTS_STREAM)
         if stream is not None and signal not in stream.channels:
-            found = ", ".join(sorted(stream.channels)) or "nothing"
+            quantities = ", ".join(sorted(stream.channels)) or "nothing"
             raise DataError(
-                f"records no motor {signal}, without which there is no gain to identify; it has {found}",
+                f"records no motor {signal}, without which there is no gain to identify; it has {quantities}",
                 where=recording.label,
                 hint=f"record the motors' {signal}; a recorded torque has some gain in it already",
             )

@@ -21,7 +21,7 @@ class LoadParameter(_Entry):
     name: str
     expression: str
     unit: str
-    value: Number = Field(description="null where the two motions cannot tell it")
+    value: Number = Field(description="null where the two motions do not excite it")
     std: Number = Field(description="both causes together")
     noise_std: Number = Field(description="from noise and errors that change along the motion")
     gain_std: Number = Field(description="from the drive gains' standard deviations")

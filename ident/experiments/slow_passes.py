@@ -1,6 +1,6 @@
 """Slow passes of single joints up and down: half the sum is gravity, half the difference friction.
 
-A pass is a stretch in which one joint moves slowly in one direction and the others rest. Passes of one joint belong to
+A pass is a period in which one joint moves slowly in one direction and the others rest. Passes of one joint belong to
 the same sweep where the others rest in the same pose. Over bins of the position that both ways share, the mean signals
 up and down give
 
@@ -76,15 +76,15 @@ class Sweep:
 
 def passes_of(segments: Sequence[Segment], rest_velocity: float) -> list[Pass]:
     """All slow passes; `torque` of the segments is the motors' signal."""
-    return [found for segment in segments for found in _passes(segment, rest_velocity)]
+    return [one for segment in segments for one in _passes(segment, rest_velocity)]
 
 
 def _passes(segment: Segment, rest_velocity: float) -> Iterator[Pass]:
     moving = np.abs(segment.velocity) >= rest_velocity
     alone = segment.used & (moving.sum(axis=0) == 1)
     joint = np.where(alone, np.argmax(moving, axis=0), -1)
-    number = np.arange(len(joint))
-    upward = segment.velocity[joint, number] > 0
+    sample = np.arange(len(joint))
+    upward = segment.velocity[joint, sample] > 0
     state = np.where(alone, 2 * joint + upward, -1)
     edges = np.flatnonzero(np.diff(np.concatenate([[-2], state, [-2]])))
     for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
@@ -106,13 +106,13 @@ def _passes(segment: Segment, rest_velocity: float) -> Iterator[Pass]:
 def sweeps_of(free: Sequence[Pass], loaded: Sequence[Pass]) -> list[Sweep]:
     """Sweeps for which both runs have passes in both directions, at the same speed, over shared positions."""
     poses: list[tuple[int, FloatArray]] = []
-    for found in (*free, *loaded):
-        if not any(_same_pose(found, joint, pose) for joint, pose in poses):
-            poses.append((found.joint, found.pose))
+    for one in (*free, *loaded):
+        if not any(_same_pose(one, joint, pose) for joint, pose in poses):
+            poses.append((one.joint, one.pose))
     sweeps = []
     for joint, pose in poses:
         groups = [
-            [found for found in run if found.upward == upward and _same_pose(found, joint, pose)]
+            [one for one in run if one.upward == upward and _same_pose(one, joint, pose)]
             for run in (free, loaded)
             for upward in (True, False)
         ]
@@ -121,10 +121,10 @@ def sweeps_of(free: Sequence[Pass], loaded: Sequence[Pass]) -> list[Sweep]:
     return sweeps
 
 
-def _same_pose(found: Pass, joint: int, pose: FloatArray) -> bool:
-    apart = np.abs(found.pose - pose)
+def _same_pose(one: Pass, joint: int, pose: FloatArray) -> bool:
+    apart = np.abs(one.pose - pose)
     apart[joint] = 0.0
-    return found.joint == joint and bool(np.max(apart) <= POSE_TOLERANCE)
+    return one.joint == joint and bool(np.max(apart) <= POSE_TOLERANCE)
 
 
 def _sweep(joint: int, pose: FloatArray, groups: Sequence[Sequence[Pass]]) -> Sweep | None:

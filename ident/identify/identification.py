@@ -89,7 +89,7 @@ class IdentifyChoices:
         if self.method != "energy":
             raise UsageError("energy windows belong to the method energy", where="energy_window")
         if not (np.isfinite(self.energy_window) and self.energy_window > 0):
-            raise UsageError(f"windows of {self.energy_window:g} s hold nothing", where="energy_window")
+            raise UsageError(f"windows of {self.energy_window:g} s hold no samples", where="energy_window")
 
 
 def apply_model_choices(model: DynamicModel, choices: ModelChoices) -> DynamicModel:
@@ -136,13 +136,13 @@ class Identification:
         robot_file: the robot it was done for.
         model: the model.
         experiment: joints that stood still, motors whose torques were used.
-        base: what such an experiment can show of the arm.
+        base: what such an experiment can identify of the arm.
         choices: as given, with the cut-offs and the delay that were used.
         runs, validation_runs: prepared data.
         delay: the search, where one was made.
         reduction: the reduced system.
         solution: full model.
-        corrected: its covariance for residuals that are not white.
+        corrected: its covariance for autocorrelated residuals.
         pruned: the essential model.
         fit_series, validation_series: torques of the full model.
         fit, validation, essential_fit, essential_validation: errors; validation is None where nothing was held out.

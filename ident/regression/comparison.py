@@ -17,12 +17,12 @@ from ident.signals.prepared import Segment
 
 @dataclass(frozen=True)
 class TorqueSeries:
-    """Filtered torques of one contiguous stretch.
+    """Filtered torques of one gap-free segment.
 
     Attributes:
         time: (M,) [s].
         measured: (n, M) [N·m].
-        predicted: (n, M) [N·m]; nan for joints of whose torque the model says nothing.
+        predicted: (n, M) [N·m]; nan for joints whose torque the model does not predict.
         velocity: (n, M) [rad/s or m/s].
         used: (M,) whether the sample counts (the arm moves).
     """

@@ -1,4 +1,4 @@
-"""What an identification has to say to others: its values with their whole covariance, and what they are values of.
+"""An identification's values with their whole covariance, and the combinations of parameters that they belong to.
 
 A model is printed with standard deviations. Whoever puts it together with another one needs more: how the errors hang
 together, and which combinations of the arm's standard parameters the values belong to.
@@ -26,9 +26,9 @@ class Estimate:
         values: (a,).
         root: (a, a) upper triangular; rootᵀ·root is the inverse of the covariance for white residuals, and weighs the
             estimate among others.
-        covariance: (a, a) corrected for residuals that are not white.
-        taken_up: (a, b − a) how much of each base parameter without a value is in each estimated one, since the data
-            could not tell them apart.
+        covariance: (a, a) corrected for autocorrelated residuals.
+        taken_up: (a, b − a) how much of each base parameter without a value each estimated one absorbs, since the data
+            confound them.
         blocks: of the jackknife behind the covariance.
     """
 
@@ -41,7 +41,7 @@ class Estimate:
 
     def combinations(self, projection: FloatArray) -> FloatArray:
         """What the values are values of (a, k), from that (b, k) of all base parameters of the experiment."""
-        others = [number for number in range(len(projection)) if number not in self.active]
+        others = [column for column in range(len(projection)) if column not in self.active]
         return np.asarray(projection[list(self.active)] + self.taken_up @ projection[others])
 
 
@@ -71,7 +71,7 @@ def estimate_of(reduction: Reduction, solution: LeastSquares, covariance: FloatA
 def _taken_up(factor: FloatArray, active: Sequence[int], excited: Sequence[int]) -> FloatArray:
     """Shares (a, b − a) of the columns that depend on the active ones.
 
-    A column that is excited by itself and yet not active is the friction of a joint at rest: nothing took it up.
+    A column that is excited by itself and yet not active is the friction of a joint at rest: nothing absorbs it.
     """
     others = [column for column in range(factor.shape[1]) if column not in active]
     shares = np.zeros((len(active), len(others)))
@@ -79,8 +79,10 @@ def _taken_up(factor: FloatArray, active: Sequence[int], excited: Sequence[int])
     if active and dependent:
         system = factor[:, list(active)]
         lengths = np.linalg.norm(system, axis=0)
-        found, *_ = np.linalg.lstsq(system / lengths, factor[:, [others[place] for place in dependent]], rcond=None)
-        significant = np.where(np.abs(found) > ROUNDING * np.max(lengths), found, 0.0)
+        coefficients, *_ = np.linalg.lstsq(
+            system / lengths, factor[:, [others[place] for place in dependent]], rcond=None
+        )
+        significant = np.where(np.abs(coefficients) > ROUNDING * np.max(lengths), coefficients, 0.0)
         shares[:, dependent] = significant / lengths[:, None]
     return shares
 

@@ -19,7 +19,7 @@ def gain_sensitivity(reduction: Reduction, solution: LeastSquares) -> FloatArray
     """Movement (b, n) of the base parameters over the relative change of each joint's gain; 0 where not estimated.
 
     Args:
-        reduction: the torque equations, one factor a joint.
+        reduction: the torque equations, one factor per joint.
         solution: theirs, by `ols` or `wls`; the weights are taken as they are.
 
     Raises:

@@ -17,7 +17,7 @@ from ident.regression.observation_matrix import Reduction
 LinearMethod = Literal["ols", "wls"]
 Method = Literal["ols", "wls", "energy", "power"]
 ENERGY_METHODS: tuple[Method, ...] = ("energy", "power")
-"""Those that fit one scalar equation of the whole arm instead of one a joint."""
+"""Those that fit one scalar equation of the whole arm instead of one per joint."""
 
 EXCITATION_TOLERANCE = 1e-9
 """A base column whose part independent of the preceding ones is below this share of its length is not excited, nor one
@@ -72,7 +72,7 @@ class LeastSquares:
 
 
 def excited_columns(reduction: Reduction) -> tuple[int, ...]:
-    """Base columns that the data can tell apart: each has a part that is independent of those before it."""
+    """Base columns that the data can identify: each has a part that is independent of those before it."""
     factor = reduction.stacked()[:, : reduction.column_count]
     lengths = np.linalg.norm(factor, axis=0)
     return tuple(
@@ -93,7 +93,7 @@ def ordinary_least_squares(reduction: Reduction, active: Sequence[int]) -> Least
 
 
 def weighted_least_squares(reduction: Reduction, active: Sequence[int]) -> LeastSquares:
-    """WLS: each joint's rows divided by its residual's standard deviation, iterated until the weights stand.
+    """WLS: each joint's rows divided by its residual's standard deviation, iterated until the weights settle.
 
     σ_j² = ‖Γ_j − W_j θ‖² / (N_j − b·N_j/r) (ROCR6 eq. 11 with the joint's share of the parameters as r_j).
 

@@ -1,4 +1,4 @@
-"""What of an arm an experiment can show: joints that were locked, motors whose torques are used (SR400 .4.3 point 7).
+"""What an experiment identifies of an arm: joints that were locked, motors whose torques are used (SR400 .4.3 point 7).
 
 With joints locked, or with the rows of some motors only, fewer combinations of the standard parameters act than in free
 motion. Which ones follows from the model: the regressor at random states with the locked joints where they stood, and
@@ -41,7 +41,7 @@ SAME_POSE = 0.01
 
 RIGHT_ANGLE = 2e-3
 """A joint locked so near [rad] to a multiple of 90° is taken to stand there: geometry is special there, and parameters
-that only this small angle would tell apart could not be told from an error of the angle."""
+that only this small angle separates are confounded with an error of the angle."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def moving_motors(model: DynamicModel, locked: Sequence[int]) -> tuple[int, ...]
 def ranges(position: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Largest minus smallest position (n,) of a recording (N, n), and the range up to which a joint stands still.
 
-    The encoder's noise comes from third differences, which smooth motion hardly enters: of white noise of standard
+    The encoder's noise comes from third differences, which smooth motion barely affects: of white noise of standard
     deviation σ they have the variance 20 σ².
     """
     nothing = np.zeros(position.shape[1])
@@ -229,7 +229,7 @@ def predictable_torques(
             reasons.append(reason)
     if not shown:
         raise DataError(
-            f"shows a motion of which the model says nothing: {'; '.join(reasons)}",
+            f"shows a motion that the model cannot predict: {'; '.join(reasons)}",
             where=label,
             hint="validate with the same joints locked in the same place, choose another --split, or merge with an "
             "experiment that moves them",
@@ -248,11 +248,11 @@ def _difference(
     pose = _pose(model, position, experiment.locked)
     if any(np.allclose(pose, other, rtol=0.0, atol=SAME_POSE) for other in experiment.poses):
         return None
-    found = ", ".join(
+    standing = ", ".join(
         f"{model.joint_names[joint]} stands at {value:.4g} {_unit(model, joint)}"
         for joint, value in zip(experiment.locked, pose, strict=True)
     )
-    return f"{found}, where the model was not identified"
+    return f"{standing}, where the model was not identified"
 
 
 def describe(model: DynamicModel, experiment: Experiment) -> str:

@@ -1,6 +1,6 @@
 """The overdetermined system Y = W·X + ρ (SR400 eq. 12), reduced while it streams by.
 
-Chunks of samples flow through the regressor kernel, then the parallel filter, then into one triangular factor a joint.
+Chunks of samples flow through the regressor kernel and the parallel filter into one triangular factor per joint.
 W is never stored: what is kept of a recording is, for each joint, R with RᵀR = [W τ]ᵀ[W τ], which is all that least
 squares with per-joint weights, subset selection and residual norms need. Factors of several recordings just stack.
 """
@@ -38,7 +38,7 @@ class JointFactor:
     """One joint's rows of the system.
 
     Attributes:
-        columns: numbers of the base columns that are not structurally zero in them.
+        columns: indices of the base columns that are not structurally zero in them.
         factor: (k, len(columns) + m); the last m columns belong to the m torques.
         rows: how many rows it stands for.
     """
@@ -53,7 +53,7 @@ class Reduction:
     """The whole system, joint by joint.
 
     Attributes:
-        joints: one factor a joint; a single one for the whole arm where its energy is balanced.
+        joints: one factor per joint; a single one for the whole arm where its energy is balanced.
         column_count: number of base columns b.
         torque_count: number of torques m, each reduced alike (1, but for a search of the delay: τ and its derivative).
         samples: number of filtered samples that went in.
@@ -195,7 +195,7 @@ def reduce_segments(
     parallel_filter: ZeroPhaseFilter,
     torques: Sequence[FloatArray] | None = None,
 ) -> Reduction:
-    """Reduce a recording to one triangular factor a joint.
+    """Reduce a recording to one triangular factor per joint.
 
     Args:
         kernel: for the base columns.
@@ -250,7 +250,7 @@ def _joint_rows(kernel: RegressorKernel, joint: int, packed: FloatArray, torque:
 def _accumulators(
     kernel: RegressorKernel, segments: Sequence[Segment], torques: Sequence[FloatArray], condition: float
 ) -> tuple[str, list[Accumulator]]:
-    """The fastest way that keeps the digits at this condition, in words, and one accumulator a joint."""
+    """The fastest way that keeps the digits at this condition, in words, and one accumulator per joint."""
     variants = torques[0].shape[0] // kernel.model.dof if torques else 1
     widths = [len(joint.columns) + variants for joint in kernel.joint_rows]
     if condition <= GRAM_CONDITION_LIMIT:

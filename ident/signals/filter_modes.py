@@ -16,7 +16,7 @@ ComplexArray = npt.NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Modes:
-    """The two-sided filter in modal form; one entry a real pole or a pair of conjugate ones.
+    """The two-sided filter in modal form; one entry per real pole or pair of conjugate ones.
 
     Attributes:
         pole: (m,) λ, upper half plane.
@@ -47,9 +47,9 @@ class Modes:
 
 
 @dataclass(frozen=True)
-class Block:
-    """What a block of M samples does: rows (…, M) @ `inward` gives the forward states' gain (2m columns, real and
-    imaginary parts in turn), the backward states' gain (2m) and the block's own outputs (⌈M / factor⌉); the states
+class ChunkResponse:
+    """What a chunk of M samples does: rows (…, M) @ `inward` gives the forward states' gain (2m columns, real and
+    imaginary parts in turn), the backward states' gain (2m) and the chunk's own outputs (⌈M / factor⌉); the states
     (…, 2m) @ `forward_out`, `backward_out` give their part of the outputs; `decay` (m,) is λ^M.
     """  # noqa: D205 — the shapes are one sentence
 
@@ -59,15 +59,15 @@ class Block:
     decay: ComplexArray
 
 
-def block_of(modes: Modes, length: int, factor: int) -> Block:
-    """The block of `length` samples, the first and then every factor-th of which is kept."""
+def chunk_response(modes: Modes, length: int, factor: int) -> ChunkResponse:
+    """The chunk of `length` samples, the first and then every factor-th of which is kept."""
     time = np.arange(length)
     kept = time[::factor]
     powers = modes.powers(time)
     response = np.empty(length)
     response[0] = modes.center
     response[1:] = ((modes.residue * modes.mirrored) @ powers[:, : length - 1]).real
-    return Block(
+    return ChunkResponse(
         inward=np.hstack(
             [
                 _interleaved(powers[:, ::-1]).T,
@@ -100,13 +100,13 @@ def modes_of(sos: FloatArray) -> Modes:
     without_pole, without_zero = np.flatnonzero(sos[:, 5] == 0), np.flatnonzero(sos[:, 2] == 0)
     cancelled = min(len(without_pole), len(without_zero))
     distances: list[complex] = []  # 1 − λ, all poles
-    for number, (_, _, _, _, a1, a2) in enumerate(sos.tolist()):
-        distances += _pole_distances(a1, a2, first_order=number in without_pole[:cancelled])
+    for section, (_, _, _, _, a1, a2) in enumerate(sos.tolist()):
+        distances += _pole_distances(a1, a2, first_order=section in without_pole[:cancelled])
     distance = np.array(distances)
     pole = 1 - distance
     numerator = np.ones(len(pole), dtype=np.complex128)
-    for number, (b0, b1, b2, _, _, _) in enumerate(sos.tolist()):
-        first_order = number in without_zero[:cancelled]
+    for section, (b0, b1, b2, _, _, _) in enumerate(sos.tolist()):
+        first_order = section in without_zero[:cancelled]
         numerator *= b0 * pole + b1 if first_order else (b0 * pole + b1) * pole + b2
     differences = distance[None, :] - distance[:, None]  # λᵢ − λⱼ
     np.fill_diagonal(differences, 1)

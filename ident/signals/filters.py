@@ -1,4 +1,4 @@
-"""Zero-phase low-pass filters with decimation, over whole signals or block by block.
+"""Zero-phase low-pass filters with decimation, over whole signals or chunk by chunk.
 
 The same filter runs over τ and every column of W (parallel filtering, SR400 .4.3 point 4), so τ = W·x stays exact.
 A recursive filter H run forward, then backward over its own output equals one two-sided filter. With the partial
@@ -7,10 +7,14 @@ fractions H(z) = D + Σ r/(z − λ) over the poles λ and g = H(1/λ), and two 
     f(t+1) = λ·f(t) + u(t)          a(t−1) = λ·a(t) + g·u(t)
     y(t)   = h₀·u(t) + Σ r·g·f(t) + Σ r·a(t)                     h₀ = D² + Σᵢⱼ rᵢrⱼ/(1 − λᵢλⱼ)
 
-which this module evaluates by blocks of M samples: one matrix product turns a block into what it adds to the states and
-to its own outputs, a short recursion carries the states from block to block. Outputs that decimation drops are never
-computed, and what is left after the product is small, so that the block-by-block form needs little memory. The ends are
+which this module evaluates by chunks of M samples: one matrix product turns a chunk into what it adds to the states and
+its own outputs, a short recursion carries the states from chunk to chunk. Outputs that decimation drops are never
+computed, and what is left after the product is small, so that the chunk-by-chunk form needs little memory. The ends are
 those of `scipy.signal.sosfiltfilt`: odd extension, then steady state before the first and after the last sample.
+
+SciPy's `sosfilt` with overlap-discard (forward states carried, the backward pass restarted `settling_samples` behind)
+gives the same to 1e-12 in less code. But it also filters the samples that decimation drops, and takes 4 to 6 times as
+long: 0.17 s against 0.04 s for 200 signals of 60,000 samples (Butterworth 4, 10 Hz of 500 Hz, every 11th kept).
 """
 
 from __future__ import annotations
@@ -23,12 +27,12 @@ import numpy as np
 
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
-from ident.signals.filter_modes import Block, ComplexArray, Modes, block_of, modes_of
+from ident.signals.filter_modes import ChunkResponse, ComplexArray, Modes, chunk_response, modes_of
 
 DECIMATION_RIPPLE_DB = 0.05
 """Passband ripple of the decimation filter [dB], one direction (scipy.signal.decimate)."""
 
-_BLOCK = 96  # samples a block, rounded up to a multiple of the factor: product and recursion cost about the same
+_CHUNK = 96  # samples per chunk, rounded up to a multiple of the factor: product and recursion cost about the same
 _ROWS_AT_ONCE = 2_000_000  # samples of the rows that are worked on together: bounds the intermediate arrays
 
 
@@ -102,9 +106,9 @@ class ZeroPhaseFilter:
         return modes_of(self.sos)
 
     @cached_property
-    def block(self) -> Block:
-        """The blocks that `apply` and `StreamedFilter` cut signals into."""
-        return block_of(self.modes, self.factor * -(-_BLOCK // self.factor), self.factor)
+    def chunk(self) -> ChunkResponse:
+        """The chunks that `apply` and `StreamedFilter` cut signals into."""
+        return chunk_response(self.modes, self.factor * -(-_CHUNK // self.factor), self.factor)
 
 
 def no_filter(factor: int = 1) -> ZeroPhaseFilter:
@@ -172,11 +176,11 @@ def unit_gain(zero_phase: ZeroPhaseFilter) -> ZeroPhaseFilter:
 
 
 class StreamedFilter:
-    """`ZeroPhaseFilter.apply` for R signals that arrive block by block.
+    """`ZeroPhaseFilter.apply` for R signals that arrive chunk by chunk.
 
     The forward states are carried exactly; the backward ones run over what has arrived and start from zero at least
     `settling_samples` behind the last output that is handed out, which leaves an error of 1e-13. Between calls it holds
-    less than R · (2·settling + extension) / factor outputs and the states of as many blocks.
+    less than R · (2·settling + extension) / factor outputs and the states of as many chunks.
 
     Args:
         zero_phase: the filter.
@@ -191,34 +195,34 @@ class StreamedFilter:
         self._filled = 0
         self._plain_phase = 0  # of the next sample, without a filter
         self._forward: ComplexArray | None = None
-        self._outputs: list[FloatArray] = []  # (R, blocks, outputs a block), without the backward states' part
-        self._gains: list[ComplexArray] = []  # (R, blocks, m) what each block adds to the backward states
+        self._outputs: list[FloatArray] = []  # (R, chunks, outputs per chunk), without the backward states' part
+        self._gains: list[ComplexArray] = []  # (R, chunks, m) what each chunk adds to the backward states
         self._pending = 0
         self._finished = False
         self._lookahead = 0
         if len(zero_phase.sos):
-            self._block = zero_phase.block
-            self._length = len(self._block.inward)
+            self._chunk = zero_phase.chunk
+            self._length = len(self._chunk.inward)
             self._lookahead = -(-zero_phase.settling_samples() // self._length) + 1
         self._release_at = math.inf if whole else 2 * self._lookahead + 8
 
-    def push(self, block: FloatArray) -> FloatArray:
-        """Take the next m samples `block` (R, m); hand out the outputs (R, k) that no later sample changes."""
+    def push(self, chunk: FloatArray) -> FloatArray:
+        """Take the next m samples `chunk` (R, m); hand out the outputs (R, k) that no later sample changes."""
         if self._finished:
             raise ValueError("the stream was finished")
-        if block.ndim != 2 or block.shape[0] != self._rows:
-            raise ValueError(f"a block of shape {block.shape} for {self._rows} rows")
+        if chunk.ndim != 2 or chunk.shape[0] != self._rows:
+            raise ValueError(f"a chunk of shape {chunk.shape} for {self._rows} rows")
         if len(self._filter.sos) == 0:
-            kept = block[:, self._plain_phase :: self._filter.factor]
-            self._plain_phase = (self._plain_phase - block.shape[1]) % self._filter.factor
+            kept = chunk[:, self._plain_phase :: self._filter.factor]
+            self._plain_phase = (self._plain_phase - chunk.shape[1]) % self._filter.factor
             return np.array(kept, dtype=np.float64, order="C")
-        samples = self._held(block)
+        samples = self._held(chunk)
         # What the extension at the end mirrors stays back, as it is not known yet where the end is.
-        blocks = (self._filled - self._filter.extension - 1) // self._length
-        if blocks < 1:
+        chunks = (self._filled - self._filter.extension - 1) // self._length
+        if chunks < 1:
             return self._keep(samples, 0)
-        self._take(samples, blocks)
-        self._keep(samples, blocks * self._length)
+        self._advance(samples, chunks)
+        self._keep(samples, chunks * self._length)
         if self._pending < self._release_at:
             return np.empty((self._rows, 0))
         return self._release(None, self._pending - self._lookahead)
@@ -234,7 +238,7 @@ class StreamedFilter:
         if self._filled == 1:
             return rest * self._filter.gain_at_rest()
         forward = self._started(rest)
-        tail = self._block_of(self._filled)
+        tail = self._chunk_response(self._filled)
         states, gains, outputs = self._split(rest @ tail.inward)
         outputs += _flat(forward) @ tail.forward_out
         backward = self._end(rest, states + tail.decay * forward)
@@ -244,17 +248,17 @@ class StreamedFilter:
         earlier = self._release(tail.decay * backward + gains, self._pending)
         return np.concatenate([earlier, outputs], axis=1)
 
-    def _held(self, block: FloatArray) -> FloatArray:
+    def _held(self, chunk: FloatArray) -> FloatArray:
         """(R, held) samples that are not worked off yet, the new ones included; in a buffer that is reused."""
-        filled = self._filled + block.shape[1]
-        if self._filled == 0 and block.flags.c_contiguous and block.dtype == np.float64:
+        filled = self._filled + chunk.shape[1]
+        if self._filled == 0 and chunk.flags.c_contiguous and chunk.dtype == np.float64:
             self._filled = filled
-            return block
+            return chunk
         if self._buffer.shape[1] < filled:
             grown = np.empty((self._rows, filled + self._length + self._filter.extension + 1))
             grown[:, : self._filled] = self._buffer[:, : self._filled]
             self._buffer = grown
-        self._buffer[:, self._filled : filled] = block
+        self._buffer[:, self._filled : filled] = chunk
         self._filled = filled
         return self._buffer[:, :filled]
 
@@ -274,7 +278,7 @@ class StreamedFilter:
             return self._forward
         length = min(self._filter.extension, samples.shape[1] - 1)
         extension = 2 * samples[:, :1] - samples[:, length:0:-1]
-        before = self._block_of(length)
+        before = self._chunk_response(length)
         states, _, _ = self._split(extension @ before.inward)
         return np.asarray(states + before.decay * (extension[:, :1] / self._filter.modes.offset))
 
@@ -284,11 +288,11 @@ class StreamedFilter:
         length = min(self._filter.extension, samples.shape[1] - 1)
         last = samples.shape[1] - 1
         extension = 2 * samples[:, last:] - samples[:, last - 1 : (last - length - 1) if last > length else None : -1]
-        behind = self._block_of(length)
+        behind = self._chunk_response(length)
         states, gains, _ = self._split(extension @ behind.inward)
         after = states + behind.decay * forward
         if length > 1:
-            short = self._block_of(length - 1)
+            short = self._chunk_response(length - 1)
             states, _, _ = self._split(extension[:, :-1] @ short.inward)
             forward = states + short.decay * forward
         final = modes.direct * extension[:, -1:] + (forward @ modes.residue[:, None]).real
@@ -300,11 +304,11 @@ class StreamedFilter:
         coupled += mirrored @ (1 / modes.one_minus_products(conjugate=True)).T
         return np.asarray(gains + behind.decay * (final / modes.offset - coupled))
 
-    def _block_of(self, length: int) -> Block:
-        return block_of(self._filter.modes, length, self._filter.factor)
+    def _chunk_response(self, length: int) -> ChunkResponse:
+        return chunk_response(self._filter.modes, length, self._filter.factor)
 
     def _split(self, product: FloatArray) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-        """The three parts of a product with `Block.inward`."""
+        """The three parts of a product with `ChunkResponse.inward`."""
         width = 2 * len(self._filter.modes.pole)
         return (
             product[..., :width].view(np.complex128),
@@ -312,24 +316,24 @@ class StreamedFilter:
             np.array(product[..., 2 * width :]),
         )
 
-    def _take(self, samples: FloatArray, blocks: int) -> None:
-        """Run the forward states over the first blocks of `samples`."""
-        stacked = samples[:, : blocks * self._length].reshape(self._rows, blocks, self._length)
-        states, gains, outputs = self._split(stacked @ self._block.inward)
+    def _advance(self, samples: FloatArray, chunks: int) -> None:
+        """Run the forward states over the first chunks of `samples`."""
+        stacked = samples[:, : chunks * self._length].reshape(self._rows, chunks, self._length)
+        states, gains, outputs = self._split(stacked @ self._chunk.inward)
         forward = self._started(samples).copy()
         before = np.empty(states.shape, dtype=np.complex128)
-        for number in range(blocks):
+        for number in range(chunks):
             before[:, number] = forward
-            forward *= self._block.decay
+            forward *= self._chunk.decay
             forward += states[:, number]
         self._forward = forward
-        outputs += _flat(before) @ self._block.forward_out
+        outputs += _flat(before) @ self._chunk.forward_out
         self._outputs.append(outputs)
         self._gains.append(gains.copy())
-        self._pending += blocks
+        self._pending += chunks
 
     def _release(self, backward: ComplexArray | None, count: int) -> FloatArray:
-        """Hand out the first `count` pending blocks; `backward` (R, m) behind the last pending one, None: unknown."""
+        """Hand out the first `count` pending chunks; `backward` (R, m) behind the last pending one, None: unknown."""
         outputs = self._outputs[0] if len(self._outputs) == 1 else np.concatenate(self._outputs, axis=1)
         gains = self._gains[0] if len(self._gains) == 1 else np.concatenate(self._gains, axis=1)
         state = np.zeros(gains[:, 0].shape, dtype=np.complex128) if backward is None else backward.copy()
@@ -337,9 +341,9 @@ class StreamedFilter:
         for number in range(self._pending - 1, -1, -1):
             if number < count:
                 behind[:, number] = state
-            state *= self._block.decay
+            state *= self._chunk.decay
             state += gains[:, number]
-        ready = outputs[:, :count] + _flat(behind) @ self._block.backward_out
+        ready = outputs[:, :count] + _flat(behind) @ self._chunk.backward_out
         self._outputs = [outputs[:, count:].copy()]
         self._gains = [gains[:, count:].copy()]
         self._pending -= count

@@ -8,20 +8,20 @@ import numpy.typing as npt
 from drivers.streams import FloatArray
 
 BAND_POWER = 0.999
-"""Part of a joint's velocity power that lies within the motion's band."""
+"""Share of a joint's velocity power that lies within the motion's band."""
 
 BAND_LIMIT_HZ = 20.0
 """No motion is looked for above: drives do not follow, and the noise of differentiated positions grows with f²."""
 
 MOVING_JOINT = 0.01
-"""A joint counts for the band when its velocity's RMS is at least this part of the fastest joint's."""
+"""A joint counts for the band when its velocity's RMS is at least this share of the fastest joint's."""
 
-REST_PART = 0.005
+REST_SHARE = 0.005
 REST_FLOOR = 1e-3
-"""Default rest velocity: `REST_PART` of the largest speed of any joint, but at least `REST_FLOOR` [rad/s or m/s]."""
+"""Default rest velocity: `REST_SHARE` of the largest speed of any joint, but at least `REST_FLOOR` [rad/s or m/s]."""
 
 SHORTEST_REST = 0.3
-"""A stillness shorter than this [s] is a turning point, not a rest."""
+"""A standstill shorter than this [s] is a velocity reversal, not a rest."""
 
 
 def motion_band(position: FloatArray, rate: float) -> float:
@@ -52,14 +52,14 @@ def motion_band(position: FloatArray, rate: float) -> float:
     moving = total > MOVING_JOINT**2 * total.max()
     if not moving.any():
         return 0.0
-    part = np.cumsum(power[moving], axis=1) / total[moving, None]
-    last = int(np.argmax(part >= BAND_POWER, axis=1).max())
+    share = np.cumsum(power[moving], axis=1) / total[moving, None]
+    last = int(np.argmax(share >= BAND_POWER, axis=1).max())
     return float(max(frequency[last], 2 * rate / samples))
 
 
 def default_rest_velocity(velocity: FloatArray) -> float:
     """The speed [rad/s or m/s] below which a joint counts as at rest, from `velocity` (n, N)."""
-    return max(REST_FLOOR, REST_PART * float(np.abs(velocity).max(initial=0.0)))
+    return max(REST_FLOOR, REST_SHARE * float(np.abs(velocity).max(initial=0.0)))
 
 
 def moving_mask(velocity: FloatArray, rate: float, rest_velocity: float) -> npt.NDArray[np.bool_]:

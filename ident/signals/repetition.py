@@ -23,14 +23,14 @@ DIFFERENT_MOTION = 0.5
 """The search for a period starts where the velocity has first become this different from itself."""
 
 LEAST_OVERLAP = 0.1
-"""Part of the shorter stretch that must be there twice."""
+"""Share of the shorter segment that must be there twice."""
 
 IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class _Known:
-    """A stretch whose samples have their numbers: velocity (n, M), numbers (M,), its period in samples or None."""
+    """A segment whose samples have their numbers: velocity (n, M), numbers (M,), its period in samples or None."""
 
     velocity: FloatArray
     numbers: IntArray
@@ -41,10 +41,10 @@ def motion_phases(velocities: Sequence[FloatArray]) -> tuple[IntArray, ...]:
     """Number every sample so that samples at the same place of the same motion share a number.
 
     Args:
-        velocities: of each stretch (n, M), all at one rate.
+        velocities: of each segment (n, M), all at one rate.
 
     Returns:
-        Numbers (M,) for each stretch; consecutive along a motion, disjoint for different motions.
+        Numbers (M,) for each segment; consecutive along a motion, disjoint for different motions.
     """
     known: list[_Known] = []
     following = 0
@@ -75,7 +75,7 @@ def own_period(velocity: FloatArray) -> int | None:
 
 
 def _first_minimum(difference: FloatArray, start: int) -> int | None:
-    """Index of the smallest value of the first stretch behind `start` that counts as the same motion."""
+    """Index of the smallest value of the first interval behind `start` that counts as the same motion."""
     same = np.flatnonzero(difference[start:] < SAME_MOTION)
     if len(same) == 0:
         return None
@@ -99,7 +99,7 @@ def _best_lag(earlier: FloatArray, later: FloatArray) -> int | None:
 
 
 def _numbers_like(earlier: _Known, lag: int, own: IntArray) -> IntArray:
-    """Numbers of a stretch that repeats `earlier`, which lies `lag` samples further on; its own ones elsewhere."""
+    """Numbers of a segment that repeats `earlier`, which lies `lag` samples further on; its own ones elsewhere."""
     place = np.arange(len(own)) + lag
     count = len(earlier.numbers)
     if earlier.period is not None:

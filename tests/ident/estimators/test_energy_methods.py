@@ -24,7 +24,7 @@ from ident.estimators.energy_windows import (
     describe_windows,
     exchange_for,
     exchange_rate,
-    moving_stretches,
+    moving_spans,
     window_borders,
 )
 from ident.estimators.power import PowerSamples
@@ -92,7 +92,7 @@ def test_windows_hold_the_same_exchange_and_lie_within_the_motion(exact):
     used[:100] = used[1200:1350] = used[2900:] = False
     segment = replace(segment, used=used)
     exchange = exchange_for(model, [segment], 0.2)
-    parts = moving_stretches(segment)
+    parts = moving_spans(segment)
     assert [(part.start, part.stop) for part in parts] == [(100, 1200), (1350, 2900)]
     rate = exchange_rate(model, segment)
     largest = np.max(rate) / segment.rate
