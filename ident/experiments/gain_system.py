@@ -12,14 +12,13 @@ from drivers.streams import FloatArray
 from ident.experiments.run_pair import FREE, LOADED, BlockGrams, RunPair, block_grams, widened
 from ident.linear_algebra.triangular import triangular
 from ident.model.load import KnownLoad, LoadColumns, load_columns, load_effect
-from ident.regression.jackknife import delete_block_moves
 from ident.regression.least_squares import excited_columns
 from ident.regression.observation_matrix import JointFactor, Reduction
 from ident.regression.total_least_squares import (
     NullVector,
     distinctness,
     null_vector,
-    null_vector_of_gram,
+    null_vector_moves,
     signal_noise,
 )
 
@@ -147,9 +146,7 @@ def jackknife_moves(system: GainSystem, grams: BlockGrams) -> FloatArray:
             place = [*range(width), width + position]
             gram = solution.weights[position] ** 2 * (wide.T @ grams.grams[number][joint] @ wide)
             blocks[np.ix_(range(grams.count), place, place)] += gram
-    return delete_block_moves(
-        lambda gram: np.concatenate(null_vector_of_gram(gram, solution.scale))[:-1], blocks
-    )  # the known load stays what it is
+    return null_vector_moves(blocks, solution)
 
 
 def own_angles(system: GainSystem) -> FloatArray:

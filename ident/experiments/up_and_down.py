@@ -33,9 +33,9 @@ from ident.model.load import FIRST_MOMENTS, KnownLoad, load_effect
 from ident.model.parameters import INERTIAL
 from ident.model.regressor import regressor
 from ident.regression.autocorrelation import lag_one
-from ident.regression.jackknife import block_length, delete_block_moves, jackknife_covariance
+from ident.regression.jackknife import block_length, jackknife_covariance
 from ident.regression.pruning import SIGNIFICANT_RSD
-from ident.regression.total_least_squares import NullVector, null_vector, null_vector_of_gram, signal_noise
+from ident.regression.total_least_squares import NullVector, null_vector, null_vector_moves, signal_noise
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
 from ident.signals.prepared import Prepared
@@ -43,6 +43,9 @@ from ident.signals.prepared import Prepared
 LEAST_SIGNAL = 10.0
 """What the load adds to a joint's signal, as a vector over its bins, must be this many deviations of one bin long: a
 gain is then known to about 10 %."""
+
+ONLY_MOMENTS = "only the load's unknown moments act on it; give its centre of mass"
+"""Reason for a joint whose gain would not be distinguishable from them."""
 
 FEWEST_BINS = 8
 """Bins of a joint below which its jackknife is not reliable."""
@@ -183,18 +186,20 @@ def identify_slow_gains(
         )
     rows = _joint_rows(model, robot, sweeps)
     reasons = _reasons(rows, known, model.dof)
-    used = [each for each in rows if not reasons[each.joint]]
+    used = [joint_rows for joint_rows in rows if not reasons[joint_rows.joint]]
     if not used:
         raise DataError(
             "no joint's gain is identifiable: "
-            + "; ".join(f"{robot.joint_names[each.joint]}: {reasons[each.joint]}" for each in rows),
+            + "; ".join(f"{robot.joint_names[joint_rows.joint]}: {reasons[joint_rows.joint]}" for joint_rows in rows),
             where=loaded.label,
             hint="move joints whose axes are not vertical, as fast up as down, with a heavier load",
         )
     if known.com is not None:  # nothing is shared: each joint for itself
-        solved = [_solve([each], (), known) for each in used]
+        solved = [_solve([joint_rows], (), known) for joint_rows in used]
     else:
-        solved = [_with_moments(used, known, reasons, loaded.label)]
+        solved = [_with_moments(used, known, loaded.label)]
+    identified = {joint for solution in solved for joint in solution.joints}
+    reasons = [reason or ("" if joint in identified else ONLY_MOMENTS) for joint, reason in enumerate(reasons)]
     return _slow_gains(robot, (free.label, loaded.label), known, sweeps, reasons, solved)
 
 
@@ -220,14 +225,16 @@ def _reasons(rows: Sequence[_JointRows], known: KnownLoad, dof: int) -> list[str
     """Why a joint gets no gain, in words; empty where it gets one."""
     reasons = ["no slow passes up and down with the others at rest, in both runs"] * dof
     moments = FIRST_MOMENTS if known.com is None else ()
-    for each in rows:
-        factor, count = triangular(_wide(each, moments, known)), np.array([float(len(each.signal))])
-        if len(each.signal) < FEWEST_BINS:
-            reasons[each.joint] = f"only {len(each.signal)} positions are passed both ways at the same speed"
+    for joint_rows in rows:
+        factor, count = triangular(_wide(joint_rows, moments, known)), np.array([float(len(joint_rows.signal))])
+        if len(joint_rows.signal) < FEWEST_BINS:
+            reasons[joint_rows.joint] = (
+                f"only {len(joint_rows.signal)} positions are passed both ways at the same speed"
+            )
         elif _explained(factor) < LEAST_SIGNAL * signal_noise([factor], count)[0]:
-            reasons[each.joint] = "the load's weight about its axis does not exceed the noise"
+            reasons[joint_rows.joint] = "the load's weight about its axis does not exceed the noise"
         else:
-            reasons[each.joint] = ""
+            reasons[joint_rows.joint] = ""
     return reasons
 
 
@@ -237,23 +244,20 @@ def _explained(factor: FloatArray) -> float:
     return float(np.sqrt(max(float(factor[:, -1] @ factor[:, -1] - rest**2), 0.0)))
 
 
-def _with_moments(used: Sequence[_JointRows], known: KnownLoad, reasons: list[str], where: str) -> _Solved:
+def _with_moments(used: Sequence[_JointRows], known: KnownLoad, where: str) -> _Solved:
     """Gains and first moments together; without the joints on which moments alone act, where those prevent it.
 
     Raises:
         IdentificationError: gains and centre of mass are not distinguishable.
     """
-    bearing = [each for each in used if _bears(each, known)]
-    for joints in (used, bearing):
+    carrying = [joint_rows for joint_rows in used if _carries(joint_rows, known)]
+    for joints in (used, carrying):
         unknown = _unknown_moments(joints, known)
         if unknown is None:
             continue
-        solved = _solve(joints, unknown, known)
-        if solved.gap >= LEAST_GAP:
-            for each in used:
-                if all(each is not other for other in joints):
-                    reasons[each.joint] = "only the load's unknown moments act on it; give its centre of mass"
-            return solved
+        solution = _solve(joints, unknown, known)
+        if solution.gap >= LEAST_GAP:
+            return solution
     raise IdentificationError(
         "in these passes the gains are confounded with the load's centre of mass, which is unknown",
         where=where,
@@ -261,37 +265,37 @@ def _with_moments(used: Sequence[_JointRows], known: KnownLoad, reasons: list[st
     )
 
 
-def _bears(each: _JointRows, known: KnownLoad) -> bool:
+def _carries(joint_rows: _JointRows, known: KnownLoad) -> bool:
     """Whether what is known of the load has weight about a joint's axis."""
-    weight = np.max(np.abs(each.gravity @ known.values))
-    return bool(weight > 1e-6 * np.max(np.abs(each.gravity)) * known.mass)
+    weight = np.max(np.abs(joint_rows.gravity @ known.values))
+    return bool(weight > 1e-6 * np.max(np.abs(joint_rows.gravity)) * known.mass)
 
 
 def _unknown_moments(joints: Sequence[_JointRows], known: KnownLoad) -> tuple[int, ...] | None:
     """Which first moments show; None where the known mass does not show beside them."""
     if not joints:
         return None
-    columns = np.vstack([_wide(each, FIRST_MOMENTS, known)[:, :-1] for each in joints])
+    columns = np.vstack([_wide(joint_rows, FIRST_MOMENTS, known)[:, :-1] for joint_rows in joints])
     lengths = np.linalg.norm(columns, axis=0)
     kept = independent_columns(columns / np.where(lengths > 0.0, lengths, 1.0), range(columns.shape[1]), 1e-6)
     if columns.shape[1] - 1 not in kept:
         return None
-    return tuple(FIRST_MOMENTS[number] for number in kept[:-1])
+    return tuple(FIRST_MOMENTS[index] for index in kept[:-1])
 
 
-def _wide(each: _JointRows, unknown: Sequence[int], known: KnownLoad) -> FloatArray:
+def _wide(joint_rows: _JointRows, unknown: Sequence[int], known: KnownLoad) -> FloatArray:
     """(m, a + 2) columns of the unknown moments, of the known load, and the signal."""
-    return np.column_stack([each.gravity[:, list(unknown)], each.gravity @ known.values, each.signal])
+    return np.column_stack([joint_rows.gravity[:, list(unknown)], joint_rows.gravity @ known.values, joint_rows.signal])
 
 
 def _solve(joints: Sequence[_JointRows], unknown: Sequence[int], known: KnownLoad) -> _Solved:
-    wides = [_wide(each, unknown, known) for each in joints]
+    wides = [_wide(joint_rows, unknown, known) for joint_rows in joints]
     counts = np.array([float(len(wide)) for wide in wides])
     factors = [triangular(wide) for wide in wides]
     solution = null_vector(factors, counts, signal_noise(factors, counts))
     covariance = _jackknife(wides, solution)
     return _Solved(
-        joints=tuple(each.joint for each in joints),
+        joints=tuple(joint_rows.joint for joint_rows in joints),
         gains=solution.factors,
         unknown=tuple(unknown),
         moments=solution.unknowns[:-1],
@@ -305,20 +309,16 @@ def _jackknife(wides: Sequence[FloatArray], solution: NullVector) -> FloatArray:
     width = wides[0].shape[1] - 1
     size = width + len(wides)
     blocks = []
-    for number, (wide, gain) in enumerate(zip(wides, solution.factors, strict=True)):
+    for index, (wide, gain) in enumerate(zip(wides, solution.factors, strict=True)):
         residual = gain * wide[:, -1] - wide[:, :-1] @ solution.unknowns
         length = block_length(lag_one([residual[None]]), len(wide))
-        place = np.ix_([*range(width), width + number], [*range(width), width + number])
+        place = np.ix_([*range(width), width + index], [*range(width), width + index])
         for start in range(0, len(wide), length):
-            part = solution.weights[number] * wide[start : start + length]
+            rows = solution.weights[index] * wide[start : start + length]
             block = np.zeros((size, size))
-            block[place] = part.T @ part
+            block[place] = rows.T @ rows
             blocks.append(block)
-    return jackknife_covariance(
-        delete_block_moves(
-            lambda gram: np.concatenate(null_vector_of_gram(gram, solution.scale))[:-1], np.array(blocks)
-        )  # the known load stays what it is
-    )
+    return jackknife_covariance(null_vector_moves(np.array(blocks), solution))
 
 
 def _slow_gains(
@@ -333,10 +333,13 @@ def _slow_gains(
     moments, spread = np.full(3, np.nan), np.full(3, np.nan)
     if known.com is not None:
         moments, spread = known.values[list(FIRST_MOMENTS)], np.zeros(3)
-    for part in solved:
-        values[list(part.joints)], deviations[list(part.joints)] = part.gains, part.deviations[: len(part.joints)]
-        places = [FIRST_MOMENTS.index(column) for column in part.unknown]
-        moments[places], spread[places] = part.moments, part.deviations[len(part.joints) :]
+    for solution in solved:
+        values[list(solution.joints)], deviations[list(solution.joints)] = (
+            solution.gains,
+            solution.deviations[: len(solution.joints)],
+        )
+        places = [FIRST_MOMENTS.index(column) for column in solution.unknown]
+        moments[places], spread[places] = solution.moments, solution.deviations[len(solution.joints) :]
     gains = tuple(
         _slow_gain(robot, joint, float(values[joint]), float(deviations[joint]), sweeps, reasons[joint])
         for joint in range(len(reasons))
@@ -349,7 +352,7 @@ def _slow_gains(
         gains=gains,
         moments=moments,
         moments_std=spread,
-        gap=min(part.gap for part in solved),
+        gap=min(solution.gap for solution in solved),
         warnings=tuple(_warnings(gains, moments)),
     )
 

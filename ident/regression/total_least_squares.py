@@ -17,6 +17,7 @@ import numpy as np
 from drivers.errors import IdentificationError
 from drivers.streams import FloatArray
 from ident.linear_algebra.triangular import triangular
+from ident.regression.jackknife import delete_block_moves
 from ident.regression.least_squares import ROUNDING
 
 ITERATIONS = 100
@@ -126,6 +127,19 @@ def null_vector_of_gram(gram: FloatArray, scale: FloatArray) -> tuple[FloatArray
     _, vectors = np.linalg.eigh(rest)
     factors = vectors[:, 0] * scale
     return _normalised(factors, (eliminated @ (lengths[width:] * factors)) / lengths[:width])
+
+
+def null_vector_moves(blocks: FloatArray, solution: NullVector) -> FloatArray:
+    """(B, n + a − 1) how far leaving out each block moves factors and unknowns, the known one left out.
+
+    Args:
+        blocks: (B, a + n, a + n) weighted Gram matrices of [A Y].
+        solution: whose scale is used throughout.
+
+    Raises:
+        IdentificationError: without one block the others do not determine an unknown.
+    """
+    return delete_block_moves(lambda gram: np.concatenate(null_vector_of_gram(gram, solution.scale))[:-1], blocks)
 
 
 def _concatenated(factors: Sequence[FloatArray], weights: FloatArray) -> tuple[FloatArray, int]:
