@@ -153,31 +153,31 @@ def _with_standard(
     count: int,
 ) -> LoadEstimate:
     size = len(columns.names)
-    found = [solution.active[place] - count for place in places]
+    identified = [solution.active[place] - count for place in places]
     values = np.full(size, np.nan)
-    values[found] = solution.parameters[[solution.active[place] for place in places]]
-    parts = []
-    for part in (covariance, gain_covariance):
+    values[identified] = solution.parameters[[solution.active[place] for place in places]]
+    of_causes = []
+    for of_all in (covariance, gain_covariance):
         of_load = np.full((size, size), np.nan)
-        of_load[np.ix_(found, found)] = part[np.ix_(places, places)]
-        parts.append(of_load)
+        of_load[np.ix_(identified, identified)] = of_all[np.ix_(places, places)]
+        of_causes.append(of_load)
     standard, spread = np.full(10, np.nan), np.full((10, 10), np.nan)
     if known is not None:
         standard[list(known.known)] = known.values[list(known.known)]
         spread[np.ix_(known.known, known.known)] = 0.0
-    alone = [i for i in range(size) if np.count_nonzero(columns.projection[i]) == 1 and i in found]
+    alone = [i for i in range(size) if np.count_nonzero(columns.projection[i]) == 1 and i in identified]
     kept = [columns.kept[i] for i in alone]
     standard[kept] = values[alone]
-    spread[np.ix_(kept, kept)] = (parts[0] + parts[1])[np.ix_(alone, alone)]
+    spread[np.ix_(kept, kept)] = (of_causes[0] + of_causes[1])[np.ix_(alone, alone)]
     if known is not None:
         spread[np.ix_(kept, known.known)] = 0.0
         spread[np.ix_(known.known, kept)] = 0.0
     return LoadEstimate(
         columns=columns,
         values=values,
-        covariance=parts[0],
-        gain_covariance=parts[1],
-        unexcited=tuple(columns.names[i] for i in range(size) if i not in found),
+        covariance=of_causes[0],
+        gain_covariance=of_causes[1],
+        unexcited=tuple(columns.names[i] for i in range(size) if i not in identified),
         known=known,
         standard=standard,
         standard_covariance=np.where(np.isfinite(spread), spread, 0.0),
@@ -190,9 +190,9 @@ def _joint_system(
     """Both runs under each other, weighted: free joints, then loaded ones; base columns, then the load's."""
     count, size = pair.base.count, pair.base.count + effect.shape[1]
     joints = []
-    for number, run in enumerate(pair.runs):
-        for joint, weight in zip(run.reduction.joints, weights[number], strict=True):
-            if number == FREE:
+    for which, run in enumerate(pair.runs):
+        for joint, weight in zip(run.reduction.joints, weights[which], strict=True):
+            if which == FREE:
                 joints.append(JointFactor(joint.columns, weight * joint.factor, joint.rows))
                 continue
             wide = widened(joint.columns, count, effect, shift)

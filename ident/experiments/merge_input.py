@@ -53,7 +53,7 @@ def merge_inputs(results: Sequence[tuple[str, Result]]) -> tuple[list[MergeInput
     _check_disjoint(results)
     stored = [_stored(label, result) for label, result in results]
     base = experiment_base(stored[0].model, [experiment for part in stored for experiment in part.experiments])
-    return [_input(label, result, found, base) for (label, result), found in zip(results, stored, strict=True)], base
+    return [_input(label, result, model, base) for (label, result), model in zip(results, stored, strict=True)], base
 
 
 def _stored(label: str, result: Result) -> StoredModel:

@@ -70,7 +70,11 @@ def summarise(
         model_options=model_options(model),
         preprocessing=[
             ProcessingStep.model_validate(step, from_attributes=True)
-            for step in (*identification.runs[0].prepared.steps, _experiment_step(identification))
+            for step in (
+                _torque_step(identification),
+                *identification.runs[0].prepared.steps,
+                _experiment_step(identification),
+            )
         ],
         delay=DelayFigures(
             used=identification.choices.preprocess.delay,
@@ -149,6 +153,12 @@ def estimate_result(estimate: Estimate, names: Sequence[str]) -> EstimateResult:
         },
         blocks=estimate.blocks,
     )
+
+
+def _torque_step(identification: Identification) -> Step:
+    """Where the joint torques come from, among the steps."""
+    origin = identification.runs[0].signals.torque_origin
+    return Step("joint torque", {"origin": origin}, origin)
 
 
 def _experiment_step(identification: Identification) -> Step:
