@@ -15,14 +15,14 @@ from drivers.streams import FloatArray
 from ident.experiments.drive_gains import DriveGains, identify_gains
 from ident.experiments.payload import Payload, identify_payload
 from ident.experiments.payload_summary import (
-    base_rows,
+    base_changes,
     drives_text,
     gain_unit,
-    gains_object,
-    load_rows,
-    payload_object,
+    gains_result,
+    load_parameters,
+    payload_result,
     payload_sentences,
-    slow_gains_object,
+    slow_gains_result,
 )
 from ident.experiments.up_and_down import SlowGains, identify_slow_gains
 from ident.model.load import MASS, KnownLoad
@@ -76,15 +76,15 @@ class IdentifiedPayload:
     @property
     def parameters(self) -> Table:
         """The identifiable combinations of the load's ten parameters, with what is known held fixed."""
-        rows = load_rows(self.found.with_mass or self.found.load)
+        rows = load_parameters(self.found.with_mass or self.found.load)
         headings = [(name, "") for name in ("name", "value", "std", "noise_std", "gain_std", "unit", "expression")]
-        return table_of_rows("Load", headings, [tuple(row[name] for name, _ in headings) for row in rows])
+        return table_of_rows("Load", headings, [tuple(getattr(row, name) for name, _ in headings) for row in rows])
 
     @property
     def changes(self) -> Table:
         """Base parameters that a load changes: without it, predicted and identified with it (SR400 Table 4)."""
         names = ("name", "free", "free_std", "predicted", "loaded", "loaded_std", "unit")
-        rows = [tuple(row[name] for name in names) for row in base_rows(self.found)]
+        rows = [tuple(getattr(row, name) for name in names) for row in base_changes(self.found)]
         return table_of_rows("Base parameters that a load changes", [(name, "") for name in names], rows)
 
     @property
@@ -99,7 +99,7 @@ class IdentifiedPayload:
 
     def to_json(self) -> str:
         """What `dynid payload --json` prints."""
-        return json_text(payload_object(self.found))
+        return json_text(payload_result(self.found).model_dump())
 
     def __str__(self) -> str:
         warnings = [f"warning: {warning}" for warning in self.warnings]
@@ -155,7 +155,9 @@ class IdentifiedGains:
     def to_json(self) -> str:
         """What `dynid gains --json` prints."""
         found = self.found
-        return json_text(gains_object(found) if isinstance(found, DriveGains) else slow_gains_object(found))
+        return json_text(
+            (gains_result(found) if isinstance(found, DriveGains) else slow_gains_result(found)).model_dump()
+        )
 
     def __str__(self) -> str:
         return "\n".join([str(self.gains), *(f"warning: {warning}" for warning in self.warnings)])
