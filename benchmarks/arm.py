@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.robot import load_robot
+from daq.robot.loader import load_robot
 from drivers.streams import FloatArray
 from ident.model.dynamics import DynamicModel, build_model, truth_vector
 from ident.model.parameters import INERTIAL
 from ident.model.pinocchio_model import PINOCCHIO_ORDER
 from ident.model.regressor import model_torque
 from ident.signals.prepared import Segment
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 PERIOD = 20.0
 """Of the motion [s]; every data set samples one period evenly, so that no sample is there twice."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from benchmarks.timing import medians
-from daq.robot import load_robot
+from daq.robot.loader import load_robot
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamics import build_model
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 COMPARED = """\
 full_pipeline_ur5e_seconds: identify() with its default choices on 60 s of the simulated UR5e at its own rate, the last

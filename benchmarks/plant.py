@@ -6,10 +6,10 @@ import numpy as np
 
 from benchmarks.agreement import DisagreementError
 from benchmarks.timing import medians
-from daq.robot import load_robot
+from daq.robot.loader import load_robot
 from ident.model.dynamics import build_model
-from sim_drivers.motion import random_fourier_motion
-from sim_drivers.plant import Plant
+from sim_drivers.plant.plant import Plant
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 COMPARED = """\
 plant_vs_real_time: the simulated UR5e under its PID, steps of 1 ms; every 2 ms a new target and a measurement. Seconds

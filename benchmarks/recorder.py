@@ -12,9 +12,9 @@ import h5py
 import numpy as np
 
 from benchmarks.agreement import check
-from daq.recorder import Recorder
-from daq.robot import load_robot
-from daq.streams import JOINTS_STREAM
+from daq.recording.recorder import Recorder
+from daq.recording.recording import JOINTS_STREAM
+from daq.robot.loader import load_robot
 from drivers.streams import Block, ChannelLayout, FloatArray, StreamLayout
 
 ROWS, DOUBLES = 60_000, 32
@@ -26,7 +26,7 @@ CHUNK = 250
 COMPARED = """\
 recorder_rows_vs_plain_h5py, recorder_cpu_vs_plain_h5py: 60,000 rows of 32 doubles in batches of 5, as they come from
   the wire, until the file is closed; wall time, and processor time of all threads. Peer: one dataset (N, 32), resized
-  and appended to at every batch, no flush. Ours: daq.recorder with 7 datasets, SWMR and a flush every 250 rows.
+  and appended to at every batch, no flush. Ours: the recorder with 7 datasets, SWMR and a flush every 250 rows.
 recorder_rows_vs_batched_h5py, recorder_cpu_vs_batched_h5py: the same against a peer that gathers 250 rows before it
   appends them, as the recorder does; what is left is the price of seven datasets, the thread, SWMR and the flushes.
 recorder_rows_vs_mcap: the same rows, wall time; peer: package mcap, a message a row, not compressed."""

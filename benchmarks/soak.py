@@ -19,12 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.player import Player
-from daq.recorder import Recorder
-from daq.robot import load_robot
-from daq.safety import Limits, Supervisor
-from daq.session import load_driver, record
-from drivers.can_bus import Sender, close_bus, open_bus
+from daq.motion.player import Player
+from daq.recording.recorder import Recorder
+from daq.robot.loader import load_robot
+from daq.session.session import load_driver, record
+from daq.session.supervisor import Limits, Supervisor
+from drivers.can.bus import Sender, close_bus, open_bus
 from drivers.canopen402.sync import SyncProducer
 from drivers.clock import SYSTEM_CLOCK
 from drivers.streams import Block, FloatArray

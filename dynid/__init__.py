@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from daq.importers.one_call import import_recording as import_recording
-    from daq.recording_reader import read_recording as read_recording
-    from daq.recording_writer import write_recording as write_recording
-    from daq.robot import RobotFile as RobotFile
-    from daq.robot import builtin_robots as builtin_robots
-    from daq.robot import load_robot as load_robot
-    from daq.streams import Recording as Recording
+    from daq.recording.reader import read_recording as read_recording
+    from daq.recording.recording import Recording as Recording
+    from daq.recording.writer import write_recording as write_recording
+    from daq.robot.loader import RobotFile as RobotFile
+    from daq.robot.loader import builtin_robots as builtin_robots
+    from daq.robot.loader import load_robot as load_robot
     from drivers.errors import DataError as DataError
     from drivers.errors import DynidError as DynidError
     from drivers.errors import IdentificationError as IdentificationError
@@ -53,14 +53,14 @@ if TYPE_CHECKING:
     from ident.tasks.validation import compare as compare
     from ident.tasks.validation import merge as merge
     from ident.tasks.validation import validate as validate
-    from sim_drivers.simulated_run import simulate as simulate
+    from sim_drivers.synthetic.simulated_run import simulate as simulate
 
 _HOMES = {
     "daq.importers.one_call": ("import_recording",),
-    "daq.recording_reader": ("read_recording",),
-    "daq.recording_writer": ("write_recording",),
-    "daq.robot": ("RobotFile", "builtin_robots", "load_robot"),
-    "daq.streams": ("Recording",),
+    "daq.recording.reader": ("read_recording",),
+    "daq.recording.writer": ("write_recording",),
+    "daq.robot.loader": ("RobotFile", "builtin_robots", "load_robot"),
+    "daq.recording.recording": ("Recording",),
     "drivers.errors": (
         "DataError",
         "DynidError",
@@ -81,7 +81,7 @@ _HOMES = {
     "ident.tasks.identification": ("IdentificationResult", "identify", "load_result"),
     "ident.tasks.loads": ("IdentifiedGains", "IdentifiedPayload", "drive_gains", "payload"),
     "ident.tasks.validation": ("Validation", "compare", "merge", "validate"),
-    "sim_drivers.simulated_run": ("simulate",),
+    "sim_drivers.synthetic.simulated_run": ("simulate",),
 }
 """Module → its public names. Type checkers read the imports above, which a test holds against this table."""
 

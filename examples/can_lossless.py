@@ -22,8 +22,8 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from daq.realtime import may_have_realtime
-from daq.robot import load_robot
+from daq.robot.loader import load_robot
+from daq.session.realtime import may_have_realtime
 
 ROBOT = "ur5e"
 SYNC_RATE = 400
@@ -124,7 +124,7 @@ def measure(seconds: float, folder: Path) -> dict[str, object]:
     """Record and listen for so long [s]; the figures by reader."""
     import sim_drivers
 
-    eds = Path(sim_drivers.__path__[0]) / "eds" / "dynid_drive.eds"
+    eds = Path(sim_drivers.__path__[0]) / "canopen" / "dynid_drive.eds"
     dynid = str(Path(sys.executable).with_name("dynid"))
     arm = str(own_bus(folder))
     priority = ["--realtime"] if may_have_realtime() else []

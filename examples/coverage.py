@@ -14,14 +14,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from daq.robot import load_robot
+from daq.robot.loader import load_robot
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model, truth_vector
 from ident.regression.least_squares import Method
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 INTERVAL = 1.96
 DURATION = 20.0

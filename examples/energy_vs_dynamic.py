@@ -26,9 +26,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from sr400_table4 import with_paper_load
 
-from daq.recording import JOINTS_STREAM, Recording
-from daq.robot import RobotFile, load_robot
-from daq.trajectories import Motion
+from daq.motion.trajectories import Motion
+from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import IdentificationError
 from drivers.streams import FloatArray
 from ident.identify.identification import Identification, IdentifyChoices
@@ -37,9 +37,9 @@ from ident.model.dynamics import build_model, truth_vector
 from ident.model.regressor import model_torque
 from ident.regression.least_squares import Method
 from ident.signals.pipeline import PreprocessChoices
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
-from sim_drivers.random_points import random_points_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.random_points import random_points_motion
 
 METHODS: tuple[Method, ...] = ("wls", "energy", "power")
 NOISE = (0.0, 1e-4, 3e-4, 1e-3, 3e-3)

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from up6_excitation import DURATION, PAPER
 
-from daq.robot import RobotFile, load_robot
-from daq.trajectories import Motion, RestToRest
+from daq.motion.trajectories import Motion, RestToRest
+from daq.robot.loader import RobotFile, load_robot
 from ident.excite.build import DEVIATION_FLOOR
 from ident.excite.choices import CriterionName, DesignChoices
 from ident.excite.design import design
@@ -27,8 +27,8 @@ from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model, truth_vector
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 RAMP = 2.0
 NOISE = 5.0

@@ -12,7 +12,7 @@ import sys
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from daq.robot import builtin_robots, load_robot
+from daq.robot.loader import builtin_robots, load_robot
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior

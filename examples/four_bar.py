@@ -17,9 +17,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from daq.recording import JOINTS_STREAM, Channel, Recording, Stream
-from daq.robot import RobotFile, load_robot
-from daq.trajectories import Motion, RestToRest
+from daq.motion.trajectories import Motion, RestToRest
+from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
+from daq.robot.loader import RobotFile, load_robot
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
@@ -30,9 +30,9 @@ from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamics import build_model, truth_vector
 from ident.model.loops import loop_ends, place_tree
 from ident.model.regressor import RegressorKernel
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
-from sim_drivers.plant import Plant
+from sim_drivers.plant.plant import Plant
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 ARM = Path(__file__).with_name("four_bar.yaml")
 RATE = 500.0

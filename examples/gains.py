@@ -14,9 +14,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from daq.recording import Recording
-from daq.robot import load_robot
-from daq.trajectories import FourierSeries
+from daq.motion.trajectories import FourierSeries
+from daq.recording.recording import Recording
+from daq.robot.loader import load_robot
 from drivers.streams import FloatArray
 from ident.experiments.drive_gains import DriveGains, identify_gains
 from ident.experiments.payload import identify_payload
@@ -25,9 +25,9 @@ from ident.experiments.run_pair import LOADED, widened
 from ident.linear_algebra.triangular import triangular
 from ident.model.dynamics import build_model
 from ident.model.load import KnownLoad, load_effect
-from sim_drivers.altered_arm import with_gains, with_load
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.plant.altered_arm import with_gains, with_load
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 INTERVAL = 1.96
 DURATION = 20.0

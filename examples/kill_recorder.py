@@ -18,8 +18,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from daq.robot import load_robot
-from daq.session import load_driver
+from daq.robot.loader import load_robot
+from daq.session.session import load_driver
 from drivers.base import Driver
 
 HOST = "127.0.0.62"

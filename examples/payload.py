@@ -13,13 +13,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from daq.robot import load_robot
+from daq.robot.loader import load_robot
 from ident.experiments.payload import Payload, identify_payload
 from ident.model.dynamics import build_model
 from ident.model.load import KnownLoad
-from sim_drivers.altered_arm import with_load
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.plant.altered_arm import with_load
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 INTERVAL = 1.96
 DURATION = 20.0

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.recording import Recording
-from daq.robot import RobotFile, load_robot
-from daq.trajectories import RestToRest
+from daq.motion.trajectories import RestToRest
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile, load_robot
 from ident.assessment.recorded_motion import recorded_motion
 from ident.excite.figures import excitation_figures
 from ident.excite.prior import Prior, find_prior
@@ -29,8 +29,8 @@ from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model, truth_vector
 from ident.result.schema import write_result
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 EARLIER_PERIOD, EARLIER_DURATION = 10.0, 30.0
 PERIOD, RAMP = 20.0, 2.0

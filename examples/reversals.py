@@ -17,9 +17,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from daq.recording import JOINTS_STREAM, Channel, Recording, Stream
-from daq.robot import RobotFile, load_robot
-from daq.trajectories import Motion
+from daq.motion.trajectories import Motion
+from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
+from daq.robot.loader import RobotFile, load_robot
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
@@ -29,8 +29,8 @@ from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model, truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.plant import Plant
+from sim_drivers.plant.plant import Plant
+from sim_drivers.synthetic.measurement import simulate_recording
 
 ROBOT = "ur5e"
 RATE = 500.0

@@ -24,17 +24,17 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from daq.recording import Recording
-from daq.robot import RobotFile, load_robot
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile, load_robot
 from drivers.streams import FloatArray
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamics import build_model, truth_vector
 from ident.model.parameters import INERTIAL, link_parameters
 from ident.regression.gain_uncertainty import gain_sensitivity, relative_gain_std
-from sim_drivers.altered_arm import with_gains, with_load
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.random_points import random_points_motion
+from sim_drivers.plant.altered_arm import with_gains, with_load
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.random_points import random_points_motion
 
 LOAD = np.array([0.454, -0.02, -0.09, 0.445, -0.115, 0.065, 0.48, 0.6, 2.0, 10.9])
 """Table 3, in the frame of link 6: XX XY XZ YY YZ ZZ [kg·m²], MX MY MZ [kg·m], M [kg]."""

@@ -24,8 +24,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import yaml
 
-from daq.realtime import may_have_realtime
-from daq.robot import load_robot
+from daq.robot.loader import load_robot
+from daq.session.realtime import may_have_realtime
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model, truth_vector
 from ident.result.schema import BaseParameterResult, read_result

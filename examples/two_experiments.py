@@ -22,8 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.recording import Recording
-from daq.robot import RobotFile, load_robot
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile, load_robot
 from drivers.streams import FloatArray
 from ident.experiments.merged_result import merge_results
 from ident.identify.identification import IdentifyChoices
@@ -34,9 +34,9 @@ from ident.model.dynamics import build_model, truth_vector
 from ident.regression.least_squares import Method
 from ident.regression.observability import ExperimentChoices
 from ident.result.schema import Result
-from sim_drivers.altered_arm import with_load
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.random_points import random_points_motion
+from sim_drivers.plant.altered_arm import with_load
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.random_points import random_points_motion
 
 ROBOT = "sr400"
 WRIST = ("j5", "j6")

@@ -22,9 +22,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from gains import HIDDEN, LOAD, SLOW_DURATION, slow_motion
 
-from daq.recording import JOINTS_STREAM, Recording
-from daq.robot import RobotFile, load_robot
-from daq.trajectories import Motion, PointToPoint
+from daq.motion.trajectories import Motion, PointToPoint
+from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import DynidError
 from drivers.streams import FloatArray
 from ident.experiments.drive_gains import identify_gains
@@ -32,8 +32,8 @@ from ident.experiments.up_and_down import identify_slow_gains
 from ident.model.dynamics import build_model, truth_vector
 from ident.model.load import KnownLoad
 from ident.model.regressor import model_torque
-from sim_drivers.altered_arm import with_gains, with_load
-from sim_drivers.measurement import simulate_recording
+from sim_drivers.plant.altered_arm import with_gains, with_load
+from sim_drivers.synthetic.measurement import simulate_recording
 
 INTERVAL = 1.96
 RATE = 50.0

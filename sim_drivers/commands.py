@@ -21,7 +21,7 @@ def demo(
 
     Example: dynid demo --out demo
     """
-    from daq.console import progress_line
+    from daq.commands.console import progress_line
     from sim_drivers.demo import print_demo, run_demo
 
     with progress_line(quiet=as_json) as progress:
@@ -48,8 +48,9 @@ def sim(
 
     Example: dynid sim ur5e --wire canopen
     """
-    from daq.realtime import ask_for_realtime
-    from sim_drivers.serve import BusOptions, simulate
+    from daq.session.realtime import ask_for_realtime
+    from sim_drivers.serving.serve import simulate
+    from sim_drivers.serving.served import BusOptions
 
     if realtime:
         ask_for_realtime()

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.console import print_json, print_table
-from daq.recording import read_recording
-from daq.robot import RobotFile, load_robot
-from daq.trajectory_file import dump_trajectory, load_trajectory
+from daq.commands.console import print_json, print_table
+from daq.motion.trajectory_file import dump_trajectory, load_trajectory
+from daq.recording.reader import read_recording
+from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.build import build_problem

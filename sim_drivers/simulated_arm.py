@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from daq.realtime import may_have_realtime
-from daq.streams import JOINTS_STREAM
+from daq.recording.recording import JOINTS_STREAM
+from daq.session.realtime import may_have_realtime
 from drivers.errors import ConnectionFailedError, WorkError
 
 HOSTS = tuple(f"127.0.0.{number}" for number in (1, 2, 3, 4, 5))

@@ -56,7 +56,7 @@ def test_links_lead_somewhere(page):
 
 
 def test_the_robot_file_of_the_docs_is_valid():
-    from daq.robot import parse_robot
+    from daq.robot.loader import parse_robot
     from ident.model.base_parameters import base_parameters
     from ident.model.dynamics import build_model
 
@@ -85,8 +85,8 @@ def test_options_named_in_the_docs_exist():
 
 
 def test_the_trajectory_of_the_docs_is_valid():
-    from daq.robot import load_robot
-    from daq.trajectory_file import parse_trajectory
+    from daq.motion.trajectory_file import parse_trajectory
+    from daq.robot.loader import load_robot
 
     text = (REPOSITORY / "docs" / "recording-ur.md").read_text(encoding="utf-8")
     block = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)

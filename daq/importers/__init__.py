@@ -23,8 +23,8 @@ from daq.importers.npz import read_npz
 from daq.importers.plausibility import check_units
 from daq.importers.rosbag import bag_files, read_rosbag
 from daq.importers.table import Table, parsing, printable
-from daq.recording import JOINTS_STREAM, Channel, Event, Recording, Stream, software_versions
-from daq.robot import RobotFile
+from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, Stream, software_versions
+from daq.robot.loader import RobotFile
 from drivers.errors import ImportFileError
 from drivers.streams import UNITS
 

@@ -11,7 +11,7 @@ from daq.importers.choices import ImportChoices
 from daq.importers.matching import match_joints
 from daq.importers.table import Block, Note, Table, listed, printable
 from daq.importers.units import allowed_units, to_si
-from daq.robot import RobotFile
+from daq.robot.loader import RobotFile
 from drivers.errors import ImportFileError
 from drivers.streams import FloatArray
 from drivers.units import normalised

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from daq.closest import did_you_mean
+from drivers.closest import did_you_mean
 from drivers.errors import UsageError
 
 DROP_NAN = "drop-nan"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from daq.closest import did_you_mean
 from daq.importers.table import Note, listed, printable
+from drivers.closest import did_you_mean
 from drivers.errors import ImportFileError
 
 _SEPARATORS = "_/.:-"

@@ -6,9 +6,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from daq.closest import did_you_mean
 from daq.importers.table import listed, printable
 from daq.importers.units import REVOLUTE, SUFFIXES
+from drivers.closest import did_you_mean
 from drivers.errors import ImportFileError, UsageError
 from drivers.units import normalised
 

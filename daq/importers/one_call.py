@@ -9,8 +9,8 @@ from typing import Literal
 
 from daq.importers import import_file
 from daq.importers.choices import ImportChoices, TimeUnit
-from daq.recording import Recording
-from daq.robot import RobotFile, load_robot
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile, load_robot
 
 
 def import_recording(

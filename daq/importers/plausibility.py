@@ -11,8 +11,8 @@ from daq.importers.assembly import Quantity, Samples
 from daq.importers.checks import sample_place
 from daq.importers.choices import ImportChoices
 from daq.importers.table import Note, listed
-from daq.robot import Robot
-from daq.unit_plausibility import DEGREES, beyond_reach, displacement_ratios, near
+from daq.recording.unit_plausibility import DEGREES, beyond_reach, displacement_ratios, near
+from daq.robot.schema import Robot
 from drivers.errors import ImportFileError
 
 _MILLIAMPERE = 500.0

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from daq.closest import did_you_mean
 from daq.importers.choices import ImportChoices
 from daq.importers.matching import JointMatch, match_joints, shares_joints
 from daq.importers.table import Block, Note, Table, listed, parsing, printable
+from drivers.closest import did_you_mean
 from drivers.errors import ImportFileError, UsageError
 from drivers.streams import FloatArray
 

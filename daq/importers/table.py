@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from daq.recording import Level
+from daq.recording.recording import Level
 from drivers.errors import DynidError, ImportFileError
 from drivers.streams import FloatArray
 

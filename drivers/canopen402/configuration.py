@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.base import Level, Notice
-from drivers.can_bus import Sender
+from drivers.can.bus import Sender
 from drivers.canopen402 import objects
-from drivers.canopen402.decode import Scaling
+from drivers.canopen402.alignment import Scaling
 from drivers.canopen402.emcy import describe_error
 from drivers.canopen402.error_control import ErrorControl, configure_error_control, warnings_of
 from drivers.canopen402.pdo_mapping import configure_pdos

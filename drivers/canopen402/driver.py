@@ -14,22 +14,22 @@ import can
 import numpy as np
 
 from drivers.base import DriverSettings, Notice, State, require_state
-from drivers.can_bus import Receiver, Sender, close_bus, open_bus
+from drivers.can.bus import Receiver, Sender, close_bus, open_bus
 from drivers.canopen402 import objects
+from drivers.canopen402.alignment import Aligned, Aligner
 from drivers.canopen402.configuration import Configured, Identity, configure
-from drivers.canopen402.decode import Aligned, Aligner
 from drivers.canopen402.error_control import check_own_id, release
 from drivers.canopen402.layout import stream_layouts
-from drivers.canopen402.life_signs import LifeSigns, guard_requests, heartbeat
+from drivers.canopen402.monitor.drives import DriveWatch
+from drivers.canopen402.monitor.life_signs import LifeSigns, guard_requests, heartbeat
+from drivers.canopen402.monitor.presence import Heartbeats, NodeGuarding, Presence
+from drivers.canopen402.monitor.silence import Silence
 from drivers.canopen402.motion import Motion
-from drivers.canopen402.presence import Heartbeats, NodeGuarding, Presence
 from drivers.canopen402.sdo import CanopenNetwork, Drive
 from drivers.canopen402.sdo_stop import SdoStop
 from drivers.canopen402.settings import MODES, parse_settings
-from drivers.canopen402.silence import Silence
 from drivers.canopen402.sync import SyncProducer
 from drivers.canopen402.temperature import TemperaturePoll, read_temperature
-from drivers.canopen402.watch import DriveWatch
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from drivers.streams import Block, FloatArray, StreamLayout
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from drivers.canopen402.emcy import VALUE_REFUSED
+from drivers.canopen402.monitor.presence import HEARTBEATS_MISSED
 from drivers.canopen402.objects import (
     ABORT_OPTION,
     CONSUMER_HEARTBEAT,
@@ -19,7 +20,6 @@ from drivers.canopen402.objects import (
     AbortOption,
     DriveObject,
 )
-from drivers.canopen402.presence import HEARTBEATS_MISSED
 from drivers.canopen402.sdo import ANSWER_LIMIT, Drive, abort_code
 from drivers.canopen402.settings import CanopenSettings
 from drivers.clock import SYSTEM_CLOCK, Clock

@@ -14,8 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.can_bus import Frame, Sender
-from drivers.canopen402.decode import IntArray
+from drivers.can.bus import Frame, Sender
+from drivers.canopen402.alignment import IntArray
 from drivers.canopen402.objects import MODE_NAMES, MODE_PROFILE_POSITION, RPDO1, SYNC, TPDO1, TPDO2
 from drivers.canopen402.sdo_stop import SdoStop
 from drivers.canopen402.state_machine import (

@@ -11,7 +11,7 @@ from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from drivers.can_bus import Sender
+from drivers.can.bus import Sender
 from drivers.canopen402 import objects
 from drivers.canopen402.emcy import NOT_THERE, describe_abort
 from drivers.canopen402.objects import DriveObject

@@ -10,7 +10,7 @@ import contextlib
 import math
 from collections.abc import Sequence
 
-from drivers.can_bus import Sender
+from drivers.can.bus import Sender
 from drivers.canopen402.objects import CONTROLWORD, SDO_ANSWER, SDO_REQUEST, STATUSWORD
 from drivers.canopen402.state_machine import POWERED, DriveState, drive_state
 from drivers.clock import SYSTEM_CLOCK, Clock

@@ -87,7 +87,7 @@ class CanopenSettings:
     """A bus with one CiA 402 drive a joint.
 
     Attributes:
-        interface, channel, bitrate, options: see `drivers.can_bus.open_bus`.
+        interface, channel, bitrate, options: see `drivers.can.bus.open_bus`.
         sync_rate: of SYNC, and so of the joints' samples [Hz].
         mode: how the arm is moved, if at all.
         timeout: for the configuration, and for enabling the drives [s].

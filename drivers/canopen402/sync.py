@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from drivers.can_bus import Sender
+from drivers.can.bus import Sender
 from drivers.canopen402.objects import SYNC
 from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
 from drivers.errors import ConnectionLostError

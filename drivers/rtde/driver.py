@@ -16,7 +16,7 @@ import numpy.typing as npt
 from drivers.base import DriverSettings, Notice, State, require_state
 from drivers.errors import DriverStateError, UsageError
 from drivers.gains import joint_torque
-from drivers.rtde import wire
+from drivers.rtde import protocol as wire
 from drivers.rtde.connect import Connect, connect_tcp
 from drivers.rtde.dashboard import stop_program
 from drivers.rtde.modes import describe_mode

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from drivers.base import Level, Notice
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError, ConnectionLostError, UsageError
-from drivers.rtde import wire
+from drivers.rtde import protocol as wire
 from drivers.rtde.connect import Connect, connect_tcp
 from drivers.streams import FloatArray
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 
 from drivers.connection_keys import ConnectionKeys
 from drivers.errors import UsageError
-from drivers.rtde import wire
+from drivers.rtde import protocol as wire
 
 _KEYS = ConnectionKeys("the RTDE connection")
 

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.recording import Recording
-from daq.robot import RobotFile
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile
 from drivers.errors import DataError, DynidError, RobotFileError, UsageError
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamics import DynamicModel, build_model

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from daq.connections import WITH, connection_names
-from daq.console import print_table
-from daq.robot import RobotFile
-from daq.safety import Limits, Supervisor
-from daq.session import load_driver
+from daq.commands.console import print_table
+from daq.robot.loader import RobotFile
+from daq.session.connections import WITH, connection_names
+from daq.session.session import load_driver
+from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Driver, Identifying
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError

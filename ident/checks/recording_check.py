@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from daq.console import print_table
-from daq.recording import JOINTS_STREAM, Recording
-from daq.robot import RobotFile
-from daq.signal_quality import ColumnQuality, channel_quality
-from daq.stream_quality import StreamQuality, stream_quality
+from daq.commands.console import print_table
+from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.recording.signal_quality import ColumnQuality, channel_quality
+from daq.recording.stream_quality import StreamQuality, stream_quality
+from daq.robot.loader import RobotFile
 from drivers.errors import DynidError
 from ident.assessment.delay import DelaySearch, search_delay
 from ident.assessment.excitation import ExcitationReached, excitation_reached

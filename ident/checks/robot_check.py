@@ -7,11 +7,11 @@ from importlib.metadata import entry_points
 
 import numpy as np
 
-from daq.bus_room import bus_budget, tight_bus
-from daq.robot import RobotFile
-from daq.session import load_driver
+from daq.robot.loader import RobotFile
+from daq.session.bus_room import bus_budget, tight_bus
+from daq.session.session import load_driver
 from drivers.base import DRIVERS_GROUP
-from drivers.can_budget import TIGHT_SHARE, Budget
+from drivers.bus_budget import TIGHT_SHARE, Budget
 from drivers.errors import UsageError
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from daq.robot import RobotFile
+from daq.robot.loader import RobotFile
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model
 from ident.model.symbols import symbolic_expressions

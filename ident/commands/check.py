@@ -23,8 +23,8 @@ def check(
     """
     from dataclasses import asdict
 
-    from daq.console import print_json
-    from daq.robot import load_robot
+    from daq.commands.console import print_json
+    from daq.robot.loader import load_robot
     from drivers.clock import SYSTEM_CLOCK
     from drivers.errors import UsageError
     from ident.checks.connection_check import check_connections, print_connection

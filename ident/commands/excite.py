@@ -52,9 +52,9 @@ def excite(
 
     Example: dynid excite ur5e -o traj.yaml --periods 3 --page traj.html
     """
-    from daq.console import print_json, progress_line
-    from daq.robot import load_robot
-    from daq.trajectory_file import load_trajectory
+    from daq.commands.console import print_json, progress_line
+    from daq.motion.trajectory_file import load_trajectory
+    from daq.robot.loader import load_robot
     from drivers.errors import UsageError
     from ident.commands.option_text import joints_option
     from ident.excite.constraints.surroundings import surroundings_warning
@@ -164,7 +164,7 @@ def _object(
 
 
 def _print(out: Path, page: Path | None, found: Design, figures: ExcitationFigures, choices: DesignChoices) -> None:
-    from daq.console import print_table
+    from daq.commands.console import print_table
     from ident.regression.pruning import SIGNIFICANT_RSD
     from ident.tasks.excitation import design_summary, search_words
 

@@ -52,9 +52,9 @@ def identify_recordings(
 
     Example: dynid identify run.h5 --validate val.h5 -o model
     """
-    from daq.console import progress_line
-    from daq.recording import read_recording
-    from daq.robot import load_robot
+    from daq.commands.console import progress_line
+    from daq.recording.reader import read_recording
+    from daq.robot.loader import load_robot
     from ident.commands.option_text import delay_option, joints_option
     from ident.commands.print_result import print_result
     from ident.identify.identify import identify

@@ -24,9 +24,9 @@ def info(
 
     Example: dynid info run.h5 --wanted-rsd 5
     """
-    from daq.console import print_json
-    from daq.recording import read_recording
-    from daq.robot import load_robot
+    from daq.commands.console import print_json
+    from daq.recording.reader import read_recording
+    from daq.robot.loader import load_robot
     from ident.checks.recording_check import info_object, print_info, recording_info
 
     read = read_recording(recording)

@@ -23,8 +23,8 @@ def merge_models(
 
     Example: dynid merge arm-model wrist-model --validate val.h5 -o merged
     """
-    from daq.console import progress_line
-    from daq.recording import read_recording
+    from daq.commands.console import progress_line
+    from daq.recording.reader import read_recording
     from drivers.errors import UsageError
     from ident.commands.print_result import print_result
     from ident.experiments.merged_result import merge_results

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, TypeVar
 import typer
 
 if TYPE_CHECKING:
-    from daq.recording import Recording
-    from daq.robot import RobotFile
+    from daq.recording.recording import Recording
+    from daq.robot.loader import RobotFile
     from ident.experiments.drive_gains import DriveGains
     from ident.experiments.payload import Payload
     from ident.experiments.up_and_down import SlowGains
@@ -49,7 +49,7 @@ def payload(
 
     Example: dynid payload free.h5 loaded.h5 --mass 2.8
     """
-    from daq.console import print_json
+    from daq.commands.console import print_json
     from drivers.errors import UsageError
     from ident.experiments.payload import identify_payload
     from ident.experiments.payload_summary import payload_result
@@ -80,7 +80,7 @@ def gains(
 
     Example: dynid gains free.h5 loaded.h5 --mass 2.8
     """
-    from daq.console import print_json
+    from daq.commands.console import print_json
     from drivers.errors import UsageError
     from ident.experiments.drive_gains import identify_gains
     from ident.experiments.payload_summary import gains_result, slow_gains_result
@@ -109,7 +109,7 @@ def gains(
 
 def print_payload(found: Payload) -> None:
     """The load as a person reads it at the terminal."""
-    from daq.console import print_table
+    from daq.commands.console import print_table
     from ident.experiments.payload_summary import FRAME_TEXT, base_changes, load_parameters, payload_sentences
     from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
@@ -149,7 +149,7 @@ def print_payload(found: Payload) -> None:
 
 def print_gains(found: DriveGains) -> None:
     """The gains as a person reads them at the terminal."""
-    from daq.console import print_table
+    from daq.commands.console import print_table
     from ident.experiments.payload_summary import base_unit, drives_text, gain_unit
 
     print(f"delay: {found.pair.delay_note}")
@@ -192,7 +192,7 @@ def print_gains(found: DriveGains) -> None:
 
 def print_slow_gains(found: SlowGains) -> None:
     """Gains from slow up-and-down runs as a person reads them at the terminal."""
-    from daq.console import print_table
+    from daq.commands.console import print_table
     from ident.experiments.payload_summary import drives_text, gain_unit
     from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
@@ -241,9 +241,9 @@ def _identified(
     quiet: bool,
 ) -> Found:
     """What `identify` finds in the free and the loaded run."""
-    from daq.console import progress_line
-    from daq.recording import read_recording
-    from daq.robot import load_robot
+    from daq.commands.console import progress_line
+    from daq.recording.reader import read_recording
+    from daq.robot.loader import load_robot
     from ident.commands.option_text import delay_option
 
     free, loaded = (read_recording(path) for path in runs)

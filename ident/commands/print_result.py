@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from daq.console import print_table
+from daq.commands.console import print_table
 from ident.assessment.validation import FitFigures
 from ident.result.schema import Merge, Result
 

@@ -19,8 +19,8 @@ def show(
 
     Example: dynid robot show ur5e
     """
-    from daq.console import print_json, print_table
-    from daq.robot import load_robot
+    from daq.commands.console import print_json, print_table
+    from daq.robot.loader import load_robot
     from ident.checks.robot_description import description, inertial_count
     from ident.model.base_parameters import base_parameters
     from ident.model.dynamics import build_model

@@ -23,8 +23,8 @@ def validate(
     """
     from dataclasses import asdict
 
-    from daq.console import print_json
-    from daq.recording import read_recording
+    from daq.commands.console import print_json
+    from daq.recording.reader import read_recording
     from ident.commands.print_result import print_fit
     from ident.identify.revalidate import revalidate
     from ident.result.schema import read_result

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.closest import did_you_mean
-from daq.robot import RobotFile
+from daq.robot.loader import RobotFile
+from drivers.closest import did_you_mean
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.choices import DesignChoices

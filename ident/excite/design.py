@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from daq.robot import RobotFile
-from daq.trajectories import Motion
+from daq.motion.trajectories import Motion
+from daq.robot.loader import RobotFile
 from drivers.errors import IdentificationError, UsageError
 from drivers.streams import FloatArray
 from ident.excite.build import build_problem

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.robot import RobotFile
-from daq.trajectories import Extremes, Motion, motion_extremes
+from daq.motion.trajectories import Extremes, Motion, motion_extremes
+from daq.robot.loader import RobotFile
 from drivers.streams import FloatArray
 from ident.excite.prior import Prior, recording_rate
 from ident.linear_algebra.triangular import scaled_condition

@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from daq.trajectories import Motion
-from daq.trajectory_file import Trajectory
+from daq.motion.trajectories import Motion
+from daq.motion.trajectory_file import Trajectory
 from drivers.streams import FloatArray
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.robot import JointLimits, Robot, RobotFile
+from daq.robot.loader import RobotFile
+from daq.robot.schema import JointLimits, Robot
 from drivers.errors import ResultFileError, UsageError
 from drivers.streams import FloatArray
 from ident.identify.revalidate import stored_choices

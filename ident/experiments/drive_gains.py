@@ -26,8 +26,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.recording import Recording
-from daq.robot import Robot, RobotFile
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile
+from daq.robot.schema import Robot
 from drivers.streams import FloatArray
 from ident.experiments.gain_system import GainSystem, jackknife_moves, own_angles, solve_gains, system_blocks
 from ident.experiments.motor_signals import signal_of, torques_by

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from daq.recording import Recording, software_versions
+from daq.recording.recording import Recording, software_versions
 from drivers.streams import FloatArray
 from ident.assessment.plausibility import indefinite_share, sign_warnings
 from ident.experiments.merge import CONTRADICTING, MergedEstimate, identifiable_columns, merge

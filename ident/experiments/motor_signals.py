@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from daq.recording import JOINTS_STREAM, Recording
-from daq.robot import Robot
+from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.robot.schema import Robot
 from drivers.errors import DataError
 from drivers.streams import FloatArray
 from ident.experiments.run_pair import Motion

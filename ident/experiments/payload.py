@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.recording import Recording
-from daq.robot import RobotFile
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile
 from drivers.streams import FloatArray
 from ident.experiments.load_estimate import (
     LoadEstimate,

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.recording import Recording
-from daq.robot import Robot, RobotFile
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile
+from daq.robot.schema import Robot
 from drivers.errors import DataError, UsageError
 from drivers.streams import FloatArray
 from ident.assessment.delay import search_delay

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.recording import Recording
-from daq.robot import Robot, RobotFile
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile
+from daq.robot.schema import Robot
 from drivers.errors import DataError, IdentificationError
 from drivers.streams import FloatArray
 from ident.experiments.drive_gains import LEAST_GAP

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.recording import Recording
+from daq.recording.recording import Recording
 from drivers.errors import IdentificationError
 from ident.assessment.plausibility import (
     POSES,

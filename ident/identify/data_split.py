@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.recording import Recording
-from daq.robot import Robot
+from daq.recording.recording import Recording
+from daq.robot.schema import Robot
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.assessment.validation import HELD_OUT_SHARE

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from daq.robot import RobotFile
+from daq.robot.loader import RobotFile
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.assessment.delay import DelaySearch

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.recording import Recording
-from daq.robot import RobotFile
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile
 from drivers.errors import UsageError
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.validation import fit_figures

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from daq.recording import JOINTS_STREAM, Recording
+from daq.recording.recording import JOINTS_STREAM, Recording
 from drivers.streams import FloatArray
 from ident.regression.observability import ranges
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from daq.recording import Recording
+from daq.recording.recording import Recording
 from drivers.errors import ResultFileError
 from ident.assessment.validation import FitFigures, fit_figures
 from ident.identify.played_motion import played_window

@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from daq.recording import Recording, software_versions
-from daq.robot import Robot
+from daq.recording.recording import Recording, software_versions
+from daq.robot.schema import Robot
 from drivers.streams import FloatArray
 from ident.assessment.validation import FitFigures
 from ident.identify.identification import Identification, PreparedRun

@@ -17,7 +17,8 @@ from typing import Literal
 
 import numpy as np
 
-from daq.robot import JointLimits, Robot, RobotFile
+from daq.robot.loader import RobotFile
+from daq.robot.schema import JointLimits, Robot
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
 from ident.model.joints import Joint

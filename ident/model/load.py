@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.robot import Robot
+from daq.robot.schema import Robot
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.linear_algebra.independent_columns import independent_columns

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from daq.loops import Loop
+from daq.robot.loops import Loop
 
 
 def loop_name(loop: Loop) -> str:

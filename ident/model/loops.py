@@ -17,8 +17,9 @@ import math
 
 import numpy as np
 
-from daq.loops import BASE, ClosingFrame, Loop, coupling_matrix
-from daq.robot import MdhRow, Robot, RobotFile
+from daq.robot.loader import RobotFile
+from daq.robot.loops import BASE, ClosingFrame, Loop, coupling_matrix
+from daq.robot.schema import MdhRow, Robot
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
 from ident.model.joints import BASE_INDEX, Joint, Placement, ancestors

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.robot import BASE, MdhRow
+from daq.robot.schema import BASE, MdhRow
 from drivers.streams import FloatArray
 from ident.model.joints import Joint
 

@@ -14,10 +14,11 @@ from itertools import combinations_with_replacement, permutations
 import numpy as np
 import yaml
 
-from daq.robot import Robot, RobotFile
-from daq.yaml_file import UniqueKeyLoader
+from daq.robot.loader import RobotFile
+from daq.robot.schema import Robot
 from drivers.errors import DynidError
 from drivers.streams import FloatArray
+from drivers.yaml_file import UniqueKeyLoader
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamics import DynamicModel, build_model
 from ident.model.parameters import StandardParameter

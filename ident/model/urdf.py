@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.closest import did_you_mean
+from drivers.closest import did_you_mean
 from drivers.errors import RobotFileError
 from ident.model.joints import BASE_INDEX, Joint
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from daq.robot import Robot
+from daq.robot.schema import Robot
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.regression.least_squares import ENERGY_METHODS, LeastSquares

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.robot import RobotFile, parse_robot
+from daq.robot.loader import RobotFile, parse_robot
 from drivers.errors import ResultFileError
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamics import DynamicModel, build_model

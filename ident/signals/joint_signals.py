@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.loops import coupling_matrix
-from daq.recording import JOINTS_STREAM, Channel, Recording, Stream
-from daq.robot import Robot
+from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
+from daq.robot.loops import coupling_matrix
+from daq.robot.schema import Robot
 from drivers.errors import DataError
 from drivers.streams import FloatArray
 

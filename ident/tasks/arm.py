@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from daq.robot import RobotFile, load_robot
+from daq.robot.loader import RobotFile, load_robot
 from ident.model import base_parameters as numeric
 from ident.model.dynamics import build_model
 from ident.model.symbols import symbolic_expressions

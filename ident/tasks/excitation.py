@@ -12,10 +12,11 @@ from typing import get_args
 import numpy as np
 import numpy.typing as npt
 
-from daq.robot import Robot, RobotFile, load_robot
-from daq.trajectories import Motion
-from daq.trajectory_file import dump_trajectory, parse_trajectory
-from daq.trajectory_file import load_trajectory as read_trajectory
+from daq.motion.trajectories import Motion
+from daq.motion.trajectory_file import dump_trajectory, parse_trajectory
+from daq.motion.trajectory_file import load_trajectory as read_trajectory
+from daq.robot.loader import RobotFile, load_robot
+from daq.robot.schema import Robot
 from drivers.errors import IdentificationError, UsageError
 from drivers.streams import FloatArray
 from ident.excite.choices import DEFAULT_SECONDS, CriterionName, DesignChoices, Kind

@@ -8,7 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import get_args
 
-from daq.robot import RobotFile, load_robot
+from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import UsageError
 from ident.identify.identification import FrictionModel, IdentifyChoices, ModelChoices
 from ident.identify.identify import Progress

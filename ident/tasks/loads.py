@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.console import json_text
-from daq.robot import RobotFile, load_robot
+from daq.commands.console import json_text
+from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.experiments.drive_gains import DriveGains, identify_gains

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 
-from daq.recording import Recording, read_recording
+from daq.recording.reader import read_recording
+from daq.recording.recording import Recording
 
 Run = Recording | str | PathLike[str]
 """A recording, or the path of one."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-from daq.robot import RobotFile
+from daq.robot.loader import RobotFile
 from drivers.errors import UsageError
 from ident.experiments.merged_result import merge_results
 from ident.identify.revalidate import revalidate

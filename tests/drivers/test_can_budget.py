@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.base import DriverSettings
-from drivers.can_budget import Budget, FrameGroup, connection_budget, frame_bits, synchronous_cycle
+from drivers.bus_budget import Budget, FrameGroup, connection_budget, frame_bits, synchronous_cycle
 from drivers.errors import UsageError
 from drivers.gains import DriveGain
-from sim_drivers.bus_load import Frame, exact_bits, worst_case_bits
+from sim_drivers.can.bus_load import Frame, exact_bits, worst_case_bits
 
 JOINTS = tuple(f"j{number}" for number in range(1, 7))
 CANOPEN: dict[str, object] = {

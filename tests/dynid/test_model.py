@@ -10,11 +10,11 @@ from loop_arms import FOUR_BAR, four_bar_arm
 from true_results import true_result
 
 import dynid
-from daq.robot import RobotFile, load_robot, parse_robot
+from daq.robot.loader import RobotFile, load_robot, parse_robot
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamics import build_model, truth_vector
 from ident.model.pinocchio_model import pinocchio_model
-from sim_drivers.rigid_arm import rigid_arm
+from sim_drivers.plant.rigid_body import rigid_arm
 
 TREES = ("ur5e", "ur10e", "panda", "rocr6", "up6", "aubo_i5")
 MANY = 450

@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from daq.robot import JointLimits, RobotFile, parse_robot
+from daq.robot.loader import RobotFile, parse_robot
+from daq.robot.schema import JointLimits
 from drivers.streams import FloatArray
 from ident.linear_algebra.triangular import triangular
 from ident.model.dynamics import DynamicModel

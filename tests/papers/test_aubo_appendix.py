@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.robot import load_robot
+from daq.robot.loader import load_robot
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.robot import RobotFile, load_robot
+from daq.robot.loader import RobotFile, load_robot
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamics import DynamicModel, build_model, truth_vector
 from ident.model.parameters import link_parameters

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from sampled_arm import sampled
 
-from daq.robot import load_robot
+from daq.robot.loader import load_robot
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "sr400_table4.py"
 

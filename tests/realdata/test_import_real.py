@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from daq.importers import ImportChoices, import_file
-from daq.recording import JOINTS_STREAM
-from daq.robot import RobotFile, parse_robot
+from daq.recording.recording import JOINTS_STREAM
+from daq.robot.loader import RobotFile, parse_robot
 from drivers.errors import ImportFileError
 
 pytestmark = pytest.mark.realdata

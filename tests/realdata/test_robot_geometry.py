@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.robot import load_robot
+from daq.robot.loader import load_robot
 from ident.model.dynamics import build_model, truth_vector
 from ident.model.pinocchio_model import pinocchio_model
 

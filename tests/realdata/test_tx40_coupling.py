@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from daq.importers import ImportChoices, import_file
-from daq.robot import RobotFile, parse_robot
+from daq.robot.loader import RobotFile, parse_robot
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.signals.pipeline import PreprocessChoices

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from daq.robot import RobotFile, parse_robot
+from daq.robot.loader import RobotFile, parse_robot
 
 PENDULUM = """
 name: pendulum

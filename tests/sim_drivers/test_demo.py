@@ -9,8 +9,9 @@ import pytest
 import yaml
 from servoed_plant import in_simulated_time
 
-from daq.recording import JOINTS_STREAM, read_recording
-from daq.robot import load_robot
+from daq.recording.reader import read_recording
+from daq.recording.recording import JOINTS_STREAM
+from daq.robot.loader import load_robot
 from drivers.errors import ConnectionFailedError, RobotFileError, UsageError, WorkError
 from ident.model.dynamics import build_model, truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT

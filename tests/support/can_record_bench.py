@@ -22,9 +22,9 @@ import pytest
 import yaml
 from rtde_bench import ENVIRONMENT, ROOT, served
 
-from daq.recording import Recording
-from daq.robot import load_robot
-from drivers.can_bus import close_bus, open_bus
+from daq.recording.recording import Recording
+from daq.robot.loader import load_robot
+from drivers.can.bus import close_bus, open_bus
 from drivers.errors import ConnectionFailedError
 
 COMMAND = "import sys; from dynid.command import main; sys.exit(main())"

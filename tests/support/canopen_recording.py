@@ -17,19 +17,20 @@ import numpy as np
 import yaml
 from simulated_clock import DAY, SimulatedClock, simulated_time
 
-from daq.recorder import Recorder
-from daq.recording import Recording, read_recording
-from daq.robot import RobotFile, load_robot, parse_robot
-from daq.safety import Limits, Supervisor
-from daq.session import Play, SessionReport, load_driver, record
-from daq.trajectories import Motion
-from daq.trajectory_file import load_trajectory
+from daq.motion.trajectories import Motion
+from daq.motion.trajectory_file import load_trajectory
+from daq.recording.reader import read_recording
+from daq.recording.recorder import Recorder
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile, load_robot, parse_robot
+from daq.session.session import Play, SessionReport, load_driver, record
+from daq.session.supervisor import Limits, Supervisor
 from drivers.canopen402.driver import Canopen402Driver
 from drivers.canopen402.settings import parse_settings
 from drivers.streams import FloatArray
-from sim_drivers.canopen_nodes import CanopenServer
-from sim_drivers.drive_setup import Feedback
-from sim_drivers.plant import Plant
+from sim_drivers.canopen.server import CanopenServer
+from sim_drivers.canopen.setup import Feedback
+from sim_drivers.plant.plant import Plant
 
 RADIANS = 2 * np.pi / 524288
 """Of a count."""

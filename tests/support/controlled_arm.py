@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from daq.recording import JOINTS_STREAM, Channel, Recording, Stream
-from daq.robot import RobotFile
+from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
+from daq.robot.loader import RobotFile
 from ident.model.dynamics import build_model
-from sim_drivers.motion import random_fourier_motion
-from sim_drivers.plant import Plant, PlantSettings
+from sim_drivers.plant.plant import Plant, PlantSettings
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 PERIOD = 10.0
 FOLLOWED = 0.02

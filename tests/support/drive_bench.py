@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 from exact_plant import JOINT_NAMES, ExactPlant
 
-from daq.robot import Robot, parse_robot
+from daq.robot.loader import parse_robot
+from daq.robot.schema import Robot
 from drivers.canopen402.objects import RPDO_OBJECTS, TPDO_OBJECTS
 from drivers.canopen402.settings import CanopenSettings, parse_settings
-from sim_drivers.bus_load import Frame, Sent, exact_bits
-from sim_drivers.drive_network import DriveNetwork
+from sim_drivers.can.bus_load import Frame, Sent, exact_bits
+from sim_drivers.canopen.network import DriveNetwork
 
 COUNTS = 524288
 

@@ -7,7 +7,7 @@ import threading
 
 import numpy as np
 
-from daq.robot import parse_robot
+from daq.robot.loader import parse_robot
 from drivers.base import Notice
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionLostError

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import lru_cache
 
-from daq.recording import Recording
-from daq.robot import RobotFile, load_robot
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile, load_robot
 from ident.model.dynamics import build_model
 from ident.model.load import KnownLoad
-from sim_drivers.altered_arm import with_gains, with_load
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.plant.altered_arm import with_gains, with_load
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 ROBOT = "ur10e"
 LOAD = KnownLoad(2.8, (0.03, -0.02, 0.08), (0.01, 0.001, 0.0, 0.012, 0.0, 0.009))

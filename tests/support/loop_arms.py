@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from daq.robot import RobotFile, parse_robot
+from daq.robot.loader import RobotFile, parse_robot
 
 FOUR_BAR = (Path(__file__).parents[2] / "examples" / "four_bar.yaml").read_text(encoding="utf-8")
 """A turning column with a planar four-bar linkage: the crank moves the rocker, which carries a wrist."""

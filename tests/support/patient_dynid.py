@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import sys
 
-from daq import player, safety, session
+from daq.motion import player
+from daq.session import session
+from daq.session import supervisor as safety
 from drivers.rtde import motion, receiver
 
 PATIENCE = 60.0

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.rtde import wire
+from drivers.rtde import protocol as wire
 
 LIMIT = 60.0
 """How long [s] anything may take before it counts as hung."""

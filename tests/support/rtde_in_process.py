@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from simulated_clock import SimulatedClock
 
-from drivers.rtde import wire
+from drivers.rtde import protocol as wire
 from drivers.rtde.connect import Connect
 from drivers.rtde.motion import Control, ControlFactory, MotionProcess, obey
 from drivers.streams import FloatArray
-from sim_drivers.controller import MeasurementLike, SimulatedArm
-from sim_drivers.rtde_server import Ports, RtdeServer, Service
+from sim_drivers.plant.arm import MeasurementLike, SimulatedArm
+from sim_drivers.rtde.server import Ports, RtdeServer, Service
 
 HOST = "arm"
 NOWHERE = Ports(None, None, None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from daq.robot import RobotFile
+from daq.robot.loader import RobotFile
 
 
 def sampled(robot_file: RobotFile, rate: float) -> RobotFile:

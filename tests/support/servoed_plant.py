@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 from simulated_clock import simulated_time
 
-from daq.recorder import Recorder
-from daq.robot import load_robot
-from daq.safety import Limits, Supervisor
-from daq.session import Play, record
-from daq.trajectory_file import load_trajectory
+from daq.motion.trajectory_file import load_trajectory
+from daq.recording.recorder import Recorder
+from daq.robot.loader import load_robot
+from daq.session.session import Play, record
+from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Notice
 from drivers.clock import Clock
 from drivers.streams import Block, ChannelLayout, StreamLayout
-from sim_drivers.joint_motion import Reference, ServoJ
-from sim_drivers.plant import Plant
+from sim_drivers.plant.plant import Plant
+from sim_drivers.rtde.joint_motion import Reference, ServoJ
 from sim_drivers.simulated_arm import Record, Recorded
 
 RATE = 500.0

@@ -20,7 +20,7 @@ _numbers = itertools.count()
 
 
 class SimulatedLine:
-    """Both ends; the far one is a port as `sim_drivers.slcan_adapter.SlcanAdapter` wants it.
+    """Both ends; the far one is a port as `sim_drivers.can.slcan_adapter.SlcanAdapter` wants it.
 
     Args:
         clock: of the test.

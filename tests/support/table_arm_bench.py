@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 from simulated_clock import SimulatedClock
 
-from daq.recorder import Recorder
-from daq.robot import load_robot
-from daq.safety import Limits, Supervisor
-from daq.session import Play, SessionReport, record
+from daq.recording.recorder import Recorder
+from daq.robot.loader import load_robot
+from daq.session.session import Play, SessionReport, record
+from daq.session.supervisor import Limits, Supervisor
 from drivers.base import DriverSettings
-from drivers.can_frames.driver import CanFramesDriver
+from drivers.can_signals.driver import CanFramesDriver
 from drivers.gains import DriveGain
 from drivers.streams import Block
-from sim_drivers.plant import Plant
-from sim_drivers.proprietary_can import ProprietaryCanServer
-from sim_drivers.table_arm import TableArm
+from sim_drivers.can_signals.arm import TableArm
+from sim_drivers.can_signals.server import ProprietaryCanServer
+from sim_drivers.plant.plant import Plant
 
 ROBOT_FILE = load_robot("aubo_i5")
 ROBOT = ROBOT_FILE.robot

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.robot import RobotFile, parse_robot
+from daq.robot.loader import RobotFile, parse_robot
 
 NAMES = ("shoulder", "elbow", "wrist")
 ROBOT_TEXT = """

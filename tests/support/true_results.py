@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from daq.robot import RobotFile
+from daq.robot.loader import RobotFile
 from drivers.streams import FloatArray
 from ident.identify.summary import gain_results, model_options
 from ident.model.base_parameters import base_parameters

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from can_record_bench import Outcome, Probe, an_arm, assert_stopped, changed, recorder, simulated, swing, type_fault
 
-from daq.recording import read_recording
+from daq.recording.reader import read_recording
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 

@@ -21,20 +21,21 @@ from rtde_bench import ENVIRONMENT, LIMIT, ROOT, connected, loopback, served
 from rtde_in_process import HOST, NOWHERE, Motions, RememberedArm, serving
 from simulated_clock import START, SimulatedClock
 
-from daq.connections import driver_settings
-from daq.recorder import Recorder
-from daq.recording import Recording, read_recording
-from daq.recover import recover
-from daq.robot import RobotFile, load_robot
-from daq.safety import STALE_FLOOR, TRACKING_ERROR, TRACKING_WINDOW, VELOCITY_MARGIN, Limits, Supervisor
-from daq.session import READ_TIMEOUT, Play, SessionReport, record
-from daq.trajectory_file import load_trajectory
+from daq.motion.trajectory_file import load_trajectory
+from daq.recording.reader import read_recording
+from daq.recording.recorder import Recorder
+from daq.recording.recording import Recording
+from daq.recording.recover import recover
+from daq.robot.loader import RobotFile, load_robot
+from daq.session.connections import driver_settings
+from daq.session.session import READ_TIMEOUT, Play, SessionReport, record
+from daq.session.supervisor import STALE_FLOOR, TRACKING_ERROR, TRACKING_WINDOW, VELOCITY_MARGIN, Limits, Supervisor
 from drivers.errors import ConnectionLostError, SafetyStopError
 from drivers.rtde.driver import RtdeDriver
 from drivers.rtde.receiver import SILENCE_LIMIT
 from sim_drivers.faults import parse_fault
-from sim_drivers.plant import Plant
-from sim_drivers.rtde_server import RtdeServer, ServerStatus
+from sim_drivers.plant.plant import Plant
+from sim_drivers.rtde.server import RtdeServer, ServerStatus
 
 RATE = 500.0
 PERIOD = 1.0 / RATE

@@ -10,7 +10,7 @@ import pytest
 from exact_plant import ExactPlant
 from rtde_bench import connected, loopback, served, ur_rtde
 
-from sim_drivers.rtde_server import RtdeServer
+from sim_drivers.rtde.server import RtdeServer
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow]
 GOAL = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6]

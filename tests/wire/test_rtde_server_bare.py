@@ -16,12 +16,12 @@ from rtde_in_process import NOWHERE
 from simulated_clock import START, SimulatedClock
 
 from drivers.errors import ConnectionFailedError, ConnectionLostError, UsageError
-from drivers.rtde import wire
-from sim_drivers.controller import Controller
-from sim_drivers.rtde_protocol import output_variables, parse_version
-from sim_drivers.rtde_server import LONGEST_LAG, MAXIMUM_CONNECTIONS, Ports, RtdeServer, Service
-from sim_drivers.rtde_session import RtdeSession
-from sim_drivers.serve import simulate
+from drivers.rtde import protocol as wire
+from sim_drivers.rtde.controller import Controller
+from sim_drivers.rtde.server import LONGEST_LAG, MAXIMUM_CONNECTIONS, Ports, RtdeServer, Service
+from sim_drivers.rtde.session import RtdeSession
+from sim_drivers.rtde.variables import output_variables, parse_version
+from sim_drivers.serving.serve import simulate
 
 PERIOD = 0.002
 

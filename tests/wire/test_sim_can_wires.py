@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from daq.robot import load_robot
+from daq.robot.loader import load_robot
 from drivers.errors import ConnectionFailedError, DynidError, UsageError
-from sim_drivers import can_wires
-from sim_drivers.plant import Plant
-from sim_drivers.serve import BusOptions, simulate
+from sim_drivers.plant.plant import Plant
+from sim_drivers.serving import can as can_wires
+from sim_drivers.serving.serve import simulate
+from sim_drivers.serving.served import BusOptions
 
 
 def test_the_options_choose_bus_and_nodes() -> None:

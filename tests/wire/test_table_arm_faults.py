@@ -34,13 +34,14 @@ from table_arm_bench import (
     session,
 )
 
-from daq.recording import Event, Recording, read_recording
-from daq.safety import STALE_FLOOR
-from daq.session import READ_TIMEOUT, Play, SessionReport
-from daq.trajectories import slow_move
-from drivers.can_bus import close_bus, open_bus
-from drivers.can_frames.driver import SILENCE_LIMIT
-from drivers.can_frames.rest import REST_LIMIT
+from daq.motion.trajectories import slow_move
+from daq.recording.reader import read_recording
+from daq.recording.recording import Event, Recording
+from daq.session.session import READ_TIMEOUT, Play, SessionReport
+from daq.session.supervisor import STALE_FLOOR
+from drivers.can.bus import close_bus, open_bus
+from drivers.can_signals.driver import SILENCE_LIMIT
+from drivers.can_signals.standstill import REST_LIMIT
 from drivers.errors import ConnectionFailedError
 
 FAULT_AT = 1.0

@@ -15,8 +15,9 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.robot import BASE, MdhRow, RobotFile
-from daq.workspace import Workspace
+from daq.robot.loader import RobotFile
+from daq.robot.schema import BASE, MdhRow
+from daq.robot.workspace import Workspace
 from drivers.streams import FloatArray
 from ident.excite.constraints.capsules import Capsule
 from ident.excite.constraints.placements import IndexArray

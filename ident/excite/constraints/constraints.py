@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from daq.robot import RobotFile
+from daq.robot.loader import RobotFile
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.constraints.collision_geometry import arm_geometry

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from daq.robot import RobotFile
-from daq.trajectories import Motion
+from daq.motion.trajectories import Motion
+from daq.robot.loader import RobotFile
 from ident.excite.constraints.placements import place_arm, tool_point
 from ident.model.dynamics import build_model
 

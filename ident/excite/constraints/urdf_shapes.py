@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from daq.robot import RobotFile
+from daq.robot.loader import RobotFile
 from drivers.streams import FloatArray
 from ident.excite.constraints.capsules import Capsule, box_capsules, cylinder_capsule, enclosing_capsule
 from ident.model.joints import BASE_INDEX

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.robot import JointLimits
+from daq.robot.schema import JointLimits
 from drivers.streams import FloatArray
 from ident.excite.constraints.joint_limits import JointMotionLimits
 from ident.excite.criteria import Criterion

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.workspace import Box, HalfSpace, Workspace
+from daq.robot.workspace import Box, HalfSpace, Workspace
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
 from ident.excite.constraints.collision_geometry import DISTANCE_SCALE, ArmGeometry

@@ -8,10 +8,10 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from daq.fourier_quintic import FourierQuintic
-from daq.robot import JointLimits
-from daq.trajectories import FourierSeries, Motion, RestToRest
-from daq.trajectory_file import FourierQuinticTrajectory, FourierTrajectory, Trajectory
+from daq.motion.fourier_quintic import FourierQuintic
+from daq.motion.trajectories import FourierSeries, Motion, RestToRest
+from daq.motion.trajectory_file import FourierQuinticTrajectory, FourierTrajectory, Trajectory
+from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.families.moving_joints import MovingJoints, check_count, check_positive, unwrapped

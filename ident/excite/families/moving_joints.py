@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.robot import JointLimits
-from daq.trajectories import Motion, RestToRest
+from daq.motion.trajectories import Motion, RestToRest
+from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.path import Path

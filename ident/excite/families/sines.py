@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.robot import JointLimits
-from daq.trajectories import Motion, RestToRest, SumOfSines
-from daq.trajectory_file import SinesTrajectory, Trajectory
+from daq.motion.trajectories import Motion, RestToRest, SumOfSines
+from daq.motion.trajectory_file import SinesTrajectory, Trajectory
+from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.families.bounded import from_share, to_share

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from daq.robot import JointLimits, RobotFile
-from daq.trajectories import Motion, RestToRest
+from daq.motion.trajectories import Motion, RestToRest
+from daq.robot.loader import RobotFile
+from daq.robot.schema import JointLimits
 from drivers.streams import FloatArray
 from ident.excite.constraints.placements import place_arm, tool_point
 from ident.excite.path import Path

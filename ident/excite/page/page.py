@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from daq.robot import RobotFile
-from daq.trajectories import Motion
+from daq.motion.trajectories import Motion
+from daq.robot.loader import RobotFile
 from ident.excite.figures import ExcitationFigures
 from ident.excite.page.figures import arm_figure, joints_figure, shown_part, tool_figure
 from ident.excite.prior import Prior

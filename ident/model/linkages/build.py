@@ -13,8 +13,8 @@ from itertools import product
 
 import numpy as np
 
-from daq.loops import Loop
-from daq.robot import Robot
+from daq.robot.loops import Loop
+from daq.robot.schema import Robot
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
 from ident.model.joints import Joint, Placement

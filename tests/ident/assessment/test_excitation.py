@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.recording import JOINTS_STREAM
+from daq.recording.recording import JOINTS_STREAM
 from ident.assessment.excitation import ExcitationReached, excitation_reached
 from ident.assessment.recorded_motion import recorded_motion
 from ident.model.dynamics import build_model
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 
 def recording_of(robot_file, motion, seconds: float = 12.0):

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.robot import load_robot, parse_robot
+from daq.robot.loader import load_robot, parse_robot
 from ident.assessment.plausibility import indefinite_share, inertia_matrices, sign_warnings
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamics import build_model, truth_vector
 from ident.model.pinocchio_model import pinocchio_model
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 
 @pytest.mark.parametrize("name", ["ur5e", "rocr6", "aubo_i5", "panda"])

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.recording import JOINTS_STREAM, Recording
-from daq.robot import load_robot
+from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.robot.loader import load_robot
 from ident.assessment.delay import search_delay
 from ident.assessment.excitation import excitation_reached
 from ident.assessment.recorded_motion import recorded_motion
@@ -17,8 +17,8 @@ from ident.excite.sufficiency import OWN_TORQUE, motion_sufficiency
 from ident.model.dynamics import build_model
 from ident.regression.observation_matrix import reduce_segments
 from ident.signals.pipeline import prepare
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ import pytest
 import yaml
 from kinematic_arm import ROBOT_FILE
 
-from daq.connections import driver_settings
-from daq.trajectory_file import parse_trajectory
-from drivers.can_budget import Budget, connection_budget, synchronous_cycle
-from drivers.can_frames.settings import parse_settings as parse_frames
+from daq.motion.trajectory_file import parse_trajectory
+from daq.session.connections import driver_settings
+from drivers.bus_budget import Budget, connection_budget, synchronous_cycle
+from drivers.can_signals.settings import parse_settings as parse_frames
 from drivers.canopen402.settings import parse_settings as parse_canopen
 from drivers.serial_thermometer.settings import parse_settings as parse_thermometer
 

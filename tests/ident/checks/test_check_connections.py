@@ -12,8 +12,8 @@ from typing import ClassVar
 import pytest
 from kinematic_arm import KinematicArm
 
-from daq import session
-from daq.robot import load_robot, parse_robot
+from daq.robot.loader import load_robot, parse_robot
+from daq.session import session
 from drivers.base import DRIVERS_GROUP, Notice
 from drivers.errors import ConnectionFailedError, RobotFileError, UsageError
 from drivers.streams import ChannelLayout, StreamLayout

@@ -10,12 +10,12 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.recording import write_recording
-from daq.robot import load_robot
+from daq.recording.writer import write_recording
+from daq.robot.loader import load_robot
 from dynid import command
 from ident.model.dynamics import build_model
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 RATE = 125.0
 

@@ -10,7 +10,7 @@ import h5py
 import pytest
 from loaded_arm import runs
 
-from daq.recording import write_recording
+from daq.recording.writer import write_recording
 from dynid import command
 from ident.model.parameters import INERTIAL
 

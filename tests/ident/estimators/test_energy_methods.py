@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from sampled_arm import sampled
 
-from daq.recording import JOINTS_STREAM, Recording
-from daq.robot import load_robot, parse_robot
-from daq.trajectories import FourierSeries
+from daq.motion.trajectories import FourierSeries
+from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import DataError, UsageError
 from ident.assessment.plausibility import CLEARLY_SMALLER, critical_variance_ratio
 from ident.estimators.energy_equations import energy_jackknife, reduce_energy
@@ -40,8 +40,8 @@ from ident.regression.jackknife import FilteredRun
 from ident.regression.least_squares import excited_columns, ordinary_least_squares
 from ident.signals.filters import butterworth, no_filter
 from ident.signals.pipeline import PreprocessChoices
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 METHODS = ("energy", "power")
 

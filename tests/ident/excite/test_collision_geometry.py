@@ -8,7 +8,7 @@ import struct
 import numpy as np
 import pytest
 
-from daq.robot import load_robot, parse_robot
+from daq.robot.loader import load_robot, parse_robot
 from ident.excite.constraints.capsules import box_capsules, enclosing_capsule
 from ident.excite.constraints.collision_geometry import arm_geometry
 from ident.model.dynamics import build_model

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import yaml
 
-from daq.robot import load_robot
-from daq.trajectories import motion_extremes
-from daq.trajectory_file import load_trajectory
+from daq.motion.trajectories import motion_extremes
+from daq.motion.trajectory_file import load_trajectory
+from daq.robot.loader import load_robot
 from dynid import command
 from ident.excite import design as design_module
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.robot import load_robot, parse_robot
+from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import UsageError
 from ident.excite.constraints.constraints import constraints_of
 from ident.model.base_parameters import base_parameters

@@ -7,8 +7,8 @@ import functools
 import numpy as np
 import pytest
 
-from daq.robot import load_robot
-from daq.trajectories import check_limits, check_rest
+from daq.motion.trajectories import check_limits, check_rest
+from daq.robot.loader import load_robot
 from drivers.errors import UsageError
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices

@@ -8,9 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from daq.robot import JointLimits, load_robot
-from daq.trajectories import RestToRest, check_limits
-from daq.trajectory_file import dump_trajectory, parse_trajectory
+from daq.motion.trajectories import RestToRest, check_limits
+from daq.motion.trajectory_file import dump_trajectory, parse_trajectory
+from daq.robot.loader import load_robot
+from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from ident.excite.families.families import FourierFamily, FourierQuinticFamily, PointsFamily, SinesFamily
 

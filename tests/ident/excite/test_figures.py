@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.trajectories import RestToRest, motion_extremes
+from daq.motion.trajectories import RestToRest, motion_extremes
 from drivers.streams import FloatArray
 from ident.excite import figures as module
 from ident.excite.figures import excitation_figures
@@ -15,7 +15,7 @@ from ident.excite.prior import find_prior
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model
 from ident.model.regressor import model_torque, regressor
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 RATE = 200.0  # of the three-joint arm's truth
 

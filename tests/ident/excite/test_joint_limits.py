@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from path_derivatives import assert_derivatives, assert_upper_bound, random_path
 
-from daq.robot import JointLimits
+from daq.robot.schema import JointLimits
 from ident.excite.constraints.joint_limits import JointMotionLimits
 from ident.excite.path import Path
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from html_page import Page
 
-from daq.robot import RobotFile, parse_robot
-from daq.trajectories import RestToRest
+from daq.motion.trajectories import RestToRest
+from daq.robot.loader import RobotFile, parse_robot
 from drivers.errors import UsageError
 from ident.excite.figures import excitation_figures
 from ident.excite.page.figures import FRAMES, arm_figure, shown_part
@@ -18,7 +18,7 @@ from ident.excite.page.page import render_page, write_page
 from ident.excite.prior import Prior, find_prior
 from ident.model.dynamics import build_model
 from ident.model.pinocchio_model import pinocchio_model
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 NOTES = [("Kind", "fourier"), ("Criterion", "condition: 4.2")]
 WORKSPACE = "workspace:\n  tool: [0.4, 0, 0.1]\n  radius: [0.05, 2]\n  height: [-1, 2]\n"

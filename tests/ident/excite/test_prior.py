@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.robot import RobotFile, load_robot, parse_robot
+from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.errors import ResultFileError, UsageError
 from ident.excite.prior import find_prior, recording_rate
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
@@ -16,8 +16,8 @@ from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model, truth_vector
 from ident.result.schema import Result, write_result
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from path_derivatives import assert_derivatives, assert_upper_bound, random_path
 
-from daq.robot import builtin_robots, load_robot, parse_robot
-from daq.workspace import Workspace
+from daq.robot.loader import builtin_robots, load_robot, parse_robot
+from daq.robot.workspace import Workspace
 from ident.excite.constraints.capsules import Capsule
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry, tube_capsules
 from ident.excite.constraints.self_collision import SelfCollision, link_pairs

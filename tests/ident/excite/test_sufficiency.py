@@ -10,16 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.recording import JOINTS_STREAM, Recording, write_recording
-from daq.robot import RobotFile, parse_robot
+from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.recording.writer import write_recording
+from daq.robot.loader import RobotFile, parse_robot
 from drivers.errors import UsageError
 from dynid import command
 from ident.assessment.recorded_motion import recorded_motion
 from ident.excite.sufficiency import OWN_TORQUE, Sufficiency, check_wanted_rsd, motion_sufficiency, times_needed
 from ident.model.dynamics import build_model
 from ident.regression.pruning import SIGNIFICANT_RSD
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 
 def recording_of(robot_file: RobotFile, seconds: float, seed: int = 1) -> Recording:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from daq.robot import load_robot
-from daq.trajectories import PointToPoint
+from daq.motion.trajectories import PointToPoint
+from daq.robot.loader import load_robot
 from ident.excite.constraints.surroundings import surroundings_warning
 from ident.model.dynamics import build_model
 from ident.model.pinocchio_model import pinocchio_model

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from path_derivatives import assert_derivatives, assert_upper_bound, random_path
 
-from daq.robot import JointLimits
+from daq.robot.schema import JointLimits
 from ident.excite.constraints import torque_limits
 from ident.excite.constraints.torque_limits import TorqueLimits
 from ident.model.base_parameters import base_parameters

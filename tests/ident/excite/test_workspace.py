@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from path_derivatives import assert_derivatives, assert_upper_bound, random_path
 
-from daq.robot import parse_robot
-from daq.workspace import Box, Workspace
+from daq.robot.loader import parse_robot
+from daq.robot.workspace import Box, Workspace
 from drivers.errors import RobotFileError
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry, tube_capsules
 from ident.excite.constraints.workspace import WorkspaceLimits, box_distances

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from loaded_arm import HIDDEN, LOAD, arm_runs, runs
 
-from daq.recording import Channel
-from daq.robot import load_robot, parse_robot
-from daq.trajectories import FourierSeries
+from daq.motion.trajectories import FourierSeries
+from daq.recording.recording import Channel
+from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import DataError
 from ident.experiments.drive_gains import identify_gains
 from ident.experiments.payload_summary import drives_text, gains_result
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model, truth_vector
 from ident.model.load import KnownLoad
-from sim_drivers.altered_arm import with_gains, with_load
-from sim_drivers.measurement import simulate_recording
+from sim_drivers.plant.altered_arm import with_gains, with_load
+from sim_drivers.synthetic.measurement import simulate_recording
 
 SEEDS = range(4)
 TRUE = np.array([load_robot("ur10e").robot.drive(name).gain * factor for name, factor in HIDDEN.items()])

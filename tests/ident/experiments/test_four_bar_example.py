@@ -8,10 +8,10 @@ from types import ModuleType
 
 import pytest
 
-from daq.robot import load_robot
+from daq.robot.loader import load_robot
 from ident.model.dynamics import build_model
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 
 @pytest.fixture(scope="module")

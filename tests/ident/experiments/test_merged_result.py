@@ -7,8 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from daq.recording import JOINTS_STREAM, read_recording, write_recording
-from daq.robot import parse_robot
+from daq.recording.reader import read_recording
+from daq.recording.recording import JOINTS_STREAM
+from daq.recording.writer import write_recording
+from daq.robot.loader import parse_robot
 from drivers.errors import DataError, ResultFileError, UsageError
 from ident.experiments.merged_result import merge_results
 from ident.identify.identification import IdentifyChoices, ModelChoices
@@ -21,9 +23,9 @@ from ident.regression.observability import ExperimentChoices
 from ident.report.page import render_report
 from ident.report.section import ReportData
 from ident.result.schema import read_result, result_json, write_result
-from sim_drivers.altered_arm import with_load
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.plant.altered_arm import with_load
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 SECONDS = 25.0
 

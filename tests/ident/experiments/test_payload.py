@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from loaded_arm import LOAD, RATE, runs
 
-from daq.robot import load_robot, parse_robot
+from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import DataError, UsageError
 from ident.experiments.payload import identify_payload
 from ident.experiments.payload_summary import payload_result, payload_sentences
@@ -16,8 +16,8 @@ from ident.model.dynamics import build_model
 from ident.model.load import KnownLoad
 from ident.model.parameters import INERTIAL
 from ident.regression.hypothesis_tests import chi_square_test
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 SEEDS = range(4)
 

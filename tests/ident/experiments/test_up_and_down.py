@@ -14,11 +14,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.recording import JOINTS_STREAM, Recording
-from daq.recording_writer import write_recording
-from daq.robot import RobotFile, load_robot, parse_robot
-from daq.trajectories import PointToPoint
-from daq.trajectory_file import parse_trajectory
+from daq.motion.trajectories import PointToPoint
+from daq.motion.trajectory_file import parse_trajectory
+from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.recording.writer import write_recording
+from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.errors import DataError, IdentificationError
 from dynid import command
 from ident.experiments.drive_gains import identify_gains
@@ -29,8 +29,8 @@ from ident.model.dynamics import build_model, truth_vector
 from ident.model.load import KnownLoad
 from ident.model.regressor import model_torque
 from ident.signals.prepared import Segment
-from sim_drivers.altered_arm import with_gains, with_load
-from sim_drivers.measurement import simulate_recording
+from sim_drivers.plant.altered_arm import with_gains, with_load
+from sim_drivers.synthetic.measurement import simulate_recording
 
 LOAD = KnownLoad(2.0, (0.08, 0.03, 0.05), (0.004, 0.0, 0.0, 0.004, 0.0, 0.003))
 HIDDEN = {"j1": 1.1, "j2": 0.9, "j3": 1.05}

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.recording import JOINTS_STREAM, Recording
-from daq.robot import load_robot, parse_robot
+from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import DataError, IdentificationError, RecordingError, UsageError
 from ident.assessment.validation import HELD_OUT_SHARE
 from ident.identify.identification import IdentifyChoices, ModelChoices
@@ -18,8 +18,8 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model, truth_vector
 from ident.regression.observability import ExperimentChoices
 from ident.signals.pipeline import PreprocessChoices
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 SLIGHTLY = 3e-3
 """Share of a random motion's amplitude that is motion, but slower than what counts as such."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.recording import JOINTS_STREAM, Event
+from daq.recording.recording import JOINTS_STREAM, Event
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.played_motion import MOTION_BEGINS, MOTION_ENDS, played_window
@@ -15,8 +15,8 @@ from ident.identify.revalidate import revalidate
 from ident.identify.summary import summarise
 from ident.model.dynamics import build_model
 from ident.regression.observability import ExperimentChoices
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 APPROACH = 4.0
 

@@ -15,8 +15,8 @@ from ident.identify.summary import summarise
 from ident.model.dynamics import build_model
 from ident.result.schema import read_result, result_json
 from ident.signals.pipeline import PreprocessChoices
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def test_flags_for_another_number_of_joints_are_refused(result, recordings):
 
 
 def test_a_recording_of_another_arm_is_refused(result):
-    from daq.robot import load_robot
+    from daq.robot.loader import load_robot
 
     other = load_robot("ur5e")
     recording = simulate_recording(other, random_fourier_motion(build_model(other), 10.0, 1), 3.0, 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.robot import load_robot
+from daq.robot.loader import load_robot
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamics import build_model
 from ident.model.regressor import regressor

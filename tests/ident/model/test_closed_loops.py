@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from loop_arms import four_bar_arm, spatial_arm, spherical_arm
 
-from daq.robot import RobotFile, load_robot, parse_robot
+from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.errors import DataError
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamics import DynamicModel, build_model

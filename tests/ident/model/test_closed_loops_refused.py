@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from loop_arms import FOUR_BAR, four_bar_arm, spatial_arm
 
-from daq.robot import parse_robot
+from daq.robot.loader import parse_robot
 from drivers.errors import RobotFileError
 from ident.model.dynamics import build_model
 from ident.model.linkages.closed_loops import ClosedLoops

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.robot import load_robot, parse_robot
+from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import UsageError
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model, truth_vector
 from ident.model.load import KnownLoad, load_columns, load_effect, moved_origin
 from ident.model.parameters import INERTIAL, link_parameters
-from sim_drivers.altered_arm import with_load
+from sim_drivers.plant.altered_arm import with_load
 
 MASS, COM, INERTIA = 2.8, (0.03, -0.02, 0.08), (0.01, 0.001, 0.0, 0.012, 0.0, 0.009)
 

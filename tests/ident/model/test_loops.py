@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.robot import RobotFile, load_robot, parse_robot
+from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.errors import RobotFileError
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.plausibility import inertia_matrices
@@ -269,7 +269,7 @@ def test_friction_of_a_coupled_motor_counts_when_any_of_its_joints_moves(
     base = base_parameters(model)
     velocity = np.zeros((6, 10))
     velocity[3] = 1.0  # joint 5 moves, joint 6 does not
-    part = SimpleNamespace(choices=SimpleNamespace(rest_velocity=0.1), segments=[SimpleNamespace(velocity=velocity)])
+    part = SimpleNamespace(rest_velocity=0.1, segments=[SimpleNamespace(velocity=velocity)])
     monkeypatch.setattr("ident.assessment.excitation.excited_columns", lambda reduction: tuple(range(base.count)))
     found = excited_base_columns(None, base, [part])  # type: ignore[arg-type, list-item]
     rubbing = [base.names[i] for i in found if base.names[i].startswith("F")]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.robot import parse_robot
+from daq.robot.loader import parse_robot
 from drivers.errors import RobotFileError
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model, truth_vector
@@ -73,7 +73,7 @@ def test_truth_needs_a_link_for_every_joint(ur_like):
 
 
 def test_mdh_frames_are_khalil_kleinfinger(random_tree):
-    from daq.robot import MdhRow
+    from daq.robot.schema import MdhRow
     from ident.model.mdh import mdh_placement
 
     row = MdhRow(joint="j", gamma=0.3, b=0.1, alpha=0.7, d=0.2, theta0=-0.4, r=0.5)

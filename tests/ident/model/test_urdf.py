@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.robot import parse_robot
+from daq.robot.loader import parse_robot
 from drivers.errors import RobotFileError
 from ident.model.dynamics import build_model
 from ident.model.regressor import regressor

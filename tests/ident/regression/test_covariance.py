@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ident.regression.jackknife
-from daq.robot import RobotFile, parse_robot
+from daq.robot.loader import RobotFile, parse_robot
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
@@ -30,8 +30,8 @@ from ident.regression.least_squares import LeastSquares, excited_columns, ordina
 from ident.regression.observation_matrix import reduce_segments
 from ident.signals.filters import no_filter
 from ident.signals.pipeline import Segment
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 
 def corrected_covariance(

@@ -10,15 +10,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.recording import Event, read_recording, write_recording
+from daq.recording.reader import read_recording
+from daq.recording.recording import Event
+from daq.recording.writer import write_recording
 from drivers.errors import ResultFileError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.summary import judgement, summarise
 from ident.model.dynamics import build_model
 from ident.result.schema import UNITS, file_sha256, read_result, result_json, write_result
-from sim_drivers.measurement import simulate_recording
-from sim_drivers.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,7 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import typer
+
+JSON = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there.")

@@ -1,0 +1,134 @@
+"""The command `dynid record`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from daq.commands.options import JSON
+
+if TYPE_CHECKING:
+    from daq.session.session import SessionReport
+
+TERMINATED_STATUS = 128 + 15
+"""Exit status after SIGTERM, as shells have it; the arm is stopped and the file closed first."""
+
+app = typer.Typer()
+
+
+@app.command("record")
+def record_command(
+    robot: str = typer.Argument(help="Built-in robot or robot file."),
+    wire: str = typer.Option(None, "--wire", help="Connection of the robot file; its first one if absent."),
+    host: str = typer.Option(None, "--host", help="Address in place of the connection's own."),
+    trajectory: Path = typer.Option(None, "--trajectory", help="Trajectory file to play; the arm will move."),
+    duration: float = typer.Option(None, "--duration", help="Record for so many seconds without moving the arm."),
+    out: Path = typer.Option(..., "-o", "--out", help="Recording to write (.h5)."),
+    comment: str = typer.Option("", "--comment", help="Your words, kept in the recording."),
+    force: bool = typer.Option(False, "--force", help="Overwrite the output file."),
+    realtime: bool = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs the right to it)."),
+    no_ui: bool = typer.Option(False, "--no-ui", help="No live status on stderr."),
+    as_json: bool = JSON,
+) -> None:
+    """Play a trajectory and record it, or record whatever moves the arm.
+
+    Example: dynid record ur5e --trajectory traj.yaml -o run.h5
+    """
+    import math
+    import sys
+
+    from daq.live.terminal_view import live_view
+    from daq.motion.trajectory_file import load_trajectory
+    from daq.recording.recorder import Recorder, require_room
+    from daq.recording.writer import require_writable
+    from daq.robot.loader import load_robot
+    from daq.session.bus_room import session_warnings
+    from daq.session.realtime import ask_for_realtime
+    from daq.session.session import INTERRUPTED, TERMINATED, Play, load_driver, record
+    from daq.session.supervisor import Limits, Supervisor
+    from drivers.clock import SYSTEM_CLOCK
+    from drivers.errors import INTERRUPTED_STATUS, UsageError
+
+    if (trajectory is None) == (duration is None):
+        raise UsageError("give either --trajectory or --duration")
+    if duration is not None and not 0 < duration < float("inf"):
+        raise UsageError(f"--duration {duration:g} is not a positive number of seconds")
+    robot_file = load_robot(robot)
+    played = load_trajectory(trajectory, robot_file.robot) if trajectory is not None else None
+    clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
+    driver, rate = load_driver(robot_file.robot, wire, host, robot_file.folder, clock)
+    warnings = session_warnings(robot_file, wire)
+    require_writable(out, overwrite=force)
+    require_room(out)
+    if realtime:
+        ask_for_realtime()
+    for warning in warnings:
+        print(f"dynid: warning: {warning}", file=sys.stderr)
+    try:  # only now is the wire touched
+        driver.open()
+        layouts = driver.streams()
+        rate = next((layout.rate for layout in layouts if layout.name == "joints" and layout.rate > 0), rate)
+        if played is not None and rate <= 0:
+            raise UsageError("the connection has no 'rate', so no motion can be played", where=robot)
+        recorder = Recorder(
+            out,
+            robot_file,
+            layouts,
+            trajectory=played.text if played is not None else "",
+            comment=comment,
+            overwrite=force,
+            clock=clock,
+        )
+        for warning in warnings:
+            recorder.event(math.nan, "warning", "session", warning)
+        limits = Limits.of_robot(robot_file.robot)
+        supervisor = Supervisor(limits, layouts)
+        play = Play(played.motion, robot_file.robot, rate) if played is not None else None
+        shown = sys.stderr.isatty() and not (no_ui or as_json)
+        with live_view(shown=shown, limits=limits, recorder=recorder, clock=clock) as view:
+            report = record(driver, recorder, supervisor, play, duration, view, clock)
+    finally:
+        driver.close()
+    _report_session(out, report, as_json)
+    if report.error is None and report.stopped_by == INTERRUPTED:
+        raise typer.Exit(INTERRUPTED_STATUS)
+    if report.error is None and report.stopped_by == TERMINATED:
+        print("dynid: terminated", file=sys.stderr)
+        raise typer.Exit(TERMINATED_STATUS)
+    if report.error is not None:
+        print(f"dynid: {report.error}", file=sys.stderr)
+        raise typer.Exit(report.error.exit_status)
+
+
+def _report_session(out: Path, report: SessionReport, as_json: bool) -> None:
+    from dataclasses import asdict
+
+    from daq.commands.console import print_json
+    from daq.recording.reader import read_recording
+    from daq.recording.stream_quality import StreamQuality, stream_quality
+    from drivers.errors import RecordingError
+
+    qualities: dict[str, StreamQuality] = {}
+    try:
+        recording = read_recording(out)
+        qualities = {name: stream_quality(stream.time) for name, stream in recording.streams.items()}
+    except RecordingError:
+        if report.error is None:  # otherwise that error is what to tell
+            raise
+    punctuality = asdict(report.punctuality) if report.punctuality is not None else None
+    if as_json:
+        streams = {name: asdict(quality) for name, quality in qualities.items()}
+        stopped = {"file": str(out), "streams": streams, "stopped_by": report.stopped_by}
+        print_json({**stopped, "overflow": report.overflow, "punctuality": punctuality})
+        return
+    for name, quality in qualities.items():
+        print(f"{out}: {name}: {quality.samples} samples at {quality.rate_hz:.4g} Hz, {quality.lost} lost")
+    if report.punctuality is not None:
+        late = report.punctuality
+        print(
+            f"positions sent late by {late.p50_ms:.2f} ms (median), {late.p99_ms:.2f} (99 %), {late.max_ms:.2f} (most)"
+        )
+        if report.punctuality.delayed_ms > 0:
+            print(f"the motion was resumed after stalls of this computer: {report.punctuality.delayed_ms:.0f} ms later")

@@ -1,0 +1,258 @@
+"""The live view of a recording: a process of its own draws on stderr what the acquisition writes into a pipe.
+
+The acquisition never waits for it: what the pipe cannot take is dropped, and a display that died is forgotten. The
+pipe's end is also the display's: it leaves when the recording says so or is gone, never because of Ctrl-C, which the
+terminal sends to both.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import select
+import signal
+import sys
+from collections import deque
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from daq.recording.recorder import Recorder
+from daq.recording.recording import JOINTS_STREAM
+from daq.session.realtime import give_realtime_back
+from daq.session.supervisor import Limits
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.streams import Block, FloatArray
+
+if TYPE_CHECKING:
+    from rich.console import Group
+
+PERIOD = 0.2
+"""Between two pictures [s]."""
+RATE_PICTURES = 6
+"""Pictures over which a rate is taken: one second."""
+MESSAGE_LIMIT = 4096
+"""Bytes that Linux writes into a pipe as a whole or not at all."""
+LEAVE_LIMIT = 2.0
+"""How long [s] the display may take to leave before it is killed."""
+
+
+@dataclass(frozen=True)
+class StreamStatus:
+    """One stream: its rate over the last second [Hz, host clock], samples so far, samples lost so far."""
+
+    name: str
+    rate: float
+    samples: int
+    lost: int
+
+
+@dataclass(frozen=True)
+class Status:
+    """One picture of a recording.
+
+    Attributes:
+        state: in words.
+        elapsed, total: [s].
+        streams: of the source.
+        torque_share, torque_joint: largest share of its limit that a torque has had; None where unknown.
+        temperature, temperature_joint: highest of the latest sample [°C]; None where unknown.
+        backlog: samples that wait for the disk [B].
+        overflow: samples that were dropped because the disk did not keep up.
+    """
+
+    state: str
+    elapsed: float
+    total: float
+    streams: tuple[StreamStatus, ...]
+    torque_share: float | None
+    torque_joint: str
+    temperature: float | None
+    temperature_joint: str
+    backlog: int
+    overflow: int
+
+
+class Publisher:
+    """What a session tells how it goes; never blocks and never raises.
+
+    Args:
+        pipe: file descriptor of a pipe's writing end; it is made non-blocking.
+        limits: of the arm.
+        recorder: whose backlog is told.
+        clock: the host's.
+    """
+
+    def __init__(self, pipe: int, limits: Limits, recorder: Recorder, clock: Clock = SYSTEM_CLOCK) -> None:
+        os.set_blocking(pipe, False)
+        self._pipe = pipe
+        self._limits = limits
+        self._recorder = recorder
+        self._clock = clock
+        self._samples: dict[str, int] = {}
+        self._lost: dict[str, int] = {}
+        self._torque: tuple[float, str] | None = None
+        self._temperature: tuple[float, str] | None = None
+        self._past: deque[tuple[float, Mapping[str, int]]] = deque(maxlen=RATE_PICTURES)
+        self._sent = -np.inf
+
+    def take(self, block: Block) -> None:
+        """Note a block."""
+        with suppress(Exception):  # a display must not stop an arm
+            self._samples[block.stream] = self._samples.get(block.stream, 0) + len(block.time)
+            self._lost[block.stream] = self._lost.get(block.stream, 0) + block.lost
+            if block.stream == JOINTS_STREAM and len(block.time):
+                self._take_joints(block.values)
+
+    def show(self, state: str, elapsed: float, total: float) -> None:
+        """Send a picture, at most one a period; `elapsed` of `total` [s]."""
+        now = self._clock.now()
+        if now - self._sent < PERIOD:
+            return
+        self._sent = now
+        with suppress(Exception):  # the pipe is full, or the display is gone
+            message = json.dumps(asdict(self.status(state, elapsed, total, now))).encode() + b"\n"
+            if len(message) <= MESSAGE_LIMIT:
+                os.write(self._pipe, message)
+
+    def status(self, state: str, elapsed: float, total: float, now: float) -> Status:
+        """The picture at `now` [s, host clock]."""
+        self._past.append((now, dict(self._samples)))
+        before, counts = self._past[0]
+        passed = now - before
+        streams = tuple(
+            StreamStatus(name, (count - counts.get(name, 0)) / passed if passed > 0 else 0.0, count, self._lost[name])
+            for name, count in self._samples.items()
+        )
+        share, torque_joint = self._torque or (None, "")
+        temperature, temperature_joint = self._temperature or (None, "")
+        backlog, overflow = self._recorder.backlog, self._recorder.overflow
+        return Status(
+            state,
+            elapsed,
+            total,
+            streams,
+            share,
+            torque_joint,
+            temperature,
+            temperature_joint,
+            backlog,
+            overflow,
+        )
+
+    def _take_joints(self, values: Mapping[str, FloatArray]) -> None:
+        limits = self._limits
+        torque = values.get("torque")
+        if torque is None and "current" in values:
+            torque = values["current"] * limits.torque_per_current
+        if torque is not None:
+            shares = np.abs(torque).max(axis=0) / limits.torque
+            found = _largest(np.where(np.isinf(limits.torque), np.nan, shares), limits.joints)
+            if found is not None and (self._torque is None or found[0] > self._torque[0]):
+                self._torque = found
+        if "temperature" in values:
+            self._temperature = _largest(values["temperature"][-1], limits.joints)
+
+
+def _largest(values: FloatArray, joints: tuple[str, ...]) -> tuple[float, str] | None:
+    if not np.isfinite(values).any():
+        return None
+    joint = int(np.argmax(np.where(np.isfinite(values), values, -np.inf)))
+    return float(values[joint]), joints[joint]
+
+
+@contextmanager
+def live_view(
+    *, shown: bool, limits: Limits, recorder: Recorder, clock: Clock = SYSTEM_CLOCK
+) -> Iterator[Publisher | None]:
+    """A display in a process of its own and what feeds it; None where nothing is to be shown."""
+    if not shown:
+        yield None
+        return
+    context = multiprocessing.get_context("spawn")
+    reader, writer = context.Pipe(duplex=False)
+    process = context.Process(target=draw, args=(reader,), name="dynid live view", daemon=True)
+    # Blocked, not ignored: the display inherits the mask from its first instruction on, and this process gets a
+    # Ctrl-C of this moment a little later. The tracker, where it starts, would lift the mask: it must run before.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        process.start()
+        started = True
+    except OSError:  # no room for another process: a recording goes on without a display
+        started = False
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    reader.close()
+    try:
+        yield Publisher(writer.fileno(), limits, recorder, clock) if started else None
+    finally:
+        writer.close()
+        if started:
+            _leave(process)
+
+
+def _leave(process: BaseProcess) -> None:
+    process.join(LEAVE_LIMIT)
+    if process.is_alive():
+        process.kill()
+        process.join()
+
+
+def draw(reader: Connection) -> None:
+    """Draw on stderr every picture that arrives, until the pipe ends; the display's process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    give_realtime_back()
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
+
+    with Live(Text("recording begins"), console=Console(file=sys.stderr), auto_refresh=False) as live:
+        for status in _pictures(reader.fileno()):
+            live.update(picture(status), refresh=True)
+
+
+def _pictures(pipe: int) -> Iterator[Status]:
+    """The newest picture whenever something has arrived, until the pipe ends."""
+    rest = b""
+    while True:
+        select.select([pipe], [], [])  # the display's own process has nothing else to wait for
+        received = os.read(pipe, 16 * MESSAGE_LIMIT)
+        if not received:
+            return
+        *lines, rest = (rest + received).split(b"\n")
+        if lines:
+            content = json.loads(lines[-1])
+            streams = tuple(StreamStatus(**stream) for stream in content.pop("streams"))
+            yield Status(streams=streams, **content)
+
+
+def picture(status: Status) -> Group:
+    """A status as lines of text and a bar."""
+    from rich.console import Group
+    from rich.progress_bar import ProgressBar
+    from rich.table import Table
+    from rich.text import Text
+
+    head = Table.grid(padding=(0, 1))
+    bar = ProgressBar(total=max(status.total, 1e-9), completed=min(status.elapsed, status.total), width=30)
+    head.add_row(Text(status.state), bar, Text(f"{status.elapsed:.1f} of {status.total:.1f} s; Ctrl-C stops"))
+    streams = [
+        Text(f"{s.name}: {s.rate:.1f} Hz, {s.samples} samples, {s.lost} lost", style="red" if s.lost else "")
+        for s in status.streams
+    ]
+    arm = []
+    if status.torque_share is not None:
+        arm.append(f"largest torque so far {100 * status.torque_share:.0f} % of its limit ({status.torque_joint})")
+    if status.temperature is not None:
+        arm.append(f"hottest {status.temperature:.1f} °C ({status.temperature_joint})")
+    disk = f"waiting for the disk {status.backlog / 2**10:.0f} KiB, dropped {status.overflow} samples"
+    lines = [Text("; ".join(arm))] if arm else []
+    return Group(head, *streams, *lines, Text(disk, style="red" if status.overflow else ""))

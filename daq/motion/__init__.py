@@ -1,0 +1,1 @@
+"""Motions from formulas and files, and the player that sends them."""

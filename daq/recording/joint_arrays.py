@@ -1,0 +1,132 @@
+"""Arrays that become a recording: their shapes, their stamps, and whether they look like SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.recording.unit_plausibility import DEGREES, beyond_reach, displacement_ratios, near
+from daq.robot.loader import RobotFile
+from drivers.errors import DataError
+from drivers.streams import FloatArray
+
+SLOWEST, FASTEST = 1.0, 20_000.0
+"""Plausible sampling rates of a robot arm [Hz]."""
+
+WHERE = "Recording.from_arrays"
+
+
+@dataclass(frozen=True)
+class JointArrays:
+    """Checked arrays: `time` (N,) [s], strictly rising; `values` quantity → (N, n), units as in `drivers.streams`."""
+
+    time: FloatArray
+    values: Mapping[str, FloatArray]
+
+
+def joint_arrays(robot_file: RobotFile, time: npt.ArrayLike, given: Mapping[str, npt.ArrayLike | None]) -> JointArrays:
+    """Check arrays of joint signals.
+
+    Args:
+        robot_file: whose joints they belong to, in that order.
+        time: (N,) [s].
+        given: quantity → (N, n), or None where it was not recorded; `position` must be there.
+
+    Raises:
+        DataError: names the array, the sample and the joint, and what to do.
+    """
+    names = robot_file.robot.joint_names
+    stamps = _numbers("time", time)
+    if stamps.ndim != 1:
+        raise _refusal("time", f"has shape {stamps.shape}; (N,) is needed")
+    if len(stamps) < 2:
+        raise _refusal("time", f"holds {len(stamps)} sample(s); at least 2 are needed")
+    values = {}
+    for quantity, array in given.items():
+        if array is not None:
+            values[quantity] = _checked(quantity, _numbers(quantity, array), len(stamps), names)
+    _check_time(stamps)
+    _check_units(robot_file, stamps, values)
+    return JointArrays(stamps, values)
+
+
+def _refusal(name: str, message: str, hint: str = "") -> DataError:
+    return DataError(message, where=f"{WHERE}: {name}", hint=hint)
+
+
+def _numbers(name: str, values: npt.ArrayLike) -> FloatArray:
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise _refusal(name, "does not consist of numbers in equal rows") from error
+
+
+def _checked(name: str, values: FloatArray, count: int, joints: tuple[str, ...]) -> FloatArray:
+    expected = (count, len(joints))
+    if len(joints) == 1 and values.shape == (count,):
+        values = values[:, None]
+    if values.shape != expected:
+        if values.shape == expected[::-1]:
+            hint = f"it is transposed: give {name}.T, time first, joints last"
+        else:
+            hint = f"a row a sample, a column a joint: {', '.join(joints)}"
+        raise _refusal(name, f"has shape {values.shape}; {expected} is needed", hint)
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        samples = len(np.unique(bad[:, 0]))
+        raise _refusal(
+            name,
+            f"{samples} of {count} samples have NaN or infinite values, first sample {bad[0, 0]}, joint "
+            f"{joints[bad[0, 1]]}",
+            "leave these samples out of all arrays; the gap in time is recognised",
+        )
+    return values
+
+
+def _check_time(time: FloatArray) -> None:
+    bad = np.flatnonzero(~np.isfinite(time))
+    if len(bad):
+        raise _refusal("time", f"is not finite at sample {bad[0]}")
+    steps = np.diff(time)
+    wrong = np.flatnonzero(steps <= 0)
+    if len(wrong):
+        first = int(wrong[0]) + 1
+        repeats = steps[wrong[0]] == 0
+        raise _refusal(
+            "time",
+            f"{'repeats the stamp before' if repeats else 'goes backward'} at sample {first} ({time[first]:.9g} s), "
+            f"{len(wrong)} times in all",
+            "keep the first of each" if repeats else "sort all arrays by time, or give each run as its own recording",
+        )
+    rate = 1.0 / float(np.median(steps))
+    if not SLOWEST <= rate <= FASTEST:
+        units = {unit: rate * factor for unit, factor in (("ms", 1e3), ("µs", 1e6), ("ns", 1e9))}
+        fitting = next((unit for unit, there in units.items() if SLOWEST <= there <= FASTEST), None)
+        hint = f"the stamps look like {fitting}; give seconds" if fitting else "give seconds"
+        raise _refusal("time", f"{rate:.4g} samples per second is no rate of a robot arm", hint)
+
+
+def _check_units(robot_file: RobotFile, time: FloatArray, values: Mapping[str, FloatArray]) -> None:
+    sliding = robot_file.prismatic_joints
+    position = values["position"]
+    for limits, column in zip(robot_file.robot.joints, position.T, strict=True):
+        if limits.name not in sliding and beyond_reach(column, limits.position):
+            raise _refusal(
+                "position",
+                f"reaches {np.abs(column).max():.4g} rad at joint {limits.name}, far outside its limits "
+                f"{list(limits.position)}: these are degrees",
+                "give numpy.deg2rad(position)",
+            )
+    if "velocity" not in values:
+        return
+    ratios = displacement_ratios(time, position, values["velocity"])
+    for name, ratio in zip(robot_file.robot.joint_names, ratios, strict=True):
+        if ratio is None or name in sliding:
+            continue
+        for expected, wrong, other in ((DEGREES, "position", "velocity"), (1 / DEGREES, "velocity", "position")):
+            if near(ratio, expected):
+                message = f"of joint {name} looks like degrees beside the {other}"
+                raise _refusal(wrong, message, f"give numpy.deg2rad({wrong})")

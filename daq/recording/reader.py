@@ -1,0 +1,182 @@
+"""Reading a recording, with a clear error for each way in which it can be broken."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from daq.recording.hdf5_reason import hdf5_reason
+from daq.recording.recording import SCHEMA_VERSION, Channel, Event, Recording, Stream
+from drivers.errors import RecordingError
+from drivers.streams import FloatArray
+
+
+def read_recording(path: str | Path) -> Recording:
+    """Read a whole recording.
+
+    Args:
+        path: of the file (.h5).
+
+    Raises:
+        RecordingError: no such file; not HDF5; truncated; not written by dynid; newer schema; half-written streams.
+
+    Example:
+        >>> import dynid
+        >>> dynid.read_recording("nowhere.h5")
+        Traceback (most recent call last):
+        drivers.errors.RecordingError: nowhere.h5: no such file
+    """
+    path = Path(path)
+    where = str(path)
+    if not path.is_file():
+        raise RecordingError("no such file" if not path.exists() else "is not a file", where=where)
+    if path.stat().st_size == 0:
+        raise RecordingError("is empty (0 bytes)", where=where, hint="copy it again from its source")
+    if not _has_hdf5_signature(path):
+        raise RecordingError(
+            "is not an HDF5 file", where=where, hint="take over another format with: dynid import FILE --robot ROBOT"
+        )
+    try:
+        file = h5py.File(path, "r")
+    except (OSError, RuntimeError) as error:
+        if "consistency flags" in str(error):
+            raise RecordingError(
+                "is half-written: its writer is still at work, or died",
+                where=where,
+                hint=f"when no recording is running: dynid recover {path}",
+            ) from error
+        raise RecordingError(
+            f"is truncated or still open in a writer: {hdf5_reason(error)}",
+            where=where,
+            hint=f"copy it again from its source; where its writer died: dynid recover {path}",
+        ) from error
+    with file:
+        return read_open_recording(file, path)
+
+
+def read_open_recording(file: Any, path: Path) -> Recording:
+    """Read a whole recording from an open HDF5 file.
+
+    Raises:
+        RecordingError: as `read_recording`, once the file is open.
+    """
+    try:
+        return _read(file, path)
+    except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError, MemoryError) as error:
+        # h5py raises any of these on objects of another kind or on broken structures.
+        raise RecordingError(
+            f"is damaged: {hdf5_reason(error)}", where=str(path), hint="copy it again from its source"
+        ) from error
+
+
+def _has_hdf5_signature(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(8) == b"\x89HDF\r\n\x1a\n"
+    except OSError as error:
+        raise RecordingError(f"cannot be read: {error.strerror}", where=str(path)) from error
+
+
+def _read(file: Any, path: Path) -> Recording:
+    where = str(path)
+    attributes = file.attrs
+    if "dynid_schema" not in attributes:
+        raise RecordingError(
+            "is an HDF5 file, but not a dynid recording (no attribute 'dynid_schema')",
+            where=where,
+            hint="take it over with: dynid import FILE --robot ROBOT",
+        )
+    schema = attributes["dynid_schema"]
+    if not isinstance(schema, (int, np.integer)) or schema < 1:
+        raise RecordingError(f"has the unreadable schema version {schema!r}", where=where)
+    if schema > SCHEMA_VERSION:
+        raise RecordingError(
+            f"was written with schema version {schema}, this dynid reads up to {SCHEMA_VERSION}",
+            where=where,
+            hint="update dynid",
+        )
+    if "streams" not in file or not isinstance(file["streams"], h5py.Group) or len(file["streams"]) == 0:
+        raise RecordingError("holds no stream: its writer stopped before the first one", where=where)
+    return Recording(
+        path=path,
+        robot_text=str(attributes.get("robot", "")),
+        urdf_text=str(attributes.get("urdf", "")),
+        created=str(attributes.get("created", "")),
+        versions=_read_versions(attributes.get("versions", "{}")),
+        trajectory=str(attributes.get("trajectory", "")),
+        host=str(attributes.get("host", "")),
+        comment=str(attributes.get("comment", "")),
+        complete=bool(attributes.get("complete", False)),
+        streams={name: _read_stream(group, f"{where}: /streams/{name}") for name, group in file["streams"].items()},
+        events=_read_events(file),
+    )
+
+
+def _read_versions(text: Any) -> dict[str, str]:
+    try:
+        versions = json.loads(str(text))
+    except json.JSONDecodeError:
+        return {}
+    return {str(key): str(value) for key, value in versions.items()} if isinstance(versions, dict) else {}
+
+
+def _read_stream(group: Any, where: str) -> Stream:
+    if not isinstance(group, h5py.Group) or "time" not in group:
+        raise RecordingError("has no dataset 'time'", where=where)
+    for name, dataset in group.items():
+        if not isinstance(dataset, h5py.Dataset) or not dataset.shape:
+            raise RecordingError(f"'{name}' is not a dataset with a row a sample", where=where)
+    lengths = {name: dataset.shape[0] for name, dataset in group.items()}
+    count = lengths["time"]
+    if any(length != count for length in lengths.values()):
+        # A crash between two appends leaves columns of different length; the common part is sound.
+        if min(lengths.values()) == 0:
+            raise RecordingError(f"is half-written: rows per dataset {lengths}", where=where)
+        count = min(lengths.values())
+    for clock in ("time", "host_time"):
+        if clock in group and group[clock].ndim != 1:
+            raise RecordingError(f"'{clock}' has shape {group[clock].shape}; (N,) expected", where=where)
+    time = _read_clock(group, "time", count)
+    host_time = _read_clock(group, "host_time", count) if "host_time" in group else time
+    channels = {}
+    for name, dataset in group.items():
+        if name in ("time", "host_time"):
+            continue
+        if dataset.ndim != 2 or not np.issubdtype(dataset.dtype, np.number):
+            raise RecordingError(
+                f"'{name}' has shape {dataset.shape}, type {dataset.dtype}; (N, n) numbers expected", where=where
+            )
+        columns = tuple(str(column) for column in dataset.attrs.get("joints", ()))
+        if len(columns) != dataset.shape[1]:
+            raise RecordingError(
+                f"'{name}' has {dataset.shape[1]} columns, but its attribute 'joints' names {len(columns)}", where=where
+            )
+        channels[name] = Channel(
+            quantity=name,
+            values=np.asarray(dataset[:count], dtype=np.float64),
+            unit=str(dataset.attrs.get("unit", "")),
+            columns=columns,
+            description=str(dataset.attrs.get("description", "")),
+        )
+    return Stream(name=group.name.rsplit("/", 1)[-1], time=time, host_time=host_time, channels=channels)
+
+
+def _read_clock(group: Any, name: str, count: int) -> FloatArray:
+    return np.asarray(group[name][:count], dtype=np.float64)
+
+
+def _read_events(file: Any) -> tuple[Event, ...]:
+    if "events" not in file:
+        return ()
+
+    def text(value: Any) -> str:
+        return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+    return tuple(
+        Event(float(row["time"]), text(row["level"]), text(row["source"]), text(row["message"]))  # type: ignore[arg-type]
+        for row in file["events"][:]
+    )

@@ -1,0 +1,121 @@
+"""Rescue of a recording whose writer died: everything that was flushed, in a new file."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from daq.recording.hdf5_reason import hdf5_reason
+from daq.recording.reader import read_open_recording
+from daq.recording.recording import Channel, Event, Recording, Stream
+from daq.recording.writer import write_recording
+from drivers.errors import RecordingError
+
+READ_LIMIT = 20.0
+"""How long [s] a small recording may take to be read; a slow disk needs no more than READ_SPEED [B/s] beyond that."""
+READ_SPEED = 5e6
+_READ_ONCE = """
+import sys
+from pathlib import Path
+from daq.recording.recover import follow_recording
+from drivers.errors import RecordingError
+try:
+    follow_recording(Path(sys.argv[1]))
+except RecordingError:
+    pass
+"""
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What was rescued.
+
+    Attributes:
+        recording: as written to the new file.
+        cut: stream → rows that the file announced but that were not written.
+    """
+
+    recording: Recording
+    cut: dict[str, int]
+
+
+def follow_recording(path: Path) -> Recording:
+    """What has been flushed of a recording that is still being written, or whose writer died.
+
+    Raises:
+        RecordingError: not a recording, or nothing of it can be read.
+    """
+    try:
+        with h5py.File(path, "r", libver="latest", swmr=True) as file:
+            return read_open_recording(file, path)
+    except (OSError, RuntimeError) as error:
+        raise RecordingError(f"nothing can be rescued: {hdf5_reason(error)}", where=str(path)) from error
+
+
+def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:
+    """Copy what can be read of a half-written recording into a new file, which says so in an event.
+
+    The recording stays incomplete (`complete` false): whoever reads it should know that it ended by accident.
+
+    Raises:
+        RecordingError: nothing can be read, HDF5 loops or crashes over it, or the new file exists already.
+    """
+    if not path.is_file():
+        raise RecordingError("no such file" if not path.exists() else "is not a file", where=str(path))
+    if path.resolve() == out.resolve():
+        raise RecordingError("would overwrite its own source", where=str(out), hint="choose another name with -o")
+    _require_readable(path)
+    found = follow_recording(path)
+    streams, cut = {}, {}
+    for name, stream in found.streams.items():
+        streams[name], cut[name] = _without_unwritten_rows(stream)
+    lost = ", ".join(f"{count} rows of {name}" for name, count in cut.items() if count)
+    message = f"recovered from {path.name}, whose writer did not close it" + (f"; unwritten: {lost}" if lost else "")
+    events = (*found.events, Event(float("nan"), "warning", "recover", message))
+    recording = replace(found, streams=streams, events=events, complete=False)
+    write_recording(out, recording, overwrite=overwrite)
+    return Recovered(replace(recording, path=out), cut)
+
+
+def _require_readable(path: Path) -> None:
+    """Read a recording in a process of its own first.
+
+    On a file whose bytes were changed inside, the HDF5 library may loop for ever or crash.
+
+    Raises:
+        RecordingError: it did not come to an end within the time limit.
+    """
+    limit = READ_LIMIT + path.stat().st_size / READ_SPEED
+    command = [sys.executable, "-c", _READ_ONCE, str(path)]
+    try:
+        status = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=limit).returncode
+    except subprocess.TimeoutExpired:
+        raise RecordingError(
+            f"nothing can be rescued: HDF5 did not come to an end within {limit:.0f} s", where=str(path)
+        ) from None
+    if status < 0:
+        raise RecordingError(f"nothing can be rescued: HDF5 crashed ({signal.Signals(-status).name})", where=str(path))
+
+
+def _without_unwritten_rows(stream: Stream) -> tuple[Stream, int]:
+    """A stream up to its first row without a time stamp: HDF5 may lengthen a dataset before its rows are on disk."""
+    missing = np.isnan(stream.time) | np.isnan(stream.host_time)
+    for channel in stream.channels.values():
+        # Datasets are written one after the other: a refused write leaves the later ones at the fill value. A channel
+        # that is all NaN from its first sample on is one that the source never filled.
+        empty = np.all(np.isnan(channel.values), axis=1)
+        if not np.all(empty):
+            missing |= empty & (np.arange(len(empty)) > np.flatnonzero(~empty)[-1])
+    unwritten = np.flatnonzero(missing)
+    count = int(unwritten[0]) if len(unwritten) else len(stream.time)
+    channels = {
+        name: Channel(name, channel.values[:count], channel.unit, channel.columns, channel.description)
+        for name, channel in stream.channels.items()
+    }
+    return Stream(stream.name, stream.time[:count], stream.host_time[:count], channels), len(stream.time) - count

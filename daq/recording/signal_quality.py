@@ -1,0 +1,99 @@
+"""What a recorded signal looks like, column by column: its steps, its noise, where it is clipped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.recording.recording import Channel
+from drivers.streams import FloatArray
+
+CLIPPED_RUN = 5
+"""Equal extreme values in a row, at least this many, are taken for a signal at its limit."""
+
+LATTICE_TOLERANCE = 0.05
+"""Values count as quantised when all gaps between them are whole multiples of the smallest within this part of it."""
+
+_LATTICE_VALUES = 2000
+_FEWEST_GAPS = 5  # fewer gaps can be multiples of each other by chance
+
+
+@dataclass(frozen=True)
+class ColumnQuality:
+    """Figures of one column, in the channel's unit.
+
+    Attributes:
+        name: of the column (a joint).
+        smallest, largest: of its values.
+        noise: standard deviation of what is white in it: from second differences, robust against the motion.
+        step: of quantisation; nan where the values lie on no grid.
+        clipped_percent: samples that stay at the smallest or largest value for `CLIPPED_RUN` samples or more [%].
+    """
+
+    name: str
+    smallest: float
+    largest: float
+    noise: float
+    step: float
+    clipped_percent: float
+
+
+def channel_quality(channel: Channel) -> tuple[ColumnQuality, ...]:
+    """Figures of every column of a channel (N, n); nan for a column without finite values."""
+    return tuple(_column_quality(name, channel.values[:, k]) for k, name in enumerate(channel.columns))
+
+
+def _column_quality(name: str, column: FloatArray) -> ColumnQuality:
+    values = column[np.isfinite(column)]
+    if len(values) == 0:
+        nan = float("nan")
+        return ColumnQuality(name, nan, nan, nan, nan, nan)
+    return ColumnQuality(
+        name=name,
+        smallest=float(values.min()),
+        largest=float(values.max()),
+        noise=white_noise(values),
+        step=quantisation_step(values),
+        clipped_percent=100.0 * float(np.mean(_clipped(values))),
+    )
+
+
+def white_noise(values: FloatArray) -> float:
+    """Standard deviation of a signal's white part, from the median size of its second differences (N,).
+
+    Second differences of white noise have √6 times its deviation; the median of their size is 0.6745 of that.
+    """
+    if len(values) < 3:
+        return float("nan")
+    return float(np.median(np.abs(np.diff(values, n=2))) / (0.6745 * np.sqrt(6.0)))
+
+
+def quantisation_step(values: FloatArray) -> float:
+    """Step of the grid that all values (N,) lie on; nan where they lie on none or are all equal."""
+    levels = np.unique(values[:_LATTICE_VALUES])
+    if len(levels) < 2:
+        return float("nan")
+    gaps = np.diff(levels)
+    # Rounding splits one level into several that differ by next to nothing.
+    gaps = gaps[gaps > 1e-9 * np.max(np.abs(levels))]
+    if len(gaps) == 0:
+        return float("nan")
+    step = float(gaps.min())
+    if len(gaps) < _FEWEST_GAPS:
+        return float("nan")
+    multiples = gaps / step
+    return step if np.max(np.abs(multiples - np.round(multiples))) < LATTICE_TOLERANCE else float("nan")
+
+
+def _clipped(values: FloatArray) -> npt.NDArray[np.bool_]:
+    extreme = (values == values.min()) | (values == values.max())
+    if values.min() == values.max():
+        return np.zeros(len(values), dtype=bool)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], extreme, [False]]).astype(np.int8)))
+    clipped = np.zeros(len(values), dtype=bool)
+    for start, stop in edges.reshape(-1, 2):
+        if stop - start >= CLIPPED_RUN:
+            clipped[start:stop] = True
+    return clipped

@@ -1,0 +1,1 @@
+"""The robot file: what dynid knows of an arm."""

@@ -1,0 +1,144 @@
+"""Reading robot files: built-in ones by name, others by path."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from daq.robot.loops import BASE as BASE
+from daq.robot.schema import Robot
+from daq.robot.urdf_robot import robot_text_of_urdf, urdf_prismatic_joints
+from drivers.closest import did_you_mean
+from drivers.errors import RobotFileError
+from drivers.yaml_file import read_mapping, validated
+
+
+class RobotFile(BaseModel):
+    """A robot together with the text and the place that it was read from; what `load_robot` gives.
+
+    Its `robot` holds joints and limits [rad, rad/s, rad/s², N·m], drive gains [N·m/A or N·m/V] and the rest.
+
+    Example:
+        >>> import dynid
+        >>> isinstance(dynid.load_robot("panda"), dynid.RobotFile)
+        True
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    robot: Robot
+    text: str = Field(description="the YAML as it was read")
+    folder: Path | None = Field(description="what relative paths resolve against; None for a text without a place")
+    urdf_text: str | None = Field(default=None, description="the URDF's XML, where the model names one")
+
+    @property
+    def prismatic_joints(self) -> frozenset[str]:
+        """Names of the joints that slide."""
+        if self.robot.model.mdh is not None:
+            return frozenset(row.joint for row in self.robot.model.mdh if row.type == "prismatic")
+        return urdf_prismatic_joints(self.urdf_text or "<robot/>")
+
+
+def builtin_robots() -> tuple[str, ...]:
+    """Names of the built-in robot files, sorted.
+
+    Example:
+        >>> import dynid
+        >>> "ur5e" in dynid.builtin_robots()
+        True
+    """
+    return tuple(sorted(path.name[:-5] for path in files("daq.robot.builtin").iterdir() if path.name.endswith(".yaml")))
+
+
+def load_robot(name_or_path: str | Path | RobotFile) -> RobotFile:
+    """Read a built-in robot by name, or a robot file or URDF by path (a name that exists as a file is a path).
+
+    Of a URDF every movable joint is taken, in the tree's order, with the limits that it states; its drives have no
+    gains, so that recordings need torque. Write a robot file for anything else (`docs/robot-file.md`).
+
+    A robot that was read already is given back, so that whatever takes a robot takes its name, its file or itself.
+
+    Args:
+        name_or_path: built-in name, path of a robot file or URDF, or what `load_robot` gave.
+
+    Raises:
+        RobotFileError: no such robot or file, or its content is not allowed; names file, key and what is allowed.
+
+    Example:
+        >>> import dynid
+        >>> robot = dynid.load_robot("ur5e").robot
+        >>> robot.dof, robot.joint_names[0], robot.drive("elbow_joint").signal
+        (6, 'shoulder_pan_joint', 'current')
+    """
+    if isinstance(name_or_path, RobotFile):
+        return name_or_path
+    given = str(name_or_path)
+    path = Path(given)
+    urdf = path.suffix.lower() in {".urdf", ".xml"}
+    if urdf or path.suffix.lower() in {".yaml", ".yml"} or path.is_file():
+        if not path.is_file():
+            raise RobotFileError("no such file", where=given, hint=_known_robots(given))
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise RobotFileError(f"cannot be read: {error}", where=given) from error
+        if urdf:
+            text = robot_text_of_urdf(text, path.name, where=given)
+        return parse_robot(text, where=given, folder=path.resolve().parent)
+    if given not in builtin_robots():
+        raise RobotFileError(f"no built-in robot and no file is called '{given}'", hint=_known_robots(given))
+    text = files("daq.robot.builtin").joinpath(f"{given}.yaml").read_text(encoding="utf-8")
+    return parse_robot(text, where=f"built-in {given}", folder=None)
+
+
+def _known_robots(given: str) -> str:
+    return did_you_mean(given, builtin_robots()) or f"built-in: {', '.join(builtin_robots())}"
+
+
+def parse_robot(text: str, *, where: str, folder: Path | None, urdf_text: str | None = None) -> RobotFile:
+    """Validate a robot file's text.
+
+    Args:
+        text: the YAML.
+        where: what an error message calls it.
+        folder: what a relative `model.urdf` resolves against.
+        urdf_text: the URDF's XML where it is known already (a recording carries it); read from disk otherwise.
+
+    Raises:
+        RobotFileError: names the key path, what was found and what is allowed.
+    """
+    robot = _robot(text, where)
+    if robot.model.urdf is not None and urdf_text is None:
+        urdf_text = _read_urdf(robot.model.urdf, folder, where)
+    return RobotFile(robot=robot, text=text, folder=folder, urdf_text=urdf_text)
+
+
+# Reading the YAML takes 15 ms, and whoever asks a recording for its robot asks several times.
+@lru_cache(maxsize=64)
+def _robot(text: str, where: str) -> Robot:
+    hint = "see a built-in one: dynid robot show ur5e --yaml"
+    content = read_mapping(text, kind="a robot file", where=where, refusal=RobotFileError, hint=hint)
+    return validated(content, Robot, where=where, refusal=RobotFileError)
+
+
+def _read_urdf(urdf: str, folder: Path | None, where: str) -> str:
+    path = Path(urdf)
+    if not path.is_absolute() and not urdf.startswith("~"):
+        if folder is None:
+            raise RobotFileError(
+                f"the relative path '{urdf}' has nothing to be relative to", where=f"{where}: model.urdf"
+            )
+        path = folder / path
+    try:
+        path = path.expanduser()
+        return path.read_text(encoding="utf-8")
+    except (OSError, ValueError, RuntimeError) as error:  # also: not UTF-8, a NUL in the path, ~ of nobody
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise RobotFileError(
+            f"cannot read the URDF {path}: {reason}",
+            where=f"{where}: model.urdf",
+            hint="a relative path starts at the robot file's folder",
+        ) from error

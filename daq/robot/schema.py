@@ -1,0 +1,291 @@
+"""The robot file: everything that dynid knows of an arm (YAML; DESIGN.md "The robot file").
+
+Units: m, rad, s, kg, N·m, A, °C. Angles of the geometry may be written as multiples of pi (`-pi/2`).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from daq.robot.lengths import with_lengths
+from daq.robot.loops import BASE as BASE
+from daq.robot.loops import Loop, check_coupling, check_drives, check_pairs, passive_joints
+from daq.robot.section import Angle, Finite, NonNegative, NotTruthValue, Positive, Section, Vector3
+from daq.robot.workspace import Workspace
+
+
+class MdhRow(Section):
+    """One frame of the modified Denavit-Hartenberg description of Khalil and Kleinfinger (1986).
+
+    Frame j follows from its antecedent's by Rot(z, gamma) Trans(z, b) Rot(x, alpha) Trans(x, d) Rot(z, theta)
+    Trans(z, r); theta = theta0 + q for a revolute joint, r = r + q for a prismatic one.
+    """
+
+    joint: str
+    antecedent: str = Field(default=BASE, description="name of the antecedent joint, or 'base'")
+    type: Literal["revolute", "prismatic"] = "revolute"
+    gamma: Angle = Field(default=0.0, description="[rad], non-zero only where a tree branches")
+    b: Finite = Field(default=0.0, description="[m], non-zero only where a tree branches")
+    alpha: Angle = Field(description="[rad]")
+    d: Finite = Field(description="[m]")
+    theta0: Angle = Field(default=0.0, description="[rad], added to the joint position")
+    r: Finite = Field(description="[m]")
+
+
+class ModelSection(Section):
+    """Kinematics: exactly one of `urdf` and `mdh`."""
+
+    urdf: str | None = Field(default=None, description="path of the URDF, relative to the robot file")
+    mdh: tuple[MdhRow, ...] | None = None
+    lengths: dict[str, Finite] = Field(
+        default_factory=dict, description="name → length [m]; `b`, `d` and `r` may then be written `d3` or `-d3`"
+    )
+    gravity: Vector3 = Field(default=(0.0, 0.0, -9.81), description="[m/s²] in the base frame")
+    locked: dict[str, Finite] = Field(default_factory=dict, description="joint → fixed position [rad or m]; URDF only")
+    loops: tuple[Loop, ...] = Field(default=(), description="how joints without a motor follow the others")
+    coupling: dict[str, dict[str, Finite]] = Field(
+        default_factory=dict,
+        description="motor → joint → factor: rows of q_motor = R·q_joint of motors that several joints move",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _lengths(cls, content: Any) -> Any:
+        return with_lengths(content)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.urdf is None) == (self.mdh is None):
+            raise ValueError("give exactly one of 'urdf' and 'mdh'")
+        if self.mdh is not None:
+            _check_mdh(self.mdh)
+            if self.locked:
+                raise ValueError("'locked' works with 'urdf' only; leave the joint out of 'mdh' instead")
+        if max(abs(component) for component in self.gravity) > 30:
+            raise ValueError(f"gravity {list(self.gravity)} m/s² is larger than any planet's surface; check the unit")
+        return self
+
+
+def _check_mdh(rows: tuple[MdhRow, ...]) -> None:
+    if not rows:
+        raise ValueError("'mdh' has no rows")
+    known = {BASE}
+    for row in rows:
+        if row.joint in known:
+            raise ValueError(
+                f"'mdh' names joint '{row.joint}' twice" if row.joint != BASE else "a joint is named 'base'"
+            )
+        if row.antecedent not in known:
+            allowed = ", ".join(sorted(known))
+            raise ValueError(
+                f"joint '{row.joint}' has antecedent '{row.antecedent}', but before it come only: {allowed}"
+            )
+        known.add(row.joint)
+
+
+class JointLimits(Section):
+    """A joint's limits; the torque and temperature limits may be unknown."""
+
+    name: str
+    position: tuple[Finite, Finite] = Field(description="[rad or m]")
+    velocity: Positive = Field(description="[rad/s or m/s]")
+    acceleration: Positive = Field(default=10.0, description="[rad/s² or m/s²]")
+    torque: Positive | None = Field(default=None, description="[N·m or N]")
+    temperature: Finite | None = Field(default=None, description="[°C]")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.position[0] < self.position[1]:
+            raise ValueError(f"position limits {list(self.position)} are not in rising order")
+        return self
+
+
+class Drive(Section):
+    """How a motor's signal becomes joint torque: Γ = gain · signal (SR400 .4.3 point 1, AUBO eq. 2)."""
+
+    joint: str
+    gain: Finite | None = Field(
+        default=None, description="[N·m/A] or [N·m/V], joint side, sign included; unknown if absent"
+    )
+    gain_std: NonNegative | None = Field(default=None, description="standard deviation of the gain, in its unit")
+    signal: Literal["current", "voltage", "torque"] = "current"
+    inertia: bool = Field(default=True, description="whether the measured torque carries the motor's inertia")
+    pair_inertia: bool = Field(default=False, description="of coupled motors: Iac, which turns with the joint")
+
+    @model_validator(mode="after")
+    def _non_zero(self) -> Self:
+        if self.gain == 0:
+            raise ValueError("a gain of 0 would erase the signal")
+        return self
+
+
+class JointFriction(Section):
+    """Exceptions of one joint from the arm's friction model; what is absent follows the arm's."""
+
+    viscous: bool | None = None
+    coulomb: bool | None = None
+    offset: bool | None = None
+    pair: bool | None = Field(default=None, description="of coupled motors: the joint rubs too (SR400 eq. 8)")
+
+
+class Friction(Section):
+    """The friction columns of every joint (SR400 eq. 7; ROCR6 eq. 3-4; offset as in AUBO eq. 6)."""
+
+    model: Literal["none", "viscous", "coulomb", "coulomb-viscous"] = "coulomb-viscous"
+    offset: bool = Field(default=True, description="a constant torque per joint, Fo")
+    smoothing: NonNegative = Field(default=0.0, description="ε [rad/s] of tanh(q̇/ε) in place of sign(q̇); 0 means sign")
+    joints: dict[str, JointFriction] = Field(default_factory=dict)
+
+
+class TruthLink(Section):
+    """Inertial parameters of a simulated link, in the frame of its joint."""
+
+    mass: Positive = Field(description="[kg]")
+    com: Vector3 = Field(description="centre of mass [m]")
+    inertia: tuple[Finite, Finite, Finite, Finite, Finite, Finite] = Field(
+        description="xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²]"
+    )
+
+
+class TruthJoint(Section):
+    """Friction and motor inertia of a simulated joint, joint side."""
+
+    viscous: NonNegative = Field(default=0.0, description="[N·m·s/rad]")
+    coulomb: NonNegative = Field(default=0.0, description="[N·m]")
+    offset: Finite = Field(default=0.0, description="[N·m]")
+    motor_inertia: NonNegative = Field(default=0.0, description="[kg·m²]")
+    alpha: Positive = Field(default=1.0, description="exponent of |q̇| in the viscous term (AUBO eq. 4)")
+    temperature: Vector3 = Field(default=(0.0, 0.0, 0.0), description="β1, β2, β3 of AUBO eq. 5, T in kelvin")
+    load: NonNegative = Field(default=0.0, description="f_L of AUBO eq. 6 [1/(N·m)]")
+    stribeck: NonNegative = Field(default=0.0, description="static friction above Coulomb's [N·m]")
+    stribeck_velocity: Positive = Field(default=0.05, description="[rad/s] where the Stribeck term is down to 1/e")
+    pre_sliding: Positive = Field(default=5e-5, description="travel [rad] until a joint at rest breaks away")
+    pair_inertia: NonNegative = Field(default=0.0, description="Iac of a coupled joint [kg·m²]")
+    pair_viscous: Finite = Field(default=0.0, description="Fv of a coupled joint, signs as SR400 eq. 8 [N·m·s/rad]")
+    pair_coulomb: Finite = Field(default=0.0, description="Fs of a coupled joint, signs as SR400 eq. 8 [N·m]")
+
+
+class TruthThermal(Section):
+    """Heat of every simulated joint: winding, then housing, then the air around it."""
+
+    ambient: Finite = Field(default=23.0, ge=-100.0, description="[°C]")
+    copper_loss: dict[str, NonNegative] = Field(
+        default_factory=dict, description="joint → copper loss over drive torque squared [W/(N·m)²]"
+    )
+    winding_capacity: Positive = Field(default=150.0, description="[J/K]")
+    housing_capacity: Positive = Field(default=1500.0, description="[J/K]")
+    winding_to_housing: Positive = Field(default=2.5, description="[W/K]")
+    housing_to_ambient: Positive = Field(default=1.5, description="[W/K]")
+
+
+class TruthNoise(Section):
+    """What the simulated sensors add."""
+
+    rate: Positive = Field(default=500.0, description="[Hz]")
+    encoder_resolution: NonNegative = Field(default=0.0, description="[rad] a step, joint side")
+    torque_std: dict[str, NonNegative] = Field(default_factory=dict, description="joint → white noise [N·m]")
+    ripple_amplitude: dict[str, NonNegative] = Field(default_factory=dict, description="joint → torque ripple [N·m]")
+    ripple_per_revolution: Positive = Field(default=100.0, description="ripple periods a joint revolution")
+    torque_delay: Annotated[float, Field(ge=0, le=0.1), NotTruthValue] = Field(
+        default=0.0, description="how much later than the encoder the current and the torque are read [s]"
+    )
+    temperature_resolution: NonNegative = Field(default=0.0, description="step of the temperature sensors [K]")
+
+
+class Truth(Section):
+    """What a simulated arm really is; a real arm's file leaves it out."""
+
+    links: dict[str, TruthLink] = Field(default_factory=dict, description="joint → the link that it moves")
+    joints: dict[str, TruthJoint] = Field(default_factory=dict)
+    thermal: TruthThermal = Field(default_factory=TruthThermal)
+    noise: TruthNoise = Field(default_factory=TruthNoise)
+
+
+class Connection(BaseModel):
+    """How to reach the arm on one wire; the keys beside `driver` belong to that driver."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    driver: str
+
+
+class Robot(Section):
+    """A robot file, validated."""
+
+    name: str = Field(min_length=1)
+    description: str = ""
+    sources: dict[str, str] = Field(default_factory=dict, description="where the numbers come from, by section")
+    model: ModelSection
+    joints: tuple[JointLimits, ...] = Field(min_length=1)
+    drives: tuple[Drive, ...] = ()
+    friction: Friction = Field(default_factory=Friction)
+    workspace: Workspace = Field(default_factory=Workspace)
+    truth: Truth = Field(default_factory=Truth)
+    connections: dict[str, Connection] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        names = self.joint_names
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"'joints' names '{name}' twice")
+        passive = self.passive_names
+        if self.model.mdh is not None:
+            rows = tuple(row.joint for row in self.model.mdh if row.joint not in passive)
+            for name in passive:
+                if name not in (row.joint for row in self.model.mdh):
+                    raise ValueError(f"'model.loops' names joint '{name}', but 'model.mdh' has no such row")
+            if rows != names:
+                expected, found = ", ".join(rows), ", ".join(names)
+                raise ValueError(
+                    f"'joints' must name the joints of 'model.mdh' in its order: {expected}; found: {found}"
+                )
+        driven = [drive.joint for drive in self.drives]
+        check_drives(driven, passive)
+        check_coupling(self.model.coupling, names, passive)
+        paired = [drive.joint for drive in self.drives if drive.pair_inertia]
+        paired += [name for name, friction in self.friction.joints.items() if friction.pair is not None]
+        check_pairs(paired, self.model.coupling)
+        for name in driven:
+            if driven.count(name) > 1:
+                raise ValueError(f"'drives' names '{name}' twice")
+        for section, keys in (
+            ("drives", driven),
+            ("friction.joints", self.friction.joints),
+            ("truth.joints", self.truth.joints),
+            ("truth.thermal.copper_loss", self.truth.thermal.copper_loss),
+            ("truth.noise.torque_std", self.truth.noise.torque_std),
+            ("truth.noise.ripple_amplitude", self.truth.noise.ripple_amplitude),
+        ):
+            for key in keys:
+                if key not in names:
+                    raise ValueError(f"'{section}' names joint '{key}', but 'joints' has only: {', '.join(names)}")
+        links = (*names, *passive)
+        for key in self.truth.links:
+            if key not in links:
+                raise ValueError(f"'truth.links' names joint '{key}', but 'joints' has only: {', '.join(links)}")
+        for section, key in self.workspace.named_links():
+            if key not in (BASE, *links):
+                raise ValueError(f"'{section}' names '{key}', but there are only: {', '.join((BASE, *links))}")
+        return self
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints that motors move, in the order of every array."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def dof(self) -> int:
+        """Number of joints that motors move."""
+        return len(self.joints)
+
+    @property
+    def passive_names(self) -> tuple[str, ...]:
+        """Names of the joints without a motor, which `model.loops` makes follow the others."""
+        return passive_joints(self.model.loops, self.joint_names)
+
+    def drive(self, joint: str) -> Drive:
+        """The drive of a joint; one with unknown gain where the file names none."""
+        return next((drive for drive in self.drives if drive.joint == joint), Drive(joint=joint))

@@ -1,0 +1,143 @@
+"""The section `workspace` of a robot file: where the arm may be, and how thick its links are.
+
+All lengths are in m. Points are in the base frame, the one that `model` and `gravity` refer to; the tool point is in
+the frame of the last joint.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from daq.robot.section import Finite, NonNegative, Section, Vector3
+from drivers.yaml_file import describe
+
+DEFAULT_LINK_RADIUS = 0.05
+"""Radius [m] of a link whose thickness the file does not say."""
+
+_LONGEST = 100.0
+"""No arm reaches this far [m]: a length beyond it was written in millimetres."""
+
+
+def _check_range(values: tuple[float, float] | None, key: str) -> None:
+    if values is None:
+        return
+    if not values[0] < values[1]:
+        raise ValueError(f"{key} {list(values)} is not in rising order")
+    _check_lengths(values, key)
+
+
+def _check_lengths(values: tuple[float, ...], key: str) -> None:
+    largest = max(values, key=abs)
+    if abs(largest) > _LONGEST:
+        raise ValueError(f"{key} {list(values)} goes beyond {_LONGEST:g} m; lengths are in m")
+
+
+class HalfSpace(Section):
+    """The arm stays where n·p ≥ offset, n being `normal` scaled to length 1: `normal` points to where the arm is."""
+
+    normal: Vector3 = Field(description="direction, base frame; its length does not matter")
+    offset: Finite = Field(description="[m], distance of the plane from the base frame's origin along the normal")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        length = math.hypot(*self.normal)
+        if not (1e-6 < length < 1e6):
+            raise ValueError(f"normal {list(self.normal)} has no direction")
+        _check_lengths((self.offset,), "offset")
+        return self
+
+
+class Box(Section):
+    """The arm stays out of this box, whose edges are parallel to the base frame's axes."""
+
+    lower: Vector3 = Field(description="corner with the smallest x, y, z [m]")
+    upper: Vector3 = Field(description="corner with the largest x, y, z [m]")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for axis, low, high in zip("xyz", self.lower, self.upper, strict=True):
+            if not low < high:
+                raise ValueError(f"{axis}: lower {low:g} is not below upper {high:g}")
+        _check_lengths(self.lower, "lower")
+        _check_lengths(self.upper, "upper")
+        return self
+
+
+class KeepOut(Section):
+    """Something that no part of the arm may enter: exactly one of `half_space` and `box`."""
+
+    half_space: HalfSpace | None = None
+    box: Box | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.half_space is None) == (self.box is None):
+            raise ValueError("give exactly one of 'half_space' and 'box'")
+        return self
+
+
+def _parse_link_radius(value: Any) -> float | dict[str, float]:
+    # By hand: pydantic's message for a union would speak of the alternative that was not meant.
+    if isinstance(value, Mapping):
+        for joint, radius in value.items():
+            if not isinstance(joint, str):
+                raise ValueError(f"found the key {describe(joint)}, but it should be the name of a joint")
+            _check_radius(radius, f"of joint '{joint}' ")
+        return {str(joint): float(radius) for joint, radius in value.items()}
+    _check_radius(value, "")
+    return float(value)
+
+
+def _check_radius(value: Any, whose: str) -> None:
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not (number and 0 < value <= 1):
+        raise ValueError(
+            f"the radius {whose}is {describe(value)}, but it should be a number above 0 and at most 1 [m]; "
+            "give one number, or a mapping joint: number"
+        )
+
+
+class Workspace(Section):
+    """Where the arm may be when an excitation is designed (AUBO eq. 21: r_min..r_max, h_min..h_max)."""
+
+    tool: Vector3 = Field(default=(0.0, 0.0, 0.0), description="tool point [m] in the frame of the last joint")
+    radius: tuple[NonNegative, Finite] | None = Field(
+        default=None, description="smallest and largest distance from the base frame's z axis [m]"
+    )
+    height: tuple[Finite, Finite] | None = Field(
+        default=None, description="smallest and largest z in the base frame [m]"
+    )
+    keep_out: tuple[KeepOut, ...] = ()
+    link_radius: Annotated[float | dict[str, float], BeforeValidator(_parse_link_radius)] = Field(
+        default=DEFAULT_LINK_RADIUS,
+        description="half the thickness of all links [m], or of the link behind each joint named ('base' for the base)",
+    )
+    ignore_pairs: tuple[tuple[str, str], ...] = Field(
+        default=(), description="pairs of joints (or 'base') whose links may touch"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _check_lengths(self.tool, "tool")
+        _check_range(self.radius, "radius")
+        _check_range(self.height, "height")
+        for first, second in self.ignore_pairs:
+            if first == second:
+                raise ValueError(f"'ignore_pairs' pairs '{first}' with itself")
+        return self
+
+    def named_links(self) -> tuple[tuple[str, str], ...]:
+        """Every joint that the section names, with the key that names it."""
+        keys = self.link_radius if isinstance(self.link_radius, dict) else {}
+        radii = [("workspace.link_radius", name) for name in keys]
+        return (*radii, *(("workspace.ignore_pairs", name) for pair in self.ignore_pairs for name in pair))
+
+    def radius_of(self, link: str) -> float:
+        """Radius [m] of the link behind a joint, or of 'base'."""
+        if isinstance(self.link_radius, dict):
+            return self.link_radius.get(link, DEFAULT_LINK_RADIUS)
+        return self.link_radius

@@ -1,0 +1,54 @@
+"""Whether a connection's frames fit on its CAN bus, before the bus is touched."""
+
+from __future__ import annotations
+
+from daq.robot.loader import RobotFile
+from daq.session.connections import connection_keys, connection_names, driver_settings
+from drivers.bus_budget import TIGHT_SHARE, Budget, connection_budget
+from drivers.errors import RobotFileError, UsageError
+
+
+def bus_budget(robot_file: RobotFile, name: str) -> Budget | None:
+    """What a connection asks of its bus; None where it is on no CAN bus.
+
+    Raises:
+        UsageError: the connection's keys are wrong.
+        RobotFileError: it asks more than fits.
+    """
+    robot = robot_file.robot
+    where = f"{robot.name}: connections.{name}"
+    keys = connection_keys(robot, name)
+    try:
+        budget = connection_budget(robot.connections[name].driver, driver_settings(robot, keys, robot_file.folder))
+    except UsageError as error:
+        error.where = f"{where}: {error.where}" if error.where else where
+        raise
+    if budget is not None and budget.load > 1.0:
+        raise RobotFileError(
+            f"{budget.rate:g} Hz do not fit on a bus of {budget.bitrate:.0f} bit/s: {100 * budget.load:.0f} % of it",
+            where=where,
+            hint=f"at most {budget.highest_rate():.0f} Hz, better {budget.highest_rate(TIGHT_SHARE):.0f} Hz",
+        )
+    return budget
+
+
+def tight_bus(name: str, budget: Budget) -> str | None:
+    """The warning about a bus with little room left; None where there is enough."""
+    if budget.load <= TIGHT_SHARE:
+        return None
+    return (
+        f"connection '{name}' fills its bus to {100 * budget.load:.1f} % at worst; "
+        f"at {budget.highest_rate(TIGHT_SHARE):.0f} Hz it would be {100 * TIGHT_SHARE:.0f} %"
+    )
+
+
+def session_warnings(robot_file: RobotFile, wire: str | None) -> list[str]:
+    """Warnings about the buses of a session: of a connection (the first where None) and those recorded with it.
+
+    Raises:
+        UsageError: no such connection, or its keys are wrong.
+        RobotFileError: a connection asks more of its bus than fits.
+    """
+    budgets = ((name, bus_budget(robot_file, name)) for name in connection_names(robot_file.robot, wire))
+    told = (tight_bus(name, budget) for name, budget in budgets if budget is not None)
+    return [warning for warning in told if warning is not None]

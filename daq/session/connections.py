@@ -1,0 +1,53 @@
+"""The connections of a robot file: which belong to one session, and what their drivers are told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from daq.robot.schema import Robot
+from drivers.base import DriverSettings
+from drivers.errors import UsageError
+from drivers.gains import DriveGain
+
+WITH = "with"
+"""Key of a connection: names of others that are recorded in the same session."""
+
+
+def connection_names(robot: Robot, wire: str | None = None) -> list[str]:
+    """A connection's name, the first one's where `wire` is None, and those that it is recorded with.
+
+    Raises:
+        UsageError: no such connection.
+    """
+    if not robot.connections:
+        raise UsageError("the robot file has no connection", where=f"{robot.name}: connections")
+    name = wire if wire is not None else next(iter(robot.connections))
+    where = robot.name
+    known = ", ".join(robot.connections)
+    if name not in robot.connections:
+        raise UsageError(f"no connection is called '{name}'", where=where, hint=f"there are: {known}")
+    given = (robot.connections[name].model_extra or {}).get(WITH, [])
+    where = f"{robot.name}: connections.{name}.{WITH}"
+    if not isinstance(given, list) or not all(isinstance(other, str) for other in given):
+        raise UsageError(
+            f"is {given!r}, but should be a list of connections", where=where, hint=f"such as {WITH}: [thermometer]"
+        )
+    for other in given:
+        if other not in robot.connections:
+            raise UsageError(f"no connection is called '{other}'", where=where, hint=f"there are: {known}")
+    if name in given or len(set(given)) < len(given):
+        raise UsageError(f"names a connection twice, or itself: {', '.join(given)}", where=where)
+    return [name, *given]
+
+
+def connection_keys(robot: Robot, name: str) -> dict[str, object]:
+    """A connection's keys as its driver knows them."""
+    return {key: value for key, value in (robot.connections[name].model_extra or {}).items() if key != WITH}
+
+
+def driver_settings(robot: Robot, keys: Mapping[str, object], folder: Path | None = None) -> DriverSettings:
+    """What a driver is told about a robot and one of its connections."""
+    drives = [robot.drive(joint) for joint in robot.joint_names]
+    gains = tuple(DriveGain(drive.gain, drive.gain_std, drive.signal) for drive in drives)
+    return DriverSettings(robot.joint_names, keys, gains, folder)

@@ -1,0 +1,406 @@
+"""The session: reads a driver, feeds recorder and supervisor, plays a motion, and stops the arm on every way out."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import FrameType
+from typing import Protocol
+
+import numpy as np
+
+from daq.motion.player import Player, Punctuality, dry_run, ticks
+from daq.motion.trajectories import Motion, check_limits, slow_move
+from daq.recording.recorder import Recorder
+from daq.recording.recording import JOINTS_STREAM
+from daq.robot.schema import Robot
+from daq.session.clocks import ClockLog
+from daq.session.connections import connection_keys, connection_names, driver_settings
+from daq.session.sources import Sources
+from daq.session.supervisor import Supervisor
+from drivers.base import DRIVERS_GROUP, Attributing, Driver, DriverSettings, Notice
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.errors import ConnectionLostError, DynidError, SafetyStopError, UsageError, WorkError
+from drivers.streams import Block, FloatArray
+
+READ_TIMEOUT = 0.01
+FIRST_SAMPLE_LIMIT = 5.0
+"""How long [s] the first samples may take."""
+SWITCH_INTERVAL = 2e-4
+"""Longest time [s] that a thread keeps the interpreter while another one wants it."""
+INTERRUPTED = "interrupted"
+"""What `stopped_by` says after Ctrl-C (SIGINT)."""
+TERMINATED = "terminated"
+"""What it says after SIGTERM."""
+_SIGNALS = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED}
+_PLAYER_PATIENCE = 0.1
+_PLAYER_LIMIT = 10.0
+
+
+@dataclass(frozen=True)
+class SessionReport:
+    """How a session went.
+
+    Attributes:
+        samples: stream → samples handed to the recorder.
+        lost: stream → samples that the source says are missing.
+        overflow: samples that were dropped because the disk did not keep up.
+        stopped_by: why it ended before its end, in words; None where it ran to its end.
+        punctuality: of the motion; None without one.
+        error: what ended it, for the exit status; None where it ran to its end or was interrupted.
+    """
+
+    samples: Mapping[str, int]
+    lost: Mapping[str, int]
+    overflow: int
+    stopped_by: str | None
+    punctuality: Punctuality | None
+    error: DynidError | None = None
+
+
+@dataclass(frozen=True)
+class Play:
+    """A motion that a session is to play.
+
+    Attributes:
+        motion: from rest to rest.
+        robot: whose limits hold on the way to its start.
+        rate: of the commands [Hz].
+    """
+
+    motion: Motion
+    robot: Robot
+    rate: float
+
+
+class View(Protocol):
+    """What is shown of a running session; it must neither wait nor raise."""
+
+    def take(self, block: Block) -> None:
+        """Note a block."""
+
+    def show(self, state: str, elapsed: float, total: float) -> None:
+        """Show how it goes; `elapsed` of `total` [s]."""
+
+
+@dataclass
+class _Course:
+    """What a running session knows.
+
+    `breach_time` [s, the source's clock] is that of what stopped it, where it has one; `silent` are the streams whose
+    silence is an event already; `host_ahead` is by stream the host's clock less the source's at its last sample [s].
+    """
+
+    clock: Clock
+    clocks: ClockLog
+    samples: dict[str, int] = field(default_factory=dict)
+    lost: dict[str, int] = field(default_factory=dict)
+    position: FloatArray | None = None
+    source_minus_host: float = float("nan")
+    view: View | None = None
+    moves: bool = False
+    interrupted: str | None = None
+    breach_time: float = float("nan")
+    silent: set[str] = field(default_factory=set)
+    host_ahead: dict[str, float] = field(default_factory=dict)
+
+    def take(self, block: Block) -> None:
+        self.samples[block.stream] = self.samples.get(block.stream, 0) + len(block.time)
+        self.lost[block.stream] = self.lost.get(block.stream, 0) + block.lost
+        self.silent.discard(f"stream {block.stream}")
+        self.clocks.take(block)
+        if len(block.time):
+            self.host_ahead[block.stream] = float(block.host_time[-1] - block.time[-1])
+        if block.stream == JOINTS_STREAM and len(block.time):
+            self.position = block.values["position"][-1].copy()
+            self.source_minus_host = float(block.time[-1] - block.host_time[-1])
+        if self.view is not None:
+            self.view.take(block)
+
+    def source_time(self) -> float:
+        """Now, in the clock of the joints' stream [s]."""
+        return self.clock.now() + self.source_minus_host
+
+    def joints_time(self, when: float, stream: str) -> float:
+        """A time of a stream's clock, in the clock of the joints' stream [s]."""
+        if stream == JOINTS_STREAM or JOINTS_STREAM not in self.host_ahead:
+            return when
+        return when + self.host_ahead[stream] + self.source_minus_host
+
+
+def load_driver(
+    robot: Robot,
+    wire: str | None = None,
+    host: str | None = None,
+    folder: Path | None = None,
+    clock: Clock = SYSTEM_CLOCK,
+) -> tuple[Driver, float]:
+    """The driver of a robot's connection and the connection's rate [Hz], not yet open.
+
+    A connection's key `with` names others that are recorded in the same session; the driver is then one for all.
+
+    Args:
+        robot: names the connections.
+        wire: which of them; the first where None.
+        host: in place of the connection's own.
+        folder: of the robot file, where relative paths among a connection's keys start; None for the current one.
+        clock: the host's.
+
+    Raises:
+        UsageError: no such connection, or no such driver is installed.
+    """
+    name, *others = connection_names(robot, wire)
+    keys = connection_keys(robot, name)
+    if host is not None:
+        keys["host"] = host
+    main = _make_driver(robot, name, keys, folder, clock)
+    beside = {other: _make_driver(robot, other, connection_keys(robot, other), folder, clock) for other in others}
+    return Sources(name, main, beside) if beside else main, _rate_of(keys)
+
+
+def _make_driver(robot: Robot, name: str, keys: Mapping[str, object], folder: Path | None, clock: Clock) -> Driver:
+    driver = robot.connections[name].driver
+    found = {entry.name: entry for entry in entry_points(group=DRIVERS_GROUP)}
+    if driver not in found:
+        raise UsageError(
+            f"no driver is called '{driver}'",
+            where=f"{robot.name}: connections.{name}.driver",
+            hint=f"installed: {', '.join(sorted(found)) or 'none'}",
+        )
+    make: Callable[[DriverSettings], Driver] = found[driver].load()
+    return make(replace(driver_settings(robot, keys, folder), clock=clock))
+
+
+def _rate_of(keys: Mapping[str, object]) -> float:
+    rate = keys.get("rate", 0.0)
+    return float(rate) if isinstance(rate, (int, float)) and not isinstance(rate, bool) else 0.0
+
+
+def record(
+    driver: Driver,
+    recorder: Recorder,
+    supervisor: Supervisor,
+    play: Play | None = None,
+    duration: float | None = None,
+    view: View | None = None,
+    clock: Clock = SYSTEM_CLOCK,
+) -> SessionReport:
+    """Record until the motion is over, `duration` [s] has passed, or something stops it.
+
+    The driver must be open; it is stopped on every way out, then the recording is closed with the reason as an event,
+    at the time of what stopped it. Ctrl-C and SIGTERM end the session in the same way, and are ignored while the arm is
+    being stopped.
+
+    Args:
+        driver: open.
+        recorder: of the driver's streams.
+        supervisor: of the arm's limits.
+        play: the motion; None where something else moves the arm.
+        duration: [s]; None for as long as the motion lasts.
+        view: is told every block, and how far the session is.
+        clock: the host's; the driver's and the recorder's, too.
+    """
+    course = _Course(clock, ClockLog(clock), view=view)
+    player: Player | None = None
+    error: DynidError | None = None
+    with _signals_noted(course), _undisturbed():
+        try:
+            driver.start()
+            begun = clock.now()
+            if play is not None:
+                dry_run(play.rate, clock)
+                _wait_for_position(driver, recorder, supervisor, course)
+                if course.position is not None and course.interrupted is None:
+                    player = _prepare(driver, supervisor, recorder, play, course, course.position)
+                    supervisor.restart_ages(clock.now())
+                    course.moves = True
+                    player.start()
+            _follow(driver, recorder, supervisor, course, player, begun, duration)
+        except KeyboardInterrupt:
+            course.interrupted = INTERRUPTED
+        except DynidError as caught:
+            error = caught
+        except Exception as caught:  # a bug of a driver must not leave the arm moving or the file open
+            error = WorkError(f"the session broke: {type(caught).__name__}: {caught}")
+        finally:
+            noticed, interrupted = course.source_time(), course.interrupted
+            _stop(driver, player)
+        for message in course.clocks.messages():
+            recorder.event(course.source_time(), "info", "clocks", message)
+        stopped_by = str(error) if error is not None else interrupted
+        if stopped_by is not None:
+            when = course.breach_time if np.isfinite(course.breach_time) else noticed
+            recorder.event(when, "error" if error else "warning", "session", f"stopped: {stopped_by}")
+        with suppress(DynidError):
+            unhalted = _note(driver.notices(), recorder)  # an error now says that the arm could not be stopped in order
+            if player is not None and unhalted is None:
+                recorder.event(course.source_time(), "info", "driver", "arm halted")
+        try:
+            recorder.close(complete=stopped_by is None)
+        except DynidError as caught:
+            error, stopped_by = error or caught, stopped_by or str(caught)
+    return SessionReport(
+        course.samples, course.lost, recorder.overflow, stopped_by, player.punctuality() if player else None, error
+    )
+
+
+def _wait_for_position(driver: Driver, recorder: Recorder, supervisor: Supervisor, course: _Course) -> None:
+    limit = course.clock.now() + FIRST_SAMPLE_LIMIT
+    while course.position is None and course.interrupted is None:
+        _cycle(driver, recorder, supervisor, course)
+        if course.clock.now() > limit:
+            raise ConnectionLostError(f"no joint position within {FIRST_SAMPLE_LIMIT:g} s")
+
+
+def _prepare(
+    driver: Driver, supervisor: Supervisor, recorder: Recorder, play: Play, course: _Course, position: FloatArray
+) -> Player:
+    start, _, _ = play.motion.evaluate(np.zeros(1))
+    approach = slow_move(position, start[:, 0], play.robot.joints)
+    check_limits(approach, play.robot.joints, "the way to the start pose")
+    check_limits(play.motion, play.robot.joints, "the trajectory")
+    way = ticks(approach, play.rate)
+    begin = course.source_time()
+    recorder.event(begin, "info", "player", f"approach to the start pose, {approach.duration:.2f} s")
+    positions = np.concatenate([way, ticks(play.motion, play.rate)[1:]])
+    return Player(driver.command, supervisor.commanded, positions, play.rate, len(way), course.clock)
+
+
+def _follow(
+    driver: Driver,
+    recorder: Recorder,
+    supervisor: Supervisor,
+    course: _Course,
+    player: Player | None,
+    begun: float,
+    duration: float | None,
+) -> None:
+    moving = False
+    while course.interrupted is None:
+        _cycle(driver, recorder, supervisor, course)
+        now = course.clock.now()
+        if player is not None:
+            if player.failure is not None:
+                raise player.failure
+            if not moving and player.index >= player.motion_index:
+                moving = True
+                recorder.event(course.source_time(), "info", "player", "motion begins")
+            if player.done:
+                recorder.event(course.source_time(), "info", "player", "motion ends")
+                return
+        if duration is not None and now - begun >= duration:
+            return
+        if course.view is not None:
+            if player is not None:
+                state = "motion" if moving else "approach to the start pose"
+                course.view.show(state, player.elapsed, player.duration)
+            else:
+                course.view.show("recording", now - begun, duration or 0.0)
+
+
+def _cycle(
+    driver: Driver, recorder: Recorder, supervisor: Supervisor, course: _Course, looked_twice: bool = False
+) -> None:
+    """One look at everything: samples, notices, limits, ages, the disk."""
+    before = course.clock.now()
+    blocks = driver.read(READ_TIMEOUT)
+    for block in blocks:
+        recorder.put(block)  # first of all, so that the recording shows what stopped it
+        course.take(block)
+        if block.lost:
+            when = float(block.time[0]) if len(block.time) else float("nan")
+            recorder.event(when, "warning", block.stream, f"{block.lost} samples lost")
+    now = course.clock.now()
+    breach = None
+    for block in blocks:
+        found = supervisor.check(block, now) if len(block.time) else None
+        if found is not None and breach is None:
+            breach = replace(found, time=course.joints_time(found.time, block.stream))
+    notice = _note(driver.notices(), recorder)
+    if notice is not None and not (breach is not None and breach.time < notice.time):
+        # Braking after a protective stop may itself pass a limit: what came first is the reason.
+        course.breach_time = notice.time
+        raise SafetyStopError(notice.message)
+    if breach is not None:
+        course.breach_time = breach.time
+        raise SafetyStopError(str(breach))
+    if recorder.failure is not None:
+        raise recorder.failure
+    for message in course.clocks.due():
+        recorder.event(course.source_time(), "info", "clocks", message)
+    explain = driver.silence if isinstance(driver, Attributing) else None
+    if (breach := supervisor.check_ages(now, explain)) is not None:
+        if now - before > 2.0 * READ_TIMEOUT and not looked_twice:
+            # This process may have been stalled itself: what came meanwhile is in the next read, if anything came.
+            _cycle(driver, recorder, supervisor, course, looked_twice=True)
+            return
+        if course.moves:
+            raise SafetyStopError(str(breach))
+        # Nobody is in danger: the recording goes on until the driver gives the connection up.
+        if breach.joint not in course.silent:
+            recorder.event(course.source_time(), "warning", "session", str(breach))
+            course.silent.add(breach.joint)
+        supervisor.restart_ages(now)
+
+
+def _note(notices: Sequence[Notice], recorder: Recorder) -> Notice | None:
+    """Make notices events; the first error among them."""
+    for notice in notices:
+        recorder.event(notice.time, notice.level, "driver", notice.message)
+    return next((notice for notice in notices if notice.level == "error"), None)
+
+
+def _stop(driver: Driver, player: Player | None) -> None:
+    """Halt the arm: no command after the stop, and the stop even where a command hangs."""
+    ended = player is None or player.stop(_PLAYER_PATIENCE)
+    with suppress(Exception):  # the contract says that it never raises; the file must be closed all the same
+        driver.stop()
+    if not ended and player is not None:
+        player.stop(_PLAYER_LIMIT)
+        with suppress(Exception):
+            driver.stop()
+
+
+@contextmanager
+def _signals_noted(course: _Course) -> Iterator[None]:
+    """Ctrl-C and SIGTERM are noted only; as exceptions they could cut the stop itself short."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        course.interrupted = course.interrupted or _SIGNALS[signal.Signals(number)]
+
+    before = {number: signal.getsignal(number) for number in _SIGNALS}
+    for number in before:
+        signal.signal(number, note)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Keep what stops threads short while they record.
+
+    The garbage collector stays off what exists already: a full collection stops every thread for up to 0.1 s. And a
+    thread that computes hands the interpreter on within `SWITCH_INTERVAL`: by default it may take 5 ms, two periods.
+    """
+    interval = sys.getswitchinterval()
+    gc.collect()
+    gc.freeze()
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(interval)
+        gc.unfreeze()

@@ -1,0 +1,251 @@
+"""The safety supervisor: looks at every block before it is forgotten, and names the first limit that was passed."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.robot.schema import Robot
+from drivers.streams import Block, FloatArray, StreamLayout
+
+TRACKING_ERROR = 0.2
+"""Default limit of the tracking error [rad or m]."""
+TRACKING_WINDOW = 0.25
+"""How far back [s] a command may lie that a measured position is still allowed to follow."""
+VELOCITY_MARGIN = 1.1
+"""A motion may use the whole velocity limit; this leaves room for its noise and overshoot."""
+STALE_PERIODS = 5
+STALE_FLOOR = 0.05
+"""An ordinary PC stalls for tens of milliseconds itself: below this [s] nobody can tell that from a silent source."""
+
+
+@dataclass(frozen=True)
+class Breach:
+    """A limit that was passed.
+
+    Attributes:
+        what: position, velocity, torque, temperature, tracking error, stale data.
+        joint: name of the joint, or of the stream for stale data.
+        value, limit: in `unit`.
+        time: of the source's clock [s]; nan where there is none.
+        unit: of both.
+        cause: why, in words; empty where nobody can tell.
+    """
+
+    what: str
+    joint: str
+    value: float
+    limit: float
+    time: float
+    unit: str
+    cause: str = ""
+
+    def __str__(self) -> str:
+        said = f"{self.what} of {self.joint}: {self.value:.4g} {self.unit} passes {self.limit:.4g} {self.unit}"
+        return f"{said} ({self.cause})" if self.cause else said
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What an arm may do while it moves; arrays (n,), infinite where a limit is unknown.
+
+    Attributes:
+        joints: names.
+        lowest, highest: position [rad or m].
+        velocity: [rad/s or m/s], with its margin.
+        torque: [N·m or N].
+        temperature: [°C].
+        tracking_error: [rad or m].
+        torque_per_current: [N·m/A], nan where unknown; used where a source has no torque.
+    """
+
+    joints: tuple[str, ...]
+    lowest: FloatArray
+    highest: FloatArray
+    velocity: FloatArray
+    torque: FloatArray
+    temperature: FloatArray
+    tracking_error: FloatArray
+    torque_per_current: FloatArray
+
+    @classmethod
+    def of_robot(cls, robot: Robot, tracking_error: float = TRACKING_ERROR) -> Self:
+        """The limits of a robot file."""
+        drives = [robot.drive(name) for name in robot.joint_names]
+        return cls(
+            robot.joint_names,
+            np.array([joint.position[0] for joint in robot.joints]),
+            np.array([joint.position[1] for joint in robot.joints]),
+            VELOCITY_MARGIN * np.array([joint.velocity for joint in robot.joints]),
+            np.array([np.inf if joint.torque is None else joint.torque for joint in robot.joints]),
+            np.array([np.inf if joint.temperature is None else joint.temperature for joint in robot.joints]),
+            np.full(robot.dof, tracking_error),
+            np.array([d.gain if d.gain is not None and d.signal == "current" else np.nan for d in drives]),
+        )
+
+
+def stale_after(rate: float) -> float:
+    """Age [s] from which a stream of this rate [Hz] is stale: five periods, at least 50 ms; never where it is 0."""
+    return max(STALE_PERIODS / rate, STALE_FLOOR) if rate > 0 else np.inf
+
+
+_Index = npt.NDArray[np.intp]
+_Part = tuple[FloatArray, _Index]
+"""Values (N, m) of m joints, and which joints (m,) they are."""
+
+
+class Supervisor:
+    """Checks blocks, commands and ages against limits.
+
+    A column that bears a joint's name is held to that joint's limit, also in a stream that has only some of the joints
+    or has them in another order; where no column does, as many columns as joints count as the joints. Only streams with
+    all joints are compared with commands and targets.
+
+    Args:
+        limits: of the arm.
+        layouts: of the streams that will come.
+    """
+
+    def __init__(self, limits: Limits, layouts: Sequence[StreamLayout]) -> None:
+        self._limits = limits
+        self._stale_after = {layout.name: stale_after(layout.rate) for layout in layouts if layout.essential}
+        self._parts = _partial_channels(limits.joints, layouts)
+        self._all = np.arange(len(limits.joints))
+        self._last_arrival: dict[str, float] = {}
+        self._commands: deque[tuple[float, FloatArray]] = deque()
+
+    def commanded(self, host_time: float, position: FloatArray) -> None:
+        """Note a commanded position (n,) and when it was sent [s, host clock]."""
+        self._commands.append((host_time, position))
+
+    def check(self, block: Block, now: float) -> Breach | None:
+        """The first limit that a block passes, in time; None where it passes none. `now` [s] is the host's clock."""
+        self._last_arrival[block.stream] = now
+        # A temperature that is not a number is a sensor without a reading; elsewhere it is a breach.
+        found: list[tuple[int, Breach]] = []
+        limits = self._limits
+        if (part := self._part(block, "position")) is not None:
+            position, at = part
+            self._add(found, block, "position", "rad", part, position >= limits.lowest[at], limits.lowest)
+            self._add(found, block, "position", "rad", part, position <= limits.highest[at], limits.highest)
+            if len(at) == len(limits.joints):
+                bound, target = limits.tracking_error, self._part(block, "target_position")
+                if target is not None and len(target[1]) == len(at):
+                    error = np.abs(target[0] - position)
+                    self._add(found, block, "tracking error", "rad", (error, at), error <= bound, bound)
+                error = self._distance_to_commands(block.host_time, position)
+                self._add(found, block, "tracking error", "rad", (error, at), error <= bound, bound)
+        if (part := self._part(block, "velocity")) is not None:
+            speed, at = np.abs(part[0]), part[1]
+            self._add(found, block, "velocity", "rad/s", (speed, at), speed <= limits.velocity[at], limits.velocity)
+        if (part := self._torque(block)) is not None:
+            torque, at = part
+            self._add(found, block, "torque", "N·m", part, torque <= limits.torque[at], limits.torque)
+        if (part := self._part(block, "temperature")) is not None:
+            heat, at = part
+            within = (heat <= limits.temperature[at]) | np.isnan(heat)
+            self._add(found, block, "temperature", "°C", part, within, limits.temperature)
+        return min(found, key=lambda entry: entry[0])[1] if found else None
+
+    def check_ages(self, now: float, explain: Callable[[str, float], str] | None = None) -> Breach | None:
+        """The stream that has been silent for too long, once it has begun.
+
+        Args:
+            now: [s, host clock].
+            explain: asked why a stream has been silent for longer than a limit [s]; in words, empty if unknown.
+        """
+        for stream, arrival in self._last_arrival.items():
+            allowed = self._stale_after.get(stream, np.inf)
+            if now - arrival > allowed:
+                cause = "" if explain is None else explain(stream, allowed)
+                return Breach("stale data", f"stream {stream}", now - arrival, allowed, float("nan"), "s", cause)
+        return None
+
+    def restart_ages(self, now: float) -> None:
+        """Forgive the time until `now` [s, host clock], in which this process could not look."""
+        self._last_arrival = dict.fromkeys(self._last_arrival, now)
+
+    def _part(self, block: Block, quantity: str) -> _Part | None:
+        """What a block says of a quantity of joints; None where it says nothing of any."""
+        values = block.values.get(quantity)
+        if values is None:
+            return None
+        if (partial := self._parts.get((block.stream, quantity))) is not None:
+            columns, joints = partial
+            return (values[:, columns], joints) if len(joints) else None
+        return (values, self._all) if values.ndim == 2 and values.shape[1] == len(self._all) else None
+
+    def _torque(self, block: Block) -> _Part | None:
+        if (part := self._part(block, "torque")) is not None:
+            return np.abs(part[0]), part[1]
+        if (part := self._part(block, "current")) is None:
+            return None
+        current, joints = part
+        gain = self._limits.torque_per_current[joints]
+        return np.abs(np.where(np.isnan(gain), 0.0, current * gain)), joints
+
+    def _distance_to_commands(self, host_time: FloatArray, position: FloatArray) -> FloatArray:
+        """How far (N, n) positions lie from everything commanded shortly before; 0 without a command."""
+        while len(self._commands) > 1 and self._commands[1][0] < host_time[0] - TRACKING_WINDOW:
+            self._commands.popleft()
+        commands = list(self._commands)
+        if not commands:
+            return np.zeros_like(position)
+        times = np.array([time for time, _ in commands])
+        targets = np.array([target for _, target in commands])
+        distance = np.zeros_like(position)
+        for row, now in enumerate(host_time):
+            first = max(int(np.searchsorted(times, now - TRACKING_WINDOW)) - 1, 0)
+            last = int(np.searchsorted(times, now, side="right"))
+            if last > first:
+                window = targets[first:last]
+                distance[row] = np.maximum(window.min(0) - position[row], position[row] - window.max(0))
+        return np.maximum(distance, 0.0) + np.where(np.isnan(position), np.nan, 0.0)
+
+    def _add(
+        self,
+        found: list[tuple[int, Breach]],
+        block: Block,
+        what: str,
+        unit: str,
+        part: _Part,
+        within: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
+        limit: FloatArray,
+    ) -> None:
+        if within.all():
+            return
+        values, joints = part
+        row, column = (int(index) for index in np.argwhere(~within)[0])
+        joint = int(joints[column])
+        breach = Breach(
+            what,
+            self._limits.joints[joint],
+            float(values[row, column]),
+            float(limit[joint]),
+            float(block.time[row]),
+            unit,
+        )
+        found.append((row, breach))
+
+
+def _partial_channels(
+    joints: Sequence[str], layouts: Sequence[StreamLayout]
+) -> Mapping[tuple[str, str], tuple[_Index, _Index]]:
+    """(stream, quantity) → its columns that bear joints' names, and those joints, in their order.
+
+    Channels with a column for each joint, in their order or under names of their own, are left out.
+    """
+    found: dict[tuple[str, str], tuple[_Index, _Index]] = {}
+    for layout in layouts:
+        for channel in layout.channels:
+            named = [number for number, joint in enumerate(joints) if joint in channel.columns]
+            if channel.columns == tuple(joints) or (not named and len(channel.columns) == len(joints)):
+                continue
+            columns = [channel.columns.index(joints[number]) for number in named]
+            found[layout.name, channel.quantity] = (np.array(columns, np.intp), np.array(named, np.intp))
+    return found

@@ -1,0 +1,1 @@
+"""CAN through python-can: the bus, its adapters, when frames arrived."""

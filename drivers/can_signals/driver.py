@@ -1,0 +1,254 @@
+"""The driver of arms whose CAN frames are told by a table or a DBC file."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections import deque
+from collections.abc import Sequence
+
+import can
+import numpy as np
+
+from drivers.base import DriverSettings, Notice, State, require_state
+from drivers.can.bus import Receiver, Sender, close_bus, open_bus
+from drivers.can_signals.motion import Commander
+from drivers.can_signals.polling import Poller
+from drivers.can_signals.settings import FixedFrame, parse_settings
+from drivers.can_signals.standstill import REST_LIMIT, comes_to_rest
+from drivers.can_signals.startup import hear_all
+from drivers.can_signals.streams import FrameStreams
+from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.streams import Block, FloatArray, StreamLayout
+
+SILENCE_LIMIT = 0.5
+"""Without a row for so long [s], or for `SILENT_PERIODS`, the connection counts as lost."""
+SILENT_PERIODS = 20
+FIRST_STEP_LIMIT = 0.1
+"""How far [rad] a first command may be from where the arm stands; it would be reached within one period."""
+STOP_REPEATS = 3
+"""How often the stop frames are sent: a frame that an arm misses is not sent again by anybody else."""
+STOP_INTERVAL = 0.01
+
+
+class CanFramesDriver:
+    """An arm on a CAN bus of its maker's own making; implements `drivers.base.Driver`.
+
+    Args:
+        settings: joints, the connection's keys (see `drivers.can_signals.settings.CanFramesSettings`), the gains,
+            the folder that a DBC file is looked for in, and the host's clock.
+
+    Raises:
+        UsageError: the connection's keys are wrong, or the DBC file cannot be used.
+    """
+
+    def __init__(self, settings: DriverSettings) -> None:
+        self._joints = settings.joints
+        self._clock = settings.clock
+        self._settings = parse_settings(settings.connection, settings.joints, settings.folder)
+        self._state: State = "closed"
+        self._bus: can.BusABC | None = None
+        self._receiver: Receiver | None = None
+        self._sender: Sender | None = None
+        self._poller: Poller | None = None
+        self._commander: Commander | None = None
+        self._command_lock = self._clock.lock()  # held while a stop is repeated
+        self._halted = False
+        self._notices: deque[Notice] = deque()
+        self._streams = FrameStreams(self._settings, self._joints, settings.gains, self._notices, self._clock)
+
+    def open(self) -> None:
+        """Open the bus and hear every frame of the joints once, within the connection's `timeout`.
+
+        Raises:
+            ConnectionFailedError: no such bus, or frames of the table that do not come.
+            DriverStateError: it is open already.
+        """
+        require_state(self._state, "closed", "open")
+        settings = self._settings
+        self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
+        try:
+            self._sender = Sender(self._bus, self._clock)
+            self._receiver = Receiver(self._bus, settings.identifiers, clock=self._clock)
+            self._receiver.start()
+            self._send(settings.begin)
+            if settings.poll is not None:
+                self._poller = Poller(self._sender, settings.poll, self._clock)
+                self._poller.start()
+            told = hear_all(settings, self._receiver, self._clock)
+            self._streams.joints.expect(told, 1.0 / settings.rate, self._streams.clock)
+            if told.first and settings.cycle is None:
+                label = settings.parts("joints")[told.first].label
+                said = f"a cycle begins with {label}: before it is the longest pause"
+                self._notices.append(Notice(math.nan, "info", said))
+        except ConnectionLostError as error:
+            self._let_go()
+            raise ConnectionFailedError(error.message, where=error.where, hint=error.hint) from error
+        except BaseException:
+            self._let_go()
+            raise
+        self._state = "open"
+
+    def streams(self) -> tuple[StreamLayout, ...]:
+        """`joints` at the nominal rate, and as the table has them `thermal`, `status` and streams of its own.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+        if self._state == "closed":
+            require_state(self._state, "open", "list its streams")
+        return self._streams.layouts()
+
+    def start(self) -> None:
+        """Make samples flow.
+
+        Raises:
+            DriverStateError: it is not open.
+            ConnectionLostError: the adapter is gone.
+        """
+        require_state(self._state, "open", "start")
+        self._opened_receiver().take()
+        self._streams.forget()
+        self._halted = False
+        self._state = "running"
+
+    def read(self, timeout: float) -> Sequence[Block]:
+        """Blocks that have arrived, waiting at most `timeout` [s] for the first; empty where none came.
+
+        Raises:
+            DriverStateError: it is not running.
+            ConnectionLostError: the adapter is gone, or no complete row came for half a second (20 periods of arms
+                slower than 40 Hz).
+        """
+        require_state(self._state, "running", "read")
+        receiver = self._opened_receiver()
+        end = self._clock.now() + timeout
+        while True:
+            if self._poller is not None and self._poller.failure is not None:
+                raise self._poller.failure
+            left = max(0.0, end - self._clock.now())
+            frames = receiver.take(left, at_least=self._streams.joints.wanted)
+            blocks = self._streams.take(frames, self._poller)
+            now = self._clock.now()
+            if blocks or now >= end:
+                self._require_sound(now)
+                return blocks
+
+    def notices(self) -> Sequence[Notice]:
+        """What there was to tell since the last call: faults of the arm, lost frames, errors of the bus."""
+        found = list(self._receiver.notices()) if self._receiver is not None else []
+        while self._notices:
+            found.append(self._notices.popleft())
+        return found
+
+    def command(self, position: FloatArray) -> None:
+        """Send a joint position (n,) [rad] to be reached within one period; the first enables the drives before.
+
+        Raises:
+            DriverStateError: it is not running, the table has no command frames, the position does not fit into them,
+                or a first position is too far from where the arm stands.
+            ConnectionLostError: the adapter is gone.
+            ValueError: not n finite numbers.
+        """
+        target = np.asarray(position, dtype=np.float64)
+        if target.shape != (len(self._joints),) or not np.all(np.isfinite(target)):
+            raise ValueError(f"a position must be {len(self._joints)} finite numbers, not {position!r}")
+        with self._command_lock:
+            require_state(self._state, "running", "move")
+            if self._halted:
+                raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
+            table, sender = self._settings.command, self._sender
+            if table is None or sender is None:
+                raise DriverStateError(
+                    "this connection cannot move the arm", hint="its table has no 'command'; recording works"
+                )
+            if self._commander is None:
+                self._check_first(target)
+                commander = Commander(table, self._joints)
+                frames = commander.frames(target)  # fits, before anything is enabled
+                self._commander = commander
+                self._send(self._settings.start)
+            else:
+                frames = self._commander.frames(target)
+            sender.send_all(frames)
+
+    def stop(self) -> None:
+        """Halt the arm where this driver moves it, then the samples; safe in every state, never raises.
+
+        The stop frames go out at once, then the joints' own positions must say that the arm has come to rest.
+        """
+        self._halted = True
+        with self._command_lock:
+            commander, self._commander = self._commander, None
+            sent = commander is None or self._send_stop()
+        if commander is not None:
+            if not sent:
+                said = "the stop frames could not be sent; the arm may still move"
+                self._notices.append(Notice(math.nan, "error", said))
+            elif not comes_to_rest(self._receiver, self._streams.joints, self._clock):
+                said = f"the arm did not show within {REST_LIMIT:g} s of the stop frames that it stands still"
+                self._notices.append(Notice(math.nan, "error", said))
+        if self._state == "running":
+            self._state = "open"
+
+    def close(self) -> None:
+        """Let go of the connection; safe in every state."""
+        self.stop()
+        with contextlib.suppress(ConnectionLostError):
+            self._send(self._settings.end)
+        self._let_go()
+        self._state = "closed"
+
+    def _opened_receiver(self) -> Receiver:
+        if self._receiver is None:
+            raise DriverStateError("cannot receive while closed", hint="open the driver first")
+        return self._receiver
+
+    def _require_sound(self, now: float) -> None:
+        limit = max(SILENCE_LIMIT, SILENT_PERIODS / self._settings.rate)
+        if now - self._streams.last_row <= limit:
+            return
+        missing = self._streams.missing
+        what = f": {missing} is missing" if missing else ""
+        raise ConnectionLostError(
+            f"no complete row of the joints for {limit:g} s{what}",
+            where=f"{self._settings.interface} {self._settings.channel}",
+        )
+
+    def _check_first(self, target: FloatArray) -> None:
+        stands = self._streams.latest_position
+        if stands is None:
+            raise DriverStateError("nobody knows where the arm stands", hint="read samples before the first command")
+        away = np.abs(target - stands)
+        if not np.all(away <= FIRST_STEP_LIMIT):
+            worst = int(np.argmax(np.where(np.isnan(away), np.inf, away)))
+            raise DriverStateError(
+                f"the first position is {away[worst]:.3f} rad away from where the joint stands",
+                where=f"joint {self._joints[worst]}",
+                hint=f"begin within {FIRST_STEP_LIMIT:g} rad of the present position",
+            )
+
+    def _send(self, frames: Sequence[FixedFrame]) -> None:
+        if frames and self._sender is not None:
+            self._sender.send_all([(frame.identifier, frame.data) for frame in frames])
+
+    def _send_stop(self) -> bool:
+        sent = False
+        for repeat in range(STOP_REPEATS):
+            if repeat:
+                self._clock.sleep(STOP_INTERVAL)
+            with contextlib.suppress(Exception):
+                self._send(self._settings.stop)
+                sent = True
+        return sent
+
+    def _let_go(self) -> None:
+        if self._poller is not None:
+            self._poller.stop()
+        if self._receiver is not None:
+            self._receiver.tell_rest()
+            self._notices.extend(self._receiver.notices())
+            self._receiver.stop()
+        if self._bus is not None:
+            close_bus(self._bus)
+        self._poller = self._receiver = self._sender = self._bus = None

@@ -1,0 +1,47 @@
+"""Joint positions as command frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from drivers.can_signals.settings import CommandTable
+from drivers.can_signals.signals import Signal, encode
+from drivers.errors import DriverStateError
+from drivers.streams import FloatArray
+
+
+class Commander:
+    """Encodes one position after the other; counts them where the table has a counter.
+
+    Args:
+        table: of the command frames.
+        joints: in the order of every position.
+    """
+
+    def __init__(self, table: CommandTable, joints: Sequence[str]) -> None:
+        self._table = table
+        self._number = {joint: number for number, joint in enumerate(joints)}
+        self._count = 0
+
+    def frames(self, position: FloatArray) -> list[tuple[int, bytes]]:
+        """The frames (identifier, data) of a joint position (n,) [rad].
+
+        Raises:
+            DriverStateError: a joint's position does not fit into its bits.
+        """
+        frames = []
+        for part in self._table.parts:
+            values = [self._value(signal, position) for signal in part.signals]
+            try:
+                data = encode(part, values, self._table.templates.get(part.identifier, b""))
+            except ValueError as error:
+                raise DriverStateError(str(error), hint="the command table cannot express this motion") from error
+            frames.append((part.identifier, data))
+        self._count += 1
+        return frames
+
+    def _value(self, signal: Signal, position: FloatArray) -> float:
+        if signal.quantity == "position":
+            return float(position[self._number[signal.joint]])
+        low, high = signal.field.range
+        return signal.gain * (low + self._count % (high - low + 1.0)) + signal.bias

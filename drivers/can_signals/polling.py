@@ -1,0 +1,101 @@
+"""Frames sent at a fixed period, on an absolute schedule, in a thread of their own."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from drivers.can.bus import Sender
+from drivers.can_signals.assembly import Rows
+from drivers.can_signals.settings import Poll
+from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
+from drivers.errors import ConnectionLostError
+
+ANSWER_LIMIT = 0.1
+"""A poll that has not been answered after so long [s] never will be."""
+_KEPT = 100_000
+
+
+class PollAnswers:
+    """Counts polls that no frame answered.
+
+    A stall of this computer makes answers late, and the count of those that are missing too large, but only until they
+    have come: what was missing throughout `ANSWER_LIMIT` is lost.
+    """
+
+    def __init__(self) -> None:
+        self._missing: int | None = None
+        self._least = 0
+        self._since = 0.0
+
+    def unanswered(self, poller: Poller, rows: Rows) -> int:
+        """How many more are known to be lost after these rows."""
+        if not len(rows.host_time):
+            if self._missing is not None:
+                self._missing -= rows.incomplete
+            return 0
+        now = float(rows.host_time[-1])
+        polls = poller.take_until(now)
+        if self._missing is None:
+            self._missing, self._least, self._since = 0, 0, now
+            return 0
+        self._missing += polls - len(rows.host_time) - rows.incomplete
+        self._least = min(self._least, self._missing)
+        if now - self._since < ANSWER_LIMIT:
+            return 0
+        found, self._since = self._least, now
+        self._missing -= found  # less than nothing: more answers than polls, which are no loss
+        self._least = self._missing
+        return max(0, found)
+
+
+class Poller:
+    """Polls until it is stopped.
+
+    Args:
+        sender: of the bus.
+        poll: what is sent, and how often.
+        clock: the host's.
+
+    Attributes:
+        failure: what ended it; None while all is well.
+    """
+
+    def __init__(self, sender: Sender, poll: Poll, clock: Clock = SYSTEM_CLOCK) -> None:
+        self.failure: ConnectionLostError | None = None
+        self._sender = sender
+        self._clock = clock
+        self._frames = [(frame.identifier, frame.data) for frame in poll.frames]
+        self._period = poll.period
+        self._sent: deque[float] = deque(maxlen=_KEPT)
+        self._ending = clock.event()
+        self._thread = clock.thread(self._run, "can poll")
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End; safe to call twice."""
+        self._ending.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def take_until(self, moment: float) -> int:
+        """How many polls were sent before a time [s, host's monotonic clock] and not taken yet."""
+        count = 0
+        while self._sent and self._sent[0] < moment:
+            self._sent.popleft()
+            count += 1
+        return count
+
+    def _run(self) -> None:
+        set_timer_slack()
+        due = self._clock.now()
+        while not self._ending.wait(max(0.0, due - self._clock.now())):
+            try:
+                self._sent.append(self._sender.send_all(self._frames))
+            except ConnectionLostError as error:
+                self.failure = error
+                return
+            # After a stall the schedule goes on from now: a burst of polls would be answered by nobody.
+            due = max(due + self._period, self._clock.now() - self._period)

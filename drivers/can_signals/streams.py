@@ -1,0 +1,178 @@
+"""From frames to the streams of a recording: which there are, and the blocks that arrive."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from drivers.base import Notice
+from drivers.can.bus import Frame
+from drivers.can_signals.assembly import Assembler, Rows
+from drivers.can_signals.monitor import FaultWatch, RateWatch, Troubles
+from drivers.can_signals.polling import PollAnswers, Poller
+from drivers.can_signals.sample_clock import SourceClock
+from drivers.can_signals.settings import CanFramesSettings
+from drivers.can_signals.signal_keys import WHOLE_ARM
+from drivers.can_signals.signals import batches
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.gains import DriveGain, joint_torque
+from drivers.streams import Block, ChannelLayout, FloatArray, StreamLayout
+
+
+class FrameStreams:
+    """The streams of a table.
+
+    Args:
+        settings: with the table.
+        joints: names.
+        gains: of their drives; torques are made of currents where all are known.
+        notices: are appended to.
+        host_clock: the host's.
+
+    Attributes:
+        joints: puts the rows of the stream `joints` together.
+        clock: the arm's own; None where the table has neither counter nor time.
+        latest_position: (n,) [rad] of the newest row; None before the first.
+        last_row: when the newest row was taken [s, host's monotonic clock].
+    """
+
+    def __init__(
+        self,
+        settings: CanFramesSettings,
+        joints: Sequence[str],
+        gains: Sequence[DriveGain],
+        notices: deque[Notice],
+        host_clock: Clock = SYSTEM_CLOCK,
+    ) -> None:
+        self._host_clock = host_clock
+        self._settings, self._joints, self._gains = settings, tuple(joints), tuple(gains)
+        self._assemblers = {
+            name: Assembler(settings.parts(name), settings.cycle if name == "joints" else None, 0.5 / settings.rate)
+            for name in settings.streams
+        }
+        self.joints = self._assemblers["joints"]
+        self._clock_signal = next((signal for signal in settings.signals if signal.quantity in WHOLE_ARM), None)
+        self.clock = SourceClock(self._clock_signal, settings.rate) if self._clock_signal is not None else None
+        self._troubles = Troubles(notices, host_clock)
+        self._faults = FaultWatch(notices)
+        self._rate_watch = RateWatch(notices, settings.rate)
+        self.forget()
+
+    @property
+    def missing(self) -> str:
+        """What the last incomplete row lacked; empty where none was."""
+        return self._troubles.missing
+
+    def forget(self) -> None:
+        """Begin anew."""
+        for assembler in self._assemblers.values():
+            assembler.forget()
+        if self.clock is not None:
+            self.clock.forget()
+        self._offset = 0.0
+        self._lost = 0
+        self.latest_position: FloatArray | None = None
+        self._latest_time: dict[str, float] = {}
+        self.last_row = self._host_clock.now()
+        self._answers = PollAnswers()
+        self._rate_watch.forget()
+        self._faults.forget()
+
+    def layouts(self) -> tuple[StreamLayout, ...]:
+        """`joints` at the nominal rate, and as the table has them `thermal`, `status` and streams of its own."""
+        layouts = []
+        for name, assembler in self._assemblers.items():
+            channels = []
+            for quantity, members in self._columns(assembler).items():
+                unit = "1" if quantity == "fault" else ""
+                columns = tuple(assembler.signals[index].joint for index in members)
+                channels.append(ChannelLayout(quantity, columns, unit, self._description(name, quantity)))
+            if name == "joints" and self._knows_torque:
+                channels.append(ChannelLayout("torque", self._joints, "", "current times the robot file's drive gains"))
+            layouts.append(StreamLayout(name, tuple(channels), self._settings.rate if name == "joints" else 0.0))
+        return tuple(layouts)
+
+    def take(self, frames: Sequence[Frame], poller: Poller | None) -> list[Block]:
+        """The blocks that these frames complete; `poller` where the arm is polled."""
+        grouped = dict(batches(frames))
+        blocks = []
+        for name, assembler in self._assemblers.items():
+            rows = assembler.take(frames, grouped)
+            self._troubles.note(rows)
+            self._faults.note(assembler.signals, rows, self._offset)
+            if name == "joints":
+                block = self._joints_block(rows, assembler, poller)
+            else:
+                block = self._other_block(name, rows, assembler)
+            if len(block.time):
+                blocks.append(block)
+        return blocks
+
+    @property
+    def _knows_torque(self) -> bool:
+        quantities = self._columns(self.joints)
+        return (
+            "current" in quantities
+            and "torque" not in quantities
+            and len(self._gains) == len(self._joints)
+            and all(gain.gain is not None and gain.signal == "current" for gain in self._gains)
+        )
+
+    def _columns(self, assembler: Assembler) -> dict[str, list[int]]:
+        """Quantity → columns of the assembler's values in the joints' order."""
+        found: dict[str, list[int]] = {}
+        for index, signal in enumerate(assembler.signals):
+            if signal.quantity not in WHOLE_ARM:
+                found.setdefault(signal.quantity, []).append(index)
+        order = {joint: number for number, joint in enumerate(self._joints)}
+        for members in found.values():
+            members.sort(key=lambda index: order[assembler.signals[index].joint])
+        return found
+
+    def _description(self, stream: str, quantity: str) -> str:
+        what = f"{quantity} as the arm's CAN frames say it"
+        if self._clock_signal is None:
+            return f"{what}; time is the arrival of the cycle's first frame at this computer"
+        if stream == "joints":
+            return f"{what}; time is the arm's own {self._clock_signal.quantity}"
+        return f"{what}; time is the arrival of its first frame, brought to the clock of the joints"
+
+    def _joints_block(self, rows: Rows, assembler: Assembler, poller: Poller | None) -> Block:
+        self._lost += rows.incomplete if self.clock is None else 0
+        values, host_time, times = rows.values, rows.host_time, rows.host_time
+        if self.clock is not None and self._clock_signal is not None:
+            told = self.clock.take(values[:, assembler.signals.index(self._clock_signal)], host_time)
+            values, host_time, times = values[told.kept], host_time[told.kept], told.time
+            self._lost += told.lost
+            self._troubles.note_clock(int(np.sum(~told.kept)), told.restarted)
+        elif poller is not None:
+            self._lost += self._answers.unanswered(poller, rows)
+        if not len(times):
+            return Block("joints", times, host_time)
+        self._offset = float(times[-1] - host_time[-1])
+        self.last_row = self._host_clock.now()
+        self._rate_watch.note(host_time, self._lost)
+        values_of = self._values(values, assembler)
+        if self._knows_torque:
+            values_of["torque"] = joint_torque(values_of["current"], self._gains)
+        self.latest_position = values_of["position"][-1]
+        lost, self._lost = self._lost, 0
+        return Block("joints", times, host_time, values_of, lost)
+
+    def _other_block(self, name: str, rows: Rows, assembler: Assembler) -> Block:
+        if not len(rows.host_time):
+            return Block(name, rows.host_time, rows.host_time)
+        # Arrivals jitter, and so does the way from one clock to the other; the stream's own time must not run back.
+        times = np.maximum.accumulate(rows.host_time + self._offset)
+        before = self._latest_time.get(name, -math.inf)
+        times = np.maximum(times, before + 1e-6 * np.arange(1, len(times) + 1)) if math.isfinite(before) else times
+        self._latest_time[name] = float(times[-1])
+        return Block(name, times, rows.host_time, self._values(rows.values, assembler), rows.incomplete)
+
+    def _values(self, values: FloatArray, assembler: Assembler) -> dict[str, FloatArray]:
+        return {
+            quantity: np.ascontiguousarray(values[:, members]) for quantity, members in self._columns(assembler).items()
+        }

@@ -1,0 +1,49 @@
+"""Which drives keep rows from coming, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from drivers.can.bus import Frame
+from drivers.canopen402.objects import TPDO_BASES
+
+
+class Silence:
+    """Looks who has not answered SYNC.
+
+    Args:
+        joints: names.
+        ids: node ids, in the joints' order.
+        latest: identifier → the newest frame; written by the receiving thread.
+    """
+
+    def __init__(self, joints: Sequence[str], ids: Sequence[int], latest: Mapping[int, Frame]) -> None:
+        self._joints, self._ids, self._latest = tuple(joints), tuple(ids), latest
+
+    def who(self, since: float) -> tuple[str, float]:
+        """The drives that have not sent both TPDOs since a time, and when the last of them had.
+
+        Both times [s, host's monotonic clock]; no words where all have.
+        """
+        found: dict[str, float] = {}
+        for joint, node in zip(self._joints, self._ids, strict=True):
+            heard = min(self._latest.get(base + node, (-math.inf,))[0] for base in TPDO_BASES)
+            if heard < since:
+                found[f"{joint} (node {node})"] = heard
+        words = "any drive" if len(found) == len(self._ids) > 1 else ", ".join(found)
+        return words, max(found.values(), default=-math.inf)
+
+    def explain(self, drained: float, without_sync: float, limit: float) -> str:
+        """Why no row came for about `limit` [s]; empty where all drives answer.
+
+        Args:
+            drained: all that arrived before this time [s, host's monotonic clock] is known.
+            without_sync: how long ago the last SYNC was sent [s].
+            limit: [s].
+        """
+        recent = 0.5 * limit  # a row is handed out one SYNC after its frames came, and the session looks later still
+        if without_sync > recent:
+            return f"no SYNC sent for {without_sync:.2f} s: this computer was late"
+        who, heard = self.who(drained - recent)
+        return f"no answer to SYNC of {who} for {drained - heard:.2f} s" if who else ""

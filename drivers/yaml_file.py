@@ -1,0 +1,162 @@
+"""YAML that people write: no key twice, every unreadable value with its line, validation errors in the file's words."""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from drivers.closest import did_you_mean
+from drivers.errors import InputError
+
+Schema = TypeVar("Schema", bound=BaseModel)
+
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
+# Without this, the text of a nested alias ("billion laughs") would fill the memory.
+_SHORT.maxlevel = 3
+
+
+class UniqueKeyLoader(yaml.SafeLoader):
+    """safe_load that refuses a key given twice, and names the line of a value that YAML itself cannot construct."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """The mapping of a node; a yaml.MarkedYAMLError where a key stands twice."""
+        seen: set[str] = set()
+        for key_node, _ in node.value:
+            key = str(key_node.value)
+            if key in seen:
+                raise yaml.MarkedYAMLError(problem=f"key '{key}' stands here twice", problem_mark=key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep=deep)
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        """The value of a node; a yaml.MarkedYAMLError where YAML's own constructor breaks."""
+        try:
+            return super().construct_object(node, deep=deep)
+        # PyYAML lets these through for scalars such as 2026-99-99 or !!int "".
+        except (ValueError, LookupError, AttributeError, TypeError, OverflowError) as error:
+            raise yaml.MarkedYAMLError(
+                problem=f"cannot read the value {describe(node.value)}", problem_mark=node.start_mark
+            ) from error
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a validation found first.
+
+    Attributes:
+        key_path: as in `joints[0].velocity`; empty for the file as a whole.
+        message: what was wrong.
+        hint: what to do; empty when there is nothing to say.
+    """
+
+    key_path: str
+    message: str
+    hint: str
+
+
+def read_mapping(text: str, *, kind: str, where: str, refusal: type[InputError], hint: str = "") -> dict[Any, Any]:
+    """The keys of a file's text, not yet validated.
+
+    Args:
+        text: the YAML.
+        kind: of the file, in words with their article (`a robot file`).
+        where: what an error message calls it.
+        refusal: what is raised.
+        hint: what to do where it is no mapping at all.
+
+    Raises:
+        InputError: `refusal`, where it is not YAML (with line and column), or not a mapping.
+    """
+    try:
+        content = yaml.load(text, Loader=UniqueKeyLoader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f"{where}, line {mark.line + 1}, column {mark.column + 1}" if mark is not None else where
+        raise refusal(f"not valid YAML: {getattr(error, 'problem', None) or error}", where=place) from error
+    except RecursionError as error:
+        raise refusal(f"nested too deeply to be {kind}", where=where) from error
+    if not isinstance(content, dict):
+        raise refusal(f"{kind} is a mapping of keys, but this is {describe(content)}", where=where, hint=hint)
+    return content
+
+
+def validated(content: Mapping[Any, Any], schema: type[Schema], *, where: str, refusal: type[InputError]) -> Schema:
+    """A file's keys as its schema has them.
+
+    Raises:
+        InputError: `refusal`, with the path of the key that is wrong first, what was found and what is allowed.
+    """
+    try:
+        return schema.model_validate(content)
+    except ValidationError as error:
+        problem = first_problem(error, schema)
+        place = f"{where}: {problem.key_path}" if problem.key_path else where
+        raise refusal(problem.message, where=place, hint=problem.hint) from error
+
+
+def first_problem(error: ValidationError, root: type[BaseModel]) -> Problem:
+    """The problem to tell first, in the words of the file whose top level is `root`.
+
+    An unknown key goes before the rest: it is mostly the misspelling of one that is then missing.
+    """
+    problems = error.errors(include_url=False)
+    first = next((problem for problem in problems if problem["type"] == "extra_forbidden"), problems[0])
+    location = tuple(part for part in first["loc"] if not str(part).startswith("function-"))
+    key_path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
+    kind = first["type"]
+    hint = f"{len(problems) - 1} more problem(s) in this file" if len(problems) > 1 else ""
+    if kind == "extra_forbidden":
+        allowed = _allowed_keys(root, location[:-1])
+        message = "unknown key" + (f"; allowed here: {', '.join(allowed)}" if allowed else "")
+        hint = did_you_mean(str(location[-1]), allowed) or hint
+    elif kind == "missing":
+        message = "this entry of the list is missing" if isinstance(location[-1], int) else "this key is missing"
+    elif kind == "value_error":
+        message = str(first["ctx"]["error"])
+    else:
+        message = f"found {describe(first['input'])}, but {first['msg'].removeprefix('Input ')}"
+        message = message.replace("but should", "but it should").replace("but Keys", "but keys")
+    return Problem(key_path, message, hint)
+
+
+def _allowed_keys(root: type[BaseModel], location: tuple[int | str, ...]) -> tuple[str, ...]:
+    """Keys that the section at `location` accepts."""
+    annotation: Any = root
+    for part in location:
+        section = _section_of(annotation)
+        if section is None:
+            return ()
+        if annotation is section:
+            field = section.model_fields.get(str(part))
+            if field is None:
+                return ()
+            annotation = field.annotation
+        else:  # the part is an index of a list or a name in a mapping of such sections
+            annotation = section
+    section = _section_of(annotation)
+    return tuple(section.model_fields) if section is not None else ()
+
+
+def _section_of(annotation: Any) -> type[BaseModel] | None:
+    """The section class inside an annotation such as `tuple[MdhRow, ...] | None` or `dict[str, Connection]`."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for argument in getattr(annotation, "__args__", ()):
+        found = _section_of(argument)
+        if found is not None:
+            return found
+    return None
+
+
+def describe(value: Any) -> str:
+    """A value of the file in at most some 60 characters."""
+    if value is None:
+        return "nothing"
+    text = _SHORT.repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,1 @@
+"""A simulated CAN bus: its load, faults, and an slcan adapter."""

@@ -1,0 +1,1 @@
+"""A simulated arm that speaks a table of CAN signals."""

@@ -1,0 +1,232 @@
+"""A simulated arm whose controller speaks a table of CAN frames, without clock and bus.
+
+The controller measures once a cycle, says it in the table's frames, and follows positions that it is commanded; what
+a real one does beyond that (brakes, start-up, collision detection) it has not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from daq.robot.schema import JointLimits
+from drivers.can.bus import EXTENDED
+from drivers.can_signals.settings import CanFramesSettings, FixedFrame
+from drivers.can_signals.signal_keys import WHOLE_ARM
+from drivers.can_signals.signals import Part, Signal, batches, decode, encode, parts_of
+from drivers.errors import UsageError
+from drivers.streams import FloatArray
+from sim_drivers.can.bus_load import Frame
+from sim_drivers.canopen.motion import EXTRAPOLATED_CYCLES, AxisReference, CyclicPosition, SyncClock
+from sim_drivers.plant.arm import MeasurementLike, SimulatedArm
+
+MEASURED = (
+    "position",
+    "velocity",
+    "current",
+    "torque",
+    "temperature",
+    "target_position",
+    "target_velocity",
+    "target_acceleration",
+    "target_current",
+    "target_torque",
+)
+"""Quantities that a plant gives one a joint."""
+SLOW = ("temperature",)
+"""Quantities whose frames, where they hold nothing else, take turns: one a cycle."""
+SUBSTEP = 1e-3
+"""How often the reference of the joint controllers is renewed [s]."""
+SPEED_MARGIN = 1.2
+"""A command that asks for more than this share of a joint's velocity limit is a fault."""
+LEAST_STEADY = 5.0
+"""Speed over a period [rad/s²] from which two commands tell how far the third should be."""
+HALT_DECELERATION = 10.0
+"""Of a stop [rad/s²]: an assumption."""
+FAULT_COMMAND, FAULT_REQUESTED = 1, 2
+"""What `fault` says: a command outside the joint's limits of position or speed; a fault on request."""
+
+
+class TableArm:
+    """The controller.
+
+    Args:
+        arm: the plant.
+        joints: limits, one a joint.
+        settings: of the connection; the same table that the driver reads.
+
+    Raises:
+        UsageError: the table has a quantity that a simulated arm does not measure.
+
+    Attributes:
+        enabled: whether it follows commands.
+        messages: for whoever shows them.
+    """
+
+    def __init__(self, arm: SimulatedArm, joints: Sequence[JointLimits], settings: CanFramesSettings) -> None:
+        for signal in settings.signals:
+            if signal.quantity not in (*MEASURED, *WHOLE_ARM, "fault"):
+                raise UsageError(
+                    f"a simulated arm does not measure {signal.label}", hint=f"it has {', '.join(MEASURED)}"
+                )
+        self.arm = arm
+        self.enabled = False
+        self.messages: deque[str] = deque(maxlen=100)
+        self._settings = settings
+        self._names = [joint.name for joint in joints]
+        self._lower, self._upper = np.array([joint.position for joint in joints], dtype=np.float64).T
+        self._speed = np.array([joint.velocity for joint in joints], dtype=np.float64)
+        parts = parts_of(settings.signals)
+        self._slow = [part for part in parts if all(signal.quantity in SLOW for signal in part.signals)]
+        self._fast = [part for part in parts if part not in self._slow]
+        self._faults = np.zeros(len(joints))
+        self._cycles = 0
+        self._commanded: dict[int, FloatArray] = {}
+        self._starting = 0
+        self._clock = SyncClock(1.0 / settings.rate)
+        self._time = self._commanded_at = 0.0
+        self._ahead = 0.0
+        self._goal: FloatArray = np.zeros(len(joints))
+        self._step: FloatArray = np.zeros(len(joints))  # of the commands, a period
+        self._axes: tuple[CyclicPosition, ...] = ()
+        # How many periods of full speed the next command may go, one a joint.
+        self._periods_left: FloatArray = np.zeros(len(joints))
+        self._hold()
+
+    def advance(self, duration: float) -> None:
+        """Let time pass [s]; the plant follows in whole steps of `SUBSTEP`."""
+        self._time += duration
+        self._ahead += duration
+        while self._ahead >= SUBSTEP - 1e-9:
+            self._ahead -= SUBSTEP
+            if self.enabled:
+                references = [axis.step(SUBSTEP) for axis in self._axes]
+                position, velocity = np.array([(one.position, one.velocity) for one in references]).T
+                self.arm.set_target(position, velocity)
+            self.arm.advance(SUBSTEP)
+
+    def cycle(self) -> list[Frame]:
+        """The frames of the next cycle, with what the sensors say now."""
+        measured = self.arm.measure()
+        marker = self._settings.cycle
+        frames = [] if marker is None else [_frame(marker, b"")]
+        parts = list(self._fast)
+        if self._slow:
+            parts.append(self._slow[self._cycles % len(self._slow)])
+        frames += [
+            _frame(part.identifier, encode(part, [self._value(signal, measured) for signal in part.signals]))
+            for part in parts
+        ]
+        self._cycles += 1
+        return frames
+
+    def is_poll(self, identifier: int, data: bytes) -> bool:
+        """Whether a frame asks for a cycle: the last one of a poll."""
+        poll = self._settings.poll
+        return poll is not None and poll.frames[-1] == FixedFrame(identifier, data)
+
+    def obey(self, identifier: int, data: bytes, late: float = 0.0) -> None:
+        """Take a frame of the master: start, stop, or a command.
+
+        `late` [s]: how long ago it arrived, where the arm's time has gone on already.
+        """
+        settings, given = self._settings, FixedFrame(identifier, data)
+        if given in settings.stop:
+            if self.enabled:
+                self.arm.halt(HALT_DECELERATION)
+            self.enabled, self._starting = False, 0
+            self._commanded.clear()
+            return
+        if given in settings.start:
+            # In their order, as a procedure that a maker prescribes.
+            self._starting = self._starting + 1 if settings.start[self._starting % len(settings.start)] == given else 0
+            if self._starting == len(settings.start):
+                self._enable()
+            return
+        table = settings.command
+        if table is None:
+            return
+        grouped = dict(batches([(0.0, identifier, data)]))
+        for number, part in enumerate(table.parts):
+            if part.identifier != identifier:
+                continue
+            _, values, _ = decode(part, grouped[identifier])
+            if len(values):
+                self._commanded[number] = values[0]
+        if len(self._commanded) == len(table.parts):
+            self._follow(table.parts, late)
+
+    def fail(self, joint: int, reason: int = FAULT_REQUESTED) -> None:
+        """Let a joint fall into fault: the arm halts and is enabled no more until it is started anew."""
+        self._faults[joint] = reason
+        self.enabled, self._starting = False, 0
+        self.arm.halt(HALT_DECELERATION)
+        self.messages.append(f"fault {reason} of joint {self._names[joint]}")
+
+    def _enable(self) -> None:
+        self._starting = 0
+        self._faults[:] = 0.0
+        self._hold()
+        self.enabled = True
+
+    def _hold(self) -> None:
+        self._goal = np.asarray(self.arm.measure().target_position, dtype=np.float64).copy()
+        self._step = np.zeros_like(self._goal)
+        self._periods_left = np.full(len(self._goal), 1.0 + EXTRAPOLATED_CYCLES)
+        self._axes = tuple(CyclicPosition(AxisReference(start), self._time - self._ahead) for start in self._goal)
+
+    def _follow(self, parts: Sequence[Part], late: float) -> None:
+        goal = np.full(len(self._names), np.nan)
+        for number, part in enumerate(parts):
+            for signal, value in zip(part.signals, self._commanded[number], strict=True):
+                if signal.quantity == "position":
+                    goal[self._names.index(signal.joint)] = value
+        self._commanded.clear()
+        if not self.enabled and not self._settings.start and not np.any(self._faults):
+            self._hold()
+            self.enabled = True
+        if not self.enabled:
+            return
+        # Commands that were left out or come late in a bunch may go their way at one stroke, no more.
+        periods = (self._time - self._commanded_at) * self._settings.rate
+        self._periods_left = np.minimum(self._periods_left + periods, 1.0 + EXTRAPOLATED_CYCLES)
+        self._periods_left -= np.abs(goal - self._goal) / (SPEED_MARGIN * self._speed / self._settings.rate)
+        outside = ~((goal >= self._lower) & (goal <= self._upper) & (self._periods_left >= 0.0))
+        if np.any(outside):
+            self.fail(int(np.argmax(outside)), FAULT_COMMAND)
+            return
+        # Commands are late, all of them, or left out: how far the motion has gone tells, and time where it stands.
+        way, arrival = goal - self._goal, self._time - late
+        passed, steady = self._clock.passed(arrival), float(np.linalg.norm(self._step))
+        if passed <= 1 + EXTRAPOLATED_CYCLES and steady * self._settings.rate**2 > LEAST_STEADY:
+            most = max(round(self._clock.age(arrival) * self._settings.rate), 1)
+            passed = min(max(round(float(way @ self._step) / steady**2), 1), most)
+        # A longer pause may have moved the motion itself: it tells no speed.
+        self._step = way / passed if passed <= 1 + EXTRAPOLATED_CYCLES else np.zeros_like(way)
+        moment = self._clock.tick(arrival, passed)
+        for axis, target in zip(self._axes, goal.tolist(), strict=True):
+            axis.aim(target, moment, self._clock.cycle)
+        self._goal, self._commanded_at = goal, self._time
+
+    def _value(self, signal: Signal, measured: MeasurementLike) -> float:
+        low, high = signal.limits
+        if signal.quantity in WHOLE_ARM:
+            now = float(self._cycles) if signal.quantity == "counter" else self.arm.time
+            if signal.field.floating:
+                return now
+            turn = signal.gain * 2.0**signal.field.length
+            # To whole counts first: 0.9999 of the last count would otherwise round to one that the bits do not hold.
+            counts = math.floor((now - signal.bias) % turn / signal.gain + 1e-6) % 2**signal.field.length
+            return float(low + signal.gain * counts)
+        joint = self._names.index(signal.joint)
+        value = float(self._faults[joint] if signal.quantity == "fault" else getattr(measured, signal.quantity)[joint])
+        if signal.quantity == "position":
+            value += self._ahead * float(measured.velocity[joint])  # between two steps of the plant
+        return min(max(value, low), high)
+
+
+def _frame(identifier: int, data: bytes) -> Frame:
+    return Frame(identifier & ~EXTENDED, data, bool(identifier & EXTENDED))

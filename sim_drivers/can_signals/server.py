@@ -1,0 +1,298 @@
+"""A simulated arm that speaks a table of CAN frames on a python-can bus, as time passes.
+
+One thread does everything. Frames go out when they would have been over on a real bus of this bit rate; a value that
+is overtaken by its successor before it was sent is lost, as in a CAN controller.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Self
+
+import can
+import numpy as np
+
+from daq.robot.schema import Robot
+from drivers.can.bus import EXTENDED, Receiver, close_bus, open_bus
+from drivers.can_signals.settings import parse_settings
+from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
+from drivers.errors import ConnectionLostError
+from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
+from sim_drivers.can.faults import BusOff, Garbage, OverTemperature, Truncate
+from sim_drivers.can_signals.arm import TableArm
+from sim_drivers.can_signals.faults import Mute, TableFault, parse_table_fault
+from sim_drivers.canopen.server import BUS_OFF_ERROR
+from sim_drivers.faults import Block, Drop, Freeze, Heat
+from sim_drivers.plant.arm import SimulatedArm
+
+LONGEST_LAG = 0.25
+"""A stall of more than this [s] is not made up for: the arm's time stands still meanwhile."""
+STOP_TIMEOUT = 5.0
+
+
+@dataclass(frozen=True)
+class TableStatus:
+    """What the arm has done so far.
+
+    Attributes:
+        time: of the arm [s].
+        enabled: whether it follows commands.
+        cycles: of frames.
+        frames: sent.
+        withheld: by faults on request.
+        lost: frames that the bus had no room for.
+        load: share of the time that the bus was busy since the start.
+        stalls: times when the arm's time fell behind the clock.
+    """
+
+    time: float
+    enabled: bool = False
+    cycles: int = 0
+    frames: int = 0
+    withheld: int = 0
+    lost: int = 0
+    load: float = 0.0
+    stalls: int = 0
+
+
+class ProprietaryCanServer:
+    """An arm on a bus; `start` opens it, `stop` lets go.
+
+    Args:
+        arm: the plant.
+        robot: whose joints and limits these are.
+        connection: the keys of a can_frames connection, without `driver`.
+        folder: what a relative `dbc` starts at; the current folder where None.
+        clock: the host's.
+
+    Attributes:
+        messages: for whoever shows them.
+        failure: what ended it; None while all is well.
+
+    Raises:
+        UsageError: the keys are wrong, or the table has a quantity that a simulated arm does not measure.
+    """
+
+    def __init__(
+        self,
+        arm: SimulatedArm,
+        robot: Robot,
+        connection: Mapping[str, object],
+        folder: Path | None = None,
+        clock: Clock = SYSTEM_CLOCK,
+    ) -> None:
+        self.settings = parse_settings(connection, robot.joint_names, folder)
+        self.failure: BaseException | None = None
+        self._clock = clock
+        self._joints = robot.joint_names
+        self._arm = TableArm(arm, robot.joints, self.settings)
+        self.messages: deque[str] = self._arm.messages
+        self._model = BusModel(self.settings.bitrate)
+        self._own = self.settings.identifiers
+        self._faults: SimpleQueue[TableFault] = SimpleQueue()
+        self._stopping = clock.event()
+        self._thread: threading.Thread | None = None
+        self._drop = self._truncate = 0
+        self._frozen_until = -math.inf
+        self._muted: dict[int, float] = {}
+        self._generator = np.random.default_rng(0)
+        self._begun = self._arm_time = self._due = 0.0
+        self._status = TableStatus(arm.time)
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def start(self) -> None:
+        """Open the bus and let time run.
+
+        Raises:
+            ConnectionFailedError: the bus cannot be opened.
+        """
+        if self._thread is not None:
+            raise RuntimeError("started already")
+        settings = self.settings
+        bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
+        self._thread = self._clock.thread(self._run, "table-arm", (bus,))
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Let go of the bus; safe to call twice."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join(STOP_TIMEOUT)
+
+    def status(self) -> TableStatus:
+        """What the arm has done so far."""
+        return self._status
+
+    def cause(self, fault: TableFault) -> None:
+        """Make a fault happen; from any thread."""
+        self._faults.put(fault)
+
+    def obey(self, line: str) -> None:
+        """Cause a fault as a person types it.
+
+        Raises:
+            UsageError: not a fault of this arm.
+        """
+        self.cause(parse_table_fault(line, self._joints))
+
+    def ready(self) -> dict[str, object]:
+        """What a client must know to reach it."""
+        settings = self.settings
+        return {
+            "interface": settings.interface,
+            "channel": settings.channel,
+            "bitrate": settings.bitrate,
+            "rate_hz": settings.rate,
+        }
+
+    def live_line(self) -> str:
+        """How it goes, in one line."""
+        status = self._status
+        state = "enabled" if status.enabled else "not enabled"
+        line = f"{status.time:8.1f} s  {state}, {status.frames} frames, bus load {100 * status.load:.0f} %"
+        troubles = {"withheld": status.withheld, "lost on the bus": status.lost, "stalls": status.stalls}
+        return line + "".join(f", {count} {word}" for word, count in troubles.items() if count)
+
+    def _run(self, bus: can.BusABC) -> None:
+        receiver = Receiver(bus, clock=self._clock)
+        try:
+            set_timer_slack()
+            receiver.start()
+            self._begun = self._arm_time = self._clock.now()
+            self._due = self._begun + 1.0 / self.settings.rate
+            while not self._stopping.is_set():
+                end = self._model.peek()
+                wake = self._due if end is None else min(self._due, end)
+                for arrived, identifier, data in receiver.take(max(0.0, wake - self._clock.now())):
+                    if identifier in self._own:
+                        continue  # udp_multicast gives a sender its own frames back
+                    # Everything in the order of its own time, however late this thread is.
+                    self._run_until(bus, arrived)
+                    frame = Frame(identifier & ~EXTENDED, data, bool(identifier & EXTENDED))
+                    if arrived < self._arm_time:
+                        # Heard late, by a thread that stalled: it was on the bus already, before all that waits there.
+                        self._take(Sent(frame, False, arrived, exact_bits(frame), arrived))
+                    else:
+                        self._model.submit(frame, arrived, own=False)
+                now = self._clock.now()
+                if now - self._due > LONGEST_LAG:
+                    self._due = self._arm_time = now
+                    self._status = replace(self._status, stalls=self._status.stalls + 1)
+                self._run_until(bus, now)
+        except can.CanError as error:
+            self.failure = ConnectionLostError(f"the bus does not take frames: {error.__cause__ or error}")
+        except BaseException as error:  # the thread ends either way; whoever started it must hear why
+            self.failure = error
+        finally:
+            receiver.stop()
+            close_bus(bus)
+
+    def _run_until(self, bus: can.BusABC, moment: float) -> None:
+        """Everything that is due by a time: periods of the controller, and frames that are over on the bus."""
+        while (due := self._due) <= moment:
+            self._carry_until(bus, due)
+            self._period(bus, due)
+            self._due += 1.0 / self.settings.rate
+        self._carry_until(bus, moment)
+
+    def _carry_until(self, bus: can.BusABC, moment: float) -> None:
+        while (end := self._model.peek()) is not None and end <= moment:
+            sent = self._model.pop()
+            if sent.own:
+                self._transmit(bus, sent.frame)
+            else:
+                self._take(sent)
+
+    def _period(self, bus: can.BusABC, now: float) -> None:
+        self._obey_faults(bus, now)
+        self._advance_to(now)
+        if self.settings.poll is None:
+            self._speak(now)
+        self._status = replace(
+            self._status,
+            time=self._arm.arm.time,
+            enabled=self._arm.enabled,
+            lost=self._model.lost,
+            load=self._model.bits / self.settings.bitrate / max(now - self._begun, 1e-9),
+        )
+
+    def _take(self, sent: Sent) -> None:
+        if sent.time < self._frozen_until:
+            return
+        frame = sent.frame
+        identifier = frame.id | (EXTENDED if frame.extended else 0)
+        self._advance_to(sent.time)
+        if self._arm.is_poll(identifier, frame.data):
+            self._speak(sent.time)
+        else:
+            # A computer that stalls hears frames after the arm's time has gone on; they came when they came.
+            self._arm.obey(identifier, frame.data, max(0.0, self._arm_time - sent.ready))
+
+    def _advance_to(self, now: float) -> None:
+        if now > self._arm_time:
+            self._arm.advance(now - self._arm_time)
+            self._arm_time = now
+
+    def _speak(self, now: float) -> None:
+        multiplexed = {signal.identifier for signal in self.settings.signals if signal.multiplexer is not None}
+        for frame in self._arm.cycle():
+            identifier = frame.id | (EXTENDED if frame.extended else 0)
+            # The parts of a multiplexed frame share an identifier but are no successors of each other.
+            self._model.submit(frame, now, own=True, newest_wins=identifier not in multiplexed)
+        self._status = replace(self._status, cycles=self._status.cycles + 1)
+
+    def _transmit(self, bus: can.BusABC, frame: Frame) -> None:
+        data = frame.data
+        now = self._clock.now()
+        if now < max(self._frozen_until, self._muted.get(frame.id, -math.inf)) or self._drop:
+            self._drop = max(0, self._drop - 1)
+            self._status = replace(self._status, withheld=self._status.withheld + 1)
+            return
+        if self._truncate and data:
+            self._truncate -= 1
+            data = data[:-1]
+        message = can.Message(arbitration_id=frame.id, is_extended_id=frame.extended, data=data, check=False)
+        bus.send(message)
+        self._status = replace(self._status, frames=self._status.frames + 1)
+
+    def _obey_faults(self, bus: can.BusABC, now: float) -> None:
+        while True:
+            try:
+                fault = self._faults.get_nowait()
+            except Empty:
+                return
+            match fault:
+                case Drop(frames):
+                    self._drop += frames
+                case Truncate(frames):
+                    self._truncate += frames
+                case Freeze(duration):
+                    self._frozen_until = now + duration
+                case BusOff(duration):
+                    bus.send(can.Message(arbitration_id=BUS_OFF_ERROR, is_error_frame=True, dlc=8, data=bytes(8)))
+                    self._frozen_until = now + duration
+                case Mute(identifier, duration):
+                    self._muted[identifier] = now + duration
+                case Garbage(frames):
+                    for _ in range(frames):
+                        content = self._generator.bytes(int(self._generator.integers(0, 9)))
+                        rubbish = Frame(int(self._generator.integers(1, 0x800)), content)
+                        self._model.submit(rubbish, now, own=True)
+                case OverTemperature(joint):
+                    self._arm.fail(joint)
+                case Heat(joint, celsius):
+                    self._arm.arm.heat(joint, celsius)
+                case Block(joint):
+                    self._arm.arm.block(joint)

@@ -1,0 +1,281 @@
+"""The CiA 402 side of a simulated drive: state machine, modes of operation, references, statusword."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from drivers.canopen402.objects import (
+    CONTROLWORD,
+    CURRENT,
+    ERROR_CODE,
+    MODE,
+    MODE_CYCLIC_POSITION,
+    MODE_DISPLAY,
+    MODE_PROFILE_POSITION,
+    POSITION,
+    PROFILE_ACCELERATION,
+    PROFILE_DECELERATION,
+    PROFILE_VELOCITY,
+    QUICK_STOP_OPTION,
+    STATUSWORD,
+    TARGET_POSITION,
+    TORQUE,
+    VELOCITY,
+    DriveObject,
+)
+from sim_drivers.canopen.motion import AxisMotion, AxisReference, CyclicPosition, Profile, Standstill
+from sim_drivers.canopen.object_dictionary import Abort, ObjectDictionary, SdoAbortError
+from sim_drivers.canopen.setup import QUICK_STOP_RAMP, DriveSetup, Feedback
+from sim_drivers.canopen.state import State, StateMachine
+
+BRAKE_DECELERATION = 20.0
+"""Of the holding brake [rad/s²]: an assumption."""
+LARGEST_FOLLOWING_ERROR = 0.25
+"""[rad]: more of it is a fault."""
+WARM, HOT = 80.0, 90.0
+"""Housing temperatures [°C] of the warning bit and of the fault."""
+QUICK_STOP_OPTIONS = (0, 1, 2, 5, 6)
+
+FAULTY = (State.FAULT_REACTION_ACTIVE, State.FAULT)
+
+OVER_TEMPERATURE, FOLLOWING_ERROR = 0x4310, 0x8611
+"""Error codes."""
+TEMPERATURE = DriveObject(0x2031, 1, 2, True, "housing temperature")
+
+NEW_SET_POINT, CHANGE_AT_ONCE, RELATIVE, HALT = 0x10, 0x20, 0x40, 0x100
+"""Bits of the controlword in profile position mode; halt in every mode."""
+WARNING, TARGET_REACHED, MODE_BIT_12, FOLLOWING_ERROR_BIT = 0x80, 0x400, 0x1000, 0x2000
+"""Bits of the statusword; bit 12: set-point acknowledged, or the drive follows the cyclic set-points."""
+
+
+class Axis:
+    """One drive's motor, brake and their control.
+
+    Args:
+        setup: what the drive is.
+        feedback: at the start.
+        objects: of the drive's node; what this side shows and obeys is connected to them.
+        emergency: is told every error code, 0 once the error is gone.
+
+    Attributes:
+        feedback: what was measured last.
+        reference: where the joint is to be.
+    """
+
+    def __init__(
+        self, setup: DriveSetup, feedback: Feedback, objects: ObjectDictionary, emergency: Callable[[int], None]
+    ) -> None:
+        self.setup, self.feedback, self.objects = setup, feedback, objects
+        self._emergency = emergency
+        self.machine = StateMachine()
+        self.reference = AxisReference(feedback.position)
+        self._motion: AxisMotion = Standstill(self.reference, BRAKE_DECELERATION)
+        self._time = 0.0
+        self._active_mode = 0
+        self._controlword = 0
+        self._setpoint: float | None = None
+        self._next_setpoint: float | None = None
+        self._acknowledged = False
+        self._connect_objects()
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the motor moves the joint; else the brake holds it."""
+        return self.machine.state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
+
+    def position_of(self, counts: int) -> float:
+        """Joint position [rad] of position counts."""
+        return self.setup.zero + counts / self.setup.counts_per_radian
+
+    def counts_of(self, position: float) -> int:
+        """Position counts of a joint position [rad]."""
+        return round((position - self.setup.zero) * self.setup.counts_per_radian)
+
+    def restart(self) -> None:
+        """As after power on; the brake falls in."""
+        self.machine = StateMachine()
+        self._controlword, self._active_mode = 0, 0
+        self._setpoint = self._next_setpoint = None
+        self._acknowledged = False
+        self._motion = Standstill(self.reference, BRAKE_DECELERATION)
+
+    def fault(self, code: int) -> None:
+        """Fall into fault, with an emergency message."""
+        moving = self.enabled
+        self.machine.fault()
+        self.objects.set(ERROR_CODE.index, 0, code)
+        self._emergency(code)
+        ramp = self._deceleration(QUICK_STOP_RAMP.index) if moving else BRAKE_DECELERATION
+        self._motion = Standstill(self.reference, ramp)
+
+    def command(self, controlword: int) -> None:
+        """Do as if the master had sent a controlword; the one that it sent last must not come into force again."""
+        self.objects.set(CONTROLWORD.index, 0, controlword)
+        self.obey()
+
+    def check_temperature(self) -> None:
+        """Fall into fault where it is too hot."""
+        if self.feedback.temperature >= HOT and self.machine.state not in FAULTY:
+            self.fault(OVER_TEMPERATURE)
+
+    def take_setpoint(self, time: float, cycle: float) -> None:
+        """Take the cyclic set-point of a SYNC at a time [s], `cycle` [s] apart from its neighbours; 0 where unknown."""
+        if not isinstance(self._motion, CyclicPosition) or self.machine.state is not State.OPERATION_ENABLED:
+            return
+        target = self.position_of(self.objects.number(TARGET_POSITION.index))
+        if abs(target - self.reference.position) > LARGEST_FOLLOWING_ERROR:
+            self.fault(FOLLOWING_ERROR)
+        else:
+            self._motion.aim(target, time, cycle)
+
+    def step(self, duration: float, actual: float) -> AxisReference:
+        """The reference one step of the control loop later; `actual` is the joint's position [rad]."""
+        self._time += duration
+        if self._next_setpoint is not None and self._motion.finished:
+            self._begin_profile(self._next_setpoint)
+            self._next_setpoint = None
+            self._acknowledge()
+        self.reference = self._motion.step(duration)
+        state = self.machine.state
+        if state in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE) and self._motion.finished:
+            self.machine.stopped()
+        elif state is State.OPERATION_ENABLED and abs(self.reference.position - actual) > LARGEST_FOLLOWING_ERROR:
+            self.fault(FOLLOWING_ERROR)
+        return self.reference
+
+    def obey(self) -> None:
+        """Follow mode and controlword, once everything that came with them is in the objects."""
+        if self.objects.number(MODE.index) != self._active_mode:
+            self._take_mode()
+        word = self.objects.number(CONTROLWORD.index)
+        before, self._controlword = self._controlword, word
+        state = self.machine.state
+        self.machine.quick_stop_option = self.objects.number(QUICK_STOP_OPTION.index)
+        self.machine.control(word)
+        if self.machine.state is not state:
+            self._entered(state)
+        elif state is State.OPERATION_ENABLED:
+            if self._active_mode == MODE_PROFILE_POSITION:
+                self._control_profile(word, word & ~before)
+            if word & ~before & HALT:
+                self._motion = Standstill(self.reference, self._deceleration(PROFILE_DECELERATION.index))
+            elif before & ~word & HALT:
+                self._go_on()
+        self._acknowledge()
+
+    def _control_profile(self, word: int, rising: int) -> None:
+        if not rising & NEW_SET_POINT or self._next_setpoint is not None:
+            return
+        counts = self.objects.number(TARGET_POSITION.index)
+        target = self.position_of(counts)
+        if word & RELATIVE:
+            start = self._setpoint if self._setpoint is not None else self.reference.position
+            target = start + target - self.setup.zero
+        if word & CHANGE_AT_ONCE or self._motion.finished:
+            self._begin_profile(target)
+        else:
+            self._next_setpoint = target
+        self._acknowledged = True
+
+    def _go_on(self) -> None:
+        """After a halt."""
+        if self._setpoint is not None:
+            self._begin_profile(self._setpoint)
+        else:
+            self._take_mode()
+
+    def _acknowledge(self) -> None:
+        """Set-point acknowledge falls once the controlword's bit has fallen and another set-point has room."""
+        if not self._controlword & NEW_SET_POINT and self._next_setpoint is None:
+            self._acknowledged = False
+
+    def _begin_profile(self, target: float) -> None:
+        self._setpoint = target
+        self._motion = Profile(
+            self.reference,
+            target,
+            max(self.objects.number(PROFILE_VELOCITY.index), 1) / abs(self.setup.counts_per_radian),
+            self._deceleration(PROFILE_ACCELERATION.index),
+            self._deceleration(PROFILE_DECELERATION.index),
+        )
+
+    def _entered(self, before: State) -> None:
+        """What a change of state does to the motion."""
+        state = self.machine.state
+        self._setpoint = self._next_setpoint = None
+        self._acknowledged = False
+        if state is State.OPERATION_ENABLED:
+            self.reference = AxisReference(self.feedback.position)
+            self._take_mode()
+        elif state is State.QUICK_STOP_ACTIVE:
+            slow = self.machine.quick_stop_option in (1, 5)
+            self._motion = Standstill(
+                self.reference, self._deceleration(PROFILE_DECELERATION.index if slow else QUICK_STOP_RAMP.index)
+            )
+        elif before in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
+            self._motion = Standstill(self.reference, BRAKE_DECELERATION)
+        elif before is State.FAULT:
+            self.objects.set(ERROR_CODE.index, 0, 0)
+            self._emergency(0)
+
+    def _take_mode(self) -> None:
+        """Follow the mode of operation; set-points of another mode are void."""
+        self._active_mode = self.objects.number(MODE.index)
+        if self.machine.state is not State.OPERATION_ENABLED:
+            return
+        if self._active_mode == MODE_CYCLIC_POSITION:
+            self._motion = CyclicPosition(self.reference, self._time)
+        else:
+            self._motion = Standstill(self.reference, BRAKE_DECELERATION)
+
+    def _set_mode(self, mode: int) -> None:
+        if mode not in (0, MODE_PROFILE_POSITION, MODE_CYCLIC_POSITION):
+            raise SdoAbortError(Abort.VALUE_RANGE)
+
+    def _set_quick_stop_option(self, option: int) -> None:
+        if option not in QUICK_STOP_OPTIONS:
+            raise SdoAbortError(Abort.VALUE_RANGE)
+
+    def _deceleration(self, index: int) -> float:
+        """An acceleration object in rad/s²; at least one count/s², so that every ramp ends."""
+        return max(self.objects.number(index), 1) / abs(self.setup.counts_per_radian)
+
+    def _statusword(self) -> int:
+        word = self.machine.statusword
+        if self.feedback.temperature >= WARM:
+            word |= WARNING
+        if self.machine.state is State.OPERATION_ENABLED:
+            if self._active_mode == MODE_CYCLIC_POSITION:
+                word |= MODE_BIT_12
+            elif self._active_mode == MODE_PROFILE_POSITION:
+                word |= MODE_BIT_12 if self._acknowledged else 0
+                word |= TARGET_REACHED if self._motion.finished and self._next_setpoint is None else 0
+        elif self.objects.number(ERROR_CODE.index) == FOLLOWING_ERROR:
+            word |= FOLLOWING_ERROR_BIT
+        return word
+
+    def _per_mille(self, value: float, rated: float) -> int:
+        # Without voltage there is no current; the brake holds the joint.
+        share = 1000.0 * self.setup.direction * value / rated if self.enabled else 0.0
+        return min(max(round(share), -32768), 32767)
+
+    def _connect_objects(self) -> None:
+        objects, setup = self.objects, self.setup
+        live: tuple[tuple[DriveObject, Callable[[], int]], ...] = (
+            (STATUSWORD, self._statusword),
+            (MODE_DISPLAY, lambda: objects.number(MODE.index)),
+            (POSITION, lambda: _int32(self.counts_of(self.feedback.position))),
+            (VELOCITY, lambda: _int32(round(self.feedback.velocity * setup.counts_per_radian))),
+            (TORQUE, lambda: self._per_mille(self.feedback.torque, setup.rated_torque)),
+            (CURRENT, lambda: self._per_mille(self.feedback.current, setup.rated_current)),
+            (TEMPERATURE, lambda: min(max(round(10.0 * self.feedback.temperature), -32768), 32767)),
+        )
+        for item, read in live:
+            objects.live(item.index, item.subindex, read)
+        objects.on_write(MODE.index, 0, self._set_mode)
+        objects.on_write(QUICK_STOP_OPTION.index, 0, self._set_quick_stop_option)
+
+
+def _int32(value: int) -> int:
+    """As a drive's counter does: it wraps around."""
+    return (value + (1 << 31) & 0xFFFFFFFF) - (1 << 31)

@@ -1,0 +1,219 @@
+"""The object dictionary of one simulated CANopen node: what its EDS lists, with values (CiA 301, CiA 306)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import lru_cache
+from importlib.resources import files
+from io import StringIO
+from typing import Any
+
+EDS_NAME = "dynid_drive.eds"
+"""In the folder `eds`; a user's master reads the same file."""
+
+Value = int | str
+
+
+class Abort(IntEnum):
+    """SDO abort codes (CiA 301, 7.2.4.3.17)."""
+
+    TOGGLE = 0x05030000
+    COMMAND = 0x05040001
+    WRITE_ONLY = 0x06010001
+    READ_ONLY = 0x06010002
+    NO_OBJECT = 0x06020000
+    NOT_MAPPABLE = 0x06040041
+    PDO_LENGTH = 0x06040042
+    INCOMPATIBLE = 0x06040043
+    LENGTH = 0x06070010
+    TOO_LONG = 0x06070012
+    TOO_SHORT = 0x06070013
+    NO_SUBINDEX = 0x06090011
+    VALUE_RANGE = 0x06090030
+    DEVICE_STATE = 0x08000022
+
+
+class SdoAbortError(Exception):
+    """An access that is refused, with the code that says why."""
+
+    def __init__(self, code: Abort) -> None:
+        super().__init__(f"{code.name.lower().replace('_', ' ')} (0x{code:08X})")
+        self.code = code
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One variable.
+
+    Attributes:
+        name: in the EDS.
+        size: [byte]; 0 for a text.
+        signed: whether a number may be negative.
+        readable, writable: by SDO.
+        mappable: into a PDO.
+        default: what it holds after a reset; None where the drive knows.
+    """
+
+    name: str
+    size: int
+    signed: bool
+    readable: bool
+    writable: bool
+    mappable: bool
+    default: Value | None
+
+    def encode(self, value: Value) -> bytes:
+        """The bytes on the wire; a number that is too large is cut to the largest that fits."""
+        if isinstance(value, str):
+            return value.encode("ascii", "replace")
+        low, high = self.limits
+        return min(max(value, low), high).to_bytes(self.size, "little", signed=self.signed)
+
+    def decode(self, content: bytes) -> Value:
+        """The value of bytes on the wire.
+
+        Raises:
+            SdoAbortError: another length.
+        """
+        if not self.size:
+            return content.decode("ascii", "replace")
+        if len(content) != self.size:
+            raise SdoAbortError(Abort.TOO_LONG if len(content) > self.size else Abort.TOO_SHORT)
+        return int.from_bytes(content, "little", signed=self.signed)
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """Smallest and largest number that fits."""
+        bits = 8 * self.size
+        return (-(1 << bits - 1), (1 << bits - 1) - 1) if self.signed else (0, (1 << bits) - 1)
+
+
+def eds_text() -> str:
+    """The electronic data sheet of the simulated drive."""
+    return files("sim_drivers.canopen").joinpath(EDS_NAME).read_text(encoding="utf-8")
+
+
+@lru_cache(maxsize=128)
+def entries(node: int) -> dict[tuple[int, int], Entry]:
+    """The variables of a node by index and subindex, as its EDS lists them."""
+    from canopen.objectdictionary import SIGNED_TYPES, ODVariable, datatypes
+    from canopen.objectdictionary.eds import import_eds
+
+    found: dict[tuple[int, int], Entry] = {}
+    read: Any = import_eds
+    for index, item in read(StringIO(eds_text()), node).items():
+        for variable in [item] if isinstance(item, ODVariable) else item.values():
+            text = variable.data_type == datatypes.VISIBLE_STRING
+            found[index, variable.subindex] = Entry(
+                name=variable.name,
+                size=0 if text else len(variable) // 8,
+                signed=variable.data_type in SIGNED_TYPES,
+                readable=variable.readable,
+                writable=variable.writable,
+                mappable=variable.pdo_mappable,
+                default=variable.default,
+            )
+    return found
+
+
+class ObjectDictionary:
+    """The values of one node.
+
+    Args:
+        node: node id, of the defaults that depend on it.
+        fixed: (index, subindex) → value that this node has instead of the default.
+
+    Attributes:
+        entries: what there is.
+    """
+
+    def __init__(self, node: int, fixed: dict[tuple[int, int], Value]) -> None:
+        self.entries = entries(node)
+        self._fixed = fixed
+        self._live: dict[tuple[int, int], Callable[[], int]] = {}
+        self._checks: dict[tuple[int, int], Callable[[int], None]] = {}
+        self._values: dict[tuple[int, int], Value] = {}
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the defaults."""
+        defaults = {key: entry.default for key, entry in self.entries.items() if entry.default is not None}
+        self._values = {**defaults, **self._fixed}
+
+    def reset_communication(self) -> None:
+        """Objects 0x1000 to 0x1FFF back to their defaults."""
+        before = self._values
+        self.reset()
+        self._values |= {key: value for key, value in before.items() if not 0x1000 <= key[0] < 0x2000}
+
+    def live(self, index: int, subindex: int, read: Callable[[], int]) -> None:
+        """A value that the drive gives whenever it is asked."""
+        self._live[index, subindex] = read
+
+    def on_write(self, index: int, subindex: int, check: Callable[[int], None]) -> None:
+        """Called before a value is stored; may raise SdoAbortError to refuse it."""
+        self._checks[index, subindex] = check
+
+    def entry(self, index: int, subindex: int) -> Entry:
+        """The variable at a place.
+
+        Raises:
+            SdoAbortError: there is none.
+        """
+        found = self.entries.get((index, subindex))
+        if found is None:
+            known = any(place == index for place, _ in self.entries)
+            raise SdoAbortError(Abort.NO_SUBINDEX if known else Abort.NO_OBJECT)
+        return found
+
+    def number(self, index: int, subindex: int = 0) -> int:
+        """The number at a place, as the drive itself sees it."""
+        read = self._live.get((index, subindex))
+        value = read() if read is not None else self._values[index, subindex]
+        if isinstance(value, str):
+            raise TypeError(f"0x{index:04X}:{subindex} is a text")
+        return value
+
+    def reader(self, index: int, subindex: int) -> Callable[[], int]:
+        """A function that gives the number at a place."""
+        return self._live.get((index, subindex)) or (lambda: self.number(index, subindex))
+
+    def set(self, index: int, subindex: int, value: int) -> None:
+        """Store a number, without asking whether a master might.
+
+        Raises:
+            SdoAbortError: the drive refuses the value.
+        """
+        check = self._checks.get((index, subindex))
+        if check is not None:
+            check(value)
+        self._values[index, subindex] = value
+
+    def read(self, index: int, subindex: int) -> bytes:
+        """What an SDO upload gives.
+
+        Raises:
+            SdoAbortError: no such object, or one that cannot be read.
+        """
+        entry = self.entry(index, subindex)
+        if not entry.readable:
+            raise SdoAbortError(Abort.WRITE_ONLY)
+        live = self._live.get((index, subindex))
+        return entry.encode(live() if live is not None else self._values[index, subindex])
+
+    def write(self, index: int, subindex: int, content: bytes) -> None:
+        """What an SDO download does.
+
+        Raises:
+            SdoAbortError: no such object, one that cannot be written, a wrong length, or a value that is refused.
+        """
+        entry = self.entry(index, subindex)
+        if not entry.writable:
+            raise SdoAbortError(Abort.READ_ONLY)
+        value = entry.decode(content)
+        if isinstance(value, str):
+            self._values[index, subindex] = value
+        else:
+            self.set(index, subindex, value)

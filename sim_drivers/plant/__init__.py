@@ -1,0 +1,1 @@
+"""The simulated arm: rigid bodies, friction, heat, drives, sensors."""

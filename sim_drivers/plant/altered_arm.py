@@ -1,0 +1,71 @@
+"""A simulated arm that differs from its robot file: with a load on its tool, or with drive gains nobody knows.
+
+Only `RobotFile.robot`, from which recordings are computed, is changed. The text, which recordings carry, stays as it
+was: an identification sees the arm that the user believes to have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from daq.robot.loader import RobotFile
+from daq.robot.schema import TruthLink
+from drivers.errors import RobotFileError
+from ident.model.dynamics import build_model
+
+
+def with_load(robot_file: RobotFile, mass: float, com: Sequence[float], inertia: Sequence[float]) -> RobotFile:
+    """The arm with a rigid load fixed to the link that carries its tool.
+
+    Args:
+        robot_file: of a simulated arm.
+        mass: [kg].
+        com: (3,) centre of mass [m] from the tool point (`workspace.tool`), axes of the last joint's frame.
+        inertia: (6,) xx, xy, xz, yy, yz, zz about the load's centre of mass, same axes [kg·m²].
+
+    Raises:
+        RobotFileError: the file has no true link there, or the load has no mass.
+    """
+    robot = robot_file.robot
+    model = build_model(robot_file)
+    last = model.link_names[model.tool_link]
+    link = robot.truth.links.get(last)
+    if link is None:
+        raise RobotFileError(f"no true link for joint {last}", where=f"{robot.name}: truth.links")
+    if not mass > 0:
+        raise RobotFileError(f"a load of {mass:g} kg is none", where=robot.name)
+    masses = (link.mass, mass)
+    centres = (np.array(link.com), np.array(com) + np.array(robot.workspace.tool))
+    total = link.mass + mass
+    centre = (masses[0] * centres[0] + masses[1] * centres[1]) / total
+    tensor = sum(
+        _tensor(about) + part * (float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
+        for part, about, offset in zip(
+            masses, (link.inertia, inertia), [other - centre for other in centres], strict=True
+        )
+    )
+    x, y, z = centre.tolist()
+    xx, xy, xz, _, yy, yz, _, _, zz = np.asarray(tensor).ravel().tolist()
+    loaded = TruthLink(mass=total, com=(x, y, z), inertia=(xx, xy, xz, yy, yz, zz))
+    truth = robot.truth.model_copy(update={"links": {**robot.truth.links, last: loaded}})
+    return robot_file.model_copy(update={"robot": robot.model_copy(update={"truth": truth})})
+
+
+def with_gains(robot_file: RobotFile, factors: Mapping[str, float]) -> RobotFile:
+    """The arm whose true drive gains are those of the file times `factors` (joint → factor; 1 where none is given)."""
+    robot = robot_file.robot
+    for name in factors:
+        if name not in robot.joint_names:
+            raise RobotFileError(f"no joint is called '{name}'", where=robot.name)
+    drives = tuple(
+        drive if drive.gain is None else drive.model_copy(update={"gain": drive.gain * factors.get(drive.joint, 1.0)})
+        for drive in robot.drives
+    )
+    return robot_file.model_copy(update={"robot": robot.model_copy(update={"drives": drives})})
+
+
+def _tensor(six: Sequence[float]) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    xx, xy, xz, yy, yz, zz = six
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -1,0 +1,168 @@
+"""Friction of simulated joints: the comprehensive model of the AUBO paper, with a bristle where it is not defined.
+
+Sliding, per joint (AUBO eq. 3-6; T in kelvin, τ_L the gravity torque; the Stribeck term is not in the paper):
+
+    F = sign(q̇)·(Fc + Fb·exp(−(q̇/v_b)²) + f_L·τ_L² + Fv·|q̇|^α + √|q̇|·(β1 + β2·T + β3·T⁻³)) + Fo
+
+Equation 3 leaves out the neighbourhood of zero velocity. There a spring with a damper (a bristle, one Maxwell-slip
+element) takes the place of sign(q̇) on the terms that do not vanish at rest: it yields up to the break-away torque and
+then slides with it. A joint at rest therefore holds its load without creeping and without a sign that chatters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.robot.schema import Robot, TruthJoint
+from drivers.streams import FloatArray
+from drivers.units import ZERO_CELSIUS
+
+BRISTLE_DAMPING = 0.5
+"""Damping ratio of a joint that stands on its bristle."""
+
+STABLE_STEP = 0.5
+"""Largest step × natural frequency of bristle and arm; the integration (leapfrog) is stable below 2."""
+
+SLOWEST = 1e-3
+"""Speed [rad/s] below which |q̇|^α and √|q̇| go straight to zero."""
+
+
+@dataclass(frozen=True)
+class FrictionParameters:
+    """Friction of n joints, joint side; every array is (n,) but `temperature`.
+
+    Attributes:
+        coulomb: Fc [N·m].
+        viscous: Fv [N·m·(s/rad)^α].
+        alpha: α, without unit.
+        temperature: (3, n) β1, β2, β3 of eq. 5, for T in kelvin.
+        load: f_L [1/(N·m)].
+        offset: Fo [N·m].
+        stribeck: Fb [N·m].
+        stribeck_velocity: v_b [rad/s].
+        pre_sliding: travel [rad] until break-away.
+    """
+
+    coulomb: FloatArray
+    viscous: FloatArray
+    alpha: FloatArray
+    temperature: FloatArray
+    load: FloatArray
+    offset: FloatArray
+    stribeck: FloatArray
+    stribeck_velocity: FloatArray
+    pre_sliding: FloatArray
+
+
+def friction_parameters(robot: Robot, share: float = 1.0) -> FrictionParameters:
+    """The friction that the file's truth gives every joint, or a share of it; none where it names no such joint."""
+    joints = [robot.truth.joints.get(name, TruthJoint()) for name in robot.joint_names]
+    return FrictionParameters(
+        coulomb=share * np.array([joint.coulomb for joint in joints]),
+        viscous=share * np.array([joint.viscous for joint in joints]),
+        alpha=np.array([joint.alpha for joint in joints]),
+        temperature=share * np.array([joint.temperature for joint in joints]).T,
+        load=share * np.array([joint.load for joint in joints]),
+        offset=share * np.array([joint.offset for joint in joints]),
+        stribeck=share * np.array([joint.stribeck for joint in joints]),
+        stribeck_velocity=np.array([joint.stribeck_velocity for joint in joints]),
+        pre_sliding=np.array([joint.pre_sliding for joint in joints]),
+    )
+
+
+def temperature_factor(parameters: FrictionParameters, celsius: FloatArray) -> FloatArray:
+    """β1 + β2·T + β3·T⁻³ (n,) of AUBO eq. 5, T in kelvin."""
+    beta1, beta2, beta3 = parameters.temperature
+    kelvin = celsius + ZERO_CELSIUS
+    return np.asarray(beta1 + beta2 * kelvin + beta3 / kelvin**3)
+
+
+def sliding_friction(
+    parameters: FrictionParameters, velocity: FloatArray, celsius: FloatArray, load_torque: FloatArray
+) -> FloatArray:
+    """Friction torque (n,) [N·m] of joints that slide (the module's formula; AUBO eq. 3-6)."""
+    speed = np.abs(velocity)
+    dry = (
+        parameters.coulomb
+        + parameters.stribeck * np.exp(-((speed / parameters.stribeck_velocity) ** 2))
+        + parameters.load * load_torque**2
+    )
+    wet = parameters.viscous * speed**parameters.alpha + np.sqrt(speed) * temperature_factor(parameters, celsius)
+    # A factor fitted at one temperature must not turn friction into a drive at another.
+    return np.asarray(np.sign(velocity) * (dry + np.maximum(wet, 0.0)) + parameters.offset)
+
+
+def steepest_slope(parameters: FrictionParameters, celsius: float) -> FloatArray:
+    """Largest slope (n,) [N·m·s/rad] of the terms that grow with velocity, at velocities up to 1 rad/s."""
+    power = parameters.viscous * np.maximum(SLOWEST ** (parameters.alpha - 1.0), parameters.alpha)
+    root = temperature_factor(parameters, np.full(len(power), celsius)) / np.sqrt(SLOWEST)
+    return np.asarray(np.maximum(power + root, 0.0))
+
+
+def bristle_stiffness(
+    parameters: FrictionParameters, inverse_inertias: FloatArray, step: float
+) -> tuple[FloatArray, FloatArray]:
+    """Stiffness [N·m/rad] and damping [N·m·s/rad] (n,) of the bristles.
+
+    The stiffness breaks away after the pre-sliding travel, unless the integration needs a softer one.
+
+    Args:
+        parameters: of the friction.
+        inverse_inertias: (K, n, n) inverse joint-space inertia at K postures.
+        step: of the integration [s].
+    """
+    inertia = 1.0 / np.max(np.diagonal(inverse_inertias, axis1=1, axis2=2), axis=0)
+    stiffness = (parameters.coulomb + parameters.stribeck) / parameters.pre_sliding
+    stiffness = np.minimum(np.maximum(stiffness, 1.0), inertia * (STABLE_STEP / step) ** 2)
+    root = np.sqrt(stiffness)
+    frequency = float(np.sqrt(np.max(np.linalg.eigvalsh(root[:, None] * inverse_inertias * root))))
+    stiffness *= min(1.0, STABLE_STEP / (step * frequency)) ** 2
+    return stiffness, 2.0 * BRISTLE_DAMPING * np.sqrt(stiffness * inertia)
+
+
+class Friction:
+    """The friction of n joints in motion: parameters, operating conditions and the bristles' deflection.
+
+    Args:
+        parameters: of the friction.
+        stiffness: (n,) of the bristles [N·m/rad].
+        damping: (n,) of the bristles [N·m·s/rad].
+    """
+
+    def __init__(self, parameters: FrictionParameters, stiffness: FloatArray, damping: FloatArray) -> None:
+        self.parameters = parameters
+        self.load_matters = bool(np.any(parameters.load))
+        self._stiffness, self._damping = stiffness, damping
+        self._deflection = np.zeros_like(stiffness)
+        self._stribeck_matters = bool(np.any(parameters.stribeck))
+        self._temperature_matters = bool(np.any(parameters.temperature))
+        self._linear = not self._temperature_matters and bool(np.all(parameters.alpha == 1.0))
+        self._factor = np.zeros_like(stiffness)
+        self._dry = parameters.coulomb
+        self._largest_deflection = self._dry / stiffness
+
+    def set_conditions(self, celsius: FloatArray, load_torque: FloatArray) -> None:
+        """Temperature (n,) [°C] and gravity torque (n,) [N·m] from now on."""
+        if self._temperature_matters:
+            self._factor = temperature_factor(self.parameters, celsius)
+        if self.load_matters:
+            self._dry = self.parameters.coulomb + self.parameters.load * load_torque**2
+            self._largest_deflection = self._dry / self._stiffness
+
+    def torque(self, velocity: FloatArray, travel: FloatArray) -> FloatArray:
+        """Friction torque (n,) [N·m] at a velocity (n,), after the joints went on by `travel` (n,) [rad]."""
+        parameters, dry, limit = self.parameters, self._dry, self._largest_deflection
+        if self._stribeck_matters:
+            dry = dry + parameters.stribeck * np.exp(-((velocity / parameters.stribeck_velocity) ** 2))
+            limit = dry / self._stiffness
+        self._deflection = np.minimum(np.maximum(self._deflection + travel, -limit), limit)
+        stuck = self._stiffness * self._deflection + self._damping * velocity
+        torque: FloatArray = np.minimum(np.maximum(stuck, -dry), dry) + parameters.offset
+        if self._linear:
+            return torque + parameters.viscous * velocity
+        # |q̇|^α and √|q̇| as slope · |q̇|, with the slope held below SLOWEST, where it would grow without bound.
+        floored = np.maximum(np.abs(velocity), SLOWEST)
+        slope = parameters.viscous * floored ** (parameters.alpha - 1.0) + self._factor / np.sqrt(floored)
+        return torque + np.maximum(slope, 0.0) * velocity

@@ -1,0 +1,80 @@
+"""The dashboard port (29999) of a simulated controller: one line asked, one line answered.
+
+Wordings: Universal Robots, "Dashboard Server e-Series", as far as ur_rtde 1.6.5 looks at them.
+"""
+
+from __future__ import annotations
+
+from drivers.errors import ConnectionLostError
+from sim_drivers.rtde.controller import NORMAL, Controller
+
+LONGEST_LINE = 4096
+SERIAL_NUMBER = "20000000000"
+
+
+class DashboardSession:
+    """One client of the dashboard."""
+
+    def __init__(self, controller: Controller) -> None:
+        self.closing = False
+        self._controller = controller
+        self._pending = b""
+
+    def greeting(self) -> bytes:
+        """What the dashboard says first."""
+        return b"Connected: Universal Robots Dashboard Server\n"
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    def receive(self, chunk: bytes) -> bytes:
+        """Answer every line that is complete.
+
+        Raises:
+            ConnectionLostError: a line does not end.
+        """
+        *lines, self._pending = (self._pending + chunk).split(b"\n")
+        if len(self._pending) > LONGEST_LINE:
+            raise ConnectionLostError("a dashboard command does not end")
+        answers = [self._answer(line.decode("utf-8", errors="replace").strip()) for line in lines]
+        return "".join(f"{answer}\n" for answer in answers).encode()
+
+    def _answer(self, line: str) -> str:
+        controller = self._controller
+        playing, normal = controller.script is not None, controller.safety_mode == NORMAL
+        match line.lower():
+            case "polyscopeversion":
+                return f"URSoftware {controller.version} (simulated by dynid)"
+            case "get serial number":
+                return SERIAL_NUMBER
+            case "is in remote control":
+                return "true"
+            case "robotmode":
+                return "Robotmode: RUNNING"
+            case "safetymode":
+                return f"Safetymode: {'NORMAL' if normal else 'PROTECTIVE_STOP'}"
+            case "safetystatus":
+                return f"Safetystatus: {'NORMAL' if normal else 'PROTECTIVE_STOP'}"
+            case "running":
+                return f"Program running: {'true' if playing else 'false'}"
+            case "programstate":
+                return f"{'PLAYING' if playing else 'STOPPED'} rtde_control"
+            case "stop":
+                controller.stop_program()
+                return "Stopped"
+            case "power on":
+                return "Powering on"
+            case "brake release":
+                return "Brake releasing"
+            case "close safety popup":
+                return "closing safety popup"
+            case "close popup":
+                return "closing popup"
+            case "unlock protective stop":
+                if controller.unlock_protective_stop():
+                    return "Protective stop releasing"
+                return "Cannot unlock protective stop until 5s after occurrence"
+            case "quit":
+                self.closing = True
+                return "Disconnected"
+        return f"could not understand: '{line}'"

@@ -1,0 +1,342 @@
+"""A simulated arm behind the ports of a Universal Robots controller: RTDE, dashboard, script.
+
+One thread does everything. Each period, at absolute times, the controller takes one step and every RTDE client gets
+its data package; between periods the sockets are read and written without ever waiting for one of them. When the
+machine stalls, the periods that were missed are made up for; after a long stall virtual time falls behind the clock
+instead, so that the timestamps never have a gap that the arm did not have.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from queue import SimpleQueue
+from typing import Literal, Self
+
+from daq.robot.schema import JointLimits
+from drivers.clock import SYSTEM_CLOCK, Clock, HasFileno
+from drivers.errors import ConnectionFailedError, ConnectionLostError, UsageError
+from sim_drivers.faults import Block, Cut, Drift, Drop, Fault, Faults, Freeze, Heat, ProtectiveStop
+from sim_drivers.plant.arm import SimulatedArm
+from sim_drivers.rtde.connection import Connection, Session
+from sim_drivers.rtde.controller import Controller
+from sim_drivers.rtde.dashboard import DashboardSession
+from sim_drivers.rtde.script_port import ScriptSession
+from sim_drivers.rtde.session import RtdeSession
+from sim_drivers.rtde.variables import parse_version
+
+MAXIMUM_CONNECTIONS = 64
+SELECTABLE_DESCRIPTORS = 1024
+LONGEST_LAG = 0.25
+"""A stall of more than this [s] is not made up for."""
+SEND_BUFFER = 65536
+STOP_TIMEOUT = 5.0
+
+
+@dataclass(frozen=True)
+class Ports:
+    """Where to listen; 0 takes any free port, None none. Clients such as ur_rtde know only these."""
+
+    rtde: int | None = 30004
+    dashboard: int | None = 29999
+    script: int | None = 30003
+
+
+Service = Literal["rtde", "dashboard", "script"]
+"""What a port speaks."""
+
+
+@dataclass(frozen=True)
+class ServerStatus:
+    """What the server has done so far.
+
+    Attributes:
+        time: of the controller [s].
+        rtde_clients: connected to the RTDE port now.
+        packages: data packages sent.
+        faulted: data packages withheld by faults.
+        overflowed: clients dropped because they did not read.
+        broken: clients dropped because they did not speak the protocol.
+        refused: connections beyond what the server holds.
+        stalls: times when virtual time fell behind the clock.
+        safety_mode: 1 normal, 3 protective stop.
+        playing: whether the control script runs.
+    """
+
+    time: float
+    rtde_clients: int = 0
+    packages: int = 0
+    faulted: int = 0
+    overflowed: int = 0
+    broken: int = 0
+    refused: int = 0
+    stalls: int = 0
+    safety_mode: int = 1
+    playing: bool = False
+
+
+class RtdeServer:
+    """A simulated controller; `start` listens, `stop` lets go.
+
+    Args:
+        plant: the arm.
+        host: address to listen on; several arms take 127.0.0.2, 127.0.0.3, ….
+        version: of the controller's software, such as 5.22.
+        rate: of its loop [Hz]; the version's (125 for 3.x, else 500) where None.
+        joints: limits of the six joints; a UR's where None.
+        ports: where to listen.
+        buffer_limit: bytes that may wait for a client that does not read, before it is dropped.
+        clock: the host's.
+
+    Raises:
+        UsageError: a version that does not exist, a rate that it has not, or an arm without six joints.
+    """
+
+    def __init__(
+        self,
+        plant: SimulatedArm,
+        host: str = "127.0.0.1",
+        version: str = "5.22",
+        rate: float | None = None,
+        *,
+        joints: Sequence[JointLimits] | None = None,
+        ports: Ports = Ports(),  # frozen
+        buffer_limit: int = 1 << 20,
+        clock: Clock = SYSTEM_CLOCK,
+    ) -> None:
+        self.version = parse_version(version)
+        self.rate = self.version.rate if rate is None else rate
+        if not 1.0 <= self.rate <= self.version.rate:
+            raise UsageError(f"version {version} runs at up to {self.version.rate:g} Hz, not {self.rate:g}")
+        self.host = host
+        self.ports = ports
+        self.faults = Faults()
+        self.controller = Controller(plant, self.version, 1.0 / self.rate, joints)
+        self.failure: BaseException | None = None
+        self._buffer_limit = buffer_limit
+        self._clock = clock
+        owners: dict[str, RtdeSession] = {}
+        self._sessions: Mapping[Service, Callable[[], Session]] = {
+            "rtde": lambda: RtdeSession(self.controller, owners),
+            "script": lambda: ScriptSession(self.controller),
+            "dashboard": lambda: DashboardSession(self.controller),
+        }
+        self._listeners: dict[HasFileno, tuple[socket.socket, Service]] = {}
+        self._arrived: SimpleQueue[tuple[socket.socket, Service]] = SimpleQueue()
+        self._connections: list[Connection] = []
+        self._stopping = clock.event()
+        self._thread: threading.Thread | None = None
+        self._frozen_until = 0.0
+        self._status = ServerStatus(plant.time)
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def start(self) -> None:
+        """Listen and let time run; `ports` then holds what was taken.
+
+        Raises:
+            ConnectionFailedError: an address cannot be listened on.
+        """
+        if self._thread is not None:
+            raise RuntimeError("started already")
+        ports = self.ports
+        try:
+            rtde = self._listen(ports.rtde, "rtde")
+            script = self._listen(ports.script, "script")
+            dashboard = self._listen(ports.dashboard if self.version.has_dashboard else None, "dashboard")
+        except ConnectionFailedError:
+            self._close()
+            raise
+        self.ports = Ports(rtde, dashboard, script)
+        self._thread = self._clock.thread(self._run, "rtde-server")
+        self._thread.start()
+
+    def serve(self, sock: socket.socket, service: Service) -> None:
+        """Serve a client that is connected already, from the next period on; may be called from any thread."""
+        self._arrived.put((sock, service))
+
+    def stop(self) -> None:
+        """Close every connection; safe to call twice."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join(STOP_TIMEOUT)
+
+    def status(self) -> ServerStatus:
+        """What the server has done so far."""
+        return self._status
+
+    def _listen(self, port: int | None, service: Service) -> int | None:
+        if port is None:
+            return None
+        try:
+            listener = socket.create_server((self.host, port))
+        except OSError as error:
+            raise ConnectionFailedError(
+                f"cannot listen on port {port}: {(error.strerror or str(error)).partition(' (while')[0]}",
+                where=self.host,
+                hint="does another simulated arm run? several take --host 127.0.0.2, 127.0.0.3, …",
+            ) from error
+        listener.setblocking(False)
+        self._listeners[listener] = listener, service
+        return int(listener.getsockname()[1])
+
+    def _run(self) -> None:
+        try:
+            period = 1.0 / self.rate
+            begun, count = self._clock.now(), 0
+            while not self._stopping.is_set():
+                due = begun + count * period
+                self._attend(0.0)
+                while (left := due - self._clock.now()) > 0.0:
+                    self._attend(left)
+                self._period(behind=self._clock.now() - due > period)
+                count += 1
+                if self._clock.now() - (begun + count * period) > LONGEST_LAG:
+                    begun, count = self._clock.now(), 0
+                    self._count(stalls=1)
+        except BaseException as error:  # the thread ends either way; whoever started it must hear why
+            self.failure = error
+        finally:
+            self._close()
+
+    def _period(self, *, behind: bool) -> None:
+        for fault in self.faults.take():
+            self._cause(fault)
+        for connection in self._connections:
+            if isinstance(connection.session, RtdeSession):
+                connection.session.apply_inputs(behind=behind)
+        started = self._clock.now()
+        self.controller.step()
+        self.controller.values["actual_execution_time"] = 1e3 * (self._clock.now() - started)
+        silent = self._clock.now() < self._frozen_until
+        clients = sent = withheld = 0
+        for connection in self._connections:
+            if isinstance(connection.session, RtdeSession):
+                clients += 1
+                package = connection.session.data_package()
+                if not package:
+                    continue
+                if silent or connection.session.withhold:
+                    connection.session.withhold = max(0, connection.session.withhold - 1)
+                    withheld += 1
+                else:
+                    connection.send(package)
+                    sent += 1
+        self._forget_closed()
+        status = self._status
+        self._status = replace(
+            status,
+            time=self.controller.arm.time,
+            rtde_clients=clients,
+            packages=status.packages + sent,
+            faulted=status.faulted + withheld,
+            safety_mode=self.controller.safety_mode,
+            playing=self.controller.script is not None,
+        )
+
+    def _cause(self, fault: Fault) -> None:
+        match fault:
+            case Drop(packages):
+                for connection in self._connections:
+                    if isinstance(connection.session, RtdeSession):
+                        connection.session.withhold += packages
+            case Freeze(duration):
+                self._frozen_until = self._clock.now() + duration
+            case Cut():
+                for connection in self._connections:
+                    if isinstance(connection.session, RtdeSession):
+                        connection.close()
+            case ProtectiveStop():
+                self.controller.protective_stop("on request")
+            case Heat(joint, celsius):
+                self.controller.arm.heat(joint, celsius)
+            case Block(joint):
+                self.controller.arm.block(joint)
+            case Drift(joint, velocity):
+                self.controller.drift(joint, velocity)
+
+    def _attend(self, timeout: float) -> None:
+        """Read and write what can be, waiting at most `timeout` [s] for something to be."""
+        if self._clock.now() < self._frozen_until:
+            # Unread and unanswered, as on a line that has gone dead.
+            self._clock.sleep(timeout)
+            return
+        while not self._arrived.empty():
+            self._take_on(*self._arrived.get())
+        by_socket: dict[HasFileno, Connection] = {connection.sock: connection for connection in self._connections}
+        writers = [connection.sock for connection in self._connections if connection.has_waiting]
+        readable, writable = self._clock.select([*self._listeners, *by_socket], writers, timeout)
+        for sock in writable:
+            by_socket[sock].flush()
+        for sock in readable:
+            if sock in self._listeners:
+                self._accept(*self._listeners[sock])
+            else:
+                self._read(by_socket[sock])
+        if readable or writable:
+            self._forget_closed()
+
+    def _accept(self, listener: socket.socket, service: Service) -> None:
+        try:
+            sock, _ = listener.accept()
+        except OSError:
+            return
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        self._take_on(sock, service)
+
+    def _take_on(self, sock: socket.socket, service: Service) -> None:
+        if len(self._connections) >= MAXIMUM_CONNECTIONS or sock.fileno() >= SELECTABLE_DESCRIPTORS:
+            sock.close()
+            self._count(refused=1)
+            return
+        connection = Connection(sock, self._sessions[service](), self._buffer_limit)
+        self._connections.append(connection)
+        connection.send(connection.session.greeting())
+
+    def _read(self, connection: Connection) -> None:
+        chunk = connection.read() if connection.open else b""
+        if not chunk:
+            return
+        try:
+            answer = connection.session.receive(chunk)
+        except ConnectionLostError as error:
+            self.controller.messages.append(f"a client was dropped: {error.message}")
+            self._count(broken=1)
+            connection.close()
+            return
+        connection.send(answer)
+        if connection.session.closing:
+            connection.close()
+
+    def _forget_closed(self) -> None:
+        if all(connection.open for connection in self._connections):
+            return
+        self._count(overflowed=sum(connection.overflowed for connection in self._connections))
+        self._connections = [connection for connection in self._connections if connection.open]
+
+    def _count(self, *, overflowed: int = 0, broken: int = 0, refused: int = 0, stalls: int = 0) -> None:
+        status = self._status
+        self._status = replace(
+            status,
+            overflowed=status.overflowed + overflowed,
+            broken=status.broken + broken,
+            refused=status.refused + refused,
+            stalls=status.stalls + stalls,
+        )
+
+    def _close(self) -> None:
+        for connection in self._connections:
+            connection.close()
+        for listener, _ in self._listeners.values():
+            listener.close()
+        while not self._arrived.empty():
+            self._arrived.get()[0].close()
+        self._connections, self._listeners = [], {}

@@ -1,0 +1,179 @@
+"""One RTDE client of a simulated controller, without its socket."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections import deque
+
+from drivers.errors import ConnectionLostError
+from drivers.rtde.protocol import (
+    DATA_PACKAGE,
+    GET_CONTROL_VERSION,
+    PAUSE,
+    PROTOCOL_VERSION,
+    REQUEST_PROTOCOL_VERSION,
+    SETUP_INPUTS,
+    SETUP_OUTPUTS,
+    START,
+    PackageSplitter,
+    encode_package,
+)
+from sim_drivers.rtde.controller import Controller
+from sim_drivers.rtde.variables import (
+    IN_USE,
+    NOT_FOUND,
+    PackageRecipe,
+    Value,
+    encode_recipe_answer,
+    encode_text_message,
+    input_variables,
+    output_variables,
+    split_names,
+)
+
+OUTPUT_RECIPE = 1
+MAXIMUM_RECIPES = 255
+MAXIMUM_PACKAGE = 0xFFFF
+
+
+class RtdeSession:
+    """What one client set up, and what it gets.
+
+    Args:
+        controller: whose variables are read and written.
+        owners: input variable → the session that writes it, shared by all sessions.
+
+    Attributes:
+        closing: whether to hang up.
+        running: whether the client wants data packages now.
+        withhold: data packages still to be lost on their way, a fault.
+    """
+
+    def __init__(self, controller: Controller, owners: dict[str, RtdeSession]) -> None:
+        self.closing = False
+        self.running = False
+        self.withhold = 0
+        self._controller = controller
+        self._owners = owners
+        self._splitter = PackageSplitter()
+        self._negotiated = False
+        self._outputs = output_variables(controller.version)
+        self._inputs = input_variables(controller.version)
+        self._recipe: PackageRecipe | None = None
+        self._input_recipes: dict[int, PackageRecipe] = {}
+        self._waiting: deque[dict[str, Value]] = deque()
+        self._share = 1.0
+        self._ticks = 0
+
+    def greeting(self) -> bytes:
+        """RTDE's server waits for the client to speak."""
+        return b""
+
+    def close(self) -> None:
+        """Free the inputs that this client wrote."""
+        self.running = False
+        for name in [name for name, owner in self._owners.items() if owner is self]:
+            del self._owners[name]
+
+    def receive(self, chunk: bytes) -> bytes:
+        """Take what the client sent, give what to answer.
+
+        Raises:
+            ConnectionLostError: the client does not speak RTDE, or not version 2.
+        """
+        answer = b""
+        for package in self._splitter.feed(chunk):
+            answer += self._answer(package.kind, package.payload)
+        return answer
+
+    def apply_inputs(self, *, behind: bool) -> None:
+        """Hand the controller what has come for its next period.
+
+        While virtual time makes up for a stall, packages that came a period apart must not act all at once: then one a
+        period is handed on.
+        """
+        while self._waiting:
+            self._controller.write_inputs(self._waiting.popleft())
+            if behind:
+                return
+
+    def data_package(self) -> bytes:
+        """This period's data package; nothing where the client wants a lower rate, or none."""
+        recipe = self._recipe
+        if not self.running or recipe is None:
+            return b""
+        self._ticks += 1
+        due = math.floor(self._ticks * self._share) > math.floor((self._ticks - 1) * self._share)
+        return recipe.encode(self._controller.values) if due else b""
+
+    def _answer(self, kind: int, payload: bytes) -> bytes:
+        if kind == REQUEST_PROTOCOL_VERSION:
+            accepted = payload == struct.pack(">H", PROTOCOL_VERSION)
+            self._negotiated = self._negotiated or accepted
+            return encode_package(kind, bytes([accepted]))
+        if kind == GET_CONTROL_VERSION:
+            version = self._controller.version
+            return encode_package(
+                kind, struct.pack(">IIII", version.major, version.minor, version.bugfix, version.build)
+            )
+        if not self._negotiated:
+            raise ConnectionLostError("the client did not agree on protocol version 2")
+        if kind == SETUP_OUTPUTS:
+            return self._set_up_outputs(payload)
+        if kind == SETUP_INPUTS:
+            return self._set_up_inputs(payload)
+        if kind in (START, PAUSE):
+            accepted = kind == PAUSE or self._recipe is not None or bool(self._input_recipes)
+            self.running = kind == START and accepted
+            return encode_package(kind, bytes([accepted]))
+        if kind == DATA_PACKAGE:
+            return self._write_inputs(payload)
+        return b""  # a text message of the client
+
+    def _set_up_outputs(self, payload: bytes) -> bytes:
+        if len(payload) < 9:
+            return encode_text_message("an output recipe needs a frequency and a variable")
+        (frequency,) = struct.unpack_from(">d", payload)
+        names, trailing = split_names(payload[8:])
+        types = [self._outputs.get(name, NOT_FOUND) for name in names]
+        self.running, self._recipe = False, None
+        if NOT_FOUND not in types:
+            recipe = PackageRecipe(OUTPUT_RECIPE, list(zip(names, types, strict=True)))
+            if recipe.size > MAXIMUM_PACKAGE:
+                return encode_text_message("an output recipe with too many variables")
+            rate = 1.0 / self._controller.period
+            share = frequency / rate if math.isfinite(frequency) else 1.0
+            self._recipe, self._share, self._ticks = recipe, min(max(share, 1.0 / rate), 1.0), 0
+        number = 0 if self._recipe is None else OUTPUT_RECIPE
+        return _recipe_answer(SETUP_OUTPUTS, number, types, trailing)
+
+    def _set_up_inputs(self, payload: bytes) -> bytes:
+        names, trailing = split_names(payload)
+        types = []
+        for name in names:
+            kind = self._inputs.get(name, NOT_FOUND)
+            types.append(IN_USE if kind != NOT_FOUND and self._owners.get(name, self) is not self else kind)
+        number = 0
+        if NOT_FOUND not in types and IN_USE not in types and len(self._input_recipes) < MAXIMUM_RECIPES:
+            number = len(self._input_recipes) + 1
+            self._input_recipes[number] = PackageRecipe(number, list(zip(names, types, strict=True)))
+            self._owners.update(dict.fromkeys(names, self))
+        return _recipe_answer(SETUP_INPUTS, number, types, trailing)
+
+    def _write_inputs(self, payload: bytes) -> bytes:
+        recipe = self._input_recipes.get(payload[0]) if payload else None
+        if recipe is None:
+            return encode_text_message("a data package for an input recipe that does not exist")
+        received = recipe.decode(payload)
+        if received is None:
+            return encode_text_message(f"a data package of a wrong length for input recipe {recipe.number}")
+        self._waiting.append(received)
+        return b""
+
+
+def _recipe_answer(kind: int, number: int, types: list[str], trailing_comma: bool) -> bytes:
+    try:
+        return encode_recipe_answer(kind, number, types, trailing_comma)
+    except ValueError:  # more types than a package holds
+        return encode_text_message("a recipe with too many variables")

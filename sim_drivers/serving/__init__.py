@@ -1,0 +1,1 @@
+"""What `dynid sim` serves, and until when."""

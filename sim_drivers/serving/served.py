@@ -1,0 +1,127 @@
+"""Serving a simulated device until it is interrupted, whatever its bus."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import FrameType
+from typing import Protocol, Self
+
+from drivers.errors import DynidError, UsageError, WorkError
+
+REFRESH = 0.5
+"""[s] between two live lines."""
+CLEAR_LINE = "\r\x1b[K"
+
+
+class Served(Protocol):
+    """A simulated device, whatever its wire; entering its context starts it, leaving stops it.
+
+    Attributes:
+        messages: for the terminal, oldest first.
+        failure: what ended it; None while all is well.
+    """
+
+    messages: deque[str]
+
+    @property
+    def failure(self) -> BaseException | None: ...  # noqa: D102
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def ready(self) -> Mapping[str, object]:
+        """What a client must know to reach it; known once started."""
+
+    def live_line(self) -> str:
+        """How it goes, in one line."""
+
+    def obey(self, line: str) -> None:
+        """Cause a fault as a person types it.
+
+        Raises:
+            UsageError: not a fault.
+        """
+
+
+@dataclass(frozen=True)
+class BusOptions:
+    """How a simulated arm's wire differs from its robot file's, and what is served beside it.
+
+    Attributes:
+        interface, channel: of python-can; the connection's where None.
+        swap: two joints whose drives have each other's node id, "joint,joint"; None for none.
+        worst_stuffing: whether every frame is as long as it can be.
+        thermometer: whether the robot file's serial thermometer is served beside it.
+    """
+
+    interface: str | None = None
+    channel: str | None = None
+    swap: str | None = None
+    worst_stuffing: bool = False
+    thermometer: bool = False
+
+
+def serve_until_interrupted(served: Served, name: str, *, live: bool) -> None:
+    """Start a simulated device, say so in one JSON object on standard output, and wait for Ctrl-C or SIGTERM.
+
+    Raises:
+        ConnectionFailedError: its wire cannot be had.
+        WorkError: the simulation broke down.
+    """
+    signal.signal(signal.SIGTERM, _interrupt)
+    if hasattr(signal, "SIGTTIN"):
+        # In the background reading the terminal must fail, not stop the process.
+        signal.signal(signal.SIGTTIN, signal.SIG_IGN)
+    shown = False
+    with served:
+        # A full collection takes longer than a period.
+        gc.collect()
+        gc.freeze()
+        print(json.dumps({"ready": True, "robot": name, **served.ready()}), flush=True)
+        # A person types and looks at this: the terminal's time is nobody else's.
+        threading.Thread(target=_obey_typed_faults, args=(served,), name="faults", daemon=True).start()
+        with contextlib.suppress(KeyboardInterrupt):
+            while served.failure is None:
+                time.sleep(REFRESH)
+                while served.messages:
+                    _say(served.messages.popleft(), live=shown)
+                if live:
+                    shown = True
+                    print(f"{CLEAR_LINE}{served.live_line()}", end="", file=sys.stderr, flush=True)
+    if shown:
+        print(file=sys.stderr)
+    if isinstance(served.failure, DynidError):
+        raise served.failure
+    if served.failure is not None:
+        raise WorkError(f"the simulation broke down: {served.failure!r}") from served.failure
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _obey_typed_faults(served: Served) -> None:
+    try:
+        for line in sys.stdin:
+            if not line.strip():
+                continue
+            try:
+                served.obey(line)
+            except UsageError as error:
+                served.messages.append(str(error))
+    except (OSError, ValueError, AttributeError):
+        return  # no standard input, or not ours to read
+
+
+def _say(message: str, *, live: bool) -> None:
+    print(f"{CLEAR_LINE if live else ''}dynid: {message}", file=sys.stderr, flush=True)

@@ -1,0 +1,194 @@
+"""`dynid sim` with a thermometer: alone on an arm at rest, or beside an arm that is served on its own wire."""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+from collections.abc import Mapping
+from typing import Self
+
+from daq.robot.loader import RobotFile
+from daq.robot.schema import Robot
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.errors import UsageError
+from sim_drivers.faults import joint_number
+from sim_drivers.plant.plant import Plant
+from sim_drivers.serving.served import Served
+from sim_drivers.thermometer.server import USAGE, Plug, ThermometerServer, serve_thermometer
+
+DRIVER = "serial_thermometer"
+WORD = "thermometer"
+"""First word of a fault that concerns the thermometer."""
+PERIOD = 0.02
+"""[s] between two advances of an arm that nothing but its thermometer watches."""
+
+
+class BesideThermometer:
+    """An arm on its wire and a thermometer on the same arm, served together.
+
+    Args:
+        served: the arm.
+        thermometer: on its plant.
+    """
+
+    def __init__(self, served: Served, thermometer: ThermometerServer) -> None:
+        self._served, self._thermometer = served, thermometer
+        self.messages = served.messages
+
+    @property
+    def failure(self) -> BaseException | None:
+        """What ended one of them; None while all is well."""
+        return self._served.failure or self._thermometer.failure
+
+    def __enter__(self) -> Self:
+        self._served.__enter__()
+        try:
+            self._thermometer.start()
+        except BaseException:
+            self._served.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._thermometer.stop()
+        self._served.__exit__(*_)
+
+    def ready(self) -> Mapping[str, object]:
+        """What clients must know."""
+        return {**self._served.ready(), **_ready(self._thermometer)}
+
+    def live_line(self) -> str:
+        """How both go, in one line."""
+        return f"{self._served.live_line()}; {_live_line(self._thermometer)}"
+
+    def obey(self, line: str) -> None:
+        """Cause a fault; the thermometer's begin with the word `thermometer`.
+
+        Raises:
+            UsageError: not a fault.
+        """
+        first, _, rest = line.strip().partition(" ")
+        if first == WORD:
+            self._thermometer.obey(rest)
+        else:
+            self._served.obey(line)
+
+
+class ThermometerAlone:
+    """A thermometer on an arm at rest; `heat JOINT CELSIUS` warms a joint up.
+
+    Args:
+        plant: the arm.
+        thermometer: on it.
+        clock: the host's.
+    """
+
+    def __init__(self, plant: Plant, thermometer: ThermometerServer, clock: Clock = SYSTEM_CLOCK) -> None:
+        self._plant, self._thermometer = plant, thermometer
+        self._failure: BaseException | None = None
+        self._heat: deque[tuple[int, float]] = deque()
+        self._clock = clock
+        self._ending = clock.event()
+        self._thread = clock.thread(self._run, "plant")
+        self.messages: deque[str] = deque()
+
+    @property
+    def failure(self) -> BaseException | None:
+        """What ended it; None while all is well."""
+        return self._failure or self._thermometer.failure
+
+    def __enter__(self) -> Self:
+        self._thermometer.start()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ending.set()
+        self._thread.join()
+        self._thermometer.stop()
+
+    def ready(self) -> Mapping[str, object]:
+        """What a client must know."""
+        return _ready(self._thermometer)
+
+    def live_line(self) -> str:
+        """How it goes, in one line."""
+        return _live_line(self._thermometer)
+
+    def obey(self, line: str) -> None:
+        """Cause a fault; the word `thermometer` may stand before it.
+
+        Raises:
+            UsageError: not a fault.
+        """
+        match line.split():
+            case ["heat", joint, celsius]:
+                try:
+                    rise = float(celsius)
+                except ValueError:
+                    rise = float("nan")
+                if not 0.0 < rise < 1e3:
+                    raise UsageError(f"{celsius} is no rise of a temperature", hint="heat JOINT CELSIUS, up to 1000")
+                self._heat.append((joint_number(joint, self._plant.robot.joint_names), rise))
+            case [first, *rest]:
+                try:
+                    self._thermometer.obey(" ".join(rest if first == WORD else [first, *rest]))
+                except UsageError as error:
+                    raise UsageError(error.message, hint=f"{USAGE} | heat JOINT CELSIUS") from error
+
+    def _run(self) -> None:
+        try:
+            begun = self._clock.now()
+            for count in itertools.count(1):  # on a grid, so that no lateness accumulates
+                if self._ending.wait(begun + count * PERIOD - self._clock.now()):
+                    return
+                while self._heat:
+                    self._plant.heat(*self._heat.popleft())
+                self._plant.advance(PERIOD)
+        except BaseException as error:  # the thread ends either way; whoever started it must hear why
+            self._failure = error
+
+
+def thermometer_alone(
+    robot_file: RobotFile, seed: int, plug: Plug | None = None, clock: Clock = SYSTEM_CLOCK
+) -> ThermometerAlone:
+    """The thermometer of a robot file, on its arm at rest.
+
+    Args:
+        robot_file: of the arm.
+        seed: of noise and garbage.
+        plug: the thermometer's end of the line; a pseudo-terminal where None.
+        clock: the host's.
+
+    Raises:
+        UsageError: the robot file has no serial thermometer, or its keys are wrong.
+        RobotFileError: the robot file has no truth.
+    """
+    keys = thermometer_keys(robot_file.robot)
+    plant = Plant(robot_file, seed=seed)
+    return ThermometerAlone(plant, serve_thermometer(plant, keys, seed, plug, clock), clock)
+
+
+def thermometer_keys(robot: Robot) -> Mapping[str, object]:
+    """The keys of a robot file's first serial thermometer.
+
+    Raises:
+        UsageError: it has none.
+    """
+    for connection in robot.connections.values():
+        if connection.driver == DRIVER:
+            return dict(connection.model_extra or {})
+    raise UsageError(
+        "the robot file has no serial thermometer",
+        where=f"{robot.name}: connections",
+        hint=f"add one: driver: {DRIVER}",
+    )
+
+
+def _ready(thermometer: ThermometerServer) -> Mapping[str, object]:
+    return {"thermometer": thermometer.path, "thermometer_baudrate": thermometer.settings.baudrate}
+
+
+def _live_line(thermometer: ThermometerServer) -> str:
+    lost = f", {thermometer.lost} that nobody took" if thermometer.lost else ""
+    return f"thermometer {thermometer.path}: {thermometer.lines} lines{lost}"

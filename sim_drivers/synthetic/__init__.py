@@ -1,0 +1,1 @@
+"""Recordings and motions made without a bus."""

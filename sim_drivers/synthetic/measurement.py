@@ -1,0 +1,67 @@
+"""Recordings of an arm that does not exist: exact inverse dynamics, then what sensors and drives do to it."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+import numpy as np
+
+from daq.motion.trajectories import Motion
+from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream, software_versions
+from daq.robot.loader import RobotFile
+from daq.robot.loops import coupling_matrix
+from drivers.streams import UNITS, FloatArray
+from ident.model.dynamics import build_model, truth_vector
+from ident.model.regressor import model_torque
+
+
+def simulate_recording(
+    robot_file: RobotFile, motion: Motion, duration: float, seed: int, rate: float | None = None
+) -> Recording:
+    """Record `duration` seconds of a motion that the arm follows exactly.
+
+    Positions are quantised by the encoder; torques carry white noise and a ripple that depends on the position
+    (`truth.noise` of the robot file). Where the drive's gain is known the raw signal is recorded, else the torque.
+
+    Raises:
+        RobotFileError: the robot file has no truth.
+    """
+    robot = robot_file.robot
+    noise = robot.truth.noise
+    model = build_model(robot_file)
+    truth = truth_vector(robot_file)
+    generator = np.random.default_rng(seed)
+    frequency = noise.rate if rate is None else rate
+    time = np.arange(round(duration * frequency)) / frequency
+    position, velocity, acceleration = motion.evaluate(time)
+    torque = model_torque(model, None, truth, position, velocity, acceleration)
+    for joint, name in enumerate(robot.joint_names):
+        ripple = noise.ripple_amplitude.get(name, 0.0)
+        phase = generator.uniform(0.0, 2.0 * np.pi)
+        torque[joint] += ripple * np.sin(noise.ripple_per_revolution * position[joint] + phase)
+        torque[joint] += noise.torque_std.get(name, 0.0) * generator.standard_normal(len(time))
+    if noise.encoder_resolution > 0:
+        position = np.round(position / noise.encoder_resolution) * noise.encoder_resolution
+    channels = {"position": Channel("position", position.T, "rad", robot.joint_names, "simulated encoder")}
+    channels |= _drive_channels(robot_file, torque)
+    return Recording(
+        robot_text=robot_file.text,
+        urdf_text=robot_file.urdf_text or "",
+        streams={JOINTS_STREAM: Stream(JOINTS_STREAM, time, time, channels)},
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        versions=software_versions(),
+        comment=f"simulated, seed {seed}",
+    )
+
+
+def _drive_channels(robot_file: RobotFile, torque: FloatArray) -> dict[str, Channel]:
+    robot = robot_file.robot
+    gains = [robot.drive(name).gain for name in robot.joint_names]
+    signals = {robot.drive(name).signal for name in robot.joint_names}
+    if signals in ({"current"}, {"voltage"}) and all(gain is not None for gain in gains):
+        signal = signals.pop()
+        values = torque / np.array(gains, dtype=np.float64)[:, None]
+        return {signal: Channel(signal, values.T, UNITS[signal], robot.joint_names, f"simulated motor {signal}")}
+    if robot.model.coupling:  # what a recording calls torque is the joints'
+        torque = coupling_matrix(robot.model.coupling, robot.joint_names).T @ torque
+    return {"torque": Channel("torque", torque.T, "N*m", robot.joint_names, "simulated joint torque")}

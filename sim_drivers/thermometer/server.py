@@ -1,0 +1,317 @@
+"""A simulated serial thermometer: lines of text, as fast as its baud rate lets them through.
+
+What it is plugged into carries any number of characters a second; so they are handed over one after the other, ten bit
+times each.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+import numpy as np
+
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.errors import UsageError
+from drivers.serial_thermometer.port import BITS_A_CHARACTER
+from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
+from drivers.streams import FloatArray
+from drivers.units import ZERO_CELSIUS
+from sim_drivers.plant.plant import Plant
+from sim_drivers.thermometer.pseudo_terminal import PseudoTerminal
+
+SLICE = 0.002
+"""[s] between two portions of characters."""
+STOP_LIMIT = 5.0
+NOISE_BYTES = bytes(range(256))
+USAGE = "thermometer silent SECONDS | garbage SECONDS | unplug | unplug SECONDS | replug"
+
+
+@dataclass(frozen=True)
+class SimulatedThermometer:
+    """What the thermometer sends.
+
+    Attributes:
+        channels: one a value, in the order of the temperatures.
+        rate: lines a second.
+        baudrate: [bit/s].
+        template: of one value; `channel` and `value` in the unit.
+        separator: between the values of a line.
+        unit: degC, degF or K.
+    """
+
+    channels: tuple[str, ...]
+    rate: float = 5.0
+    baudrate: int = 9600
+    template: str = "T{channel}={value:.2f}"
+    separator: str = " "
+    unit: str = "degC"
+
+    def line(self, celsius: Sequence[float] | FloatArray) -> bytes:
+        """A line with these temperatures [°C], one a channel."""
+        convert: Mapping[str, Callable[[float], float]] = {
+            "degC": lambda value: value,
+            "degF": lambda value: 1.8 * value + 32.0,
+            "K": lambda value: value + ZERO_CELSIUS,
+        }
+        values = [
+            self.template.format(channel=channel, value=convert[self.unit](float(value)))
+            for channel, value in zip(self.channels, celsius, strict=True)
+        ]
+        return (self.separator.join(values) + "\r\n").encode("ascii")
+
+
+class Plug(Protocol):
+    """One end of a serial line, which may be pulled out; no two of its methods run at a time."""
+
+    @property
+    def path(self) -> str:
+        """What a reader opens."""
+
+    def plug_in(self) -> None:
+        """Let the port be there; nothing where it is."""
+
+    def pull_out(self) -> None:
+        """Take the port away; nothing where there is none."""
+
+    def write(self, data: bytes) -> int:
+        """Send without waiting; how many characters somebody took."""
+
+    def remove(self) -> None:
+        """Leave nothing behind."""
+
+
+class ThermometerServer:
+    """A thermometer on a serial line; `start` plugs it in, `stop` ends it.
+
+    Args:
+        source: an arm whose joints' housings are measured, all of them in their order, or a function that gives the
+            temperatures [°C], one a channel.
+        settings: what is sent.
+        seed: of the garbage.
+        plug: its end of the line; a pseudo-terminal where None.
+        clock: the host's.
+
+    Attributes:
+        lines: sent whole, garbage not counted.
+        lost: lines that nobody took.
+        failure: what ended it; None while all is well.
+
+    Raises:
+        UsageError: so many lines do not fit through the baud rate.
+    """
+
+    def __init__(
+        self,
+        source: Plant | Callable[[], Sequence[float] | FloatArray],
+        settings: SimulatedThermometer,
+        seed: int = 0,
+        plug: Plug | None = None,
+        clock: Clock = SYSTEM_CLOCK,
+    ) -> None:
+        self.settings = settings
+        self.lines = 0
+        self.lost = 0
+        self.failure: BaseException | None = None
+        self._temperatures = (lambda: source.thermal.housing) if isinstance(source, Plant) else source
+        length = len(settings.line(np.full(len(settings.channels), -100.0)))
+        if length * settings.rate * BITS_A_CHARACTER > settings.baudrate:
+            raise UsageError(
+                f"{settings.rate:g} lines a second of {length} characters do not fit through {settings.baudrate} bit/s",
+                hint=f"at most {settings.baudrate / (BITS_A_CHARACTER * length):.3g} lines a second",
+            )
+        self._random = random.Random(seed)
+        self._plug = PseudoTerminal() if plug is None else plug
+        self._clock = clock
+        self._changed = clock.condition()
+        self._stopping = False
+        self._silent_until = self._garbage_until = 0.0
+        self._replug_at = math.inf
+        self._thread: threading.Thread | None = None
+
+    @property
+    def path(self) -> str:
+        """Of the port; it stays the same when the thermometer is unplugged and plugged in again."""
+        return self._plug.path
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def start(self) -> None:
+        """Plug it in and let it send."""
+        if self._thread is not None:
+            raise RuntimeError("started already")
+        self.replug()
+        self._thread = self._clock.thread(self._run, "thermometer")
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End it; safe to call twice."""
+        with self._changed:
+            self._stopping = True
+            self._changed.notify_all()
+        if self._thread is not None:
+            self._thread.join(STOP_LIMIT)
+        self.unplug()
+        self._plug.remove()
+
+    def silent(self, duration: float) -> None:
+        """Send nothing for a while [s]."""
+        self._silent_until = self._clock.now() + duration
+
+    def garbage(self, duration: float) -> None:
+        """Send any bytes in place of lines for a while [s], as at a wrong baud rate."""
+        self._garbage_until = self._clock.now() + duration
+
+    def unplug(self, duration: float | None = None) -> None:
+        """Pull it out; it comes back after `duration` [s], or with `replug`."""
+        with self._changed:
+            self._replug_at = math.inf if duration is None else self._clock.now() + duration
+            self._plug.pull_out()
+            self._changed.notify_all()
+
+    def replug(self) -> None:
+        """Plug it in again; nothing where it is plugged in."""
+        with self._changed:
+            self._plug_in()
+
+    def obey(self, line: str) -> None:
+        """Cause a fault as a person types it, without the word `thermometer`.
+
+        Raises:
+            UsageError: not a fault.
+        """
+        match line.split():
+            case ["silent", seconds] if (duration := _positive(seconds)) is not None:
+                self.silent(duration)
+            case ["garbage", seconds] if (duration := _positive(seconds)) is not None:
+                self.garbage(duration)
+            case ["unplug"]:
+                self.unplug()
+            case ["unplug", seconds] if (duration := _positive(seconds)) is not None:
+                self.unplug(duration)
+            case ["replug"]:
+                self.replug()
+            case _:
+                raise UsageError(f"'{line.strip()}' is not a fault of the thermometer", hint=USAGE)
+
+    def _run(self) -> None:
+        try:
+            self._send()
+        except BaseException as error:  # the thread ends either way; whoever started it must hear why
+            self.failure = error
+
+    def _send(self) -> None:
+        period = 1.0 / self.settings.rate
+        byte_time = BITS_A_CHARACTER / self.settings.baudrate
+        due = free = self._clock.now()
+        waiting = bytearray()
+        while not self._stopping:
+            now = self._clock.now()
+            with self._changed:
+                if now >= self._replug_at:
+                    self._plug_in()
+            while due <= now:
+                if not waiting:
+                    free = max(free, due)
+                waiting += self._next_line(now)
+                due += period
+            count = min(int((now - free) / byte_time), len(waiting))
+            if count > 0:
+                self._write(bytes(waiting[:count]))
+                del waiting[:count]
+                free += count * byte_time
+            with self._changed:
+                if not self._stopping:
+                    self._changed.wait(min(now + SLICE if waiting else due, self._replug_at) - now)
+
+    def _plug_in(self) -> None:
+        self._replug_at = math.inf
+        self._plug.plug_in()
+
+    def _next_line(self, now: float) -> bytes:
+        if now < self._silent_until:
+            return b""
+        line = self.settings.line(self._temperatures())
+        if now < self._garbage_until:
+            return bytes(self._random.choices(NOISE_BYTES, k=len(line)))
+        return line
+
+    def _write(self, data: bytes) -> None:
+        with self._changed:
+            taken = self._plug.write(data)
+        self.lines += data[:taken].count(b"\n")
+        self.lost += data[taken:].count(b"\n")
+
+
+def simulated_thermometer(connection: Mapping[str, object], joints: Sequence[str]) -> SimulatedThermometer:
+    """What a thermometer of a robot file's connection sends: the channels of all joints that it names, in joint order.
+
+    Raises:
+        UsageError: the connection's keys are wrong, or its pattern does not match what is sent.
+    """
+    settings = parse_settings({key: value for key, value in connection.items() if key != "with"}, joints)
+    simulated = SimulatedThermometer(
+        tuple(_by_joint(settings, joints)), settings.rate, settings.baudrate, unit=settings.unit
+    )
+    line = simulated.line([20.0] * len(simulated.channels)).decode("ascii")
+    found = [match["channel"] for match in settings.pattern.finditer(line)]
+    if found != list(simulated.channels):
+        raise UsageError(
+            f"the simulated thermometer sends lines such as {line.strip()!r}, which 'pattern' does not match",
+            hint=r"for the simulation take T(?P<channel>\w+)=(?P<value>[-+.\d]+)",
+        )
+    return simulated
+
+
+def serve_thermometer(
+    plant: Plant,
+    connection: Mapping[str, object],
+    seed: int = 0,
+    plug: Plug | None = None,
+    clock: Clock = SYSTEM_CLOCK,
+) -> ThermometerServer:
+    """A thermometer, not yet started, on an arm: the joints that a robot file's connection names.
+
+    Args:
+        plant: the arm.
+        connection: the keys of the robot file's connection.
+        seed: of the garbage.
+        plug: its end of the line; where None a pseudo-terminal, which appears where the connection's `url` says, if
+            that is the path of no device.
+        clock: the host's.
+
+    Raises:
+        UsageError: as `simulated_thermometer`, so many lines do not fit through the baud rate, or something else is
+            where the port should appear.
+    """
+    joints = plant.robot.joint_names
+    settings = parse_settings({key: value for key, value in connection.items() if key != "with"}, joints)
+    columns = [joints.index(joint) for joint in _by_joint(settings, joints).values()]
+    simulated = simulated_thermometer(connection, joints)
+    if plug is None:
+        own = os.path.isabs(settings.url) and not settings.url.startswith("/dev/")
+        plug = PseudoTerminal(settings.url if own else None)
+    return ThermometerServer(lambda: plant.thermal.housing[columns], simulated, seed, plug, clock)
+
+
+def _by_joint(settings: ThermometerSettings, joints: Sequence[str]) -> dict[str, str]:
+    """Channel → joint, in the order of the joints."""
+    return dict(sorted(settings.channels.items(), key=lambda item: joints.index(item[1])))
+
+
+def _positive(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if 0.0 < value < float("inf") else None

@@ -1,0 +1,441 @@
+"""The command `dynid record`, from its arguments to its exit status, with a driver of an arm that is not there."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import nullcontext, suppress
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+from kinematic_arm import FIRST_STAMP, NAMES, RATE, ROBOT_FILE, KinematicArm
+
+from daq.commands.record import TERMINATED_STATUS
+from daq.motion.player import ticks
+from daq.motion.trajectory_file import load_trajectory
+from daq.recording.reader import read_recording
+from daq.recording.recover import follow_recording, recover
+from daq.session import session
+from drivers.errors import RecordingError
+from dynid import command
+
+TRAJECTORY = {
+    "robot": "two-links",
+    "kind": "points",
+    "points": [[0.1, -0.1], [0.3, 0.1], [0.0, 0.0]],
+    "durations": [0.8, 0.8],
+}
+LIMIT = 60.0
+"""How long [s] something that must happen in another process may take, however busy the computer is."""
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    """A folder with robot file and trajectory, and the driver `kinematic` installed."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "robot.yaml").write_text(ROBOT_FILE.text)
+    (tmp_path / "traj.yaml").write_text(yaml.safe_dump(TRAJECTORY))
+    made = []
+
+    def install(fault="", name="kinematic"):
+        def make(settings):
+            made.append((settings, KinematicArm(fault, 0.802, clock=settings.clock)))
+            return made[-1][1]
+
+        entry = SimpleNamespace(name=name, load=lambda: make)
+        monkeypatch.setattr(session, "entry_points", lambda group: [entry])
+
+    install()
+    return SimpleNamespace(folder=tmp_path, made=made, install=install)
+
+
+@pytest.fixture
+def dynid(clock, monkeypatch, capsys):
+    """The command in simulated time."""
+    monkeypatch.setattr("drivers.clock.SYSTEM_CLOCK", clock)
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
+        with pytest.raises(SystemExit) as left:
+            command.main()
+        out, err = capsys.readouterr()
+        return left.value.code, out, err
+
+    return run
+
+
+def test_a_motion_is_recorded_and_told_as_json(bench, dynid):
+    status, out, err = dynid(
+        "record", "robot.yaml", "--trajectory", "traj.yaml", "-o", "run.h5", "--comment", "cold", "--json"
+    )
+    assert status == 0, err
+    told = json.loads(out)
+    recording = read_recording(bench.folder / "run.h5")
+    settings, arm = bench.made[0]
+    joints = recording.streams["joints"]
+    np.testing.assert_array_equal(joints.time, np.concatenate([block.time for block in arm.samples]))
+    assert told["file"] == "run.h5"
+    assert told["stopped_by"] is None
+    assert told["overflow"] == 0
+    assert told["streams"]["joints"]["samples"] == len(joints.time) == arm.count
+    assert told["streams"]["joints"]["lost"] == 0
+    assert told["streams"]["joints"]["rate_hz"] == pytest.approx(RATE, rel=1e-6)
+    positions = ticks(load_trajectory(Path("traj.yaml"), ROBOT_FILE.robot).motion, RATE)
+    np.testing.assert_array_equal(arm.commands[-len(positions) + 1 :], positions[1:])
+    assert told["punctuality"]["sent"] == len(arm.commands) - 1
+    assert told["punctuality"]["skipped"] == 0
+    assert recording.complete
+    assert recording.comment == "cold"
+    assert settings.joints == NAMES
+    assert arm.stopped_at is not None
+
+
+def test_streams_are_told_as_info_tells_them(bench, dynid):
+    status, out, _ = dynid("record", "robot.yaml", "--duration", "0.6", "-o", "run.h5", "--json")
+    assert status == 0
+    streams = json.loads(out)["streams"]
+    status, out, _ = dynid("info", "run.h5", "--json")
+    assert status == 0
+    info = json.loads(out)["streams"]
+    assert streams.keys() == info.keys()
+    for name, quality in streams.items():
+        assert quality == {key: info[name][key] for key in quality}
+
+
+def test_without_json_a_person_is_told(bench, dynid):
+    status, out, err = dynid("record", "robot.yaml", "--duration", "0.6", "-o", "run.h5", "--host", "192.0.2.7")
+    assert status == 0
+    assert "run.h5: joints: 120 samples at 200 Hz, 0 lost" in out
+    assert err == ""  # no terminal: no display
+    assert bench.made[0][0].connection["host"] == "192.0.2.7"
+
+
+CANOPEN = """
+connections:
+  arm:
+    driver: canopen402
+    interface: virtual
+    channel: nowhere
+    bitrate: {bitrate}
+    sync_rate: 200
+    nodes: {{shoulder: {{id: 1}}, elbow: {{id: 2}}}}
+"""
+
+
+def on_canopen(bench, bitrate):
+    """The robot file with a CANopen connection, and that driver in place of the real one."""
+    content = yaml.safe_load(ROBOT_FILE.text) | yaml.safe_load(CANOPEN.format(bitrate=bitrate))
+    (bench.folder / "robot.yaml").write_text(yaml.safe_dump(content))
+    bench.install(name="canopen402")
+
+
+def test_a_bus_that_is_too_slow_is_refused_before_it_is_touched(bench, dynid):
+    on_canopen(bench, 150000)
+    status, out, err = dynid("record", "robot.yaml", "--duration", "0.3", "-o", "run.h5")
+    assert status == 2
+    assert out == ""
+    (line,) = err.splitlines()
+    assert "connections.arm: 200 Hz do not fit on a bus of 150000 bit/s" in line
+    assert not (bench.folder / "run.h5").exists()
+    assert not any(arm.opened for _, arm in bench.made)
+
+
+def test_a_bus_with_little_room_is_a_warning_on_stderr_and_in_the_file(bench, dynid):
+    on_canopen(bench, 200000)
+    status, _, err = dynid("record", "robot.yaml", "--duration", "0.3", "-o", "run.h5")
+    assert status == 0
+    assert "dynid: warning: connection 'arm' fills its bus to 8" in err
+    (event,) = [event for event in read_recording(bench.folder / "run.h5").events if "fills its bus" in event.message]
+    assert event.level == "warning"
+
+
+def test_no_display_is_started_for_programs(bench, dynid, monkeypatch):
+    displays = []
+
+    def noted(*, shown, **others):
+        displays.append(shown)
+        return nullcontext()
+
+    monkeypatch.setattr("daq.live.terminal_view.live_view", noted)
+    for terminal in (True, False):
+        for option in ((), ("--no-ui",), ("--json",)):
+            monkeypatch.setattr(sys.stderr, "isatty", lambda terminal=terminal: terminal)
+            assert dynid("record", "robot.yaml", "--duration", "0.1", "-o", "run.h5", "--force", *option)[0] == 0
+    assert displays == [True, False, False, False, False, False]
+
+
+@pytest.mark.parametrize("fault", ["torque", "temperature", "protective stop", "lost connection"])
+def test_a_stopped_session_exits_1_with_the_reason(bench, dynid, fault):
+    bench.install(fault)
+    status, out, err = dynid("record", "robot.yaml", "--trajectory", "traj.yaml", "-o", "run.h5", "--json")
+    assert status == 1
+    reason = "the connection broke" if fault == "lost connection" else fault
+    told = json.loads(out)
+    assert reason in told["stopped_by"]
+    assert reason in err
+    seen = 160 if fault == "lost connection" else 161
+    assert told["streams"]["joints"]["samples"] == bench.made[0][1].count == seen
+    assert not read_recording(bench.folder / "run.h5").complete
+    assert bench.made[0][1].commands_after_stop == 0
+
+
+def refused(bench, dynid, *arguments):
+    """What is said about arguments that are refused; nothing was done."""
+    before = {path.name: path.read_bytes() for path in bench.folder.iterdir()}
+    status, out, _ = dynid("record", "robot.yaml", *arguments, "--json")
+    assert status == 2
+    assert {path.name: path.read_bytes() for path in bench.folder.iterdir()} == before
+    assert all(arm.commands == [] for _, arm in bench.made)
+    error = json.loads(out)
+    return f"{error['where']}: {error['error']} ({error['hint']})"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "either --trajectory or --duration"),
+        (("--trajectory", "traj.yaml", "--duration", "1"), "either --trajectory or --duration"),
+        (("--duration", "0"), "not a positive number"),
+        (("--duration", "nan"), "not a positive number"),
+        (("--duration", "1", "--wire", "canfd"), "no connection is called 'canfd' (there are: bench)"),
+        (("--trajectory", "absent.yaml"), "absent.yaml: cannot be read"),
+    ],
+)
+def test_wrong_arguments_exit_2(bench, dynid, arguments, said):
+    assert said in refused(bench, dynid, *arguments, "-o", "run.h5")
+    assert bench.made == []
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [({"robot": "ur5e"}, "made for 'ur5e'"), ({"points": [[0.1, -0.1], [3.5, 0.1], [0.0, 0.0]]}, "shoulder")],
+)
+def test_a_trajectory_that_does_not_fit_exits_2(bench, dynid, change, said):
+    (bench.folder / "traj.yaml").write_text(yaml.safe_dump(TRAJECTORY | change))
+    assert said in refused(bench, dynid, "--trajectory", "traj.yaml", "-o", "run.h5")
+    assert bench.made == []
+
+
+def test_a_robot_without_connections_exits_2(bench, dynid):
+    (bench.folder / "robot.yaml").write_text(ROBOT_FILE.text.partition("connections:")[0])
+    assert "has no connection" in refused(bench, dynid, "--duration", "1", "-o", "run.h5")
+
+
+def test_a_driver_that_is_not_installed_exits_2(bench, dynid):
+    bench.install(name="other")
+    said = refused(bench, dynid, "--duration", "1", "-o", "run.h5")
+    assert "connections.bench.driver: no driver is called 'kinematic' (installed: other)" in said
+
+
+@pytest.mark.parametrize(
+    ("out", "said"),
+    [
+        ("there.h5", "there.h5: the file exists already (choose another name or --force)"),
+        ("nowhere/run.h5", "nowhere: there is no such folder"),
+        ("there.h5/run.h5", "there.h5: is not a folder"),
+        (".", ".: is a folder"),
+    ],
+)
+def test_where_nothing_can_be_written_is_known_before_the_wire_is_touched(bench, dynid, out, said):
+    (bench.folder / "there.h5").write_bytes(b"precious")
+    assert said in refused(bench, dynid, "--duration", "1", "-o", out)
+    assert not any(arm.opened for _, arm in bench.made)
+
+
+def test_a_full_disk_is_known_before_the_wire_is_touched(bench, dynid, monkeypatch):
+    monkeypatch.setattr("daq.recording.recorder.RESERVE", 2**62)
+    status, out, _ = dynid("record", "robot.yaml", "--duration", "1", "-o", "run.h5", "--json")
+    assert status == 1
+    assert "the disk is full" in json.loads(out)["error"]
+    assert not any(arm.opened for _, arm in bench.made)
+
+
+ROOT = Path(session.__file__).parents[2]
+SUPPORT = Path(sys.modules["kinematic_arm"].__file__).parent
+IN_SIMULATED_TIME = """
+import resource
+import drivers.clock
+from kinematic_arm import KinematicArm
+from simulated_clock import SimulatedClock
+drivers.clock.SYSTEM_CLOCK = SimulatedClock()
+arm = KinematicArm(rate=2000.0, clock=drivers.clock.SYSTEM_CLOCK)
+resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
+"""
+IN_REAL_TIME = """
+from pathlib import Path
+from kinematic_arm import KinematicArm
+
+class Arm(KinematicArm):
+    def read(self, timeout):
+        Path("begun").touch()
+        return super().read(timeout)
+
+arm = Arm()
+"""
+MAIN = """
+import sys
+from types import SimpleNamespace
+from daq.session import session
+from dynid import command
+entry = SimpleNamespace(name="kinematic", load=lambda: lambda settings: arm)
+session.entry_points = lambda group: [entry]
+try:
+    command.main()
+finally:
+    with open("arm.txt", "w") as told:
+        print(len(arm.commands) > 0, arm.stopped_at is not None, arm.commands_after_stop, file=told)
+"""
+
+
+def in_a_process(code, folder, *arguments):
+    """`dynid record` with the driver `kinematic` in a process of its own; `code` runs first and has `arm` to set."""
+    return subprocess.Popen(
+        [sys.executable, "-c", code + MAIN, "record", "robot.yaml", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(SUPPORT)])},
+    )
+
+
+def wait_for(condition: Callable[[], object], process: subprocess.Popen[str]) -> None:
+    """Wait until something is true while a process runs."""
+    end = time.monotonic() + LIMIT
+    while not condition():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("limit", [180_000, 250_000])
+def test_a_write_that_the_system_refuses_ends_in_order(bench, limit):
+    """A file size limit, as a quota would: there is room on the disk, yet a write fails."""
+    trajectory = ("--trajectory", "traj.yaml", "-o", "run.h5", "--json")
+    (bench.folder / "traj.yaml").write_text(yaml.safe_dump(TRAJECTORY | {"durations": [9.0, 9.0]}))
+    process = in_a_process(IN_SIMULATED_TIME.format(limit=limit), bench.folder, *trajectory)
+    out, errors = process.communicate(timeout=LIMIT)
+    assert process.returncode == 1, errors  # not -11: HDF5 crashes at exit where a broken file is left to it
+    said = "run.h5: cannot be written: File too large (rescue what was written: dynid recover run.h5)"
+    assert errors == f"dynid: {said}\n"
+    assert json.loads(out)["stopped_by"] == said
+    assert (bench.folder / "arm.txt").read_text() == "True True 0\n"
+    found = recover(bench.folder / "run.h5", bench.folder / "rescued.h5")
+    joints = read_recording(bench.folder / "rescued.h5").streams["joints"]
+    assert len(joints.time) % 1000 == 0  # whole chunks
+    assert len(joints.time) > 0
+    np.testing.assert_array_equal(joints.time, FIRST_STAMP + np.arange(len(joints.time)) / 2000.0)
+    for channel in joints.channels.values():  # rows that were written in part are not among them
+        assert np.all(np.isfinite(channel.values))
+    assert found.cut["joints"] >= 0
+
+
+def test_a_limit_that_leaves_no_room_for_a_file_is_refused(bench):
+    process = in_a_process(IN_SIMULATED_TIME.format(limit=5000), bench.folder, "--duration", "1", "-o", "run.h5")
+    out, errors = process.communicate(timeout=LIMIT)
+    assert (process.returncode, out) == (2, "")
+    assert errors == "dynid: run.h5: cannot be created: File too large\n"
+    assert not (bench.folder / "run.h5").exists()
+
+
+@pytest.mark.realtime
+def test_sigterm_ends_in_order_with_the_status_of_shells(bench):
+    process = in_a_process(IN_REAL_TIME, bench.folder, "--duration", "600", "-o", "run.h5", "--json")
+    wait_for((bench.folder / "begun").exists, process)
+    process.terminate()
+    out, errors = process.communicate(timeout=LIMIT)
+    assert process.returncode == 128 + signal.SIGTERM == TERMINATED_STATUS
+    assert errors == "dynid: terminated\n"
+    assert json.loads(out)["stopped_by"] == "terminated"
+    assert (bench.folder / "arm.txt").read_text() == "False True 0\n"
+    assert any(event.message == "stopped: terminated" for event in read_recording(bench.folder / "run.h5").events)
+
+
+@pytest.mark.realtime
+def test_what_was_flushed_before_a_kill_is_rescued_by_the_command(bench, dynid):
+    process = in_a_process(IN_REAL_TIME, bench.folder, "--duration", "600", "-o", "run.h5")
+    path, flushed = bench.folder / "run.h5", 0
+
+    def grown() -> bool:
+        nonlocal flushed
+        with suppress(RecordingError):  # its beginning is being written
+            flushed = len(follow_recording(path).streams["joints"].time)
+        return flushed >= 100
+
+    wait_for((bench.folder / "begun").exists, process)
+    wait_for(grown, process)
+    process.kill()
+    process.communicate(timeout=LIMIT)
+    assert process.returncode == -signal.SIGKILL
+    with pytest.raises(RecordingError, match=r"half-written.*dynid recover"):
+        read_recording(path)
+    status, out, _ = dynid("recover", "run.h5", "--json")
+    assert status == 0
+    recording = read_recording(bench.folder / "run-recovered.h5")
+    times = recording.streams["joints"].time
+    assert json.loads(out)["streams"]["joints"]["samples"] == len(times) >= flushed
+    np.testing.assert_array_equal(times, FIRST_STAMP + np.arange(len(times)) / RATE)
+    assert not recording.complete
+
+
+IN_A_TERMINAL = """
+import fcntl, sys, termios
+from types import SimpleNamespace
+
+def main():
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+    sys.path.insert(0, sys.argv.pop(1))
+    from kinematic_arm import KinematicArm
+    from daq.session import session
+    from dynid import command
+    entry = SimpleNamespace(name="kinematic", load=lambda: lambda settings: KinematicArm())
+    session.entry_points = lambda group: [entry]
+    command.main()
+
+if __name__ == "__main__":
+    main()
+"""
+
+
+@pytest.mark.realtime
+def test_ctrl_c_in_a_terminal_ends_recording_and_display_in_order(bench):
+    keyboard, terminal = pty.openpty()
+    arguments = ("record", "robot.yaml", "--duration", "600", "-o", "run.h5")
+    process = subprocess.Popen(
+        [sys.executable, "-c", IN_A_TERMINAL, str(SUPPORT), *arguments],
+        stdin=terminal,
+        stdout=terminal,
+        stderr=terminal,
+        start_new_session=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "120"},
+    )
+    os.close(terminal)
+    patience = threading.Timer(LIMIT, process.kill)
+    patience.start()
+    seen, sent = b"", False
+    with suppress(OSError):  # how Linux says that nobody holds the terminal any more
+        while received := os.read(keyboard, 65536):
+            seen += received
+            if not sent and seen.count(b" Hz, ") >= 4:
+                sent = os.write(keyboard, b"\x03") == 1  # to the display, too
+    status = process.wait()
+    patience.cancel()
+    os.close(keyboard)
+    text = seen.decode(errors="replace")
+    assert sent, text
+    assert status == 130, text
+    assert "Traceback" not in text
+    assert "of 600.0 s" in text
+    assert "largest torque so far 10 % of its limit (shoulder)" in text
+    recording = read_recording(bench.folder / "run.h5")
+    assert any("stopped: interrupted" in event.message for event in recording.events)

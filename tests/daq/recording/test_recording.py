@@ -1,0 +1,320 @@
+"""The recording: what was written is read, and what is broken says how."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from daq.recording.reader import read_recording
+from daq.recording.recording import JOINTS_STREAM, SCHEMA_VERSION, Channel, Event, Recording, Stream
+from daq.recording.writer import RecordingWriter, write_recording
+from daq.robot.loader import RobotFile, parse_robot
+from drivers.errors import RecordingError
+from drivers.streams import ChannelLayout, StreamLayout
+
+NAMES = ("shoulder", "elbow")
+ROBOT_TEXT = """
+name: two-links
+model:
+  mdh:
+    - {joint: shoulder, alpha: 0, d: 0, r: 0.3, antecedent: base}
+    - {joint: elbow, alpha: pi/2, d: 0.4, r: 0, antecedent: shoulder}
+joints:
+  - {name: shoulder, position: [-3, 3], velocity: 2}
+  - {name: elbow, position: [-2, 2], velocity: 2}
+"""
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotFile:
+    return parse_robot(ROBOT_TEXT, where="test", folder=None)
+
+
+def make_recording(count: int = 20, **changes: object) -> Recording:
+    time = np.arange(count, dtype=np.float64) * 0.002
+    values = np.sin(time)[:, None] * np.array([1.0, 2.0])
+    channels = {
+        quantity: Channel(quantity, values * scale, unit, NAMES, "test")
+        for scale, (quantity, unit) in enumerate((("position", "rad"), ("current", "A")), start=1)
+    }
+    stream = Stream(JOINTS_STREAM, time, time + 100.0, channels)
+    recording = Recording(
+        robot_text=ROBOT_TEXT,
+        streams={JOINTS_STREAM: stream},
+        events=(Event(0.5, "warning", "test", "τ > 1 N·m"),),
+        created="2024-05-06T07:08:09+00:00",
+        versions={"dynid": "0.0.1"},
+        trajectory="harmonics: 5",
+        host="bench",
+        comment="first run",
+    )
+    return replace(recording, **changes)  # type: ignore[arg-type]
+
+
+def assert_equal(first: Recording, second: Recording) -> None:
+    assert replace(first, streams={}, path=None) == replace(second, streams={}, path=None)
+    assert set(first.streams) == set(second.streams)
+    for name, stream in first.streams.items():
+        other = second.streams[name]
+        np.testing.assert_array_equal(stream.time, other.time)
+        np.testing.assert_array_equal(stream.host_time, other.host_time)
+        assert set(stream.channels) == set(other.channels)
+        for quantity, channel in stream.channels.items():
+            np.testing.assert_array_equal(channel.values, other.channels[quantity].values)
+            assert replace(channel, values=time_free) == replace(other.channels[quantity], values=time_free)
+
+
+time_free = np.zeros(0)
+
+FLOATS = st.floats(width=64, allow_nan=True, allow_infinity=True)
+TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=20)
+
+
+@st.composite
+def recordings(draw: st.DrawFn) -> Recording:
+    streams = {}
+    for name in draw(st.lists(st.sampled_from(["joints", "thermometer", "ft"]), min_size=1, unique=True)):
+        count = draw(st.integers(0, 5))
+        clock = hnp.arrays(np.float64, (count,), elements=FLOATS)
+        channels = {}
+        for quantity in draw(st.lists(st.sampled_from(["position", "voltage", "force"]), unique=True)):
+            width = draw(st.integers(1, 3))
+            columns = tuple(f"c{k}" for k in range(width))
+            values = draw(hnp.arrays(np.float64, (count, width), elements=FLOATS))
+            channels[quantity] = Channel(quantity, values, draw(st.sampled_from(["rad", "N"])), columns, draw(TEXT))
+        streams[name] = Stream(name, draw(clock), draw(clock), channels)
+    events = st.builds(Event, st.floats(allow_nan=False), st.sampled_from(["info", "warning", "error"]), TEXT, TEXT)
+    return make_recording(
+        streams=streams,
+        events=tuple(draw(st.lists(events, max_size=3))),
+        complete=draw(st.booleans()),
+        comment=draw(TEXT),
+        trajectory=draw(TEXT),
+    )
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(recording=recordings())
+def test_what_is_written_is_read(recording: Recording) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.h5"
+        write_recording(path, recording)
+        assert_equal(recording, read_recording(path))
+
+
+def test_robot_comes_back_with_its_urdf(tmp_path: Path) -> None:
+    """A URDF of 300 kB is more than HDF5 stores in a compact attribute."""
+    text = "name: r\nmodel: {urdf: gone.urdf}\njoints: [{name: a, position: [-1, 1], velocity: 1}]\n"
+    urdf = f"<robot name='r'><!-- {'x' * 300_000} --></robot>"
+    write_recording(tmp_path / "run.h5", make_recording(robot_text=text, urdf_text=urdf))
+    back = read_recording(tmp_path / "run.h5").robot()
+    assert back.urdf_text == urdf
+    assert back.robot.joint_names == ("a",)
+
+
+def test_writer_refuses_to_overwrite(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    write_recording(path, make_recording(comment="first"))
+    with pytest.raises(RecordingError, match="exists already"):
+        write_recording(path, make_recording(comment="second"))
+    assert read_recording(path).comment == "first"
+    write_recording(path, make_recording(comment="second"), overwrite=True)
+    assert read_recording(path).comment == "second"
+
+
+def test_writer_without_folder(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"missing: there is no such folder"):
+        write_recording(tmp_path / "missing" / "run.h5", make_recording())
+
+
+def test_writer_without_robot(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"carries no robot file.*--robot"):
+        write_recording(tmp_path / "run.h5", make_recording(robot_text=""))
+    assert not (tmp_path / "run.h5").exists()
+
+
+def test_exception_leaves_an_incomplete_recording_with_its_reason(tmp_path: Path, robot: RobotFile) -> None:
+    path = tmp_path / "run.h5"
+    layout = StreamLayout("joints", (ChannelLayout("position", NAMES),), rate=500)
+
+    def fail() -> None:
+        with RecordingWriter(path, robot, [layout]) as writer:
+            writer.append("joints", np.arange(3.0), np.arange(3.0), {"position": np.ones((3, 2))})
+            raise RuntimeError("the cable\0 came off")
+
+    with pytest.raises(RuntimeError):
+        fail()
+    recording = read_recording(path)
+    assert not recording.complete
+    assert recording.events[-1].level == "error"
+    assert recording.events[-1].message == "the cable  came off"
+    assert recording.streams["joints"].channels["position"].values.shape == (3, 2)
+
+
+def test_writer_checks_its_caller(tmp_path: Path, robot: RobotFile) -> None:
+    layout = StreamLayout("joints", (ChannelLayout("position", NAMES),))
+    with RecordingWriter(tmp_path / "run.h5", robot, [layout]) as writer:
+        with pytest.raises(ValueError, match="position"):
+            writer.append("joints", np.arange(3.0), np.arange(3.0), {})
+        with pytest.raises(ValueError, match="shape"):
+            writer.append("joints", np.arange(3.0), np.arange(3.0), {"position": np.ones((3, 5))})
+    with pytest.raises(ValueError, match="needs a unit"):
+        ChannelLayout("humidity", NAMES)
+
+
+def test_dimension_scales_and_units_are_readable_without_us(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    write_recording(path, make_recording())
+    with h5py.File(path, "r") as file:
+        position = file["streams/joints/position"]
+        assert position.dims[0].label == "time"
+        assert position.dims[0].keys() == ["time"]
+        np.testing.assert_array_equal(position.dims[0]["time"][:], file["streams/joints/time"][:])
+        assert position.attrs["unit"] == "rad"
+        assert list(position.attrs["joints"]) == list(NAMES)
+        assert file["streams/joints/time"].attrs["unit"] == "s"
+        assert file.attrs["dynid_schema"] == SCHEMA_VERSION
+        assert json.loads(file.attrs["versions"]) == {"dynid": "0.0.1"}
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-700])
+
+
+def rename_schema(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        del file.attrs["dynid_schema"]
+
+
+def newer_schema(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        file.attrs["dynid_schema"] = SCHEMA_VERSION + 1
+
+
+def text_schema(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        file.attrs["dynid_schema"] = "one"
+
+
+def no_stream(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        del file["streams"]
+
+
+def no_time(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        del file["streams/joints/time"]
+
+
+def half_written(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        file["streams/joints/current"].resize(0, axis=0)
+
+
+def group_in_a_stream(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        file["streams/joints"].create_group("more")
+
+
+def two_clocks(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        del file["streams/joints/host_time"]
+        file["streams/joints/host_time"] = np.zeros((20, 2))
+
+
+def lost_names(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        file["streams/joints/position"].attrs["joints"] = ["shoulder"]
+
+
+def one_dimension(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        file["streams/joints/force"] = np.zeros(20)
+
+
+def foreign_events(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        del file["events"]
+        file["events"] = np.zeros(3)
+
+
+def text_file(path: Path) -> None:
+    path.write_text("t,q1\n0,1\n")
+
+
+def empty_file(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def directory(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def nothing(path: Path) -> None:
+    path.unlink()
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (truncate, "truncated or still open in a writer.*copy it again"),
+        (rename_schema, "not a dynid recording.*dynid import"),
+        (newer_schema, "schema version 2, this dynid reads up to 1.*update dynid"),
+        (text_schema, "unreadable schema version 'one'"),
+        (no_stream, "holds no stream"),
+        (no_time, "/streams/joints: has no dataset 'time'"),
+        (half_written, "/streams/joints: is half-written: rows per dataset .*'current': 0"),
+        (group_in_a_stream, "'more' is not a dataset"),
+        (two_clocks, r"'host_time' has shape \(20, 2\)"),
+        (lost_names, "'position' has 2 columns, but its attribute 'joints' names 1"),
+        (one_dimension, r"'force' has shape \(20,\)"),
+        (foreign_events, "is damaged"),
+        (text_file, "is not an HDF5 file.*dynid import"),
+        (empty_file, r"is empty \(0 bytes\)"),
+        (directory, "is not a file"),
+        (nothing, "no such file"),
+    ],
+)
+def test_broken_files_say_how(tmp_path: Path, damage: object, message: str) -> None:
+    path = tmp_path / "run.h5"
+    write_recording(path, make_recording())
+    damage(path)  # type: ignore[operator]
+    with pytest.raises(RecordingError, match=message) as caught:
+        read_recording(path)
+    assert caught.value.where.startswith(str(path))
+    assert caught.value.exit_status == 2
+
+
+def test_crash_between_two_appends_keeps_the_common_part(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    write_recording(path, make_recording())
+    with h5py.File(path, "a") as file:
+        file["streams/joints/current"].resize(17, axis=0)
+    stream = read_recording(path).streams["joints"]
+    assert len(stream.time) == len(stream.host_time) == 17
+    assert {channel.values.shape for channel in stream.channels.values()} == {(17, 2)}
+
+
+@settings(max_examples=40, deadline=None)
+@given(share=st.floats(0.0, 0.999), tail=st.binary(max_size=40))
+def test_recordings_cut_anywhere_are_refused_in_our_words(share: float, tail: bytes) -> None:
+    """Only cuts: on bytes flipped within its global heap the HDF5 library itself can loop for ever."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.h5"
+        write_recording(path, make_recording())
+        content = path.read_bytes()
+        # Longer than the tail, so that the file is shorter than its superblock says.
+        path.write_bytes(content[: int(share * (len(content) - 41))] + tail)
+        with pytest.raises(RecordingError, match=r"is truncated|is not an HDF5 file|is empty") as caught:
+            read_recording(path)
+        assert caught.value.where == str(path)

@@ -1,0 +1,179 @@
+"""After a sudden death at any moment, all but the last flush period is rescued."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kinematic_arm import NAMES, ROBOT_FILE
+
+from daq.commands.recover import recover_command
+from daq.recording import recover as recover_module
+from daq.recording.reader import read_recording
+from daq.recording.recover import follow_recording, recover
+from daq.recording.writer import CHUNK_SECONDS, RecordingWriter
+from drivers.errors import RecordingError
+from drivers.streams import ChannelLayout, StreamLayout
+
+ROOT = Path(__file__).parents[3]
+RATE = 500
+CHUNK = round(CHUNK_SECONDS * RATE)
+BLOCK = 5
+WRITER = """
+    import os, signal, sys
+    from pathlib import Path
+    sys.path[:0] = [{root!r}, {support!r}]
+    import h5py
+    import numpy as np
+    from kinematic_arm import ROBOT_FILE, NAMES
+    from simulated_clock import simulated_time
+    from daq.recording.recorder import Recorder
+    from drivers.streams import Block, ChannelLayout, StreamLayout
+
+    def die():
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def record(path, seconds):
+        layout = StreamLayout("joints", (ChannelLayout("position", NAMES),), {rate})
+        with simulated_time() as clock:
+            recorder = Recorder(path, ROBOT_FILE, (layout,), clock=clock)
+            for start in range(0, round({rate} * seconds), {block}):
+                clock.sleep({block} / {rate})
+                ticks = (start + np.arange({block})) / {rate}
+                recorder.put(Block("joints", ticks, ticks, {{"position": np.stack([ticks, ticks], axis=1)}}))
+                recorder.event(float(ticks[0]), "info", "test", "τ " + str(start))
+            clock.sleep(1e-6)
+            die()
+
+    def record_until_write(path, number):
+        left, write = number, h5py.Dataset.__setitem__
+        def write_or_die(dataset, *where):
+            nonlocal left
+            if dataset.name.startswith("/streams/"):
+                if left == 0:
+                    dataset.file.flush()  # HDF5 may write at any moment that rows are announced
+                    die()
+                left -= 1
+            write(dataset, *where)
+        h5py.Dataset.__setitem__ = write_or_die
+        record(path, 10.0)
+
+    for line in sys.stdin:
+        path, kind, value = line.split()
+        child = os.fork()
+        if child == 0:
+            (record if kind == "time" else record_until_write)(Path(path), float(value))
+        print(os.waitpid(child, 0)[1], flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory: pytest.TempPathFactory):
+    """Half-written recordings: a function of how one dies, after a time [s] or before a write of samples, by number."""
+    folder = tmp_path_factory.mktemp("killed")
+    script = textwrap.dedent(WRITER).format(
+        root=str(ROOT), support=str(ROOT / "tests" / "support"), rate=RATE, block=BLOCK
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+
+        def kill(kind: str, value: float) -> Path:
+            path = folder / f"{kind}{value}.h5"
+            process.stdin.write(f"{path} {kind} {value}\n")
+            process.stdin.flush()
+            assert os.WTERMSIG(int(process.stdout.readline())) == signal.SIGKILL
+            return path
+
+        yield kill
+        process.stdin.close()
+
+
+@pytest.mark.parametrize("life", [0.55, 0.81, 1.0, 1.07, 1.4, 1.63])
+def test_whole_chunks_of_a_killed_recording_are_in_the_file(killed, life: float) -> None:
+    path = killed("time", life)
+    with pytest.raises(RecordingError, match=r"half-written.*dynid recover"):
+        read_recording(path)
+    found = follow_recording(path)
+    written = round(life * RATE) // CHUNK * CHUNK
+    np.testing.assert_array_equal(found.streams["joints"].time, np.arange(written) / RATE)
+    np.testing.assert_array_equal(
+        found.streams["joints"].channels["position"].values[:, 0], found.streams["joints"].time
+    )
+    # Events are flushed as they come.
+    assert [event.message for event in found.events] == [f"τ {start}" for start in range(0, round(life * RATE), BLOCK)]
+    assert not found.complete
+
+
+@pytest.mark.parametrize(("number", "announced"), [(4, 0), (5, CHUNK)])
+def test_a_recording_that_died_within_a_chunk_is_rescued_up_to_it(
+    killed, tmp_path: Path, number: int, announced: int
+) -> None:
+    """A chunk is three writes: stamps, the host's stamps, positions; here the second chunk's last two or last one lack.
+
+    In the latter case all channels have the rows already, those of the positions without values.
+    """
+    path = killed("write", number)
+    found = recover(path, tmp_path / "rescued.h5")
+    rescued = read_recording(tmp_path / "rescued.h5")
+    times = rescued.streams["joints"].time
+    np.testing.assert_array_equal(times, np.arange(CHUNK) / RATE)
+    np.testing.assert_array_equal(rescued.streams["joints"].channels["position"].values[:, 0], times)
+    assert not rescued.complete
+    assert "recovered" in rescued.events[-1].message
+    assert rescued.events[0].message.startswith("τ")
+    assert found.cut == {"joints": announced}
+
+
+def test_what_is_no_recording_is_refused(tmp_path):
+    with pytest.raises(RecordingError, match="no such file"):
+        recover(tmp_path / "none.h5", tmp_path / "out.h5")
+    (tmp_path / "text.h5").write_text("hello")
+    with pytest.raises(RecordingError, match="nothing can be rescued"):
+        recover(tmp_path / "text.h5", tmp_path / "out.h5")
+    with pytest.raises(RecordingError, match="its own source"):
+        recover(tmp_path / "text.h5", tmp_path / "text.h5")
+
+
+def test_a_file_over_which_hdf5_loops_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / "run.h5"
+    times = np.arange(300.0) / RATE
+    with RecordingWriter(
+        path, ROBOT_FILE, (StreamLayout("joints", (ChannelLayout("position", NAMES),), RATE),)
+    ) as file:
+        file.append("joints", times, times, {"position": np.ones((300, 2))})
+        for number in range(10):
+            file.event(1.0, "info", "x", f"message {number}")
+    content = bytearray(path.read_bytes())
+    heap = content.rindex(b"GCOL")  # the texts of the events
+    # The size of a text, 4, becomes 2564: the next one is looked for among zeros, where each has the size 0.
+    content[heap + content[heap:].index(b"info") - 7] = 10
+    path.write_bytes(content)
+    monkeypatch.setattr(recover_module, "READ_LIMIT", 1.0)
+    with pytest.raises(RecordingError, match="HDF5 did not come to an end within 1 s") as refused:
+        recover_command(path, None, False, True)
+    assert refused.value.exit_status == 2
+    assert not (tmp_path / "run-recovered.h5").exists()
+
+
+def test_the_command_says_what_was_rescued(tmp_path, capsys):
+    path = tmp_path / "run.h5"
+    times = np.arange(100.0) / RATE
+    with RecordingWriter(
+        path, ROBOT_FILE, (StreamLayout("joints", (ChannelLayout("position", NAMES),), RATE),)
+    ) as file:
+        file.append("joints", times, times, {"position": np.ones((100, 2))})
+    recover_command(path, None, False, True)
+    told = json.loads(capsys.readouterr().out)
+    assert told["file"] == str(tmp_path / "run-recovered.h5")
+    assert told["streams"]["joints"]["samples"] == 100
+    assert told["cut"] == {"joints": 0}

@@ -1,0 +1,46 @@
+"""Noise, steps and clipping are read from signals that were made with them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq.recording.recording import Channel
+from daq.recording.signal_quality import channel_quality, quantisation_step, white_noise
+
+TIME = np.arange(5000) / 500.0
+
+
+@pytest.mark.parametrize("deviation", [0.01, 0.3])
+def test_noise_of_a_moving_signal(deviation):
+    noisy = 5.0 * np.sin(2.0 * TIME) + deviation * np.random.default_rng(0).standard_normal(len(TIME))
+    assert white_noise(noisy) == pytest.approx(deviation, rel=0.1)
+
+
+@pytest.mark.parametrize("step", [1e-5, 0.01, 0.125])
+def test_step_of_a_quantised_signal(step):
+    quantised = np.round(20 * step * np.sin(TIME) / step) * step
+    assert quantisation_step(quantised) == pytest.approx(step, rel=1e-6)
+
+
+def test_a_continuous_signal_has_no_step():
+    assert np.isnan(quantisation_step(np.random.default_rng(0).standard_normal(3000)))
+    assert np.isnan(quantisation_step(np.ones(100)))
+
+
+def test_clipping_is_found_and_a_turning_point_is_none():
+    signal = 2.0 * np.sin(TIME)
+    channel = Channel("current", np.column_stack([signal, np.clip(signal, -1.5, 1.5)]), "A", ("free", "clipped"))
+    free, clipped = channel_quality(channel)
+    assert free.clipped_percent == 0.0
+    expected = 100.0 * np.mean(np.abs(signal) >= 1.5)
+    assert clipped.clipped_percent == pytest.approx(expected, abs=0.1)
+
+
+@given(st.lists(st.floats(allow_nan=True, allow_infinity=True, width=32), max_size=30))
+def test_no_signal_crashes(values):
+    channel = Channel("x", np.array(values, dtype=np.float64).reshape(-1, 1), "A", ("j",))
+    (quality,) = channel_quality(channel)
+    assert quality.name == "j"

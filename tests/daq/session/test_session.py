@@ -1,0 +1,417 @@
+"""The session: every way out stops the arm, at the cycle that the rules say, and closes the file with the reason."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from kinematic_arm import FIRST_STAMP, QUANTITIES, RATE, ROBOT_FILE, KinematicArm
+from simulated_clock import SimulatedClock
+
+from daq.motion.player import DRY_RUN, ticks
+from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest, slow_move
+from daq.recording import recorder as recorder_module
+from daq.recording.reader import read_recording
+from daq.recording.recorder import Recorder
+from daq.recording.recording import Event, Recording
+from daq.session.session import (
+    FIRST_SAMPLE_LIMIT,
+    INTERRUPTED,
+    READ_TIMEOUT,
+    TERMINATED,
+    Play,
+    SessionReport,
+    load_driver,
+    record,
+)
+from daq.session.supervisor import Limits, Supervisor
+from drivers.base import Notice
+from drivers.errors import ConnectionLostError, SafetyStopError, UsageError, WorkError
+from drivers.streams import Block
+
+MOTION = PointToPoint(np.array([[0.1, -0.1], [0.5, 0.3], [0.0, 0.0]]), np.array([1.2, 1.2]))
+PLAY = Play(MOTION, ROBOT_FILE.robot, RATE)
+PERIOD = 1.0 / RATE
+AFTER = 0.802
+"""When faults begin [s]: in the motion, and between two samples."""
+SEEN = 161 * PERIOD
+"""When the first sample after that is read."""
+STALE = 0.05
+TRACKING_ERROR = 0.05
+PLAYED = DRY_RUN - PERIOD
+"""When the player begins: after the dry run, and the samples of that time are there at once."""
+
+
+def run(path: Path, arm: KinematicArm, play: Play | None = None, duration: float | None = None) -> SessionReport:
+    arm.open()
+    layouts = arm.streams()
+    supervisor = Supervisor(Limits.of_robot(ROBOT_FILE.robot, tracking_error=TRACKING_ERROR), layouts)
+    return record(
+        arm, Recorder(path, ROBOT_FILE, layouts, clock=arm.clock), supervisor, play, duration, clock=arm.clock
+    )
+
+
+def stopped(arm: KinematicArm) -> float:
+    """When the arm was stopped, after its start [s]."""
+    assert arm.stopped_at is not None
+    return arm.stopped_at - arm.begun
+
+
+def recorded(path: Path, arm: KinematicArm) -> Recording:
+    """The recording; it holds what the arm handed out, all of it and nothing else."""
+    recording = read_recording(path)
+    joints = recording.streams["joints"]
+    np.testing.assert_array_equal(joints.time, np.concatenate([block.time for block in arm.samples]))
+    np.testing.assert_array_equal(joints.host_time, np.concatenate([block.host_time for block in arm.samples]))
+    for name in QUANTITIES:
+        np.testing.assert_array_equal(
+            joints.channels[name].values, np.concatenate([block.values[name] for block in arm.samples])
+        )
+    np.testing.assert_allclose(joints.time, FIRST_STAMP + np.arange(arm.count) * PERIOD, atol=1e-9)
+    return recording
+
+
+def session_event(recording: Recording) -> Event:
+    (event,) = (event for event in recording.events if event.source == "session")
+    return event
+
+
+def assert_closed(path: Path, arm: KinematicArm, report: SessionReport) -> Recording:
+    """The arm stands, and the file says why."""
+    assert arm.stopped_at is not None
+    assert arm.commands_after_stop == 0
+    recording = recorded(path, arm)
+    assert not recording.complete
+    assert session_event(recording).message == f"stopped: {report.stopped_by}"
+    return recording
+
+
+def test_a_recording_without_motion_ends_at_the_first_cycle_after_its_time(
+    tmp_path: Path, clock: SimulatedClock
+) -> None:
+    path, arm = tmp_path / "run.h5", KinematicArm(clock=clock)
+    report = run(path, arm, duration=0.702)
+    assert (report.stopped_by, report.error, report.punctuality) == (None, None, None)
+    assert (report.samples, report.lost, report.overflow) == ({"joints": 141}, {"joints": 0}, 0)
+    assert stopped(arm) == pytest.approx(141 * PERIOD)
+    assert recorded(path, arm).complete
+    assert arm.commands == []
+
+
+def test_a_motion_is_approached_played_and_recorded(tmp_path: Path, clock: SimulatedClock) -> None:
+    path, arm = tmp_path / "run.h5", KinematicArm(clock=clock)
+    motion = RestToRest(
+        FourierSeries(1.0, np.array([0.1, -0.1]), np.array([[0.1], [0.05]]), np.array([[0.0], [0.1]])), 1, 0.5
+    )
+    report = run(path, arm, Play(motion, ROBOT_FILE.robot, RATE))
+    assert report.stopped_by is None
+    here = np.array([0.1, -0.1])
+    way = ticks(slow_move(here, motion.evaluate(np.zeros(1))[0][:, 0], ROBOT_FILE.robot.joints), RATE)
+    positions = np.concatenate([way, ticks(motion, RATE)[1:]])
+    np.testing.assert_array_equal(arm.commands, positions)
+    times = np.array(arm.command_times) - arm.begun
+    np.testing.assert_allclose(times, PLAYED + PERIOD * np.arange(len(positions)), atol=1e-9)
+    assert report.punctuality is not None
+    assert (report.punctuality.sent, report.punctuality.skipped) == (len(positions) - 1, 0)
+    assert report.punctuality.max_ms < 1e-6
+    recording = recorded(path, arm)
+    assert recording.complete
+    begins, ends = (
+        next(event for event in recording.events if event.message == f"motion {what}").time - FIRST_STAMP + PERIOD
+        for what in ("begins", "ends")
+    )
+    assert begins == pytest.approx(PLAYED + len(way) * PERIOD, abs=1.01 * PERIOD)
+    assert ends == pytest.approx(times[-1], abs=1.01 * PERIOD)
+    assert arm.commands_after_stop == 0
+
+
+@pytest.mark.parametrize("fault", ["position", "velocity", "torque", "temperature"])
+def test_a_limit_that_is_passed_stops_the_arm_in_the_cycle_that_shows_it(
+    tmp_path: Path, clock: SimulatedClock, fault: str
+) -> None:
+    path, arm = tmp_path / "run.h5", KinematicArm(fault, AFTER, clock=clock)
+    report = run(path, arm, PLAY)
+    assert isinstance(report.error, SafetyStopError)
+    assert report.error.exit_status == 1
+    assert (report.stopped_by or "").startswith(f"{fault} of elbow: 1000 ")
+    assert stopped(arm) + 1e-9 >= SEEN
+    assert stopped(arm) <= SEEN + PERIOD + 1e-9  # what the player needs to end
+    recording = assert_closed(path, arm, report)
+    values = recording.streams["joints"].channels[fault].values
+    assert np.argwhere(values == 1000.0).tolist() == [[160, 1]]
+    assert session_event(recording).time == recording.streams["joints"].time[160]
+
+
+def test_an_arm_that_does_not_follow_is_stopped_as_soon_as_nothing_commanded_lately_explains_it(
+    tmp_path: Path, clock: SimulatedClock
+) -> None:
+    path, arm = tmp_path / "run.h5", KinematicArm("tracking error", AFTER, clock=clock)
+    report = run(path, arm, PLAY)
+    assert (report.stopped_by or "").startswith("tracking error of ")
+    recording = assert_closed(path, arm, report)
+    stuck, times = arm.position, np.array(arm.command_times)
+    last = recording.streams["joints"].host_time[-1]
+
+    def distance(now: float) -> float:
+        """From what was commanded within a quarter of a second, and the position before that."""
+        first = np.searchsorted(times, now - 0.25) - 1
+        window = np.array(arm.commands)[max(first, 0) : np.searchsorted(times, now + 1e-9, side="right")]
+        return float(np.max(np.maximum(window.min(0) - stuck, stuck - window.max(0))))
+
+    assert distance(last) > TRACKING_ERROR >= distance(last - 2.0 * PERIOD)
+    assert stopped(arm) == pytest.approx(last - arm.begun, abs=1.01 * PERIOD)
+
+
+@pytest.mark.parametrize("wait", [0.0, 0.1])
+def test_silence_stops_a_motion_after_five_periods_and_50_ms(
+    tmp_path: Path, clock: SimulatedClock, wait: float
+) -> None:
+    """Also where the driver waits for longer than it was asked to; then it is asked once more, as after a stall."""
+
+    class Slow(KinematicArm):
+        def read(self, timeout: float) -> Sequence[Block]:
+            return super().read(timeout + wait * self.faulty)
+
+        def silence(self, stream: str, limit: float) -> str:
+            return f"{stream} for {limit:g} s: no answer of elbow"
+
+    path, arm = tmp_path / "run.h5", Slow("stale data", AFTER, clock=clock)
+    report = run(path, arm, PLAY)
+    assert (report.stopped_by or "").startswith("stale data of stream joints: ")
+    assert (report.stopped_by or "").endswith(" passes 0.05 s (joints for 0.05 s: no answer of elbow)")
+    assert_closed(path, arm, report)
+    assert arm.count == 160
+    silent = stopped(arm) - 160 * PERIOD
+    looks = 2 if wait else 1
+    assert STALE < silent <= STALE + looks * (READ_TIMEOUT + wait) + PERIOD + 1e-9
+
+
+def test_a_slower_stream_may_be_silent_for_five_periods(tmp_path: Path, clock: SimulatedClock) -> None:
+    path, arm = tmp_path / "run.h5", KinematicArm("stale data", AFTER, rate=50.0, clock=clock)
+    report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, 50.0))
+    assert "passes 0.1 s" in (report.stopped_by or "")
+    assert 0.1 < stopped(arm) - 0.8 <= 0.1 + READ_TIMEOUT + 0.02 + 1e-9
+
+
+@pytest.mark.parametrize("receiver_stalls", [False, True])
+@pytest.mark.parametrize("stall", [0.04, 0.2, 0.24])
+def test_a_stall_of_this_computer_is_no_silence_of_the_arm(
+    tmp_path: Path, clock: SimulatedClock, stall: float, receiver_stalls: bool
+) -> None:
+    """Nor where the thread that receives was stalled as well: what it has is there at the second look."""
+
+    class Received(KinematicArm):
+        held: Sequence[Block] = ()
+
+        def read(self, timeout: float) -> Sequence[Block]:
+            before = clock.now()
+            blocks = (*self.held, *super().read(timeout))
+            late = receiver_stalls and clock.now() - before > READ_TIMEOUT
+            self.held = blocks if late else ()
+            return () if late else blocks
+
+    path, arm = tmp_path / "run.h5", Received(clock=clock)
+    clock.call_at(clock.now() + AFTER, lambda: clock.stall(stall))
+    report = run(path, arm, PLAY)
+    assert report.stopped_by is None
+    assert report.punctuality is not None
+    assert report.punctuality.delayed_ms == pytest.approx(1e3 * (stall - 2 * PERIOD), abs=1e-6)
+    assert recorded(path, arm).complete
+    assert arm.count == pytest.approx(stopped(arm) * RATE, abs=1.01)  # nothing is lost
+
+
+def test_silence_without_a_motion_is_an_event_and_no_end(tmp_path: Path, clock: SimulatedClock) -> None:
+    """Nobody is in danger while the arm is only watched; the driver itself gives up a connection that stays silent."""
+    path, arm = tmp_path / "run.h5", KinematicArm("stale data", AFTER, clock=clock)
+    report = run(path, arm, duration=2.0)
+    assert report.stopped_by is None
+    assert stopped(arm) == pytest.approx(2.0, abs=READ_TIMEOUT)
+    recording = recorded(path, arm)
+    assert recording.complete
+    told = [event for event in recording.events if "stale data" in event.message]
+    assert [event.level for event in told] == ["warning"]  # one silence, one event
+    # Of a source that says nothing the host's clock tells what its own would say.
+    assert told[0].time - recording.streams["joints"].time[-1] == pytest.approx(STALE, abs=READ_TIMEOUT + 1e-9)
+
+
+def test_an_arm_that_never_says_where_it_is_is_not_moved(tmp_path: Path, clock: SimulatedClock) -> None:
+    path, arm = tmp_path / "run.h5", KinematicArm("stale data", -1.0, clock=clock)
+    report = run(path, arm, PLAY)
+    assert isinstance(report.error, ConnectionLostError)
+    assert report.stopped_by == "no joint position within 5 s"
+    assert stopped(arm) == pytest.approx(PLAYED + FIRST_SAMPLE_LIMIT, abs=READ_TIMEOUT + 1e-9)
+    assert arm.commands == []
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "reason"),
+    [
+        ("lost connection", ConnectionLostError, "the connection broke"),
+        ("bug", WorkError, "the session broke: KeyError: 'a bug'"),
+        ("protective stop", SafetyStopError, "protective stop"),
+    ],
+)
+def test_what_the_driver_says_ends_a_motion_at_once(
+    tmp_path: Path, clock: SimulatedClock, fault: str, kind: type[Exception], reason: str
+) -> None:
+    path, arm = tmp_path / "run.h5", KinematicArm(fault, AFTER, clock=clock)
+    report = run(path, arm, PLAY)
+    assert isinstance(report.error, kind)
+    assert report.stopped_by == reason
+    assert stopped(arm) + 1e-9 >= SEEN
+    assert stopped(arm) <= SEEN + PERIOD + 1e-9
+    assert_closed(path, arm, report)
+
+
+def test_a_command_that_breaks_ends_the_motion(tmp_path: Path, clock: SimulatedClock) -> None:
+    class Deaf(KinematicArm):
+        def command(self, position: np.ndarray) -> None:
+            if self.faulty:
+                raise ConnectionLostError("nobody listens")
+            super().command(position)
+
+    path, arm = tmp_path / "run.h5", Deaf(after=AFTER, clock=clock)
+    report = run(path, arm, PLAY)
+    assert report.stopped_by == "nobody listens"
+    assert stopped(arm) == pytest.approx(SEEN, abs=1.01 * PERIOD)
+    assert_closed(path, arm, report)
+
+
+def test_a_command_that_hangs_keeps_nobody_from_stopping_the_arm(tmp_path: Path, clock: SimulatedClock) -> None:
+    stops: list[float] = []
+
+    class Hanging(KinematicArm):
+        def command(self, position: np.ndarray) -> None:
+            super().command(position)
+            if self.faulty:
+                clock.sleep(3.0)
+
+        def stop(self) -> None:
+            stops.append(clock.now() - self.begun)
+            super().stop()
+
+    path, arm = tmp_path / "run.h5", Hanging("torque", AFTER, clock=clock)
+    report = run(path, arm, PLAY)
+    assert "torque" in (report.stopped_by or "")
+    assert stops == pytest.approx([SEEN + 0.1, arm.command_times[-1] - arm.begun + 3.0])  # and again when it is over
+    assert_closed(path, arm, report)
+
+
+@pytest.mark.parametrize(("number", "reason"), [(signal.SIGINT, INTERRUPTED), (signal.SIGTERM, TERMINATED)])
+def test_an_interrupt_stops_the_arm_first(
+    tmp_path: Path, clock: SimulatedClock, number: signal.Signals, reason: str
+) -> None:
+    class Interrupted(KinematicArm):
+        def read(self, timeout: float) -> Sequence[Block]:
+            if self.faulty:
+                signal.raise_signal(number)
+            return super().read(timeout)
+
+    path, arm = tmp_path / "run.h5", Interrupted(after=AFTER, clock=clock)
+    before = signal.getsignal(number)
+    report = run(path, arm, PLAY)
+    assert report.stopped_by == reason
+    assert report.error is None
+    assert stopped(arm) == pytest.approx(SEEN, abs=2.01 * PERIOD)
+    assert_closed(path, arm, report)
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize(("fault", "level"), [("torque", "error"), ("protective stop", "error"), ("", "warning")])
+def test_the_reason_has_the_time_of_the_breach_and_the_halt_its_own(
+    tmp_path: Path, clock: SimulatedClock, fault: str, level: str
+) -> None:
+    class SlowToStop(KinematicArm):
+        """Needs a while to come to rest, as a real arm does."""
+
+        def read(self, timeout: float) -> Sequence[Block]:
+            if not self.fault and self.faulty:
+                signal.raise_signal(signal.SIGINT)
+            return super().read(timeout)
+
+        def stop(self) -> None:
+            clock.sleep(0.5)
+            super().stop()
+
+    path, arm = tmp_path / "run.h5", SlowToStop(fault, AFTER, clock=clock)
+    recording = assert_closed(path, arm, run(path, arm, PLAY))
+    joints = recording.streams["joints"]
+    (halted,) = (event for event in recording.events if event.message == "arm halted")
+    event = session_event(recording)
+    assert event.level == level
+    if fault == "torque":
+        assert event.time == joints.time[160]
+    elif fault:
+        assert event.time == 101.0  # of the driver's notice
+    else:
+        assert event.time == pytest.approx(joints.time[-1])
+    assert halted.level == "info"
+    assert halted.time == pytest.approx(stopped(arm) - PERIOD + FIRST_STAMP)
+    assert halted.time - joints.time[-1] + 1e-9 >= 0.5
+
+
+def test_what_came_first_is_the_reason(tmp_path: Path, clock: SimulatedClock) -> None:
+    """A protective stop brakes so hard that the torque may pass its limit: within one look at both, time decides."""
+
+    class Braking(KinematicArm):
+        def notices(self) -> Sequence[Notice]:
+            return (Notice(100.0, "error", "protective stop"),) if self.faulty else ()
+
+    path, arm = tmp_path / "run.h5", Braking("torque", clock=clock)
+    report = run(path, arm, duration=5.0)
+    assert report.stopped_by == "protective stop"
+    assert session_event(recorded(path, arm)).time == 100.0
+
+
+def test_a_signal_while_the_arm_is_being_stopped_changes_nothing(tmp_path: Path, clock: SimulatedClock) -> None:
+    class Interrupted(KinematicArm):
+        def stop(self) -> None:
+            signal.raise_signal(signal.SIGINT)
+            super().stop()
+
+    path, arm = tmp_path / "run.h5", Interrupted(clock=clock)
+    report = run(path, arm, duration=0.3)
+    assert report.stopped_by is None
+    assert recorded(path, arm).complete
+
+
+def test_a_full_disk_stops_the_arm(tmp_path: Path, clock: SimulatedClock, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, arm = tmp_path / "run.h5", KinematicArm(clock=clock)
+    usage = iter([SimpleNamespace(free=10**12)])
+    full = SimpleNamespace(free=1000)
+    disk = SimpleNamespace(disk_usage=lambda folder: next(usage, full))
+    monkeypatch.setattr(recorder_module, "shutil", disk)
+    report = run(path, arm, PLAY)
+    assert "disk is full" in (report.stopped_by or "")
+    assert arm.commands_after_stop == 0
+    # The first chunk of half a second is written; the second one is refused.
+    assert stopped(arm) == pytest.approx(1.0, abs=2.01 * PERIOD)
+    recording = read_recording(path)
+    np.testing.assert_array_equal(
+        recording.streams["joints"].time, np.concatenate([block.time for block in arm.samples])[:100]
+    )
+    assert not recording.complete
+    assert "disk is full" in recording.events[-1].message
+    assert shutil.disk_usage(tmp_path).free > 1000
+
+
+def test_a_motion_beyond_the_limits_never_starts(tmp_path: Path, clock: SimulatedClock) -> None:
+    path, arm = tmp_path / "run.h5", KinematicArm(clock=clock)
+    far = PointToPoint(np.array([[0.0, 0.0], [0.0, 2.5]]), np.array([5.0]))
+    report = run(path, arm, Play(far, ROBOT_FILE.robot, RATE))
+    assert isinstance(report.error, UsageError)
+    assert "position" in (report.stopped_by or "")
+    assert arm.commands == []
+    assert_closed(path, arm, report)
+
+
+def test_a_driver_is_found_by_name_or_refused() -> None:
+    with pytest.raises(UsageError, match="no driver is called 'kinematic'"):
+        load_driver(ROBOT_FILE.robot)
+    with pytest.raises(UsageError, match="no connection is called 'can'"):
+        load_driver(ROBOT_FILE.robot, "can")

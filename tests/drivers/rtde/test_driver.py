@@ -1,0 +1,463 @@
+from __future__ import annotations
+
+import itertools
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exact_plant import ExactPlant
+from rtde_in_process import HOST, NOWHERE, Motions, Network, RememberedArm, serving
+from scripted_rtde import Cut, Never, Sample, ScriptedController, Step, Wait, paced, steady
+from simulated_clock import START, SimulatedClock
+
+from drivers.base import DRIVERS_GROUP, Driver, DriverSettings, Identifying
+from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
+from drivers.gains import DriveGain
+from drivers.rtde.driver import DASHBOARD_TIMEOUT, ArmControl, RtdeDriver
+from drivers.rtde.motion import STOP_LIMIT
+from drivers.streams import Block
+from sim_drivers.rtde.server import RtdeServer
+
+JOINTS = tuple(f"j{number}" for number in range(1, 7))
+GAINS = tuple(DriveGain(float(number), 0.1) for number in range(1, 7))
+PERIOD = 0.002
+Make = Callable[..., ScriptedController]
+MakeDriver = Callable[..., RtdeDriver]
+
+
+def no_control(host: str, rate: float, timeout: float) -> ArmControl:
+    raise AssertionError("this arm is not to be moved")
+
+
+@pytest.fixture
+def make_driver(clock: SimulatedClock) -> Iterator[MakeDriver]:
+    made: list[RtdeDriver] = []
+
+    def make(
+        other: ScriptedController | Network,
+        *,
+        gains: Sequence[DriveGain] = GAINS,
+        take_control: Callable[[str, float, float], ArmControl] = no_control,
+        **keys: object,
+    ) -> RtdeDriver:
+        settings = DriverSettings(JOINTS, {"host": HOST, "timeout": 2.0} | keys, tuple(gains), clock=clock)
+        made.append(RtdeDriver(settings, other.connect, take_control))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+def read_all(driver: RtdeDriver, samples: int) -> dict[str, list[Block]]:
+    blocks: dict[str, list[Block]] = {"joints": [], "thermal": [], "status": []}
+    while sum(len(block.time) for block in blocks["joints"]) < samples:
+        found = driver.read(0.2)
+        assert found
+        for block in found:
+            blocks[block.stream].append(block)
+    return blocks
+
+
+def joined(blocks: list[Block], quantity: str) -> np.ndarray:
+    return np.concatenate([block.values[quantity] for block in blocks])
+
+
+def times(blocks: list[Block]) -> np.ndarray:
+    return np.concatenate([block.time for block in blocks])
+
+
+def test_the_driver_is_registered() -> None:
+    # From the source: an installation in place keeps the entry points of the day it was made.
+    project = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text())
+    value = project["project"]["entry-points"][DRIVERS_GROUP]["rtde"]
+    assert EntryPoint("rtde", value, DRIVERS_GROUP).load() is RtdeDriver
+
+
+def test_it_tells_who_answers(controller: Make, make_driver: MakeDriver) -> None:
+    script = controller(lambda number: [*steady(10.0, 10), Never()])
+    driver = make_driver(script)
+    assert isinstance(driver, Identifying)
+    with pytest.raises(DriverStateError):
+        driver.identify()
+    driver.open()
+    (identity,) = driver.identify()
+    assert identity.controller == f"{HOST}:30004"
+    assert identity.software.startswith("5.")
+    assert identity.rate == 500.0
+    assert identity.variables > 4
+
+
+def test_blocks_are_what_the_streams_promise(controller: Make, make_driver: MakeDriver) -> None:
+    driver: Driver = make_driver(controller(lambda number: [*steady(10.0, 1000), Never()]))
+    driver.open()
+    layouts = {layout.name: layout for layout in driver.streams()}
+    assert {name: layout.rate for name, layout in layouts.items()} == {"joints": 500.0, "thermal": 20.0, "status": 10.0}
+    driver.start()
+    assert isinstance(driver, RtdeDriver)
+    blocks = read_all(driver, 1000)
+    for name, layout in layouts.items():
+        for block in blocks[name]:
+            assert set(block.values) == {channel.quantity for channel in layout.channels}
+            for channel in layout.channels:
+                assert block.values[channel.quantity].shape == (len(block.time), len(channel.columns))
+                assert block.values[channel.quantity].dtype == np.float64
+            assert block.host_time.shape == block.time.shape
+    clock = times(blocks["joints"])
+    assert np.array_equal(clock, 10.0 + np.arange(1000) / 500)
+    base = clock[:, np.newaxis] + np.arange(6) / 10
+    for quantity, factor in (("position", 1), ("velocity", 2), ("current", 3), ("target_position", 4)):
+        assert np.allclose(joined(blocks["joints"], quantity), factor * base)
+    for quantity, factor in (("target_acceleration", 6), ("target_current", 7), ("target_torque", 8)):
+        assert np.allclose(joined(blocks["joints"], quantity), factor * base)
+    assert np.allclose(joined(blocks["joints"], "torque"), 3 * base * np.arange(1, 7))
+    thermal = times(blocks["thermal"])
+    assert np.allclose(thermal, 10.0 + np.arange(40) / 20)
+    assert np.allclose(joined(blocks["thermal"], "temperature")[:, 0], 9 * thermal)
+    assert len(times(blocks["status"])) == 20
+    assert set(joined(blocks["status"], "robot_mode")[:, 0]) == {7.0}
+    assert joined(blocks["status"], "joint_mode").shape == (20, 6)
+
+
+@pytest.mark.parametrize(
+    "gains",
+    [
+        (),
+        (*GAINS[:5], DriveGain(None)),
+        (*GAINS[:5], DriveGain(1.0, 0.1, "torque")),
+    ],
+)
+def test_without_all_gains_there_is_current_but_no_torque(
+    controller: Make, make_driver: MakeDriver, gains: tuple[DriveGain, ...]
+) -> None:
+    driver = make_driver(controller(lambda number: [*steady(1.0, 5), Never()]), gains=gains)
+    driver.open()
+    quantities = [channel.quantity for channel in driver.streams()[0].channels]
+    assert "current" in quantities
+    assert "torque" not in quantities
+    driver.start()
+    assert "torque" not in read_all(driver, 5)["joints"][0].values
+
+
+def test_a_gap_is_counted_in_every_stream(controller: Make, make_driver: MakeDriver) -> None:
+    steps = [sample for index, sample in enumerate(steady(10.0, 1000)) if not 300 <= index < 451]
+    driver = make_driver(controller(lambda number: [*steps, Never()]))
+    driver.open()
+    driver.start()
+    blocks = read_all(driver, len(steps))
+    lost = {name: sum(block.lost for block in found) for name, found in blocks.items()}
+    # 151 samples are missing, and with them six groups of 25 and three groups of 50 but for a sample of the last.
+    assert lost["joints"] == 151
+    assert (lost["thermal"], lost["status"]) == (6, 3)
+    for name, period in (("thermal", 25), ("status", 50)):
+        ticks = np.rint(times(blocks[name]) * 500).astype(int)
+        assert len(set(ticks // period)) == len(ticks)
+
+
+def test_a_clock_that_adds_up_its_periods_shifts_no_slow_sample(controller: Make, make_driver: MakeDriver) -> None:
+    stamps = list(itertools.accumulate([PERIOD] * 1200))[899:]  # from 1.8 s on; 2.05 s has become 1024.9999 periods
+    driver = make_driver(controller(lambda number: [*map(Sample, stamps), Never()]))
+    driver.open()
+    driver.start()
+    blocks = read_all(driver, len(stamps))
+    assert np.rint(times(blocks["thermal"]) / PERIOD).tolist() == list(range(900, 1201, 25))
+    assert np.rint(times(blocks["status"]) / PERIOD).tolist() == list(range(900, 1201, 50))
+
+
+def test_refused_variables_leave_their_channels_out(controller: Make, make_driver: MakeDriver) -> None:
+    refuse = dict.fromkeys(("target_moment", "joint_temperatures", "joint_mode"), "NOT_FOUND")
+    driver = make_driver(controller(lambda number: [*steady(1.0, 100), Never()], refuse=refuse))
+    driver.open()
+    layouts = {layout.name: [channel.quantity for channel in layout.channels] for layout in driver.streams()}
+    assert set(layouts) == {"joints", "status"}
+    assert "target_torque" not in layouts["joints"]
+    assert layouts["status"] == ["robot_mode", "safety_mode", "runtime_state"]
+    assert sum("left out" in notice.message for notice in driver.notices()) == 3
+    driver.start()
+    assert read_all(driver, 100)["thermal"] == []
+
+
+def test_an_older_controller_has_its_own_rate(controller: Make, make_driver: MakeDriver) -> None:
+    driver = make_driver(controller(lambda number: [*steady(1.0, 125, 125.0), Never()], major=3))
+    driver.open()
+    assert [round(layout.rate, 1) for layout in driver.streams()] == [125.0, 20.8, 10.4]
+    driver.start()
+    blocks = read_all(driver, 125)
+    assert sum(block.lost for block in blocks["joints"]) == 0
+
+
+def modes(**values: int) -> dict[str, list[float]]:
+    return {name: [value] for name, value in values.items()}
+
+
+def test_modes_become_notices_when_they_change(controller: Make, make_driver: MakeDriver) -> None:
+    steps: list[Step] = [
+        *steady(1.0, 10),
+        Sample(1.02, modes(safety_mode=3)),
+        Sample(1.022, modes(safety_mode=3, runtime_state=1)),
+        Wait(0.1),
+        Sample(1.024, modes(safety_mode=6)),
+        Sample(1.026, modes(robot_mode=3)),
+        Sample(1.028, modes(robot_mode=99)),
+        Never(),
+    ]
+    driver = make_driver(controller(lambda number: steps))
+    driver.open()
+    driver.start()
+    read_all(driver, 15)
+    found = [(round(notice.time, 3), notice.level, notice.message) for notice in driver.notices()]
+    assert sorted(found) == sorted(
+        [
+            (1.0, "info", "robot mode: running"),
+            (1.0, "info", "safety mode: normal"),
+            (1.0, "info", "runtime state: playing"),
+            (1.02, "error", "safety mode: protective stop"),
+            (1.022, "info", "runtime state: stopped"),
+            (1.024, "error", "safety mode: system emergency stop"),
+            (1.024, "info", "runtime state: playing"),
+            (1.026, "info", "safety mode: normal"),
+            (1.026, "error", "robot mode: power off"),
+            (1.028, "error", "robot mode: unknown (99)"),
+        ]
+    )
+    assert driver.notices() == []
+
+
+def test_a_lost_connection_shows_and_can_be_had_again(controller: Make, make_driver: MakeDriver) -> None:
+    scripts = [[*steady(1.0, 20), Cut()], [*steady(2.0, 20), Never()]]
+    driver = make_driver(controller(lambda number: scripts[number]))
+    driver.open()
+    driver.start()
+    read_all(driver, 20)
+    for _ in range(2):
+        with pytest.raises(ConnectionLostError):
+            driver.read(1.0)
+    driver.reconnect()
+    blocks = read_all(driver, 20)
+    assert times(blocks["joints"])[0] == 2.0
+    assert sum(block.lost for block in blocks["joints"]) == 480
+    driver.stop()
+    driver.close()
+
+
+def test_stop_and_start_again(controller: Make, make_driver: MakeDriver) -> None:
+    starts = iter([1.0, 7.0])
+    server = controller(lambda number: [*steady(next(starts), 10), Never()])
+    driver = make_driver(server)
+    driver.open()
+    for begin in (1.0, 7.0):
+        driver.start()
+        assert times(read_all(driver, 10)["joints"])[0] == begin
+        driver.stop()
+        driver.stop()
+    assert server.connections == 1
+    driver.close()
+    driver.close()
+
+
+def test_after_a_loss_start_connects_again(clock: SimulatedClock, controller: Make, make_driver: MakeDriver) -> None:
+    scripts = [[*steady(1.0, 5), Cut()], [*steady(3.0, 5), Never()]]
+    driver = make_driver(controller(lambda number: scripts[number]))
+    driver.open()
+    driver.start()
+    clock.sleep(0.1)
+    driver.stop()
+    driver.start()
+    blocks = read_all(driver, 5)["joints"]
+    assert times(blocks)[0] == 3.0
+    assert sum(block.lost for block in blocks) == 0
+
+
+def test_calls_that_the_state_does_not_allow(controller: Make, make_driver: MakeDriver) -> None:
+    driver = make_driver(controller(lambda number: [*steady(1.0, 5), Never()]))
+    calls: dict[str, Callable[[], object]] = {
+        "open": driver.open,
+        "streams": driver.streams,
+        "start": driver.start,
+        "read": lambda: driver.read(0.0),
+        "command": lambda: driver.command(np.zeros(6)),
+        "reconnect": driver.reconnect,
+    }
+
+    def refused(*names: str) -> None:
+        for name in names:
+            with pytest.raises(DriverStateError, match="the driver must be"):
+                calls[name]()
+
+    refused("streams", "start", "read", "command", "reconnect")
+    driver.stop()
+    driver.close()
+    driver.open()
+    refused("open", "read", "command", "reconnect")
+    driver.start()
+    refused("open", "start")
+    driver.streams()
+    driver.close()
+    refused("streams", "start", "read", "command", "reconnect")
+
+
+def test_an_arm_of_another_make_is_refused() -> None:
+    with pytest.raises(UsageError, match="moves 6 joints, but the robot file names 4"):
+        RtdeDriver(DriverSettings(("a", "b", "c", "d"), {"host": "h"}, ()))
+
+
+def test_nobody_there_leaves_the_driver_closed(
+    clock: SimulatedClock, make_driver: MakeDriver, controller: Make
+) -> None:
+    server = controller(lambda number: [], mute_at="V")
+    driver = make_driver(server, timeout=0.2)
+    with pytest.raises(ConnectionFailedError):
+        driver.open()
+    assert clock.now() == pytest.approx(START + 0.2)
+    server.mute_at = ""
+    driver.open()
+
+
+def test_motion_needs_the_port_that_ur_rtde_knows(controller: Make, make_driver: MakeDriver) -> None:
+    driver = make_driver(controller(lambda number: [*steady(0.0, 5), Never()]), port=30005)
+    driver.open()
+    driver.start()
+    with pytest.raises(DriverStateError, match="needs RTDE on port 30004"):
+        driver.command(np.zeros(6))
+
+
+def test_motion_begins_where_the_arm_stands_and_ends_with_stop(clock: SimulatedClock, make_driver: MakeDriver) -> None:
+    arm = RememberedArm(ExactPlant())
+    server = RtdeServer(arm, ports=NOWHERE, clock=clock)
+    with serving(server) as network:
+        motions = Motions(clock, network.connect)
+        driver = make_driver(network, take_control=motions.take_control)
+        driver.open()
+        driver.start()
+        with pytest.raises(DriverStateError, match="where the arm stands"):
+            driver.command(np.zeros(6))
+        blocks = list(driver.read(1.0))
+        position = blocks[0].values["position"][-1]
+        with pytest.raises(DriverStateError, match=r"0\.200 rad away") as caught:
+            driver.command(position + np.array([0, 0, 0.2, 0, 0, 0]))
+        assert caught.value.where == "joint j3"
+        assert not motions.made  # nobody took control
+        for step in range(500):
+            driver.command(position + 0.0002 * step)
+            clock.sleep(PERIOD)
+            blocks += driver.read(0.0)
+        driver.stop()
+        with pytest.raises(DriverStateError):
+            driver.command(position)
+        driver.close()
+        assert server.controller.script is None
+        clock.sleep(0.5)
+    joints = [block for block in blocks if block.stream == "joints"]
+    assert sum(block.lost for block in joints) == 0  # taking control costs no sample
+    assert_recorded(joints, arm)
+    # One lookahead of 0.1 s behind at 0.1 rad/s when it is told to stop.
+    assert joints[-1].values["position"][-1, 0] - position[0] == pytest.approx(0.0002 * 499 - 0.01, abs=1e-3)
+    assert np.all(arm.values("velocity")[-1] == 0.0)
+    assert {notice.level for notice in driver.notices()} == {"info"}
+
+
+def assert_recorded(joints: Sequence[Block], arm: RememberedArm) -> None:
+    """Every sample is the arm's, none is missing, and each was stamped in the period in which it was taken."""
+    clock = times(list(joints))
+    first = int(np.rint(clock[0] / PERIOD))
+    expected = slice(first, first + len(clock))
+    assert np.array_equal(clock, arm.times[expected])
+    assert np.array_equal(joined(list(joints), "position"), arm.values("position")[expected])
+    assert np.array_equal(joined(list(joints), "velocity"), arm.values("velocity")[expected])
+    assert np.array_equal(joined(list(joints), "current"), arm.values("current")[expected])
+    host = np.concatenate([block.host_time for block in joints])
+    np.testing.assert_allclose(host - START, clock - PERIOD, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("version", "reachable"), [("5.22", True), ("5.22", False), ("10.10", True)])
+def test_an_arm_whose_motion_was_killed_is_ended_by_the_dashboard_where_it_can_be(
+    clock: SimulatedClock, make_driver: MakeDriver, version: str, reachable: bool
+) -> None:
+    server = RtdeServer(ExactPlant(), version=version, ports=NOWHERE, clock=clock)
+    with serving(server) as network:
+        motions = Motions(clock, network.connect)
+        driver = make_driver(network, take_control=motions.take_control)
+        driver.open()
+        driver.start()
+        position = driver.read(1.0)[0].values["position"][-1]
+        driver.command(position)
+        motions.kill()
+        network.dead = not reachable
+        begun = clock.now()
+        driver.stop()
+        assert clock.now() - begun < DASHBOARD_TIMEOUT
+        (notice,) = (notice for notice in driver.notices() if notice.level == "error")
+        ended = version == "5.22" and reachable
+        assert ("was ended by its dashboard" if ended else "may still run") in notice.message
+        clock.sleep(0.99)
+        assert (server.controller.script is None) == ended
+        clock.sleep(0.05)  # the controller's own watchdog
+        assert server.controller.script is None
+        driver.close()
+
+
+def test_a_controller_out_of_reach_does_not_hold_up_the_stop(clock: SimulatedClock, make_driver: MakeDriver) -> None:
+    server = RtdeServer(ExactPlant(), ports=NOWHERE, clock=clock)
+    with serving(server) as network:
+        motions = Motions(clock, network.connect)
+        driver = make_driver(network, take_control=motions.take_control)
+        driver.open()
+        driver.start()
+        driver.command(driver.read(1.0)[0].values["position"][-1])
+        server.faults.freeze(60.0)
+        clock.sleep(PERIOD)
+        begun = clock.now()
+        driver.stop()
+        assert clock.now() - begun == pytest.approx(STOP_LIMIT + DASHBOARD_TIMEOUT)
+        assert server.controller.script is None
+        driver.close()
+
+
+class SlowMotion:
+    """Takes its time to stop, as an arm does."""
+
+    def __init__(self, clock: SimulatedClock) -> None:
+        self.made = 0
+        self.stopping = False
+        self._clock = clock
+
+    def take_control(self, host: str, rate: float, timeout: float) -> SlowMotion:
+        self.made += 1
+        return self
+
+    def command(self, position: np.ndarray) -> None:
+        assert not self.stopping
+
+    def stop(self) -> bool:
+        self.stopping = True
+        self._clock.sleep(2.0)
+        return True
+
+
+def test_while_the_arm_is_braking_it_is_recorded_but_not_commanded(
+    clock: SimulatedClock, controller: Make, make_driver: MakeDriver
+) -> None:
+    slow = SlowMotion(clock)
+    driver = make_driver(controller(lambda number: paced(500.0, start=0.0)), take_control=slow.take_control)
+    driver.open()
+    driver.start()
+    position = driver.read(1.0)[0].values["position"][-1]
+    driver.command(position)
+    stopper = clock.thread(driver.stop, "stopper")
+    stopper.start()
+    samples = 0
+    begun = clock.now()
+    while clock.now() - begun < 1.999:
+        if slow.stopping:
+            with pytest.raises(DriverStateError, match="being stopped"):
+                driver.command(position)
+        samples += sum(len(block.time) for block in driver.read(0.1) if block.stream == "joints")
+    stopper.join()
+    assert samples == 1000
+    assert slow.made == 1
+    with pytest.raises(DriverStateError, match="must be running"):
+        driver.read(0.0)
+    assert driver.notices()[-1].level == "info"  # it did confirm

@@ -1,0 +1,101 @@
+"""SYNCs that a busy computer leaves out in mid motion: the torque of the arm hardly notices.
+
+The driver's own targets, sent after every SYNC, to simulated drives that move a UR5e, in virtual time.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Collection
+
+import numpy as np
+import pytest
+from drive_bench import Bench
+
+from daq.robot.loader import load_robot
+from drivers.canopen402.settings import parse_settings
+from drivers.canopen402.target_path import TargetPath
+from drivers.streams import FloatArray
+from ident.model.dynamics import build_model
+from sim_drivers.canopen.network import DriveNetwork
+from sim_drivers.plant.plant import Plant
+from sim_drivers.synthetic.motion import random_fourier_motion
+
+RATE = 250
+PERIOD = 1 / RATE
+BEGIN, END = 200, 300
+"""Numbers of the SYNC after which some are left out, and of the last."""
+COMMAND_PHASE = 0.3
+"""When the player sends, in periods after SYNC."""
+
+ROBOT_FILE = load_robot("ur5e")
+
+
+def from_rest() -> FloatArray:
+    """Positions (END, 6) [rad] at SYNC rate of a motion that is at full pace after half a second."""
+    motion = random_fourier_motion(build_model(ROBOT_FILE), period=10.0, seed=1)
+    time = np.arange(END) * PERIOD
+    paced = np.where(time < 0.5, time**2, time - 0.25)
+    return np.ascontiguousarray(motion.evaluate(paced)[0].T)
+
+
+def torques(left_out: Collection[int], player_too: bool) -> FloatArray:
+    """Drive torques [N·m], (steps of 1 ms, 6); the commands of the SYNCs left out come or not."""
+    positions = from_rest()
+    robot = ROBOT_FILE.robot
+    plant = Plant(ROBOT_FILE, position=positions[0])
+    settings = parse_settings(dict(robot.connections["canopen"].model_extra or {}), robot.joint_names)
+    bench = Bench.__new__(Bench)
+    bench.arm, bench.network, bench.time, bench.heard = plant, DriveNetwork(plant, robot, settings), 0.0, []
+    bench.pass_time(1.5)
+    bench.map_pdos()
+    radians = 2 * np.pi / 524288
+    counts = np.rint(positions / radians).astype(int).tolist()
+    for word in (0x06, 0x07, 0x0F):
+        bench.cycle(word, counts[0], period=PERIOD)
+    start = bench.time
+    path = TargetPath(counts[0], PERIOD)
+
+    def send_targets(number: int) -> None:
+        for node, target in enumerate(path.at(start + number * PERIOD), start=1):
+            bench.send(0x200 + node, struct.pack("<Hbi", 0x0F, 8, target))
+
+    events = [(number + COMMAND_PHASE, "command") for number in range(END) if not (player_too and number in left_out)]
+    events += [(float(number), "SYNC") for number in range(END) if number not in left_out]
+    if left_out:
+        events.append((max(left_out) + 0.6, "targets"))  # what the SYNC producer does when it wakes
+    found = []
+    for place, event in sorted(events):
+        while bench.time < start + place * PERIOD - 1e-9:
+            bench.pass_time(min(1e-3, start + place * PERIOD - bench.time))
+            found.append(plant.drive_torque.copy())
+        if event == "command":
+            path.put(bench.time, counts[int(place)])
+        elif event == "targets":
+            send_targets(max(left_out))
+        else:
+            bench.send(0x80)
+            send_targets(int(place))
+    assert all(drive.enabled for drive in bench.network.drives)
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def undisturbed() -> FloatArray:
+    return torques((), player_too=False)
+
+
+@pytest.mark.parametrize(("count", "allowed"), [(1, 8.0), (2, 16.0), (3, 32.0)])
+@pytest.mark.parametrize("player_too", [False, True])
+def test_syncs_left_out_change_the_torque_little(
+    undisturbed: FloatArray, count: int, allowed: float, player_too: bool
+) -> None:
+    """`allowed` in N·m, of joints that may have 150."""
+    found = torques(range(BEGIN, BEGIN + count), player_too)
+    moments = np.linspace(0.0, 1.0, 2000)
+    change = [
+        np.interp(moments, np.linspace(0, 1, len(found)), found[:, joint])
+        - np.interp(moments, np.linspace(0, 1, len(undisturbed)), undisturbed[:, joint])
+        for joint in range(6)
+    ]
+    assert np.max(np.abs(change)) < allowed

@@ -1,0 +1,44 @@
+"""Arms that differ from their robot file."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from daq.robot.loader import load_robot
+from drivers.errors import RobotFileError
+from ident.model.dynamics import truth_vector
+from ident.model.parameters import link_parameters
+from sim_drivers.plant.altered_arm import with_gains, with_load
+
+COM, INERTIA = (0.03, -0.02, 0.08), (0.01, 0.001, 0.0, 0.012, 0.0, 0.009)
+
+
+def test_a_load_adds_its_parameters_to_those_of_the_last_link():
+    robot_file = load_robot("ur10e")
+    loaded = with_load(robot_file, 2.8, COM, INERTIA)
+    difference = truth_vector(loaded) - truth_vector(robot_file)
+    assert difference[50:60] == pytest.approx(link_parameters(2.8, COM, INERTIA), abs=1e-12)
+    assert not np.any(difference[:50])
+    assert not np.any(difference[60:])
+
+
+def test_the_text_that_recordings_carry_stays():
+    robot_file = load_robot("ur10e")
+    assert with_load(robot_file, 2.8, COM, INERTIA).text == robot_file.text
+    assert with_gains(robot_file, {"elbow_joint": 2.0}).text == robot_file.text
+
+
+def test_gains_are_multiplied():
+    robot_file = load_robot("ur10e")
+    altered = with_gains(robot_file, {"elbow_joint": -0.5}).robot
+    assert altered.drive("elbow_joint").gain == pytest.approx(-0.5 * robot_file.robot.drive("elbow_joint").gain)
+    assert altered.drive("wrist_1_joint") == robot_file.robot.drive("wrist_1_joint")
+
+
+def test_what_is_not_there_is_refused():
+    robot_file = load_robot("ur10e")
+    with pytest.raises(RobotFileError, match="no joint is called 'elbow'"):
+        with_gains(robot_file, {"elbow": 2.0})
+    with pytest.raises(RobotFileError, match="0 kg"):
+        with_load(robot_file, 0.0, COM, INERTIA)

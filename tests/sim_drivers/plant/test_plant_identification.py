@@ -1,0 +1,27 @@
+"""An arm that moves under its own controller is identified from what its sensors say, truth inside the error bars."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from controlled_arm import follow
+
+from daq.robot.loader import load_robot
+from ident.identify.identification import IdentifyChoices
+from ident.identify.identify import identify
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamics import build_model, truth_vector
+from sim_drivers.synthetic.motion import CANDIDATES
+
+
+@pytest.mark.slow
+def test_the_truth_is_found_from_twenty_seconds():
+    robot_file = load_robot("ur5e")
+    model = build_model(robot_file)
+    base = base_parameters(model)
+    truth = base.projection @ truth_vector(robot_file)
+    recordings = [[follow(robot_file, seed, 20.0, CANDIDATES)] for seed in (1, 2)]
+    found = identify(recordings[0], recordings[1], IdentifyChoices())
+    assert found.validation.relative_error < 0.05
+    inside = np.abs(found.solution.parameters - truth) <= 1.96 * found.std
+    assert np.mean(inside) >= 0.85, [name for name, good in zip(base.names, inside, strict=True) if not good]

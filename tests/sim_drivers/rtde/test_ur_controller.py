@@ -1,0 +1,272 @@
+"""The simulated controller without sockets: references of its motions, the control script, safety, typed faults."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from exact_plant import JOINT_NAMES, ExactPlant
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import UsageError
+from sim_drivers.faults import Block, Cut, Drift, Drop, Freeze, Heat, ProtectiveStop, parse_fault
+from sim_drivers.rtde.control_script import ControlScript
+from sim_drivers.rtde.controller import DRIFT_ACCELERATION, NORMAL, PROTECTIVE_STOP, Controller
+from sim_drivers.rtde.joint_motion import Motion, MoveJ, Reference, ServoJ, VelocityRamp
+from sim_drivers.rtde.script_port import ScriptSession
+from sim_drivers.rtde.variables import parse_version
+
+PERIOD = 0.002
+LIMIT = np.full(6, math.pi)
+JOINTS = st.lists(st.floats(-1.5, 1.5), min_size=6, max_size=6).map(np.array)
+
+
+def run(motion: Motion, periods: int = 20_000) -> list[Reference]:
+    references = []
+    for _ in range(periods):
+        references.append(motion.step(PERIOD))
+        if motion.finished:
+            return references
+    raise AssertionError("the motion does not end")
+
+
+def controller(version: str = "5.22") -> Controller:
+    made = Controller(ExactPlant(), parse_version(version), PERIOD)
+    made.start_program(ControlScript(0))
+    return made
+
+
+def command(controller: Controller, number: int, *vector: float, integer: int = 0) -> None:
+    registers = {f"input_double_register_{index}": value for index, value in enumerate(vector)}
+    controller.write_inputs({"input_int_register_0": number, "input_int_register_1": integer, **registers})
+    controller.step()
+
+
+@settings(max_examples=20)
+@given(JOINTS, JOINTS, JOINTS, st.floats(1.0, 5.0), st.floats(5.0, 40.0))
+def test_movej_arrives_smoothly_within_its_limits(
+    start: np.ndarray, velocity: np.ndarray, target: np.ndarray, speed: float, acceleration: float
+) -> None:
+    begin = Reference(start, velocity, np.zeros(6))
+    references = run(MoveJ(begin, target, speed, acceleration, LIMIT))
+    position = np.array([begin.position, *(reference.position for reference in references)])
+    velocities = np.array([begin.velocity, *(reference.velocity for reference in references)])
+    np.testing.assert_array_equal(position[-1], target)
+    np.testing.assert_array_equal(velocities[-1], 0.0)
+    assert np.all(np.abs(velocities) <= LIMIT * (1 + 1e-9))
+    assert np.max(np.abs(np.diff(velocities, axis=0))) <= 1.001 * acceleration * PERIOD
+    # Position is the integral of velocity, to within what one period of acceleration can do.
+    step = np.diff(position, axis=0) - 0.5 * PERIOD * (velocities[1:] + velocities[:-1])
+    assert np.max(np.abs(step)) <= acceleration * PERIOD**2
+
+
+@settings(max_examples=40)
+@given(JOINTS, st.floats(0.5, 40.0))
+def test_stopping_takes_the_time_that_the_deceleration_says(velocity: np.ndarray, deceleration: float) -> None:
+    references = run(VelocityRamp(Reference(np.zeros(6), velocity, np.zeros(6)), np.zeros(6), deceleration))
+    expected = np.max(np.abs(velocity)) / deceleration
+    assert len(references) * PERIOD == pytest.approx(expected, abs=2 * PERIOD)
+    np.testing.assert_allclose(references[-1].position, velocity * expected / 2, atol=0.02)
+
+
+@pytest.mark.parametrize("lookahead", [0.03, 0.1, 0.2])
+def test_servoj_follows_a_steady_motion_one_lookahead_late(lookahead: float) -> None:
+    motion = ServoJ(Reference.at_rest(np.zeros(6)))
+    for step in range(1, 1001):
+        motion.retarget(np.full(6, 0.5 * step * PERIOD), lookahead)
+        reference = motion.step(PERIOD)
+    np.testing.assert_allclose(reference.velocity, 0.5, rtol=5e-3)
+    np.testing.assert_allclose(0.5 * 1000 * PERIOD - reference.position, 0.5 * lookahead, rtol=0.05)
+
+
+def test_a_blocking_command_is_done_once_and_ready_after_command_0() -> None:
+    arm = controller()
+    command(arm, 0)
+    assert arm.values["output_int_register_0"] == 1
+    goal = np.full(6, 0.2)
+    command(arm, 1, *goal, 3.0, 40.0)
+    steps = 0
+    while arm.values["output_int_register_0"] != 2:
+        arm.step()
+        steps += 1
+        assert steps < 1000
+    np.testing.assert_array_equal(arm.reference.position, goal)
+    command(arm, 1, *np.zeros(6), 3.0, 40.0)  # not obeyed before command 0
+    np.testing.assert_array_equal(arm.reference.position, goal)
+    command(arm, 0)
+    assert arm.values["output_int_register_0"] == 1
+
+
+@pytest.mark.parametrize("number", [1, 11])
+@pytest.mark.parametrize("value", [7.0, -7.0, math.nan, math.inf])
+def test_targets_outside_the_limits_stop_protectively(number: int, value: float) -> None:
+    arm = controller()
+    command(arm, number, value, 0, 0, 0, 0, 0, 1.0, 1.0, 0.002, 0.1, 300)
+    assert arm.safety_mode == PROTECTIVE_STOP
+    assert arm.script is None
+    assert isinstance(arm.arm, ExactPlant)
+    assert arm.arm.halted
+    arm.start_program(ControlScript(0))
+    assert arm.script is None
+
+
+def test_a_servoj_jump_faster_than_the_joint_can_turn_stops_protectively() -> None:
+    arm = controller()
+    command(arm, 11, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0, 0, 0, 0.002, 0.03, 300)
+    for _ in range(50):
+        arm.step()
+    assert arm.safety_mode == PROTECTIVE_STOP
+
+
+def test_speedj_into_a_limit_stops_protectively_at_the_limit() -> None:
+    arm = controller()
+    command(arm, 9, 3.0, 0, 0, 0, 0, 0, 10.0, 0.0)
+    for _ in range(2000):
+        arm.step()
+    assert arm.safety_mode == PROTECTIVE_STOP
+    assert arm.reference.position[0] == pytest.approx(2 * math.pi, abs=0.01)
+
+
+def test_a_protective_stop_can_be_unlocked_after_five_seconds() -> None:
+    arm = controller()
+    arm.protective_stop("test")
+    arm.step()
+    assert not arm.unlock_protective_stop()
+    for _ in range(2501):
+        arm.step()
+    assert arm.unlock_protective_stop()
+    assert arm.safety_mode == NORMAL
+    arm.start_program(ControlScript(0))
+    arm.step()
+    assert arm.values["runtime_state"] == 2
+
+
+def test_the_watchdog_ends_the_program_when_commands_stay_away() -> None:
+    arm = controller()
+    command(arm, 35, 9.9)
+    command(arm, 0)
+    for _ in range(100):
+        command(arm, 9, 0.1, 0, 0, 0, 0, 0, 1.0, 0.0)
+    last = arm.arm.time - PERIOD  # of the last command
+    while arm.script is not None:
+        arm.step()
+    assert arm.arm.time - PERIOD - last == pytest.approx(0.102)  # the first period that begins after 1/9.9 s
+    for _ in range(100):
+        arm.step()
+    np.testing.assert_array_equal(arm.reference.velocity, 0.0)
+
+
+def test_a_drift_carries_a_joint_away_until_the_program_ends() -> None:
+    arm = controller()
+    start = arm.arm.measure().position.copy()
+    command(arm, 11, *start, *[0.0] * 3, 0.1, 300.0)
+    arm.drift(0, 0.5)
+    for _ in range(500):
+        command(arm, 11, *start, *[0.0] * 3, 0.1, 300.0)
+    ramp = 0.5 / DRIFT_ACCELERATION
+    moved = arm.arm.measure().position - start
+    assert moved[0] == pytest.approx(0.5 * (500 * PERIOD - 0.5 * ramp), abs=0.01)
+    np.testing.assert_array_equal(moved[1:], 0.0)
+    arm.stop_program()
+    np.testing.assert_allclose(arm.reference.position, arm.arm.measure().position)  # no step back
+    for _ in range(300):
+        arm.step()
+    np.testing.assert_array_equal(arm.arm.measure().velocity, 0.0)
+    arm.drift(0, 0.5)  # no program runs: nothing happens
+    held = arm.arm.measure().position.copy()
+    for _ in range(100):
+        arm.step()
+    np.testing.assert_array_equal(arm.arm.measure().position, held)
+
+
+def test_a_drift_beyond_the_limits_is_a_protective_stop() -> None:
+    arm = controller()
+    start = arm.arm.measure().position.copy()
+    command(arm, 11, *start, *[0.0] * 3, 0.1, 300.0)
+    arm.drift(0, 10.0)
+    for _ in range(1000):
+        command(arm, 11, *start, *[0.0] * 3, 0.1, 300.0)
+    assert arm.safety_mode == PROTECTIVE_STOP
+
+
+def test_stop_script_brakes_a_moving_arm() -> None:
+    arm = controller()
+    for _ in range(200):
+        command(arm, 9, 0.5, 0, 0, 0, 0, 0, 10.0, 0.0)
+    assert arm.reference.velocity[0] == pytest.approx(0.5)
+    command(arm, 255)
+    assert arm.values["runtime_state"] == 1
+    for _ in range(100):
+        arm.step()
+    np.testing.assert_array_equal(arm.reference.velocity, 0.0)
+    assert arm.safety_mode == NORMAL
+
+
+@settings(max_examples=50)
+@given(
+    st.lists(st.tuples(st.integers(-5, 300), st.lists(st.floats(), min_size=24, max_size=24)), max_size=8),
+    st.integers(-3, 3),
+)
+def test_no_command_breaks_the_controller(commands: list[tuple[int, list[float]]], integer: int) -> None:
+    arm = controller()
+    for number, vector in commands:
+        command(arm, number, *vector, integer=integer)
+        command(arm, 0)
+    assert np.all(np.isfinite(arm.reference.position))
+    assert np.all(np.abs(arm.reference.position) <= 2 * math.pi + 1e-6)
+
+
+def test_scripts_start_only_where_they_are_the_control_script() -> None:
+    arm = Controller(ExactPlant(), parse_version("5.22"), PERIOD)
+    session = ScriptSession(arm)
+    session.receive(b"def other():\n  movej([0,0,0,0,0,0])\nend\n")
+    assert arm.script is None
+    text = b"def rtde_control():\n    global reg_offset_int = # int register offset\n24    def a():\n    end\nend\n"
+    for byte in text:
+        assert arm.script is None
+        session.receive(bytes([byte]))
+    assert arm.script is not None
+    assert arm.values["output_int_register_24"] == 1
+
+
+@pytest.mark.parametrize(
+    ("line", "fault"),
+    [
+        ("drop 5", Drop(5)),
+        ("  freeze 0.5 ", Freeze(0.5)),
+        ("cut", Cut()),
+        ("protective-stop", ProtectiveStop()),
+        ("heat j3 12.5", Heat(2, 12.5)),
+        ("heat 3 12.5", Heat(2, 12.5)),
+        ("block j3", Block(2)),
+        ("drift 1 -0.5", Drift(0, -0.5)),
+    ],
+)
+def test_faults_are_read(line: str, fault: object) -> None:
+    assert parse_fault(line, JOINT_NAMES) == fault
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "",
+        "drop",
+        "drop -1",
+        "drop 0",
+        "freeze nan",
+        "freeze -1",
+        "heat 7 1",
+        "heat 0 1",
+        "heat j3",
+        "block",
+        "block j9",
+        "drift 1",
+        "drift 1 inf",
+        "boom",
+    ],
+)
+def test_what_is_no_fault_is_refused(line: str) -> None:
+    with pytest.raises(UsageError):
+        parse_fault(line, JOINT_NAMES)
