@@ -15,7 +15,7 @@ from benchmarks.agreement import check
 from daq.recording.recorder import Recorder
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import load_robot
-from drivers.streams import Block, ChannelLayout, FloatArray, StreamLayout
+from drivers.streams import Batch, ChannelLayout, FloatArray, StreamLayout
 
 ROWS, DOUBLES = 60_000, 32
 RATE = 500.0
@@ -80,7 +80,7 @@ def _ours(path: Path, rows: FloatArray) -> None:
     for first in range(0, ROWS, BATCH):
         batch = rows[first : first + BATCH]
         values = {channel.quantity: batch[:, 2 + 6 * i : 8 + 6 * i] for i, channel in enumerate(layout.channels)}
-        recorder.put(Block(JOINTS_STREAM, batch[:, 0], batch[:, 1], values))
+        recorder.put(Batch(JOINTS_STREAM, batch[:, 0], batch[:, 1], values))
     recorder.close(complete=True)
 
 

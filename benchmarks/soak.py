@@ -27,7 +27,7 @@ from daq.session.supervisor import Limits, Supervisor
 from drivers.can.bus import Sender, close_bus, open_bus
 from drivers.canopen402.sync import SyncProducer
 from drivers.clock import SYSTEM_CLOCK
-from drivers.streams import Block, FloatArray
+from drivers.streams import Batch, FloatArray
 from examples import can_lossless, kill_recorder, lossless
 from sim_drivers.simulated_arm import simulated_arm
 
@@ -74,7 +74,7 @@ class _Ages:
     def __init__(self) -> None:
         self.ages: list[FloatArray] = []
 
-    def take(self, block: Block) -> None:
+    def take(self, block: Batch) -> None:
         self.ages.append(SYSTEM_CLOCK.now() - block.host_time)
 
     def show(self, state: str, elapsed: float, total: float) -> None:

@@ -19,7 +19,7 @@ from typing import Literal, Protocol, runtime_checkable
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import DriverStateError
 from drivers.gains import DriveGain
-from drivers.streams import Block, FloatArray, StreamLayout
+from drivers.streams import Batch, FloatArray, StreamLayout
 
 DRIVERS_GROUP = "dynid.drivers"
 """Entry-point group: driver name → callable(settings: DriverSettings) -> Driver."""
@@ -79,7 +79,7 @@ class Driver(Protocol):
     def start(self) -> None:
         """Make samples flow."""
 
-    def read(self, timeout: float) -> Sequence[Block]:
+    def read(self, timeout: float) -> Sequence[Batch]:
         """Blocks that have arrived, waiting at most `timeout` [s] for the first; empty where none came.
 
         Raises:

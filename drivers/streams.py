@@ -68,7 +68,7 @@ class StreamLayout:
 
 
 @dataclass(frozen=True)
-class Block:
+class Batch:
     """Consecutive samples of one stream.
 
     Attributes:

@@ -46,7 +46,7 @@ class UniqueKeyLoader(yaml.SafeLoader):
 
 
 @dataclass(frozen=True)
-class Problem:
+class YamlProblem:
     """What a validation found first.
 
     Attributes:
@@ -100,7 +100,7 @@ def validated(content: Mapping[Any, Any], schema: type[Schema], *, where: str, r
         raise refusal(problem.message, where=place, hint=problem.hint) from error
 
 
-def first_problem(error: ValidationError, root: type[BaseModel]) -> Problem:
+def first_problem(error: ValidationError, root: type[BaseModel]) -> YamlProblem:
     """The problem to tell first, in the words of the file whose top level is `root`.
 
     An unknown key goes before the rest: it is mostly the misspelling of one that is then missing.
@@ -122,7 +122,7 @@ def first_problem(error: ValidationError, root: type[BaseModel]) -> Problem:
     else:
         message = f"found {describe(first['input'])}, but {first['msg'].removeprefix('Input ')}"
         message = message.replace("but should", "but it should").replace("but Keys", "but keys")
-    return Problem(key_path, message, hint)
+    return YamlProblem(key_path, message, hint)
 
 
 def _allowed_keys(root: type[BaseModel], location: tuple[int | str, ...]) -> tuple[str, ...]:

@@ -43,7 +43,7 @@ class Heat:
 
 
 @dataclass(frozen=True)
-class Block:
+class BlockJoint:
     """Jam joint number `joint` (from 0) for good: it stops at once and moves no more."""
 
     joint: int
@@ -57,7 +57,7 @@ class Drift:
     velocity: float
 
 
-Fault = Drop | Freeze | Cut | ProtectiveStop | Heat | Block | Drift
+Fault = Drop | Freeze | Cut | ProtectiveStop | Heat | BlockJoint | Drift
 
 USAGE = "drop N | freeze SECONDS | cut | protective-stop | heat JOINT CELSIUS | block JOINT | drift JOINT RAD/S"
 
@@ -94,7 +94,7 @@ class Faults:
 
     def block(self, joint: int) -> None:
         """Jam a joint."""
-        self.request(Block(joint))
+        self.request(BlockJoint(joint))
 
     def drift(self, joint: int, velocity: float) -> None:
         """Carry a joint away from its target [rad/s]."""
@@ -128,7 +128,7 @@ def parse_fault(line: str, joints: Sequence[str]) -> Fault:
         case ["heat", joint, celsius] if (rise := positive(celsius)) is not None:
             return Heat(joint_number(joint, joints), rise)
         case ["block", joint]:
-            return Block(joint_number(joint, joints))
+            return BlockJoint(joint_number(joint, joints))
         case ["drift", joint, speed] if (velocity := _finite(speed)) is not None:
             return Drift(joint_number(joint, joints), velocity)
     raise UsageError(f"'{line.strip()}' is not a fault", hint=USAGE)

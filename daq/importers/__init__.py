@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.importers.assembly import Samples, assemble
+from daq.importers.assembly import ImportedSamples, assemble
 from daq.importers.checks import check_samples
 from daq.importers.choices import REPAIRS, ImportChoices
 from daq.importers.csv import read_csv
@@ -22,7 +22,7 @@ from daq.importers.mat import read_hdf5, read_mat
 from daq.importers.npz import read_npz
 from daq.importers.plausibility import check_units
 from daq.importers.rosbag import bag_files, read_rosbag
-from daq.importers.table import Table, parsing, printable
+from daq.importers.table import ForeignTable, parsing, printable
 from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, Stream, software_versions
 from daq.robot.loader import RobotFile
 from drivers.errors import ImportFileError
@@ -30,7 +30,7 @@ from drivers.streams import UNITS
 
 __all__ = ["REPAIRS", "SUPPORTED", "ImportChoices", "import_file"]
 
-Reader = Callable[[Path, Sequence[str], ImportChoices], Table]
+Reader = Callable[[Path, Sequence[str], ImportChoices], ForeignTable]
 
 _READERS: Mapping[str, Reader] = {
     ".csv": read_csv,
@@ -119,7 +119,7 @@ def _reader(path: Path) -> Reader:
     )
 
 
-def _stream(samples: Samples, source: str) -> Stream:
+def _stream(samples: ImportedSamples, source: str) -> Stream:
     channels = {
         quantity: Channel(
             quantity=quantity,
@@ -134,7 +134,7 @@ def _stream(samples: Samples, source: str) -> Stream:
     return Stream(name=JOINTS_STREAM, time=samples.time, host_time=samples.time, channels=channels)
 
 
-def _events(samples: Samples) -> tuple[Event, ...]:
+def _events(samples: ImportedSamples) -> tuple[Event, ...]:
     return tuple(
         Event(float(samples.time[note.sample or 0]), note.level, "import", _one_line(note.message))
         for note in samples.notes

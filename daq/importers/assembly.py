@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from daq.importers.choices import ImportChoices
 from daq.importers.matching import match_joints
-from daq.importers.table import Block, Note, Table, listed, printable
+from daq.importers.table import ForeignTable, Note, QuantityColumns, listed, printable
 from daq.importers.units import allowed_units, to_si
 from daq.robot.loader import RobotFile
 from drivers.errors import ImportFileError
@@ -30,7 +30,7 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class Samples:
+class ImportedSamples:
     """A file's content in SI and in the robot's order; `time` (N,) [s]; `notes` to be recorded as events.
 
     Every array has N rows; `lines` (N,) are line numbers of a text file or None.
@@ -42,7 +42,7 @@ class Samples:
     lines: tuple[int, ...] | None
 
 
-def assemble(table: Table, robot: RobotFile, choices: ImportChoices, where: str) -> Samples:
+def assemble(table: ForeignTable, robot: RobotFile, choices: ImportChoices, where: str) -> ImportedSamples:
     """Match the joints, decide what effort is, convert units, find the time.
 
     Args:
@@ -80,10 +80,12 @@ def assemble(table: Table, robot: RobotFile, choices: ImportChoices, where: str)
     count = len(quantities["position"].values)
     time = _time(table, count, choices, where, notes)
     lines = tuple(int(line) for line in table.lines) if table.lines is not None else None
-    return Samples(time, quantities, tuple(notes), lines)
+    return ImportedSamples(time, quantities, tuple(notes), lines)
 
 
-def _decide_effort(blocks: dict[str, Block], choices: ImportChoices, where: str) -> dict[str, Block]:
+def _decide_effort(
+    blocks: dict[str, QuantityColumns], choices: ImportChoices, where: str
+) -> dict[str, QuantityColumns]:
     effort = blocks.pop("effort", None)
     if effort is None:
         if choices.effort is not None and choices.effort not in blocks:
@@ -106,7 +108,7 @@ def _decide_effort(blocks: dict[str, Block], choices: ImportChoices, where: str)
     return {**blocks, choices.effort: effort}
 
 
-def _check_lengths(table: Table, blocks: dict[str, Block], where: str) -> None:
+def _check_lengths(table: ForeignTable, blocks: dict[str, QuantityColumns], where: str) -> None:
     lengths = {quantity: len(block.values) for quantity, block in blocks.items()}
     if table.time is not None:
         lengths = {"time": len(table.time), **lengths}
@@ -119,15 +121,15 @@ def _check_lengths(table: Table, blocks: dict[str, Block], where: str) -> None:
 
 
 def _in_robot_order(
-    quantity: str, block: Block, names: tuple[str, ...], choices: ImportChoices, where: str
-) -> tuple[Block, tuple[Note, ...]]:
+    quantity: str, block: QuantityColumns, names: tuple[str, ...], choices: ImportChoices, where: str
+) -> tuple[QuantityColumns, tuple[Note, ...]]:
     if block.joints is None:
         return replace(block, joints=names), ()
     if quantity == "temperature" and set(block.joints) <= set(names):
         return block, ()
     match = match_joints(block.joints, names, by_order=choices.by_order, where=f"{where}: {quantity}")
     columns = list(match.columns)
-    ordered = Block(
+    ordered = QuantityColumns(
         block.values[:, columns],
         tuple(block.labels[column] for column in columns),
         tuple(block.units[column] for column in columns),
@@ -137,7 +139,12 @@ def _in_robot_order(
 
 
 def _in_si(
-    quantity: str, block: Block, sliding: frozenset[str], choices: ImportChoices, where: str, notes: list[Note]
+    quantity: str,
+    block: QuantityColumns,
+    sliding: frozenset[str],
+    choices: ImportChoices,
+    where: str,
+    notes: list[Note],
 ) -> Quantity:
     joints = block.joints or ()
     stated = [label for label, unit in zip(block.labels, block.units, strict=True) if unit]
@@ -183,7 +190,7 @@ def _in_si(
     return Quantity(values, joints, block.labels)
 
 
-def _time(table: Table, count: int, choices: ImportChoices, where: str, notes: list[Note]) -> FloatArray:
+def _time(table: ForeignTable, count: int, choices: ImportChoices, where: str, notes: list[Note]) -> FloatArray:
     if table.time is None:
         if choices.rate is None:
             raise ImportFileError(
@@ -220,8 +227,8 @@ def _time(table: Table, count: int, choices: ImportChoices, where: str, notes: l
     return converted
 
 
-def rows(samples: Samples, index: npt.NDArray[np.intp]) -> Samples:
+def rows(samples: ImportedSamples, index: npt.NDArray[np.intp]) -> ImportedSamples:
     """The samples at the given indices, in their order."""
     quantities = {name: replace(entry, values=entry.values[index]) for name, entry in samples.quantities.items()}
     lines = tuple(samples.lines[k] for k in index) if samples.lines is not None else None
-    return Samples(samples.time[index], quantities, samples.notes, lines)
+    return ImportedSamples(samples.time[index], quantities, samples.notes, lines)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from daq.importers.assembly import Samples, rows
+from daq.importers.assembly import ImportedSamples, rows
 from daq.importers.choices import DROP_DUPLICATES, DROP_NAN, SORT, TIME_UNITS, ImportChoices
 from daq.importers.table import Note, printable
 from daq.importers.units import REVOLUTE
@@ -21,7 +21,7 @@ RESTART_RUN = 50
 """So many samples that rise in order, all before a stamp already passed, are a second run and not a late message."""
 
 
-def check_samples(samples: Samples, choices: ImportChoices, where: str) -> Samples:
+def check_samples(samples: ImportedSamples, choices: ImportChoices, where: str) -> ImportedSamples:
     """Check for missing values, the order of the stamps and the sampling rate; repair what was asked for.
 
     Args:
@@ -41,13 +41,13 @@ def check_samples(samples: Samples, choices: ImportChoices, where: str) -> Sampl
     return samples
 
 
-def sample_place(samples: Samples, index: int, where: str) -> str:
+def sample_place(samples: ImportedSamples, index: int, where: str) -> str:
     """Name a sample, with its line where the file has lines."""
     line = f" (line {samples.lines[index]})" if samples.lines is not None else ""
     return f"{where}: sample {index}{line}"
 
 
-def _finite(samples: Samples, choices: ImportChoices, where: str) -> Samples:
+def _finite(samples: ImportedSamples, choices: ImportChoices, where: str) -> ImportedSamples:
     notes: list[Note] = []
     if DROP_NAN in choices.repair:
         empty = [name for name, entry in samples.quantities.items() if not np.isfinite(entry.values).any()]
@@ -75,7 +75,7 @@ def _finite(samples: Samples, choices: ImportChoices, where: str) -> Samples:
     return replace(rows(samples, np.flatnonzero(good)), notes=(*samples.notes, *notes))
 
 
-def _culprit(samples: Samples, index: int) -> str:
+def _culprit(samples: ImportedSamples, index: int) -> str:
     if not np.isfinite(samples.time[index]):
         return "the time"
     for quantity, entry in samples.quantities.items():
@@ -85,7 +85,7 @@ def _culprit(samples: Samples, index: int) -> str:
     raise ValueError("no value of this sample is missing")
 
 
-def _rising(samples: Samples, choices: ImportChoices, where: str) -> Samples:
+def _rising(samples: ImportedSamples, choices: ImportChoices, where: str) -> ImportedSamples:
     steps = np.diff(samples.time)
     backward = np.flatnonzero(steps < 0) + 1
     if len(backward):
@@ -141,7 +141,7 @@ def _restart(time: FloatArray) -> int | None:
     return None
 
 
-def _plausible_rate(samples: Samples, choices: ImportChoices, where: str) -> None:
+def _plausible_rate(samples: ImportedSamples, choices: ImportChoices, where: str) -> None:
     period = float(np.median(np.diff(samples.time)))
     if not np.isfinite(period) or period <= 0:
         raise ImportFileError("time stamps are too large to tell samples apart", where=where)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.importers.naming import Role
-from daq.importers.table import Block, Note, Table, listed, printable
+from daq.importers.table import ForeignTable, Note, QuantityColumns, listed, printable
 from drivers.errors import ImportFileError
 from drivers.streams import FloatArray
 
@@ -33,7 +33,7 @@ def collect(
     unused: Sequence[str] = (),
     notes: Sequence[Note] = (),
     lines: npt.NDArray[np.int64] | None = None,
-) -> Table:
+) -> ForeignTable:
     """Gather arrays into a table.
 
     Args:
@@ -88,7 +88,7 @@ def collect(
             blocks[quantity] = _column_block(quantity, members, joints, where, notes)
     if unused:
         notes.append(Note("info", f"not taken over: {listed(unused)}"))
-    return Table(source, time, time_unit, blocks, tuple(notes), lines)
+    return ForeignTable(source, time, time_unit, blocks, tuple(notes), lines)
 
 
 def _exact_stamps(stamps: npt.NDArray[Any], notes: list[Note]) -> npt.NDArray[Any]:
@@ -125,7 +125,7 @@ def _whole_block(
     width: int,
     where: str,
     notes: list[Note],
-) -> Block:
+) -> QuantityColumns:
     place = f"{where}: {printable(role.name)}"
     if width == 1 and (values.ndim == 1 or (values.ndim == 2 and 1 in values.shape)):
         values = values.reshape(-1, 1)
@@ -142,12 +142,12 @@ def _whole_block(
     elif values.shape[0] == width and width > 1:
         raise ImportFileError(f"has shape {values.shape}: samples and joints cannot be told apart", where=place)
     labels = tuple(f"{role.name}[:, {column}]" for column in range(width))
-    return Block(np.ascontiguousarray(values), labels, (role.unit,) * width, array_joints)
+    return QuantityColumns(np.ascontiguousarray(values), labels, (role.unit,) * width, array_joints)
 
 
 def _column_block(
     quantity: str, members: list[tuple[Role, FloatArray]], joints: Sequence[str], where: str, notes: list[Note]
-) -> Block:
+) -> QuantityColumns:
     named = [role for role, _ in members if role.joint is not None]
     numbered = [role for role, _ in members if role.number is not None]
     if named and numbered:
@@ -196,7 +196,7 @@ def _column_block(
         raise ImportFileError(
             f"columns of the {quantity} differ in length: {listed(f'{k} {v}' for k, v in lengths.items())}", where=where
         )
-    return Block(
+    return QuantityColumns(
         values=np.column_stack(vectors),
         labels=tuple(role.name for role in roles),
         units=tuple(role.unit for role in roles),

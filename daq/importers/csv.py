@@ -11,7 +11,7 @@ import numpy as np
 from daq.importers.choices import ImportChoices
 from daq.importers.collecting import collect
 from daq.importers.naming import assign_roles
-from daq.importers.table import Note, Table, listed, printable
+from daq.importers.table import ForeignTable, Note, listed, printable
 from drivers.errors import ImportFileError
 from drivers.streams import FloatArray
 
@@ -22,7 +22,7 @@ _MISSING = frozenset({"", "na", "n/a", "null", "none", "-"})
 _EXAMPLE = "t,q1,q2,…,torque1,torque2,…"
 
 
-def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Table:
+def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
     """Read a CSV file; columns are recognised by their header, units in brackets are honoured.
 
     Args:

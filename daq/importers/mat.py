@@ -12,14 +12,14 @@ import numpy.typing as npt
 
 from daq.importers.choices import ImportChoices
 from daq.importers.npz import table_of_arrays
-from daq.importers.table import Table, parsing
+from daq.importers.table import ForeignTable, parsing
 from drivers.errors import ImportFileError
 
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _USER_BLOCK = 512
 
 
-def read_mat(path: Path, joints: Sequence[str], choices: ImportChoices) -> Table:
+def read_mat(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
     """Read a .mat file of any version; a struct's fields appear as `struct.field`, one level deep.
 
     Args:
@@ -70,7 +70,7 @@ def _is_cell_of_texts(value: npt.NDArray[Any]) -> bool:
     )
 
 
-def read_hdf5(path: Path, joints: Sequence[str], choices: ImportChoices) -> Table:
+def read_hdf5(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
     """Read datasets of an HDF5 file, those in groups as `group.dataset`, one level deep.
 
     MATLAB v7.3 stores matrices transposed and says so by the attribute MATLAB_class; they are turned back.

@@ -13,13 +13,13 @@ import numpy.typing as npt
 from daq.importers.choices import ImportChoices
 from daq.importers.collecting import collect
 from daq.importers.naming import assign_roles
-from daq.importers.table import Note, Table, listed, parsing, printable
+from daq.importers.table import ForeignTable, Note, listed, parsing, printable
 from drivers.errors import ImportFileError
 
 JOINT_NAME_KEYS = ("joints", "joint_names")
 
 
-def read_npz(path: Path, joints: Sequence[str], choices: ImportChoices) -> Table:
+def read_npz(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
     """Read an .npz; a JSON text under `meta` may state `units`, `joints` or `joint_names` may name the columns.
 
     Args:
@@ -57,7 +57,7 @@ def table_of_arrays(
     choices: ImportChoices,
     where: str,
     unreadable: Sequence[str] = (),
-) -> Table:
+) -> ForeignTable:
     """A table from named arrays, for the formats that hold such.
 
     Args:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.importers.assembly import Quantity, Samples
+from daq.importers.assembly import ImportedSamples, Quantity
 from daq.importers.checks import sample_place
 from daq.importers.choices import ImportChoices
 from daq.importers.table import Note, listed
@@ -19,7 +19,9 @@ _MILLIAMPERE = 500.0
 _TORQUE_EXCESS = 10.0
 
 
-def check_units(samples: Samples, robot: Robot, sliding: frozenset[str], choices: ImportChoices, where: str) -> Samples:
+def check_units(
+    samples: ImportedSamples, robot: Robot, sliding: frozenset[str], choices: ImportChoices, where: str
+) -> ImportedSamples:
     """Compare positions with the joint limits and velocities with the change of position.
 
     Args:
@@ -54,7 +56,12 @@ def check_units(samples: Samples, robot: Robot, sliding: frozenset[str], choices
 
 
 def _check_positions(
-    samples: Samples, position: Quantity, robot: Robot, sliding: frozenset[str], choices: ImportChoices, where: str
+    samples: ImportedSamples,
+    position: Quantity,
+    robot: Robot,
+    sliding: frozenset[str],
+    choices: ImportChoices,
+    where: str,
 ) -> list[Note]:
     notes = []
     far: list[str] = []
@@ -93,7 +100,7 @@ def _check_positions(
 
 
 def _check_velocity(
-    samples: Samples, position: Quantity, velocity: Quantity, sliding: frozenset[str], where: str
+    samples: ImportedSamples, position: Quantity, velocity: Quantity, sliding: frozenset[str], where: str
 ) -> list[Note]:
     ratios = displacement_ratios(samples.time, position.values, velocity.values)
     known = {joint: ratio for joint, ratio in zip(position.joints, ratios, strict=True) if ratio is not None}

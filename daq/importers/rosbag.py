@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from daq.importers.choices import ImportChoices
 from daq.importers.matching import JointMatch, match_joints, shares_joints
-from daq.importers.table import Block, Note, Table, listed, parsing, printable
+from daq.importers.table import ForeignTable, Note, QuantityColumns, listed, parsing, printable
 from drivers.closest import did_you_mean
 from drivers.errors import ImportFileError, UsageError
 from drivers.streams import FloatArray
@@ -52,7 +52,7 @@ def bag_files(path: Path) -> tuple[Path, ...]:
     return files
 
 
-def read_rosbag(path: Path, joints: Sequence[str], choices: ImportChoices) -> Table:
+def read_rosbag(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
     """Read the sensor_msgs/JointState messages of one topic; time is relative to the first one taken.
 
     Args:
@@ -94,8 +94,8 @@ def read_rosbag(path: Path, joints: Sequence[str], choices: ImportChoices) -> Ta
     for field in _FIELDS:
         values = _gather(messages, field, taken, matches, place)
         if values is not None:
-            blocks[field] = Block(values, labels, ("",) * len(joints), labels)
-    return Table("ROS 2 bag", seconds, "s", blocks, tuple(notes))
+            blocks[field] = QuantityColumns(values, labels, ("",) * len(joints), labels)
+    return ForeignTable("ROS 2 bag", seconds, "s", blocks, tuple(notes))
 
 
 def _openable(path: Path, notes: list[Note]) -> tuple[Path, ...]:

@@ -25,7 +25,7 @@ class Note:
 
 
 @dataclass(frozen=True)
-class Block:
+class QuantityColumns:
     """One quantity as the file has it.
 
     Attributes:
@@ -42,7 +42,7 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Table:
+class ForeignTable:
     """A foreign file's content.
 
     Attributes:
@@ -57,7 +57,7 @@ class Table:
     source: str
     time: FloatArray | None
     time_unit: str
-    blocks: Mapping[str, Block]
+    blocks: Mapping[str, QuantityColumns]
     notes: tuple[Note, ...] = ()
     lines: npt.NDArray[np.int64] | None = None
 

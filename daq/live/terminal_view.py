@@ -29,7 +29,7 @@ from daq.recording.recording import JOINTS_STREAM
 from daq.session.realtime import give_realtime_back
 from daq.session.supervisor import Limits
 from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.streams import Block, FloatArray
+from drivers.streams import Batch, FloatArray
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -103,7 +103,7 @@ class Publisher:
         self._past: deque[tuple[float, Mapping[str, int]]] = deque(maxlen=RATE_PICTURES)
         self._sent = -np.inf
 
-    def take(self, block: Block) -> None:
+    def take(self, block: Batch) -> None:
         """Note a block."""
         with suppress(Exception):  # a display must not stop an arm
             self._samples[block.stream] = self._samples.get(block.stream, 0) + len(block.time)

@@ -18,7 +18,7 @@ from daq.recording.writer import CHUNK_SECONDS, RecordingWriter, chunk_rows
 from daq.robot.loader import RobotFile
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import DiskError, RecordingError
-from drivers.streams import Block, StreamLayout
+from drivers.streams import Batch, StreamLayout
 
 MEMORY_LIMIT = 64 * 2**20
 """Bytes of samples that may wait for the disk before blocks are dropped, and counted."""
@@ -77,9 +77,9 @@ class Recorder:
         )
         self._writer.allow_readers()
         self._rows = {layout.name: chunk_rows(layout.rate) for layout in layouts}
-        self._pending: dict[str, list[Block]] = {layout.name: [] for layout in layouts}
+        self._pending: dict[str, list[Batch]] = {layout.name: [] for layout in layouts}
         self._since = dict.fromkeys(self._pending, 0.0)
-        self._queue: deque[Block | tuple[float, Level, str, str]] = deque()
+        self._queue: deque[Batch | tuple[float, Level, str, str]] = deque()
         self._memory_limit = memory_limit
         self._waiting = 0
         self._clock = clock
@@ -100,7 +100,7 @@ class Recorder:
         """Why nothing can be written any more; None while all is well."""
         return self._failure
 
-    def put(self, block: Block) -> None:
+    def put(self, block: Batch) -> None:
         """Hand over a block; dropped and counted where too much waits already."""
         size = _size(block)
         with self._changed:
@@ -178,8 +178,8 @@ class Recorder:
         except RecordingError:
             self._broken = True
 
-    def _take(self, item: Block | tuple[float, Level, str, str]) -> None:
-        if isinstance(item, Block):
+    def _take(self, item: Batch | tuple[float, Level, str, str]) -> None:
+        if isinstance(item, Batch):
             if not self._pending[item.stream]:
                 self._since[item.stream] = self._clock.now()
             self._pending[item.stream].append(item)
@@ -205,7 +205,7 @@ class Recorder:
                 joined.host_time[:count],
                 {name: values[:count] for name, values in joined.values.items()},
             )
-            rest = Block(
+            rest = Batch(
                 stream,
                 joined.time[count:],
                 joined.host_time[count:],
@@ -220,10 +220,10 @@ class Recorder:
             self._writer.flush()
 
 
-def _join(blocks: Sequence[Block]) -> Block:
+def _join(blocks: Sequence[Batch]) -> Batch:
     if len(blocks) == 1:
         return blocks[0]
-    return Block(
+    return Batch(
         blocks[0].stream,
         np.concatenate([block.time for block in blocks]),
         np.concatenate([block.host_time for block in blocks]),
@@ -231,7 +231,7 @@ def _join(blocks: Sequence[Block]) -> Block:
     )
 
 
-def _size(block: Block) -> int:
+def _size(block: Batch) -> int:
     return block.time.nbytes + block.host_time.nbytes + sum(values.nbytes for values in block.values.values())
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.streams import Block, FloatArray
+from drivers.streams import Batch, FloatArray
 
 REPORT_PERIOD = 60.0
 """[s] between two reports on a clock."""
@@ -143,7 +143,7 @@ class ClockLog:
         self._fits: dict[str, ClockFit] = {}
         self._due = clock.now() + REPORT_PERIOD
 
-    def take(self, block: Block) -> None:
+    def take(self, block: Batch) -> None:
         """Note a block's stamps."""
         if len(block.time):
             self._fits.setdefault(block.stream, ClockFit()).add(block.time, block.host_time)

@@ -28,7 +28,7 @@ from daq.session.supervisor import Supervisor
 from drivers.base import DRIVERS_GROUP, Attributing, Driver, DriverSettings, Notice
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionLostError, DynidError, SafetyStopError, UsageError, WorkError
-from drivers.streams import Block, FloatArray
+from drivers.streams import Batch, FloatArray
 
 READ_TIMEOUT = 0.01
 FIRST_SAMPLE_LIMIT = 5.0
@@ -83,7 +83,7 @@ class Play:
 class View(Protocol):
     """What is shown of a running session; it must neither wait nor raise."""
 
-    def take(self, block: Block) -> None:
+    def take(self, block: Batch) -> None:
         """Note a block."""
 
     def show(self, state: str, elapsed: float, total: float) -> None:
@@ -111,7 +111,7 @@ class _Course:
     silent: set[str] = field(default_factory=set)
     host_ahead: dict[str, float] = field(default_factory=dict)
 
-    def take(self, block: Block) -> None:
+    def take(self, block: Batch) -> None:
         self.samples[block.stream] = self.samples.get(block.stream, 0) + len(block.time)
         self.lost[block.stream] = self.lost.get(block.stream, 0) + block.lost
         self.silent.discard(f"stream {block.stream}")

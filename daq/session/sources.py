@@ -11,7 +11,7 @@ from typing import TypeVar
 
 from drivers.base import Attributing, Driver, Notice
 from drivers.errors import DynidError
-from drivers.streams import Block, FloatArray, StreamLayout
+from drivers.streams import Batch, FloatArray, StreamLayout
 
 _Result = TypeVar("_Result")
 
@@ -97,7 +97,7 @@ class Sources:
             self.stop()
             raise
 
-    def read(self, timeout: float) -> Sequence[Block]:
+    def read(self, timeout: float) -> Sequence[Batch]:
         """Blocks of all that have arrived, waiting at most `timeout` [s] for the main one's.
 
         Raises:
@@ -185,7 +185,7 @@ def _free(wanted: str, taken: set[str]) -> str:
     return name
 
 
-def _renamed(source: _Source, blocks: Iterable[Block]) -> list[Block]:
+def _renamed(source: _Source, blocks: Iterable[Batch]) -> list[Batch]:
     found = []
     for block in blocks:
         if len(block.time):

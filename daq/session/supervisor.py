@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.robot.schema import Robot
-from drivers.streams import Block, FloatArray, StreamLayout
+from drivers.streams import Batch, FloatArray, StreamLayout
 
 TRACKING_ERROR = 0.2
 """Default limit of the tracking error [rad or m]."""
@@ -123,7 +123,7 @@ class Supervisor:
         """Note a commanded position (n,) and when it was sent [s, host clock]."""
         self._commands.append((host_time, position))
 
-    def check(self, block: Block, now: float) -> Breach | None:
+    def check(self, block: Batch, now: float) -> Breach | None:
         """The first limit that a block passes, in time; None where it passes none. `now` [s] is the host's clock."""
         self._last_arrival[block.stream] = now
         # A temperature that is not a number is a sensor without a reading; elsewhere it is a breach.
@@ -170,7 +170,7 @@ class Supervisor:
         """Forgive the time until `now` [s, host clock], in which this process could not look."""
         self._last_arrival = dict.fromkeys(self._last_arrival, now)
 
-    def _part(self, block: Block, quantity: str) -> _Part | None:
+    def _part(self, block: Batch, quantity: str) -> _Part | None:
         """What a block says of a quantity of joints; None where it says nothing of any."""
         values = block.values.get(quantity)
         if values is None:
@@ -180,7 +180,7 @@ class Supervisor:
             return (values[:, columns], joints) if len(joints) else None
         return (values, self._all) if values.ndim == 2 and values.shape[1] == len(self._all) else None
 
-    def _torque(self, block: Block) -> _Part | None:
+    def _torque(self, block: Batch) -> _Part | None:
         if (part := self._part(block, "torque")) is not None:
             return np.abs(part[0]), part[1]
         if (part := self._part(block, "current")) is None:
@@ -210,7 +210,7 @@ class Supervisor:
     def _add(
         self,
         found: list[tuple[int, Breach]],
-        block: Block,
+        block: Batch,
         what: str,
         unit: str,
         part: _Part,

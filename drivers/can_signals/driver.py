@@ -19,7 +19,7 @@ from drivers.can_signals.standstill import REST_LIMIT, comes_to_rest
 from drivers.can_signals.startup import hear_all
 from drivers.can_signals.streams import FrameStreams
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
-from drivers.streams import Block, FloatArray, StreamLayout
+from drivers.streams import Batch, FloatArray, StreamLayout
 
 SILENCE_LIMIT = 0.5
 """Without a row for so long [s], or for `SILENT_PERIODS`, the connection counts as lost."""
@@ -112,7 +112,7 @@ class CanFramesDriver:
         self._halted = False
         self._state = "running"
 
-    def read(self, timeout: float) -> Sequence[Block]:
+    def read(self, timeout: float) -> Sequence[Batch]:
         """Blocks that have arrived, waiting at most `timeout` [s] for the first; empty where none came.
 
         Raises:

@@ -19,7 +19,7 @@ from drivers.can_signals.signal_keys import WHOLE_ARM
 from drivers.can_signals.signals import batches
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.gains import DriveGain, joint_torque
-from drivers.streams import Block, ChannelLayout, FloatArray, StreamLayout
+from drivers.streams import Batch, ChannelLayout, FloatArray, StreamLayout
 
 
 class FrameStreams:
@@ -95,7 +95,7 @@ class FrameStreams:
             layouts.append(StreamLayout(name, tuple(channels), self._settings.rate if name == "joints" else 0.0))
         return tuple(layouts)
 
-    def take(self, frames: Sequence[Frame], poller: Poller | None) -> list[Block]:
+    def take(self, frames: Sequence[Frame], poller: Poller | None) -> list[Batch]:
         """The blocks that these frames complete; `poller` where the arm is polled."""
         grouped = dict(batches(frames))
         blocks = []
@@ -140,7 +140,7 @@ class FrameStreams:
             return f"{what}; time is the arm's own {self._clock_signal.quantity}"
         return f"{what}; time is the arrival of its first frame, brought to the clock of the joints"
 
-    def _joints_block(self, rows: Rows, assembler: Assembler, poller: Poller | None) -> Block:
+    def _joints_block(self, rows: Rows, assembler: Assembler, poller: Poller | None) -> Batch:
         self._lost += rows.incomplete if self.clock is None else 0
         values, host_time, times = rows.values, rows.host_time, rows.host_time
         if self.clock is not None and self._clock_signal is not None:
@@ -151,7 +151,7 @@ class FrameStreams:
         elif poller is not None:
             self._lost += self._answers.unanswered(poller, rows)
         if not len(times):
-            return Block("joints", times, host_time)
+            return Batch("joints", times, host_time)
         self._offset = float(times[-1] - host_time[-1])
         self.last_row = self._host_clock.now()
         self._rate_watch.note(host_time, self._lost)
@@ -160,17 +160,17 @@ class FrameStreams:
             values_of["torque"] = joint_torque(values_of["current"], self._gains)
         self.latest_position = values_of["position"][-1]
         lost, self._lost = self._lost, 0
-        return Block("joints", times, host_time, values_of, lost)
+        return Batch("joints", times, host_time, values_of, lost)
 
-    def _other_block(self, name: str, rows: Rows, assembler: Assembler) -> Block:
+    def _other_block(self, name: str, rows: Rows, assembler: Assembler) -> Batch:
         if not len(rows.host_time):
-            return Block(name, rows.host_time, rows.host_time)
+            return Batch(name, rows.host_time, rows.host_time)
         # Arrivals jitter, and so does the way from one clock to the other; the stream's own time must not run back.
         times = np.maximum.accumulate(rows.host_time + self._offset)
         before = self._latest_time.get(name, -math.inf)
         times = np.maximum(times, before + 1e-6 * np.arange(1, len(times) + 1)) if math.isfinite(before) else times
         self._latest_time[name] = float(times[-1])
-        return Block(name, times, rows.host_time, self._values(rows.values, assembler), rows.incomplete)
+        return Batch(name, times, rows.host_time, self._values(rows.values, assembler), rows.incomplete)
 
     def _values(self, values: FloatArray, assembler: Assembler) -> dict[str, FloatArray]:
         return {

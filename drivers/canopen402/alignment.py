@@ -59,7 +59,7 @@ class Scaling:
         """Joint positions (…, n) [rad] of counts (…, n)."""
         return np.asarray(np.asarray(counts) * self.radians_per_count + self.zero)
 
-    def values(self, rows: Rows) -> dict[str, FloatArray]:
+    def values(self, rows: AlignedRows) -> dict[str, FloatArray]:
         """Quantity → (N, n): position [rad], velocity [rad/s], current [A], torque [N·m], statusword."""
         return {
             "position": self.position(rows.position),
@@ -71,7 +71,7 @@ class Scaling:
 
 
 @dataclass(frozen=True)
-class Rows:
+class AlignedRows:
     """What the drives said, a row a SYNC; (N, n) in the drives' own numbers.
 
     Attributes:
@@ -102,7 +102,7 @@ class Aligned:
         misfit: frames of another length than the mapping's, left out.
     """
 
-    rows: Rows
+    rows: AlignedRows
     missing: IntArray
     extra: IntArray
     misfit: IntArray
@@ -250,7 +250,7 @@ class Aligner:
                 answers.close_window(self._closed, begin, window.get(key, ()))
             self._closed += 1
 
-    def _rows(self, end: int) -> Rows:
+    def _rows(self, end: int) -> AlignedRows:
         """The complete rows from the last one handed out to before SYNC number `end`."""
         slots, sent, chosen = [], [], []
         for number in range(self._handed_out, end):
@@ -268,11 +268,13 @@ class Aligner:
         return _decode(np.array(slots, dtype=np.int64), np.array(sent, dtype=np.float64), arrival, frames, self._count)
 
 
-def _decode(slots: IntArray, sent: FloatArray, arrival: FloatArray, frames: npt.NDArray[np.uint8], count: int) -> Rows:
+def _decode(
+    slots: IntArray, sent: FloatArray, arrival: FloatArray, frames: npt.NDArray[np.uint8], count: int
+) -> AlignedRows:
     """Rows of frames (N, 2n, 8) that arrived at (N, 2n) [s]."""
     state = _records(frames[:, :count], _STATE)
     effort = _records(frames[:, count:], _EFFORT)
-    return Rows(
+    return AlignedRows(
         slot=slots,
         sent=sent,
         host_time=arrival.max(axis=1) if len(slots) else np.zeros(0),

@@ -15,7 +15,7 @@ from drivers.canopen402.alignment import Scaling
 from drivers.canopen402.emcy import describe_error
 from drivers.canopen402.error_control import ErrorControl, configure_error_control, warnings_of
 from drivers.canopen402.pdo_mapping import configure_pdos
-from drivers.canopen402.sdo import ANSWER_LIMIT, Drive
+from drivers.canopen402.sdo import ANSWER_LIMIT, RemoteDrive
 from drivers.canopen402.settings import MODES, CanopenSettings, NodeSettings
 from drivers.canopen402.state_machine import (
     DISABLE_VOLTAGE,
@@ -86,7 +86,7 @@ class Configured:
 
 
 def configure(
-    drives: Sequence[Drive],
+    drives: Sequence[RemoteDrive],
     settings: CanopenSettings,
     sender: Sender,
     deadline: float,
@@ -144,7 +144,7 @@ def configure(
     return Configured(tuple(identities), scaling, tuple(controls), tuple(notices))
 
 
-def _probe(drives: Sequence[Drive], deadline: float, clock: Clock) -> None:
+def _probe(drives: Sequence[RemoteDrive], deadline: float, clock: Clock) -> None:
     end = min(deadline, clock.now() + PROBE_LIMIT)
     silent = list(drives)
     while silent:
@@ -169,7 +169,7 @@ def _probe(drives: Sequence[Drive], deadline: float, clock: Clock) -> None:
             )
 
 
-def _answers_to_one_question(drive: Drive, clock: Clock) -> int:
+def _answers_to_one_question(drive: RemoteDrive, clock: Clock) -> int:
     """How many devices have this node id; a drive that was asked again may have answered late, and so twice."""
     drive.ask_for(objects.DEVICE_TYPE)
     end = clock.now() + ANSWER_LIMIT
@@ -179,7 +179,7 @@ def _answers_to_one_question(drive: Drive, clock: Clock) -> int:
     return drive.answers
 
 
-def _check_profile(drive: Drive, mode: int | None) -> None:
+def _check_profile(drive: RemoteDrive, mode: int | None) -> None:
     profile = drive.read(objects.DEVICE_TYPE) & 0xFFFF
     if profile != objects.PROFILE_402:
         raise ConnectionFailedError(
@@ -197,7 +197,9 @@ def _check_profile(drive: Drive, mode: int | None) -> None:
         )
 
 
-def _check_serial(drive: Drive, node: NodeSettings, serials: Mapping[str, int | None], drives: Sequence[Drive]) -> None:
+def _check_serial(
+    drive: RemoteDrive, node: NodeSettings, serials: Mapping[str, int | None], drives: Sequence[RemoteDrive]
+) -> None:
     found = serials[drive.joint]
     if node.serial is None or found == node.serial:
         return
@@ -211,7 +213,7 @@ def _check_serial(drive: Drive, node: NodeSettings, serials: Mapping[str, int | 
     )
 
 
-def _bring_to_rest(drive: Drive, clock: Clock) -> list[str]:
+def _bring_to_rest(drive: RemoteDrive, clock: Clock) -> list[str]:
     """Stop a drive that was left enabled, reset a fault; what was done, in words."""
     state = drive_state(drive.read(objects.STATUSWORD))
     told = []
@@ -233,7 +235,7 @@ def _bring_to_rest(drive: Drive, clock: Clock) -> list[str]:
     return told
 
 
-def _wait_for(drive: Drive, met: Callable[[DriveState], bool], clock: Clock) -> DriveState:
+def _wait_for(drive: RemoteDrive, met: Callable[[DriveState], bool], clock: Clock) -> DriveState:
     end = clock.now() + SETTLE_LIMIT
     while True:
         state = drive_state(drive.read(objects.STATUSWORD))
@@ -242,7 +244,7 @@ def _wait_for(drive: Drive, met: Callable[[DriveState], bool], clock: Clock) -> 
         clock.sleep(0.005)
 
 
-def _identify(drive: Drive, node: NodeSettings, serial: int | None) -> tuple[Identity, list[str]]:
+def _identify(drive: RemoteDrive, node: NodeSettings, serial: int | None) -> tuple[Identity, list[str]]:
     contradictions: list[str] = []
 
     def choose(name: str, unit: str, own: float | None, said: float | None, source: str) -> float:
@@ -281,7 +283,7 @@ def _milli(value: int | None) -> float | None:
     return None if value is None else 1e-3 * value
 
 
-def _counts(drive: Drive) -> float | None:
+def _counts(drive: RemoteDrive) -> float | None:
     """Position counts a joint revolution, from the encoder's resolution and the gear's ratio; None where unknown."""
     increments = drive.read_optional(objects.ENCODER_INCREMENTS)
     turns = drive.read_optional(objects.ENCODER_TURNS)
@@ -292,7 +294,7 @@ def _counts(drive: Drive) -> float | None:
     return increments / turns * (motor / shaft)
 
 
-def _configure_mode(drive: Drive, node: NodeSettings, identity: Identity, settings: CanopenSettings) -> None:
+def _configure_mode(drive: RemoteDrive, node: NodeSettings, identity: Identity, settings: CanopenSettings) -> None:
     drive.write_optional(objects.CYCLE_PERIOD, round(1e6 / settings.sync_rate))
     if settings.mode == "position":
         value, exponent = _as_power(1.0 / settings.sync_rate)

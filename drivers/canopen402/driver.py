@@ -24,14 +24,14 @@ from drivers.canopen402.monitor.drives import DriveWatch
 from drivers.canopen402.monitor.life_signs import LifeSigns, guard_requests, heartbeat
 from drivers.canopen402.monitor.presence import Heartbeats, NodeGuarding, Presence
 from drivers.canopen402.monitor.silence import Silence
-from drivers.canopen402.motion import Motion
-from drivers.canopen402.sdo import CanopenNetwork, Drive
+from drivers.canopen402.motion import DriveMotion
+from drivers.canopen402.sdo import CanopenNetwork, RemoteDrive
 from drivers.canopen402.sdo_stop import SdoStop
 from drivers.canopen402.settings import MODES, parse_settings
 from drivers.canopen402.sync import SyncProducer
 from drivers.canopen402.temperature import TemperaturePoll, read_temperature
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
-from drivers.streams import Block, FloatArray, StreamLayout
+from drivers.streams import Batch, FloatArray, StreamLayout
 
 SILENCE_LIMIT = 0.5
 """Without a complete row for this long [s], or ten periods, the connection counts as lost."""
@@ -63,7 +63,7 @@ class Canopen402Driver:
         self._notices: deque[Notice] = deque()
         self._clock = settings.clock
         self._motion_lock = self._clock.lock()
-        self._motion: Motion | None = None
+        self._motion: DriveMotion | None = None
         self._halted = False
         self._bus: can.BusABC | None = None
         self._poll: TemperaturePoll | None = None
@@ -93,7 +93,7 @@ class Canopen402Driver:
             self._receiver = Receiver(self._bus, stored, network.take, self._clock)
             self._receiver.start()
             pairs = zip(self._joints, self._ids, strict=True)
-            self._drives = [Drive(network, joint, node, self._clock) for joint, node in pairs]
+            self._drives = [RemoteDrive(network, joint, node, self._clock) for joint, node in pairs]
             self._configured = self._configure(deadline, network)
             self._sync = SyncProducer(self._sender, settings.sync_rate, self._outputs, self._clock)
             self._watch = self._make_watch()
@@ -152,7 +152,7 @@ class Canopen402Driver:
             self._poll.start()
         self._state = "running"
 
-    def read(self, timeout: float) -> Sequence[Block]:
+    def read(self, timeout: float) -> Sequence[Batch]:
         """Blocks that have arrived, waiting at most `timeout` [s] for the first; empty where none came.
 
         A row is handed out when the next SYNC has gone out: only then it is sure that nothing more belongs to it.
@@ -163,7 +163,7 @@ class Canopen402Driver:
         """
         require_state(self._state, "running", "read")
         deadline = self._clock.now() + timeout
-        blocks: list[Block] = []
+        blocks: list[Batch] = []
         while not blocks:
             left = max(0.0, deadline - self._clock.now())
             frames = self._receiver.take(left, self._aligner.wanted)
@@ -272,7 +272,7 @@ class Canopen402Driver:
         settings = self._settings
         try:
             if settings.mode != "none" and settings.guarding is None:
-                check_own_id(Drive(network, "dynid", settings.own_id, self._clock), self._clock)
+                check_own_id(RemoteDrive(network, "dynid", settings.own_id, self._clock), self._clock)
             configured = configure(self._drives, self._settings, self._sender, deadline, self._clock)
             for drive, node in zip(self._drives, self._settings.nodes, strict=True):
                 if node.temperature is not None:
@@ -284,11 +284,11 @@ class Canopen402Driver:
         self._notices.extend(configured.notices)
         return configured
 
-    def _make_motion(self, mode: int) -> Motion:
+    def _make_motion(self, mode: int) -> DriveMotion:
         standstill = STANDSTILL / np.abs(self._configured.scaling.radians_per_count)
         period = 1.0 / self._settings.sync_rate
         latest, sender, beside = self._receiver.latest, self._sender, self._sdo_stop
-        return Motion(self._joints, self._ids, mode, period, list(standstill), latest, sender, beside, self._clock)
+        return DriveMotion(self._joints, self._ids, mode, period, list(standstill), latest, sender, beside, self._clock)
 
     def _make_watch(self) -> DriveWatch:
         settings, ids, count = self._settings, self._ids, len(self._ids)
@@ -318,7 +318,7 @@ class Canopen402Driver:
         motion = self._motion
         return () if motion is None else motion.outputs(moment)
 
-    def _joints_block(self, aligned: Aligned) -> list[Block]:
+    def _joints_block(self, aligned: Aligned) -> list[Batch]:
         rows = aligned.rows
         if self._last_slot is not None:  # before the first row the drives are still starting
             skipped = self._sync.skipped
@@ -337,15 +337,15 @@ class Canopen402Driver:
         motion = self._motion
         moving = motion is not None and (motion.moving or motion.ended_by is not None)
         self._watch.check_status(time_, rows.statusword, moving=moving)
-        return [Block("joints", time_, rows.host_time, values, lost)]
+        return [Batch("joints", time_, rows.host_time, values, lost)]
 
-    def _thermal_blocks(self) -> list[Block]:
+    def _thermal_blocks(self) -> list[Batch]:
         readings = [] if self._poll is None else self._poll.take()
         if not readings:
             return []
         host_time = np.array([reading.host_time for reading in readings])
         time_ = np.array([self._sync.clock(moment) for moment in host_time])
-        return [Block("thermal", time_, host_time, {"temperature": np.stack([one.values for one in readings])})]
+        return [Batch("thermal", time_, host_time, {"temperature": np.stack([one.values for one in readings])})]
 
     def _check_silence(self) -> None:
         if self._sync.failure is not None:

@@ -20,7 +20,7 @@ from drivers.canopen402.objects import (
     AbortOption,
     DriveObject,
 )
-from drivers.canopen402.sdo import ANSWER_LIMIT, Drive, abort_code
+from drivers.canopen402.sdo import ANSWER_LIMIT, RemoteDrive, abort_code
 from drivers.canopen402.settings import CanopenSettings
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError, ConnectionLostError
@@ -47,7 +47,7 @@ class ErrorControl:
     abort_option: int | None = None
 
 
-def configure_error_control(drive: Drive, settings: CanopenSettings) -> ErrorControl:
+def configure_error_control(drive: RemoteDrive, settings: CanopenSettings) -> ErrorControl:
     """Let a drive tell that it is there and, where the arm is to be moved, stop once dynid does not any more.
 
     Where nothing will move, a drive need not watch dynid, and neither 0x1016 nor 0x6007 is written.
@@ -101,7 +101,7 @@ def warnings_of(controls: Sequence[tuple[str, ErrorControl]], settings: CanopenS
     return told
 
 
-def check_own_id(own: Drive, clock: Clock = SYSTEM_CLOCK) -> None:
+def check_own_id(own: RemoteDrive, clock: Clock = SYSTEM_CLOCK) -> None:
     """Make sure that no device on the bus has dynid's node id.
 
     Raises:
@@ -118,7 +118,7 @@ def check_own_id(own: Drive, clock: Clock = SYSTEM_CLOCK) -> None:
         clock.sleep(1e-3)
 
 
-def release(drives: Sequence[Drive], controls: Sequence[ErrorControl], clock: Clock = SYSTEM_CLOCK) -> None:
+def release(drives: Sequence[RemoteDrive], controls: Sequence[ErrorControl], clock: Clock = SYSTEM_CLOCK) -> None:
     """Let drives watch dynid no longer, so that its leaving is no error; never raises, and waits for nobody long."""
     asked = []
     for drive, control in zip(drives, controls, strict=True):
@@ -134,7 +134,7 @@ def release(drives: Sequence[Drive], controls: Sequence[ErrorControl], clock: Cl
         clock.sleep(1e-3)
 
 
-def _watch_heartbeat(drive: Drive, settings: CanopenSettings) -> DriveObject | None:
+def _watch_heartbeat(drive: RemoteDrive, settings: CanopenSettings) -> DriveObject | None:
     """Let a drive watch dynid's heartbeat in an entry that is dynid's already, or free; None where there is none."""
     count = drive.read_optional(CONSUMER_HEARTBEAT) or 0
     entries = [
@@ -150,7 +150,7 @@ def _watch_heartbeat(drive: Drive, settings: CanopenSettings) -> DriveObject | N
     return None
 
 
-def _choose_abort_option(drive: Drive) -> int | None:
+def _choose_abort_option(drive: RemoteDrive) -> int | None:
     """Quick stop; else what the drive keeps; None where it has no such object."""
     try:
         if drive.write_optional(ABORT_OPTION, AbortOption.QUICK_STOP):

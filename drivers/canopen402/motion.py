@@ -70,7 +70,7 @@ class Heard:
         return drive_state(self.statusword)
 
 
-class Motion:
+class DriveMotion:
     """The drives of an arm, from standstill to standstill.
 
     Args:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from drivers.canopen402 import objects
 from drivers.canopen402.objects import DriveObject
-from drivers.canopen402.sdo import Drive
+from drivers.canopen402.sdo import RemoteDrive
 from drivers.errors import ConnectionFailedError
 
 _INVALID = 1 << 31
@@ -15,7 +15,7 @@ _SYNCHRONOUS = 1
 _UNUSED_TPDOS = (0x1802, 0x1803)
 
 
-def configure_pdos(drive: Drive, *, commanded: bool) -> None:
+def configure_pdos(drive: RemoteDrive, *, commanded: bool) -> None:
     """Two TPDOs answered to every SYNC, and one RPDO applied at SYNC where the drive is to be moved.
 
     Args:
@@ -39,7 +39,9 @@ def configure_pdos(drive: Drive, *, commanded: bool) -> None:
         _map_pdo(drive, 0x1400, 0x1600, objects.RPDO1 + drive.node, objects.RPDO_OBJECTS)
 
 
-def _map_pdo(drive: Drive, communication: int, mapping: int, identifier: int, carried: Sequence[DriveObject]) -> None:
+def _map_pdo(
+    drive: RemoteDrive, communication: int, mapping: int, identifier: int, carried: Sequence[DriveObject]
+) -> None:
     """Disable, map, enable (CiA 301, 7.5.2.36): a mapping can be changed only while its PDO is disabled."""
     entry = _communication(communication, 1, 4)
     flags = drive.read(entry) & ~(_INVALID | _OLD_ID)  # bit 30 (no remote frames) is the drive's own

@@ -66,7 +66,7 @@ class _Client(SdoClient):
         return bytes(super().read_response())  # type: ignore[no-untyped-call]
 
 
-class Drive:
+class RemoteDrive:
     """The object dictionary of one drive, read and written by SDO.
 
     Args:

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.base import Notice
 from drivers.canopen402.objects import DriveObject
-from drivers.canopen402.sdo import Drive
+from drivers.canopen402.sdo import RemoteDrive
 from drivers.canopen402.settings import TemperatureSource
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError, ConnectionLostError
@@ -26,7 +26,7 @@ _LONGEST = 8
 
 
 @dataclass(frozen=True)
-class Reading:
+class TemperatureReading:
     """Temperatures of one round.
 
     Attributes:
@@ -48,12 +48,12 @@ class TemperaturePoll:
     """
 
     def __init__(
-        self, drives: Sequence[Drive], sources: Sequence[TemperatureSource], clock: Clock = SYSTEM_CLOCK
+        self, drives: Sequence[RemoteDrive], sources: Sequence[TemperatureSource], clock: Clock = SYSTEM_CLOCK
     ) -> None:
         self._drives = tuple(drives)
         self._sources = tuple(sources)
         self._clock = clock
-        self._readings: deque[Reading] = deque()
+        self._readings: deque[TemperatureReading] = deque()
         self._notices: deque[Notice] = deque()
         self._told: dict[str, float] = {}
         self._ending = clock.event()
@@ -77,7 +77,7 @@ class TemperaturePoll:
         if thread is not None:
             thread.join()
 
-    def take(self) -> list[Reading]:
+    def take(self) -> list[TemperatureReading]:
         """Readings since the last call."""
         found = []
         while self._readings:
@@ -105,17 +105,17 @@ class TemperaturePoll:
                     self._tell(drive, str(error))
                 except ConnectionLostError:
                     return  # the samples will say it
-            self._readings.append(Reading(self._clock.now(), values))
+            self._readings.append(TemperatureReading(self._clock.now(), values))
             turn = max(turn, math.floor((self._clock.now() - begin) / step))
 
-    def _tell(self, drive: Drive, message: str) -> None:
+    def _tell(self, drive: RemoteDrive, message: str) -> None:
         now = self._clock.now()
         if now - self._told.get(drive.joint, -math.inf) >= NOTICE_PERIOD:
             self._told[drive.joint] = now
             self._notices.append(Notice(math.nan, "warning", f"no temperature: {message}"))
 
 
-def read_temperature(drive: Drive, source: TemperatureSource) -> float:
+def read_temperature(drive: RemoteDrive, source: TemperatureSource) -> float:
     """A drive's temperature now [°C].
 
     Raises:

@@ -23,7 +23,7 @@ from drivers.rtde.modes import describe_mode
 from drivers.rtde.motion import JOINTS, MotionProcess
 from drivers.rtde.receiver import TIMESTAMP, RtdeReceiver, Samples
 from drivers.rtde.settings import parse_settings
-from drivers.streams import Block, ChannelLayout, FloatArray, StreamLayout
+from drivers.streams import Batch, ChannelLayout, FloatArray, StreamLayout
 
 THERMAL_RATE = 20.0
 STATUS_RATE = 10.0
@@ -210,7 +210,7 @@ class RtdeDriver:
         self._halted = False
         self._state = "running"
 
-    def read(self, timeout: float) -> Sequence[Block]:
+    def read(self, timeout: float) -> Sequence[Batch]:
         """Blocks that have arrived, waiting at most `timeout` [s] for the first; empty where none came.
 
         Raises:
@@ -311,13 +311,13 @@ class RtdeDriver:
         wanted = {"thermal": THERMAL_RATE, "status": STATUS_RATE}.get(stream, self._receiver.rate)
         return max(1, round(self._receiver.rate / wanted))
 
-    def _joints_block(self, samples: Samples) -> Block:
+    def _joints_block(self, samples: Samples) -> Batch:
         values = {source.quantity: _values(samples.rows, source) for source in self._delivered("joints")}
         if self._knows_torque:
             values["torque"] = joint_torque(values["current"], self._gains)
-        return Block("joints", _clock(samples.rows), samples.host_time, values, samples.lost)
+        return Batch("joints", _clock(samples.rows), samples.host_time, values, samples.lost)
 
-    def _thinned_block(self, stream: str, sources: Sequence[_Source], samples: Samples) -> Block:
+    def _thinned_block(self, stream: str, sources: Sequence[_Source], samples: Samples) -> Batch:
         # The first package of every so many ticks of the controller's clock, so that a gap shifts nothing.
         clock = _clock(samples.rows)
         group = np.floor(np.rint(clock * self._receiver.rate) / self._every(stream)).astype(np.int64)
@@ -327,7 +327,7 @@ class RtdeDriver:
         self._last_group[stream] = int(group[-1])
         values = {source.quantity: _values(samples.rows[first], source) for source in sources}
         lost = int(np.maximum(steps - 1, 0).sum())
-        return Block(stream, clock[first], samples.host_time[first], values, lost)
+        return Batch(stream, clock[first], samples.host_time[first], values, lost)
 
     def _watch_modes(self, rows: npt.NDArray[np.void]) -> None:
         clock = _clock(rows)

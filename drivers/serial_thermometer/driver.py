@@ -17,7 +17,7 @@ from drivers.errors import ConnectionFailedError, DriverStateError
 from drivers.serial_thermometer.lines import LineParser, Reading
 from drivers.serial_thermometer.port import BITS_A_CHARACTER, Chunk, Lost, Restored, SerialPort
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
-from drivers.streams import Block, ChannelLayout, FloatArray, StreamLayout
+from drivers.streams import Batch, ChannelLayout, FloatArray, StreamLayout
 
 STREAM = "thermometer"
 SILENT_PERIODS = 5.0
@@ -104,7 +104,7 @@ class SerialThermometerDriver:
         self._silent = False
         self._state = "running"
 
-    def read(self, timeout: float) -> Sequence[Block]:
+    def read(self, timeout: float) -> Sequence[Batch]:
         """Temperatures that have arrived, waiting at most `timeout` [s] for the first; empty where none came.
 
         A row holds what each channel said since the row before, nan where a channel said nothing. A port that has gone
@@ -139,7 +139,7 @@ class SerialThermometerDriver:
             return ()
         stamps = np.array([when for when, _ in rows])
         values = {"temperature": np.array([row for _, row in rows])}
-        return (Block(STREAM, stamps, stamps.copy(), values),)
+        return (Batch(STREAM, stamps, stamps.copy(), values),)
 
     def notices(self) -> Sequence[Notice]:
         """What there was to tell since the last call: loss and return of the port, silence, lines that were ignored."""

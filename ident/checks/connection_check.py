@@ -17,7 +17,7 @@ from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Driver, Identifying
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError
-from drivers.streams import Block, FloatArray
+from drivers.streams import Batch, FloatArray
 
 FIRST_SAMPLE_LIMIT = 5.0
 """How long [s] the first sample may take."""
@@ -169,10 +169,10 @@ def print_connection(found: ConnectionFound) -> None:
         print("  nothing contradicts the robot file")
 
 
-def _listen(driver: Driver, name: str, clock: Clock) -> list[Block]:
+def _listen(driver: Driver, name: str, clock: Clock) -> list[Batch]:
     slowest = min((layout.rate for layout in driver.streams() if layout.rate > 0), default=np.inf)
     wait, listen = max(FIRST_SAMPLE_LIMIT, 3.0 / slowest), max(LISTEN, 2.0 / slowest)
-    blocks: list[Block] = []
+    blocks: list[Batch] = []
     end = clock.now() + wait
     began = False
     while clock.now() < end:
@@ -184,7 +184,7 @@ def _listen(driver: Driver, name: str, clock: Clock) -> list[Block]:
     return blocks
 
 
-def _rate(blocks: list[Block]) -> float | None:
+def _rate(blocks: list[Batch]) -> float | None:
     stamps: FloatArray = np.concatenate([block.host_time for block in blocks] or [np.empty(0)])
     if len(stamps) < FEWEST_FOR_RATE or stamps[-1] <= stamps[0]:
         return None
@@ -207,7 +207,7 @@ def _rate_warnings(streams: list[StreamFound]) -> list[str]:
     return found
 
 
-def _limit_warnings(supervisor: Supervisor, blocks: list[Block], now: float) -> list[str]:
+def _limit_warnings(supervisor: Supervisor, blocks: list[Batch], now: float) -> list[str]:
     breaches = [supervisor.check(block, now) for block in blocks if len(block.time)]
     told = {(breach.what, breach.joint): str(breach) for breach in reversed(breaches) if breach is not None}
     return [f"the robot file's limit is passed already: {text}" for text in told.values()]

@@ -12,7 +12,7 @@ from ident.excite.choices import DEFAULT_SECONDS, DesignChoices
 if TYPE_CHECKING:
     from ident.excite.design import Design
     from ident.excite.figures import ExcitationFigures
-    from ident.excite.search import Found
+    from ident.excite.search import SearchResult
 
 app = typer.Typer()
 
@@ -127,7 +127,7 @@ def _check_file(path: Path | None, force: bool) -> None:
         raise UsageError(f"there is no folder {path.parent}", where=str(path))
 
 
-def _state(found: Found) -> str:
+def _state(found: SearchResult) -> str:
     best = f"condition number {found.best.condition:.4g}" if found.best is not None else "nothing within the limits yet"
     return f"{found.seconds:.0f} s, {found.finished} starts finished, best so far: {best}"
 

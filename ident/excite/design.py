@@ -17,7 +17,7 @@ from ident.excite.choices import DesignChoices
 from ident.excite.path import Family, Path
 from ident.excite.prior import Prior
 from ident.excite.problem import Problem
-from ident.excite.search import Found, SearchChoices, search
+from ident.excite.search import SearchChoices, SearchResult, search
 from ident.excite.solve import Solver, tighten
 
 DENSER = 10
@@ -49,7 +49,7 @@ class Design:
     condition: float
     use: FloatArray
     limits: tuple[str, ...]
-    found: Found
+    found: SearchResult
 
 
 def design(
@@ -58,7 +58,7 @@ def design(
     choices: DesignChoices,
     search_choices: SearchChoices,
     earlier: Motion | None = None,
-    progress: Callable[[Found], None] = lambda found: None,
+    progress: Callable[[SearchResult], None] = lambda found: None,
 ) -> Design:
     """Design an excitation trajectory; Ctrl-C ends the search with the best so far.
 
@@ -95,7 +95,7 @@ def design(
     return _settled(problem, found, found.best.variables, search_choices.solver)
 
 
-def _settled(problem: Problem, found: Found, variables: FloatArray, solver: Solver) -> Design:
+def _settled(problem: Problem, found: SearchResult, variables: FloatArray, solver: Solver) -> Design:
     """Check the best candidate between the grid's points, and narrow its limits until it keeps them there."""
     family = problem.family
     dense = family.grid(DENSER * len(problem.time))

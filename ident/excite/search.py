@@ -74,7 +74,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """What a search found.
 
     Attributes:
@@ -110,17 +110,17 @@ class _Ledger:
         ):
             self.best = candidate
 
-    def found(self, *, interrupted: bool) -> Found:
-        return Found(self.best, self.least_use, self.finished, self.clock.now() - self.begun, interrupted)
+    def found(self, *, interrupted: bool) -> SearchResult:
+        return SearchResult(self.best, self.least_use, self.finished, self.clock.now() - self.begun, interrupted)
 
 
 def search(
     make: Callable[[], Problem],
     choices: SearchChoices,
     first: FloatArray | None = None,
-    progress: Callable[[Found], None] = lambda found: None,
+    progress: Callable[[SearchResult], None] = lambda found: None,
     clock: Clock = SYSTEM_CLOCK,
-) -> Found:
+) -> SearchResult:
     """Search from `choices.starts` random starts, or for `choices.seconds`; Ctrl-C ends it with the best so far.
 
     Args:

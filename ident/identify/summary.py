@@ -27,13 +27,13 @@ from ident.result.schema import (
     UNITS,
     BaseParameterResult,
     DelayFigures,
-    DriveGain,
+    DriveGainResult,
     Essential,
     EstimateResult,
     Excitation,
     ExperimentResult,
     Fit,
-    JointFriction,
+    JointFrictionResult,
     ModelOptions,
     ProcessingStep,
     RecordingUse,
@@ -268,7 +268,7 @@ FRICTION_KINDS: tuple[Kind, ...] = ("viscous", "coulomb", "offset")
 
 def friction_results(
     model: DynamicModel, base: BaseParameters, solution: LeastSquares, std: FloatArray
-) -> list[JointFriction]:
+) -> list[JointFrictionResult]:
     """Friction of each joint with a motor; arguments as of `parameter_results`."""
     position = {(kind, joint): i for i, (kind, joint) in enumerate(zip(base.kinds, base.joints, strict=True))}
 
@@ -277,7 +277,7 @@ def friction_results(
         return float(values[i]) if i is not None and i in solution.active else None
 
     return [
-        JointFriction(
+        JointFrictionResult(
             joint=name,
             **{kind: value(kind, joint, solution.parameters) for kind in FRICTION_KINDS},
             **{f"{kind}_std": value(kind, joint, std) for kind in FRICTION_KINDS},
@@ -286,10 +286,12 @@ def friction_results(
     ]
 
 
-def gain_results(robot: Robot) -> list[DriveGain]:
+def gain_results(robot: Robot) -> list[DriveGainResult]:
     """The drive gains of a robot file."""
     drives = [robot.drive(name) for name in robot.joint_names]
-    return [DriveGain(joint=drive.joint, signal=drive.signal, gain=drive.gain, std=drive.gain_std) for drive in drives]
+    return [
+        DriveGainResult(joint=drive.joint, signal=drive.signal, gain=drive.gain, std=drive.gain_std) for drive in drives
+    ]
 
 
 def fit_result(figures: FitFigures) -> Fit:

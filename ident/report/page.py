@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ident.regression.comparison import TorqueSeries
 from ident.report.html_file import page_templates, write_html
-from ident.report.section import ReportData, Section, TruthTable
+from ident.report.section import ReportData, ReportSection, TruthTable
 from ident.report.sections import (
     data_quality,
     excitation,
@@ -22,7 +22,7 @@ from ident.report.sections import (
 )
 from ident.result.schema import Result
 
-SECTIONS: tuple[Callable[[ReportData], Section | None], ...] = (
+SECTIONS: tuple[Callable[[ReportData], ReportSection | None], ...] = (
     summary.section,
     merge.section,
     torques_validation.section,

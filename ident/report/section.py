@@ -55,7 +55,7 @@ class ReportData:
 
 
 @dataclass(frozen=True)
-class Section:
+class ReportSection:
     """One section of the page.
 
     Attributes:

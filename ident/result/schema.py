@@ -59,7 +59,7 @@ class BaseParameterResult(_Part):
     essential_std: Number
 
 
-class JointFriction(_Part):
+class JointFrictionResult(_Part):
     """Friction of one joint; null where the model has no such column."""
 
     joint: str
@@ -71,7 +71,7 @@ class JointFriction(_Part):
     offset_std: Number
 
 
-class DriveGain(_Part):
+class DriveGainResult(_Part):
     """The gain that turned the recorded signal into torque."""
 
     joint: str
@@ -234,9 +234,9 @@ class Result(_Part):
     preprocessing: list[ProcessingStep]
     delay: DelayFigures
     base_parameters: list[BaseParameterResult]
-    friction: list[JointFriction]
+    friction: list[JointFrictionResult]
     standard_parameters: list[dict[str, Any]] | None = Field(default=None, description="when physically consistent")
-    drive_gains: list[DriveGain]
+    drive_gains: list[DriveGainResult]
     fit: Fit | None = Field(description="null for merged models, which are not fitted to recordings")
     validation: Fit | None
     validation_source: str

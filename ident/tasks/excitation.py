@@ -25,7 +25,7 @@ from ident.excite.design import Design, design
 from ident.excite.figures import ExcitationFigures, excitation_figures
 from ident.excite.page.page import write_page
 from ident.excite.prior import Prior, find_prior
-from ident.excite.search import Found, SearchChoices
+from ident.excite.search import SearchChoices, SearchResult
 from ident.excite.solve import Solver
 from ident.result.schema import replace_file
 from ident.result.tables import Table, table_of_rows
@@ -229,7 +229,7 @@ def designed_trajectory(
     choices: DesignChoices,
     search: SearchChoices,
     earlier: Motion | None = None,
-    progress: Callable[[Found], None] = lambda found: None,
+    progress: Callable[[SearchResult], None] = lambda found: None,
 ) -> ExcitationTrajectory:
     """`design_excitation` with everything read and checked; `progress` is told after each round of a start."""
     found = design(robot_file, prior, choices, search, earlier, progress)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from drivers.errors import UsageError
-from sim_drivers.faults import Block, Drop, Freeze, Heat, joint_number, parse_fault, positive
+from sim_drivers.faults import BlockJoint, Drop, Freeze, Heat, joint_number, parse_fault, positive
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,17 @@ class Unplug:
 
 
 CanFault = (
-    Drop | Freeze | Heat | Block | PowerCycle | HeartbeatStop | OverTemperature | BusOff | Truncate | Garbage | Unplug
+    Drop
+    | Freeze
+    | Heat
+    | BlockJoint
+    | PowerCycle
+    | HeartbeatStop
+    | OverTemperature
+    | BusOff
+    | Truncate
+    | Garbage
+    | Unplug
 )
 
 USAGE = (
@@ -92,6 +102,6 @@ def parse_can_fault(line: str, joints: Sequence[str]) -> CanFault:
                 fault = parse_fault(line, joints)
             except UsageError as error:
                 raise UsageError(error.message, hint=USAGE) from error
-            if isinstance(fault, Drop | Freeze | Heat | Block):
+            if isinstance(fault, Drop | Freeze | Heat | BlockJoint):
                 return fault
     raise UsageError(f"'{line.strip()}' is not a fault", hint=USAGE)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from drivers.errors import UsageError
 from sim_drivers.can.faults import BusOff, Garbage, OverTemperature, Truncate, parse_can_fault
-from sim_drivers.faults import Block, Drop, Freeze, Heat, positive
+from sim_drivers.faults import BlockJoint, Drop, Freeze, Heat, positive
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Mute:
     duration: float
 
 
-TableFault = Drop | Freeze | Garbage | Truncate | OverTemperature | Heat | Block | BusOff | Mute
+TableFault = Drop | Freeze | Garbage | Truncate | OverTemperature | Heat | BlockJoint | BusOff | Mute
 
 USAGE = (
     "drop FRAMES | freeze SECONDS | mute IDENTIFIER SECONDS | garbage FRAMES | truncate FRAMES | bus-off SECONDS | "

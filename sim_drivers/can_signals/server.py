@@ -28,7 +28,7 @@ from sim_drivers.can.faults import BusOff, Garbage, OverTemperature, Truncate
 from sim_drivers.can_signals.arm import TableArm
 from sim_drivers.can_signals.faults import Mute, TableFault, parse_table_fault
 from sim_drivers.canopen.server import BUS_OFF_ERROR
-from sim_drivers.faults import Block, Drop, Freeze, Heat
+from sim_drivers.faults import BlockJoint, Drop, Freeze, Heat
 from sim_drivers.plant.arm import SimulatedArm
 
 LONGEST_LAG = 0.25
@@ -294,5 +294,5 @@ class ProprietaryCanServer:
                     self._arm.fail(joint)
                 case Heat(joint, celsius):
                     self._arm.arm.heat(joint, celsius)
-                case Block(joint):
+                case BlockJoint(joint):
                     self._arm.arm.block(joint)

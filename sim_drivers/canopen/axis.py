@@ -23,7 +23,7 @@ from drivers.canopen402.objects import (
     VELOCITY,
     DriveObject,
 )
-from sim_drivers.canopen.motion import AxisMotion, AxisReference, CyclicPosition, Profile, Standstill
+from sim_drivers.canopen.motion import AxisReference, CyclicPosition, Profile, ReferenceMotion, Standstill
 from sim_drivers.canopen.object_dictionary import Abort, ObjectDictionary, SdoAbortError
 from sim_drivers.canopen.setup import QUICK_STOP_RAMP, DriveSetup, Feedback
 from sim_drivers.canopen.state import State, StateMachine
@@ -69,7 +69,7 @@ class Axis:
         self._emergency = emergency
         self.machine = StateMachine()
         self.reference = AxisReference(feedback.position)
-        self._motion: AxisMotion = Standstill(self.reference, BRAKE_DECELERATION)
+        self._motion: ReferenceMotion = Standstill(self.reference, BRAKE_DECELERATION)
         self._time = 0.0
         self._active_mode = 0
         self._controlword = 0

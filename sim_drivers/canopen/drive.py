@@ -23,7 +23,7 @@ from drivers.canopen402.objects import (
 )
 from drivers.canopen402.state_machine import DISABLE_VOLTAGE, QUICK_STOP
 from sim_drivers.canopen.axis import FAULTY, FOLLOWING_ERROR, OVER_TEMPERATURE, Axis
-from sim_drivers.canopen.error_control import ErrorControl
+from sim_drivers.canopen.error_control import NodeErrorControl
 from sim_drivers.canopen.motion import AxisReference
 from sim_drivers.canopen.object_dictionary import Abort, ObjectDictionary, SdoAbortError
 from sim_drivers.canopen.pdo import ReceivePdo, TransmitPdo
@@ -53,7 +53,7 @@ AFTER_SILENCE = {0: STATE_PRE_OPERATIONAL, 2: STATE_STOPPED}
 _COMMANDS = {AbortOption.DISABLE_VOLTAGE: DISABLE_VOLTAGE, AbortOption.QUICK_STOP: QUICK_STOP}
 
 
-class Drive:
+class SimulatedDrive:
     """One node.
 
     Args:
@@ -75,7 +75,7 @@ class Drive:
         self._send = send
         self.objects = ObjectDictionary(node, fixed_values(setup))
         self.axis = Axis(setup, feedback, self.objects, self._emergency)
-        self.error_control = ErrorControl(self.objects, node, send)
+        self.error_control = NodeErrorControl(self.objects, node, send)
         self.objects.on_write(ABORT_OPTION.index, 0, lambda value: _allow(value, tuple(AbortOption)))
         self.objects.on_write(ERROR_BEHAVIOUR.index, 1, lambda value: _allow(value, (0, 1, 2)))
         self.transmitted = tuple(TransmitPdo(self.objects, number) for number in range(3))

@@ -13,7 +13,7 @@ TOGGLE = 0x80
 HIGHEST_NODE = 127
 
 
-class ErrorControl:
+class NodeErrorControl:
     """Error control of one node.
 
     A producer is watched from its first heartbeat on, a guarding master from its first request on; after a loss, from

@@ -44,7 +44,7 @@ class AxisReference:
     acceleration: float = 0.0
 
 
-class AxisMotion(Protocol):
+class ReferenceMotion(Protocol):
     """A reference that moves by itself."""
 
     def step(self, duration: float) -> AxisReference:

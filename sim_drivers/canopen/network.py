@@ -19,7 +19,7 @@ from drivers.canopen402.settings import CanopenSettings
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
-from sim_drivers.canopen.drive import Drive
+from sim_drivers.canopen.drive import SimulatedDrive
 from sim_drivers.canopen.error_control import HIGHEST_NODE
 from sim_drivers.canopen.motion import SyncClock
 from sim_drivers.canopen.setup import DriveSetup, Feedback
@@ -151,7 +151,7 @@ class DriveNetwork:
             one, other = swapped
             nodes[one], nodes[other] = nodes[other], nodes[one]
         self.drives = tuple(
-            Drive(node, setup, feedback, self._send)
+            SimulatedDrive(node, setup, feedback, self._send)
             for node, setup, feedback in zip(nodes, drive_setups(robot, settings), self._feedback(0.0), strict=True)
         )
         self._by_request = {SDO_REQUEST + drive.node: drive for drive in self.drives}

@@ -39,7 +39,7 @@ from sim_drivers.can.faults import (
 from sim_drivers.can.slcan_adapter import SlcanAdapter
 from sim_drivers.canopen.axis import OVER_TEMPERATURE
 from sim_drivers.canopen.network import DrivenArm, DriveNetwork, NetworkCounts
-from sim_drivers.faults import Block, Drop, Freeze, Heat
+from sim_drivers.faults import BlockJoint, Drop, Freeze, Heat
 
 LONGEST_WAIT = 0.005
 """Between two looks at the drives [s]; the arm moves without any frame, too."""
@@ -290,7 +290,7 @@ class CanopenServer:
                 self._silent_until = self._deaf_until = now + duration
             case Heat(joint, celsius):
                 self._arm.heat(joint, celsius)
-            case Block(joint):
+            case BlockJoint(joint):
                 self._arm.block(joint)
             case PowerCycle(joint):
                 self.network.power_cycle(joint)

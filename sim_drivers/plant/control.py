@@ -58,7 +58,7 @@ class Target:
         return Target(np.array(position, dtype=np.float64), zeros, zeros)
 
 
-class Controller(Protocol):
+class JointController(Protocol):
     """Drive torques from measured position and velocity."""
 
     def torque(self, target: Target, position: FloatArray, velocity: FloatArray) -> FloatArray:

@@ -122,7 +122,7 @@ def bristle_stiffness(
     return stiffness, 2.0 * BRISTLE_DAMPING * np.sqrt(stiffness * inertia)
 
 
-class Friction:
+class SimulatedFriction:
     """The friction of n joints in motion: parameters, operating conditions and the bristles' deflection.
 
     Args:

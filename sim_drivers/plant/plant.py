@@ -20,8 +20,8 @@ from daq.robot.schema import TruthJoint
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
 from ident.model.dynamics import build_model, truth_vector
-from sim_drivers.plant.control import Braking, ComputedTorque, Controller, Pid, Target, independent_inertia
-from sim_drivers.plant.friction import Friction, bristle_stiffness, friction_parameters, steepest_slope
+from sim_drivers.plant.control import Braking, ComputedTorque, JointController, Pid, Target, independent_inertia
+from sim_drivers.plant.friction import SimulatedFriction, bristle_stiffness, friction_parameters, steepest_slope
 from sim_drivers.plant.pair_friction import PairFriction
 from sim_drivers.plant.rigid_body import RigidArm, rigid_arm
 from sim_drivers.plant.sensors import EncoderSpeed, Measurement, TorqueSensor, drive_gains, quantised
@@ -118,7 +118,7 @@ class Plant:
 
         inertia, inverse = _inertias(robot_file, self._arm, self._coupling)
         parameters = friction_parameters(robot)
-        self._friction = Friction(parameters, *bristle_stiffness(parameters, inverse, settings.step))
+        self._friction = SimulatedFriction(parameters, *bristle_stiffness(parameters, inverse, settings.step))
         self._pair_friction = PairFriction(robot, model)
         slope = steepest_slope(parameters, robot.truth.thermal.ambient)
         self._half_step = 0.5 * settings.step
@@ -132,7 +132,7 @@ class Plant:
         limits = np.array([joint.torque or np.inf for joint in robot.joints])
         share = settings.nominal_share
         nominal = rigid_arm(model, share * inertial, share * self._motor_inertia, share * pair_inertia)
-        self._controller: Controller | None = None
+        self._controller: JointController | None = None
         if settings.controller == "pid":
             tuned, largest = independent_inertia(inertia, inverse), np.max(inertia, axis=0)
             self._controller = Pid(nominal, tuned, largest, settings.bandwidth, period, limits)

@@ -27,7 +27,7 @@ class Session(Protocol):
         """The client is gone."""
 
 
-class Connection:
+class ClientConnection:
     """One client's socket and what it has not yet taken.
 
     Args:

@@ -14,7 +14,7 @@ import numpy as np
 
 from drivers.streams import FloatArray
 from sim_drivers.rtde.controller import Controller
-from sim_drivers.rtde.joint_motion import ACCELERATION_RANGE, Motion, MoveJ, ServoJ, VelocityRamp
+from sim_drivers.rtde.joint_motion import ACCELERATION_RANGE, JointMotion, MoveJ, ServoJ, VelocityRamp
 from sim_drivers.rtde.variables import JOINTS, Value
 
 READY, DONE = 1, 2
@@ -38,8 +38,8 @@ class ControlScript:
     def __init__(self, register_offset: int) -> None:
         self._offset = register_offset
         self._executing = False
-        self._blocking: Motion | None = None
-        self._asynchronous: Motion | None = None
+        self._blocking: JointMotion | None = None
+        self._asynchronous: JointMotion | None = None
         self._writes = self._operation = 0
         self._watchdog = 0.0
         self._kicked_at = 0.0
@@ -136,7 +136,7 @@ class ControlScript:
         deceleration = float(self._vector(controller, 0, 1)[0])
         return deceleration if math.isfinite(deceleration) else ACCELERATION_RANGE[1]
 
-    def _run(self, controller: Controller, motion: Motion) -> None:
+    def _run(self, controller: Controller, motion: JointMotion) -> None:
         if self._integer(controller, 1) == 1:
             self._asynchronous = motion
             self._progress(controller, PROGRESS_STARTED)

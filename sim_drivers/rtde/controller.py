@@ -18,7 +18,7 @@ from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from sim_drivers.plant.arm import MeasurementLike, SimulatedArm
-from sim_drivers.rtde.joint_motion import Motion, Reference, VelocityRamp
+from sim_drivers.rtde.joint_motion import JointMotion, Reference, VelocityRamp
 from sim_drivers.rtde.variables import JOINTS, ControllerVersion, Value, input_variables, output_variables, zero
 
 STOPPED, PLAYING = 1, 2
@@ -81,7 +81,7 @@ class Controller:
         known = input_variables(version) | output_variables(version)
         self.values: dict[str, Value] = {name: zero(kind) for name, kind in known.items()}
         self.reference = Reference.at_rest(np.asarray(measured.target_position, dtype=np.float64))
-        self.motion: Motion | None = None
+        self.motion: JointMotion | None = None
         self.script: ControlProgram | None = None
         self.safety_mode = NORMAL
         self.messages: deque[str] = deque(maxlen=100)
@@ -132,7 +132,7 @@ class Controller:
             return inside
         return bool(np.all(np.abs(velocity) <= self.speed_limit * (1.0 + 1e-9)))
 
-    def brake(self, deceleration: float) -> Motion:
+    def brake(self, deceleration: float) -> JointMotion:
         """Begin to stop; the leading joint decelerates so fast [rad/s²]."""
         self.motion = VelocityRamp(self.reference, np.zeros(JOINTS), deceleration)
         return self.motion

@@ -38,7 +38,7 @@ class Reference:
         return Reference(position.copy(), zeros, zeros)
 
 
-class Motion(Protocol):
+class JointMotion(Protocol):
     """A motion that has begun."""
 
     finished: bool

@@ -18,9 +18,9 @@ from typing import Literal, Self
 from daq.robot.schema import JointLimits
 from drivers.clock import SYSTEM_CLOCK, Clock, HasFileno
 from drivers.errors import ConnectionFailedError, ConnectionLostError, UsageError
-from sim_drivers.faults import Block, Cut, Drift, Drop, Fault, Faults, Freeze, Heat, ProtectiveStop
+from sim_drivers.faults import BlockJoint, Cut, Drift, Drop, Fault, Faults, Freeze, Heat, ProtectiveStop
 from sim_drivers.plant.arm import SimulatedArm
-from sim_drivers.rtde.connection import Connection, Session
+from sim_drivers.rtde.connection import ClientConnection, Session
 from sim_drivers.rtde.controller import Controller
 from sim_drivers.rtde.dashboard import DashboardSession
 from sim_drivers.rtde.script_port import ScriptSession
@@ -125,7 +125,7 @@ class RtdeServer:
         }
         self._listeners: dict[HasFileno, tuple[socket.socket, Service]] = {}
         self._arrived: SimpleQueue[tuple[socket.socket, Service]] = SimpleQueue()
-        self._connections: list[Connection] = []
+        self._connections: list[ClientConnection] = []
         self._stopping = clock.event()
         self._thread: threading.Thread | None = None
         self._frozen_until = 0.0
@@ -257,7 +257,7 @@ class RtdeServer:
                 self.controller.protective_stop("on request")
             case Heat(joint, celsius):
                 self.controller.arm.heat(joint, celsius)
-            case Block(joint):
+            case BlockJoint(joint):
                 self.controller.arm.block(joint)
             case Drift(joint, velocity):
                 self.controller.drift(joint, velocity)
@@ -270,7 +270,7 @@ class RtdeServer:
             return
         while not self._arrived.empty():
             self._take_on(*self._arrived.get())
-        by_socket: dict[HasFileno, Connection] = {connection.sock: connection for connection in self._connections}
+        by_socket: dict[HasFileno, ClientConnection] = {connection.sock: connection for connection in self._connections}
         writers = [connection.sock for connection in self._connections if connection.has_waiting]
         readable, writable = self._clock.select([*self._listeners, *by_socket], writers, timeout)
         for sock in writable:
@@ -297,11 +297,11 @@ class RtdeServer:
             sock.close()
             self._count(refused=1)
             return
-        connection = Connection(sock, self._sessions[service](), self._buffer_limit)
+        connection = ClientConnection(sock, self._sessions[service](), self._buffer_limit)
         self._connections.append(connection)
         connection.send(connection.session.greeting())
 
-    def _read(self, connection: Connection) -> None:
+    def _read(self, connection: ClientConnection) -> None:
         chunk = connection.read() if connection.open else b""
         if not chunk:
             return

@@ -7,7 +7,7 @@ import pytest
 
 from drivers.base import require_state
 from drivers.errors import DriverStateError
-from drivers.streams import UNITS, Block, ChannelLayout, StreamLayout
+from drivers.streams import UNITS, Batch, ChannelLayout, StreamLayout
 
 
 @pytest.mark.parametrize("quantity", sorted(UNITS))
@@ -42,7 +42,7 @@ def test_layouts_are_values() -> None:
 
 def test_blocks_do_not_share_their_values() -> None:
     clock = np.zeros(2)
-    one, other = Block("joints", clock, clock), Block("joints", clock, clock)
+    one, other = Batch("joints", clock, clock), Batch("joints", clock, clock)
     assert one.values is not other.values
     assert one.lost == 0
 

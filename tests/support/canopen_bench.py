@@ -13,7 +13,7 @@ from simulated_clock import SimulatedClock, simulated_time
 from drivers.base import DriverSettings, Notice
 from drivers.canopen402.driver import Canopen402Driver
 from drivers.errors import DynidError
-from drivers.streams import Block, FloatArray
+from drivers.streams import Batch, FloatArray
 
 JOINTS = ("pan", "lift", "elbow")
 RATE = 100.0
@@ -30,7 +30,7 @@ class Bench:
     driver: Canopen402Driver
     begun: float
     """When it was started, where that was done here [s]."""
-    blocks: dict[str, list[Block]] = field(default_factory=lambda: {"joints": [], "thermal": []})
+    blocks: dict[str, list[Batch]] = field(default_factory=lambda: {"joints": [], "thermal": []})
     notices: list[Notice] = field(default_factory=list)
 
     @property

@@ -11,7 +11,7 @@ from daq.robot.loader import parse_robot
 from drivers.base import Notice
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionLostError
-from drivers.streams import Block, ChannelLayout, StreamLayout
+from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 RATE = 200.0
 NAMES = ("shoulder", "elbow")
@@ -49,7 +49,7 @@ class KinematicArm:
     def __init__(self, fault: str = "", after: float = 0.3, rate: float = RATE, clock: Clock = SYSTEM_CLOCK) -> None:
         self.fault, self.after, self.rate, self.clock = fault, after, rate, clock
         self.position = np.array([0.1, -0.1])
-        self.samples: list[Block] = []
+        self.samples: list[Batch] = []
         """All that was handed out."""
         self.commands: list[np.ndarray] = []
         self.command_times: list[float] = []
@@ -101,7 +101,7 @@ class KinematicArm:
         if self.faulty and self.fault in values:
             values[self.fault][-1, 1] = 1000.0
         host = self.begun + (ticks + 1) / self.rate
-        self.samples.append(Block("joints", FIRST_STAMP + ticks / self.rate, host, values))
+        self.samples.append(Batch("joints", FIRST_STAMP + ticks / self.rate, host, values))
         return (self.samples[-1],)
 
     def notices(self):

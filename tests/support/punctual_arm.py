@@ -6,7 +6,7 @@ import numpy as np
 from kinematic_arm import NAMES, RATE
 
 from drivers.clock import Clock
-from drivers.streams import Block, ChannelLayout, StreamLayout
+from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 FIRST_STAMP = 100.0
 """Of the arm's own clock at its first sample [s]."""
@@ -51,7 +51,7 @@ class PunctualArm:
         self.samples.extend(position)
         rest = np.zeros_like(position)
         values = {"position": position, "velocity": rest, "torque": rest + 5.0, "temperature": rest + 30.0}
-        return (Block("joints", FIRST_STAMP + numbers / RATE, self.begun + (numbers + 1) / RATE, values),)
+        return (Batch("joints", FIRST_STAMP + numbers / RATE, self.begun + (numbers + 1) / RATE, values),)
 
     def notices(self):
         return ()

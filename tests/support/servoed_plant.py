@@ -16,7 +16,7 @@ from daq.session.session import Play, record
 from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Notice
 from drivers.clock import Clock
-from drivers.streams import Block, ChannelLayout, StreamLayout
+from drivers.streams import Batch, ChannelLayout, StreamLayout
 from sim_drivers.plant.plant import Plant
 from sim_drivers.rtde.joint_motion import Reference, ServoJ
 from sim_drivers.simulated_arm import Record, Recorded
@@ -45,7 +45,7 @@ class ServoedPlant:
     def start(self) -> None:
         self._begun, self._count = self._clock.now(), 0
 
-    def read(self, timeout: float) -> tuple[Block, ...]:
+    def read(self, timeout: float) -> tuple[Batch, ...]:
         self._clock.sleep(min(self._begun + (self._count + 1) / RATE - self._clock.now(), timeout))
         due = int((self._clock.now() - self._begun) * RATE + 1e-6)
         samples = []
@@ -59,7 +59,7 @@ class ServoedPlant:
         host_time = self._begun + np.arange(self._count + 1, due + 1) / RATE
         self._count = due
         values = {quantity: np.array([getattr(one, quantity) for one in samples]) for quantity in QUANTITIES}
-        return (Block("joints", np.array([one.time for one in samples]), host_time, values),)
+        return (Batch("joints", np.array([one.time for one in samples]), host_time, values),)
 
     def notices(self) -> tuple[Notice, ...]:
         return ()

@@ -18,7 +18,7 @@ from daq.session.supervisor import Limits, Supervisor
 from drivers.base import DriverSettings
 from drivers.can_signals.driver import CanFramesDriver
 from drivers.gains import DriveGain
-from drivers.streams import Block
+from drivers.streams import Batch
 from sim_drivers.can_signals.arm import TableArm
 from sim_drivers.can_signals.server import ProprietaryCanServer
 from sim_drivers.plant.plant import Plant
@@ -100,7 +100,7 @@ def noted_by(server: ProprietaryCanServer, quantity: str, cycles: np.ndarray) ->
     return np.array([getattr(noted[cycle], quantity) for cycle in cycles.tolist()])
 
 
-def read_for(driver: CanFramesDriver, clock: SimulatedClock, seconds: float) -> list[Block]:
+def read_for(driver: CanFramesDriver, clock: SimulatedClock, seconds: float) -> list[Batch]:
     """The joints' blocks of so long [s]."""
     end, blocks = clock.now() + seconds, []
     while (left := end - clock.now()) > 0.0:

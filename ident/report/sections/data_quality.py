@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from ident.report.section import ReportData, Section
+from ident.report.section import ReportData, ReportSection
 
 
-def section(data: ReportData) -> Section:
+def section(data: ReportData) -> ReportSection:
     """Recordings, their events, preprocessing, delay, drive gains."""
     result = data.result
     context = {
@@ -15,4 +15,4 @@ def section(data: ReportData) -> Section:
         "delay": result.delay,
         "gains": result.drive_gains,
     }
-    return Section("Data quality", "data-quality", "data_quality.html.j2", context)
+    return ReportSection("Data quality", "data-quality", "data_quality.html.j2", context)

@@ -6,13 +6,13 @@ import math
 
 from ident.report.figures import ACCENT, BOTTOM, TOP, Figure, base_layout
 from ident.report.number_text import number
-from ident.report.section import ReportData, Section, Tile
+from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.schema import Result
 
 PANEL = 260
 
 
-def section(data: ReportData) -> Section:
+def section(data: ReportData) -> ReportSection:
     """Condition numbers, singular values, parameters that the motion left out."""
     result = data.result
     excitation = result.excitation
@@ -26,7 +26,7 @@ def section(data: ReportData) -> Section:
         "unexcited": excitation.unexcited,
         "figure": _figure(result),
     }
-    return Section("Excitation", "excitation", "excitation.html.j2", context)
+    return ReportSection("Excitation", "excitation", "excitation.html.j2", context)
 
 
 def _figure(result: Result) -> Figure | None:

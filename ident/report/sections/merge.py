@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from ident.report.section import ReportData, Section
+from ident.report.section import ReportData, ReportSection
 
 
-def section(data: ReportData) -> Section | None:
+def section(data: ReportData) -> ReportSection | None:
     """Models, test of their consistency, values that contradict; None where nothing was merged."""
     merge = data.result.merge
     if merge is None:
         return None
     context = {"models": merge.models, "consistency": merge.consistency}
-    return Section("Merged models", "merge", "merge.html.j2", context)
+    return ReportSection("Merged models", "merge", "merge.html.j2", context)

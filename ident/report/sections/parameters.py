@@ -19,14 +19,14 @@ from ident.report.figures import (
     vertical_line,
 )
 from ident.report.number_text import number, setting
-from ident.report.section import ReportData, Section
+from ident.report.section import ReportData, ReportSection
 from ident.result.schema import BaseParameterResult, Result
 
 ROW = 15
 TWO_SIGMA = 2.0
 
 
-def section(data: ReportData) -> Section:
+def section(data: ReportData) -> ReportSection:
     """Base parameters, how sure they are, friction of each joint, standard parameters where there are any."""
     result = data.result
     context = {
@@ -39,7 +39,7 @@ def section(data: ReportData) -> Section:
         "essential": result.essential,
         "standard": _standard(result.standard_parameters or []),
     }
-    return Section("Parameters", "parameters", "parameters.html.j2", context)
+    return ReportSection("Parameters", "parameters", "parameters.html.j2", context)
 
 
 def _threshold(result: Result) -> float | None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from ident.report.section import ReportData, Section
+from ident.report.section import ReportData, ReportSection
 from ident.result.schema import Result
 
 
-def section(data: ReportData) -> Section:
+def section(data: ReportData) -> ReportSection:
     """Files with their hashes, software versions, options, the robot file."""
     result = data.result
     context = {
@@ -23,7 +23,7 @@ def section(data: ReportData) -> Section:
         "robot_file": result.robot_file,
         "urdf": result.urdf,
     }
-    return Section("Provenance", "provenance", "provenance.html.j2", context)
+    return ReportSection("Provenance", "provenance", "provenance.html.j2", context)
 
 
 def _columns(result: Result) -> list[dict[str, Any]]:

@@ -23,7 +23,7 @@ from ident.report.figures import (
 )
 from ident.report.number_text import number, whole
 from ident.report.residual_statistics import HISTOGRAM_EDGES, JointResidual, joint_residual
-from ident.report.section import ReportData, Section
+from ident.report.section import ReportData, ReportSection
 from ident.report.traces import packed
 
 PANEL, GAP = 140, 46
@@ -33,7 +33,7 @@ PAGE_SCATTER_POINTS = 15_000
 FEWEST_LAGS, MOST_LAGS = 60, 400
 
 
-def section(data: ReportData) -> Section:
+def section(data: ReportData) -> ReportSection:
     """Residual against velocity, autocorrelation and histogram of each joint."""
     result = data.result
     lags = int(np.clip(1.3 * result.residuals.block_length, FEWEST_LAGS, MOST_LAGS)) + 1
@@ -48,7 +48,7 @@ def section(data: ReportData) -> Section:
         "residuals": result.residuals,
         "block_seconds": result.residuals.block_length * _step(data),
     }
-    return Section("Residuals", "residuals", "residuals.html.j2", context)
+    return ReportSection("Residuals", "residuals", "residuals.html.j2", context)
 
 
 def _step(data: ReportData) -> float:

@@ -7,11 +7,11 @@ from typing import Any
 
 from ident.assessment.validation import LOW_SPEED
 from ident.report.number_text import DASH, number, percent, whole
-from ident.report.section import ReportData, Section, Tile
+from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.schema import Fit, Result
 
 
-def section(data: ReportData) -> Section:
+def section(data: ReportData) -> ReportSection:
     """Verdict, warnings, key figures, errors of each joint."""
     result = data.result
     context = {
@@ -25,7 +25,7 @@ def section(data: ReportData) -> Section:
         "essential": result.essential,
         "method": result.method,
     }
-    return Section("Summary", "summary", "summary.html.j2", context)
+    return ReportSection("Summary", "summary", "summary.html.j2", context)
 
 
 def _tiles(result: Result) -> list[Tile]:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from ident.report.section import ReportData, Section
+from ident.report.section import ReportData, ReportSection
 from ident.report.torque_figure import torque_figure
 
 
-def section(data: ReportData) -> Section:
+def section(data: ReportData) -> ReportSection:
     """Measured against predicted torque of the identification data."""
     context = {
         "intro": "The data that the parameters were fitted to: a small error here is necessary, not sufficient.",
         "figure": torque_figure("torques-fit-plot", data.result.joints, data.fit, data.result.fit),
         "empty": "No torques of the identification data were handed to this report.",
     }
-    return Section("Torques: fit", "torques-fit", "torques.html.j2", context)
+    return ReportSection("Torques: fit", "torques-fit", "torques.html.j2", context)

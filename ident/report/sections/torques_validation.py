@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from ident.report.section import ReportData, Section
+from ident.report.section import ReportData, ReportSection
 from ident.report.torque_figure import torque_figure
 
 
-def section(data: ReportData) -> Section:
+def section(data: ReportData) -> ReportSection:
     """Measured against predicted torque of the held-out data."""
     result = data.result
     source = result.validation_source or "data that took no part in the identification"
@@ -16,4 +16,4 @@ def section(data: ReportData) -> Section:
         "empty": "Nothing was held out of the identification, so nothing here can say how far to trust the model. "
         "Record a second motion and name it with --validate.",
     }
-    return Section("Torques: validation", "torques-validation", "torques.html.j2", context)
+    return ReportSection("Torques: validation", "torques-validation", "torques.html.j2", context)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures import BOTTOM, REFERENCE, TOP, Figure, base_layout, kind_markers, vertical_line
 from ident.report.number_text import DASH, number, percent
-from ident.report.section import ReportData, Section, Tile
+from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.schema import BaseParameterResult
 
 ROW = 15
@@ -30,7 +30,7 @@ class Comparison:
         return None if self.ratio is None else abs(self.ratio) <= WITHIN_95_PERCENT
 
 
-def section(data: ReportData) -> Section | None:
+def section(data: ReportData) -> ReportSection | None:
     """True value, estimate and error of every base parameter; None where the truth is not known."""
     if data.truth is None:
         return None
@@ -42,7 +42,7 @@ def section(data: ReportData) -> Section | None:
         "figure": _figure(rows),
         "unmatched": sorted(values),
     }
-    return Section("Truth", "truth", "truth.html.j2", context)
+    return ReportSection("Truth", "truth", "truth.html.j2", context)
 
 
 def _compare(parameter: BaseParameterResult, true: float | None) -> Comparison:

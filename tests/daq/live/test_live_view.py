@@ -25,7 +25,7 @@ from daq.recording.reader import read_recording
 from daq.recording.recorder import Recorder
 from daq.session.session import record
 from daq.session.supervisor import Limits, Supervisor
-from drivers.streams import Block
+from drivers.streams import Batch
 
 LIMITS = Limits.of_robot(ROBOT_FILE.robot)
 IDLE = SimpleNamespace(backlog=2048, overflow=0)
@@ -36,7 +36,7 @@ PATIENCE = 60.0
 def joints_block(torque, temperature, count=20, lost=0):
     ones = np.ones((count, 1))
     values = {"torque": ones * np.array(torque), "temperature": ones * np.array(temperature)}
-    return Block("joints", np.arange(count) / RATE, np.arange(count) / RATE, values, lost)
+    return Batch("joints", np.arange(count) / RATE, np.arange(count) / RATE, values, lost)
 
 
 def display_process():

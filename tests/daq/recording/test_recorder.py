@@ -16,7 +16,7 @@ from daq.recording.reader import read_recording
 from daq.recording.recorder import Recorder
 from daq.recording.recover import recover
 from daq.recording.writer import CHUNK_SECONDS
-from drivers.streams import Block, ChannelLayout, StreamLayout
+from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 ROOT = Path(__file__).parents[3]
 RATE = 100.0
@@ -52,7 +52,7 @@ FULL_DISK = """
     from simulated_clock import simulated_time
     from daq.recording.recorder import Recorder
     from drivers.errors import DiskError
-    from drivers.streams import Block, ChannelLayout, StreamLayout
+    from drivers.streams import Batch, ChannelLayout, StreamLayout
     layout = StreamLayout("joints", (ChannelLayout("position", NAMES),), 100.0)
     unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
 
@@ -67,7 +67,7 @@ FULL_DISK = """
         resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, unlimited[1]))
         for start in range(0, 10_000, 50):
             time_ = (start + np.arange(50.0)) / 100.0
-            recorder.put(Block("joints", time_, time_, {{"position": np.ones((50, 2))}}))
+            recorder.put(Batch("joints", time_, time_, {{"position": np.ones((50, 2))}}))
             clock.sleep(0.5)
             if recorder.failure:
                 break
@@ -79,10 +79,10 @@ FULL_DISK = """
 """
 
 
-def block(start: int, count: int, stream: str = "joints") -> Block:
+def block(start: int, count: int, stream: str = "joints") -> Batch:
     time = np.arange(start, start + count) / RATE
     quantity = "position" if stream == "joints" else "temperature"
-    return Block(stream, time, time + 5.0, {quantity: np.stack([time, -time], axis=1)})
+    return Batch(stream, time, time + 5.0, {quantity: np.stack([time, -time], axis=1)})
 
 
 def test_what_is_put_is_in_the_file(tmp_path: Path, clock: SimulatedClock) -> None:

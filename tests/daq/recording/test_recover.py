@@ -35,7 +35,7 @@ WRITER = """
     from kinematic_arm import ROBOT_FILE, NAMES
     from simulated_clock import simulated_time
     from daq.recording.recorder import Recorder
-    from drivers.streams import Block, ChannelLayout, StreamLayout
+    from drivers.streams import Batch, ChannelLayout, StreamLayout
 
     def die():
         os.kill(os.getpid(), signal.SIGKILL)
@@ -47,7 +47,7 @@ WRITER = """
             for start in range(0, round({rate} * seconds), {block}):
                 clock.sleep({block} / {rate})
                 ticks = (start + np.arange({block})) / {rate}
-                recorder.put(Block("joints", ticks, ticks, {{"position": np.stack([ticks, ticks], axis=1)}}))
+                recorder.put(Batch("joints", ticks, ticks, {{"position": np.stack([ticks, ticks], axis=1)}}))
                 recorder.event(float(ticks[0]), "info", "test", "τ " + str(start))
             clock.sleep(1e-6)
             die()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from simulated_clock import SimulatedClock
 
 from daq.session.clocks import REPORT_PERIOD, ClockFit, ClockLog, describe_clock
-from drivers.streams import Block
+from drivers.streams import Batch
 
 
 def delays(kind: str, generator: np.random.Generator, count: int) -> np.ndarray:
@@ -106,8 +106,8 @@ def test_a_session_reports_once_a_minute_and_at_its_end(clock: SimulatedClock) -
     log = ClockLog(clock)
     for second in range(150):
         time, host = stamps(second, "uniform", 100.0, 1.0, 7.0, 0.0, start=float(second))
-        log.take(Block("joints", time, host))
-        log.take(Block("thermometer", host, host))
+        log.take(Batch("joints", time, host))
+        log.take(Batch("thermometer", host, host))
         clock.sleep(1.0)
         said = log.due()
         assert bool(said) == (second + 1.0 in (REPORT_PERIOD, 2 * REPORT_PERIOD))

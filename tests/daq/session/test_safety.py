@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from kinematic_arm import NAMES, ROBOT_FILE
 
 from daq.session.supervisor import TRACKING_WINDOW, VELOCITY_MARGIN, Limits, Supervisor, stale_after
-from drivers.streams import Block, ChannelLayout, StreamLayout
+from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 LIMITS = Limits.of_robot(ROBOT_FILE.robot, tracking_error=0.05)
 LAYOUTS = (StreamLayout("joints", (ChannelLayout("position", NAMES),), 500.0),)
@@ -17,10 +17,10 @@ QUIET = {"position": 0.0, "velocity": 0.0, "torque": 0.0, "temperature": 30.0}
 BOUNDS = {"position": 2.0, "velocity": 2.0 * VELOCITY_MARGIN, "torque": 50.0, "temperature": 70.0}
 
 
-def block(rows: int = 5, start: float = 10.0, **values: np.ndarray) -> Block:
+def block(rows: int = 5, start: float = 10.0, **values: np.ndarray) -> Batch:
     time = start + np.arange(rows) * 0.002
     filled = {name: np.full((rows, 2), value) for name, value in QUIET.items()}
-    return Block("joints", time, time + 1000.0, {**filled, **values})
+    return Batch("joints", time, time + 1000.0, {**filled, **values})
 
 
 @pytest.mark.parametrize("quantity", BOUNDS)
@@ -100,8 +100,8 @@ def thermometer(*columns: str) -> tuple[StreamLayout, ...]:
     return (*LAYOUTS, layout)
 
 
-def heat(*celsius: float) -> Block:
-    return Block("thermometer", np.zeros(1), np.zeros(1), {"temperature": np.array([celsius])})
+def heat(*celsius: float) -> Batch:
+    return Batch("thermometer", np.zeros(1), np.zeros(1), {"temperature": np.array([celsius])})
 
 
 @pytest.mark.parametrize(
@@ -127,8 +127,8 @@ def test_a_limit_holds_for_the_column_with_the_joints_name(columns, celsius, hot
 def test_the_order_of_columns_changes_nothing(order, shoulder, elbow):
     values = {"shoulder": shoulder, "elbow": elbow}
     layouts = (StreamLayout("joints", (ChannelLayout("position", tuple(order)),), 500.0),)
-    sorted_block = Block("joints", np.zeros(1), np.zeros(1), {"position": np.array([[shoulder, elbow]])})
-    mixed_block = Block("joints", np.zeros(1), np.zeros(1), {"position": np.array([[values[name] for name in order]])})
+    sorted_block = Batch("joints", np.zeros(1), np.zeros(1), {"position": np.array([[shoulder, elbow]])})
+    mixed_block = Batch("joints", np.zeros(1), np.zeros(1), {"position": np.array([[values[name] for name in order]])})
     sorted_one, mixed_one = Supervisor(LIMITS, LAYOUTS), Supervisor(LIMITS, layouts)
     for supervisor in (sorted_one, mixed_one):
         supervisor.commanded(0.0, np.array([shoulder, elbow]))  # as commanded: no tracking error

@@ -32,7 +32,7 @@ from daq.session.session import (
 from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Notice
 from drivers.errors import ConnectionLostError, SafetyStopError, UsageError, WorkError
-from drivers.streams import Block
+from drivers.streams import Batch
 
 MOTION = PointToPoint(np.array([[0.1, -0.1], [0.5, 0.3], [0.0, 0.0]]), np.array([1.2, 1.2]))
 PLAY = Play(MOTION, ROBOT_FILE.robot, RATE)
@@ -174,7 +174,7 @@ def test_silence_stops_a_motion_after_five_periods_and_50_ms(
     """Also where the driver waits for longer than it was asked to; then it is asked once more, as after a stall."""
 
     class Slow(KinematicArm):
-        def read(self, timeout: float) -> Sequence[Block]:
+        def read(self, timeout: float) -> Sequence[Batch]:
             return super().read(timeout + wait * self.faulty)
 
         def silence(self, stream: str, limit: float) -> str:
@@ -206,9 +206,9 @@ def test_a_stall_of_this_computer_is_no_silence_of_the_arm(
     """Nor where the thread that receives was stalled as well: what it has is there at the second look."""
 
     class Received(KinematicArm):
-        held: Sequence[Block] = ()
+        held: Sequence[Batch] = ()
 
-        def read(self, timeout: float) -> Sequence[Block]:
+        def read(self, timeout: float) -> Sequence[Batch]:
             before = clock.now()
             blocks = (*self.held, *super().read(timeout))
             late = receiver_stalls and clock.now() - before > READ_TIMEOUT
@@ -307,7 +307,7 @@ def test_an_interrupt_stops_the_arm_first(
     tmp_path: Path, clock: SimulatedClock, number: signal.Signals, reason: str
 ) -> None:
     class Interrupted(KinematicArm):
-        def read(self, timeout: float) -> Sequence[Block]:
+        def read(self, timeout: float) -> Sequence[Batch]:
             if self.faulty:
                 signal.raise_signal(number)
             return super().read(timeout)
@@ -329,7 +329,7 @@ def test_the_reason_has_the_time_of_the_breach_and_the_halt_its_own(
     class SlowToStop(KinematicArm):
         """Needs a while to come to rest, as a real arm does."""
 
-        def read(self, timeout: float) -> Sequence[Block]:
+        def read(self, timeout: float) -> Sequence[Batch]:
             if not self.fault and self.faulty:
                 signal.raise_signal(signal.SIGINT)
             return super().read(timeout)

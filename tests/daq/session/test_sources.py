@@ -17,7 +17,7 @@ from daq.session.sources import Sources
 from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Notice
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
-from drivers.streams import Block, ChannelLayout, StreamLayout
+from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 MOTION = PointToPoint(np.array([[0.1, -0.1], [0.3, 0.1], [0.0, 0.0]]), np.array([0.8, 0.8]))
 PERIOD = 0.0225
@@ -81,7 +81,7 @@ class Thermometer:
             self._notices.append(Notice(stamp, "warning", "rather warm"))
             self.fault = ""
         values = {"temperature": np.full((1, 1), self.heat if self.faulty else 30.0)}
-        return (Block("thermometer", np.array([stamp]), np.array([due]), values),)
+        return (Batch("thermometer", np.array([stamp]), np.array([due]), values),)
 
     def notices(self):
         taken, self._notices = self._notices, []

@@ -19,7 +19,7 @@ from drivers.can_signals.monitor import RATE_TIME, RATE_TIMES
 from drivers.can_signals.standstill import REST_LIMIT, REST_WINDOW
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
 from drivers.gains import DriveGain
-from drivers.streams import Block
+from drivers.streams import Batch
 
 GAINS = (DriveGain(2.0, 0.1), DriveGain(-3.0, 0.1))
 Arm = Callable[..., ScriptedCanArm]
@@ -59,14 +59,14 @@ def started(driver: CanFramesDriver) -> CanFramesDriver:
     return driver
 
 
-Read = Callable[[Driver, float], list[Block]]
+Read = Callable[[Driver, float], list[Batch]]
 
 
 @pytest.fixture
 def read_for(clock: SimulatedClock) -> Read:
     """Reads a driver for so long [s], until the middle between two cycles of the arm."""
 
-    def read(driver: Driver, seconds: float) -> list[Block]:
+    def read(driver: Driver, seconds: float) -> list[Batch]:
         cycle = math.floor((clock.now() - START) * RATE + 1e-6)
         end, blocks = START + (cycle + 0.5) * PERIOD + seconds, []
         while (left := end - clock.now()) > 0.0:
@@ -76,11 +76,11 @@ def read_for(clock: SimulatedClock) -> Read:
     return read
 
 
-def joined(blocks: list[Block], quantity: str, stream: str = "joints") -> np.ndarray:
+def joined(blocks: list[Batch], quantity: str, stream: str = "joints") -> np.ndarray:
     return np.concatenate([block.values[quantity] for block in blocks if block.stream == stream])
 
 
-def lost(blocks: list[Block]) -> int:
+def lost(blocks: list[Batch]) -> int:
     return sum(block.lost for block in blocks if block.stream == "joints")
 
 

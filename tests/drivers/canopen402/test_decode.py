@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.can.bus import Frame
-from drivers.canopen402.alignment import Aligner, Rows, Scaling
+from drivers.canopen402.alignment import AlignedRows, Aligner, Scaling
 
 IDS = (3, 1, 127)
 N = len(IDS)
@@ -40,7 +40,7 @@ def traffic(kept: Sequence[Sequence[int]], delay: float = 2e-4) -> tuple[list[Fr
     return frames, syncs
 
 
-def check_rows(rows: Rows) -> None:
+def check_rows(rows: AlignedRows) -> None:
     """Every value of a row answers the row's own SYNC."""
     sync = (rows.slot - 5)[:, np.newaxis]
     ids = np.array(IDS)
@@ -208,7 +208,7 @@ def test_counts_and_positions_are_inverse_within_half_a_count(scaling: Scaling, 
 def test_the_direction_turns_all_that_the_drive_says() -> None:
     scaling = Scaling(np.full(2, 1000.0), np.array([1.0, -1.0]), np.zeros(2), np.full(2, 5.0), np.full(2, 50.0))
     one = np.full((1, 2), 100)
-    rows = Rows(np.array([0]), np.zeros(1), np.zeros(1), one, one, one, one, one, one)
+    rows = AlignedRows(np.array([0]), np.zeros(1), np.zeros(1), one, one, one, one, one, one)
     values = scaling.values(rows)
     assert np.allclose(values["position"], [[0.2 * np.pi, -0.2 * np.pi]])
     assert np.allclose(values["velocity"], [[0.2 * np.pi, -0.2 * np.pi]])

@@ -18,7 +18,7 @@ from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverSta
 from drivers.gains import DriveGain
 from drivers.rtde.driver import DASHBOARD_TIMEOUT, ArmControl, RtdeDriver
 from drivers.rtde.motion import STOP_LIMIT
-from drivers.streams import Block
+from drivers.streams import Batch
 from sim_drivers.rtde.server import RtdeServer
 
 JOINTS = tuple(f"j{number}" for number in range(1, 7))
@@ -52,8 +52,8 @@ def make_driver(clock: SimulatedClock) -> Iterator[MakeDriver]:
         one.close()
 
 
-def read_all(driver: RtdeDriver, samples: int) -> dict[str, list[Block]]:
-    blocks: dict[str, list[Block]] = {"joints": [], "thermal": [], "status": []}
+def read_all(driver: RtdeDriver, samples: int) -> dict[str, list[Batch]]:
+    blocks: dict[str, list[Batch]] = {"joints": [], "thermal": [], "status": []}
     while sum(len(block.time) for block in blocks["joints"]) < samples:
         found = driver.read(0.2)
         assert found
@@ -62,11 +62,11 @@ def read_all(driver: RtdeDriver, samples: int) -> dict[str, list[Block]]:
     return blocks
 
 
-def joined(blocks: list[Block], quantity: str) -> np.ndarray:
+def joined(blocks: list[Batch], quantity: str) -> np.ndarray:
     return np.concatenate([block.values[quantity] for block in blocks])
 
 
-def times(blocks: list[Block]) -> np.ndarray:
+def times(blocks: list[Batch]) -> np.ndarray:
     return np.concatenate([block.time for block in blocks])
 
 
@@ -359,7 +359,7 @@ def test_motion_begins_where_the_arm_stands_and_ends_with_stop(clock: SimulatedC
     assert {notice.level for notice in driver.notices()} == {"info"}
 
 
-def assert_recorded(joints: Sequence[Block], arm: RememberedArm) -> None:
+def assert_recorded(joints: Sequence[Batch], arm: RememberedArm) -> None:
     """Every sample is the arm's, none is missing, and each was stamped in the period in which it was taken."""
     clock = times(list(joints))
     first = int(np.rint(clock[0] / PERIOD))

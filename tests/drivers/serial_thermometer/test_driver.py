@@ -21,7 +21,7 @@ from drivers.errors import ConnectionFailedError, DriverStateError, UsageError
 from drivers.gains import DriveGain
 from drivers.serial_thermometer.driver import STREAM, SerialThermometerDriver
 from drivers.serial_thermometer.port import BUFFER_BYTES, CHUNK_BYTES, READ_TIMEOUT
-from drivers.streams import Block
+from drivers.streams import Batch
 
 JOINTS = ("shoulder", "elbow", "wrist")
 CONNECTION = {
@@ -71,9 +71,9 @@ def opened(clock: SimulatedClock, line: SerialLine) -> Iterator[Make]:
         one.close()
 
 
-def listen(driver: SerialThermometerDriver, clock: Clock, seconds: float) -> tuple[list[Block], list[Notice]]:
+def listen(driver: SerialThermometerDriver, clock: Clock, seconds: float) -> tuple[list[Batch], list[Notice]]:
     """What a driver says in a while [s]."""
-    blocks: list[Block] = []
+    blocks: list[Batch] = []
     notices: list[Notice] = []
     end = clock.now() + seconds
     while (left := end - clock.now()) > 1e-9:
@@ -82,11 +82,11 @@ def listen(driver: SerialThermometerDriver, clock: Clock, seconds: float) -> tup
     return blocks, notices
 
 
-def rows(blocks: list[Block]) -> np.ndarray:
+def rows(blocks: list[Batch]) -> np.ndarray:
     return np.concatenate([block.values["temperature"] for block in blocks] or [np.empty((0, 2))])
 
 
-def stamps(blocks: list[Block]) -> np.ndarray:
+def stamps(blocks: list[Batch]) -> np.ndarray:
     times = np.concatenate([block.time for block in blocks])
     np.testing.assert_array_equal(times, np.concatenate([block.host_time for block in blocks]))
     return times
@@ -339,7 +339,7 @@ def test_over_a_socket_that_closes_and_comes_back() -> None:
     listener = socket.create_server(("127.0.0.1", 0))
     listener.settimeout(LIMIT)
     driver = made(f"socket://127.0.0.1:{listener.getsockname()[1]}", SYSTEM_CLOCK, timeout=LIMIT)
-    blocks: list[Block] = []
+    blocks: list[Batch] = []
     notices: list[Notice] = []
 
     def hear(done: Callable[[], bool], spoken: bytes = b"") -> None:

@@ -9,7 +9,7 @@ import pytest
 from toy_design import BEST, maker, toy_problem
 
 from drivers.errors import IdentificationError, UsageError
-from ident.excite.search import Found, SearchChoices, search
+from ident.excite.search import SearchChoices, SearchResult, search
 from ident.excite.solve import solve
 
 OPTIMUM = np.array([BEST[0], 0.99])  # the second joint's best place lies beyond its limit
@@ -88,7 +88,7 @@ def test_a_search_whose_problem_takes_all_its_time_finds_nothing(clock):
         return toy_problem()
 
     found = search(slow, SearchChoices(starts=None, seconds=4.0, workers=1), clock=clock)
-    assert found == Found(None, None, 0, 5.0, False)
+    assert found == SearchResult(None, None, 0, 5.0, False)
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -20,11 +20,11 @@ from ident.report.traces import POINTS_PER_TRACE
 from ident.result.schema import (
     BaseParameterResult,
     DelayFigures,
-    DriveGain,
+    DriveGainResult,
     Essential,
     Excitation,
     Fit,
-    JointFriction,
+    JointFrictionResult,
     ModelOptions,
     ProcessingStep,
     RecordingUse,
@@ -113,12 +113,12 @@ def result(**changes: Any) -> Result:
         ],
         standard_parameters=None,
         friction=[
-            JointFriction(
+            JointFrictionResult(
                 joint=name, viscous=1.0, viscous_std=0.1, coulomb=2.0, coulomb_std=None, offset=None, offset_std=None
             )
             for name in JOINTS
         ],
-        drive_gains=[DriveGain(joint=name, signal="current", gain=10.0, std=None) for name in JOINTS],
+        drive_gains=[DriveGainResult(joint=name, signal="current", gain=10.0, std=None) for name in JOINTS],
         fit=fit(),
         validation=fit(300),
         validation_source="another recording",

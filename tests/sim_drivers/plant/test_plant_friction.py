@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_drivers.plant.friction import Friction, FrictionParameters, sliding_friction
+from sim_drivers.plant.friction import FrictionParameters, SimulatedFriction, sliding_friction
 from sim_drivers.plant.plant import Plant, PlantSettings
 
 FREE = PlantSettings(controller="none")
@@ -39,7 +39,7 @@ def test_a_sliding_joint_has_the_papers_friction(
         coulomb=[coulomb], viscous=[viscous], alpha=[alpha], load=[load], offset=[offset], stribeck=[stribeck],
         temperature=[[beta], [beta2], [1e6]],
     )  # fmt: skip
-    friction = Friction(truth, np.full(1, 1e5), np.full(1, 300.0))
+    friction = SimulatedFriction(truth, np.full(1, 1e5), np.full(1, 300.0))
     conditions = np.array([celsius]), np.array([load_torque])
     friction.set_conditions(*conditions)
     speed = np.array([-velocity if negative else velocity])

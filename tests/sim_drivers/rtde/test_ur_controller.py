@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import UsageError
-from sim_drivers.faults import Block, Cut, Drift, Drop, Freeze, Heat, ProtectiveStop, parse_fault
+from sim_drivers.faults import BlockJoint, Cut, Drift, Drop, Freeze, Heat, ProtectiveStop, parse_fault
 from sim_drivers.rtde.control_script import ControlScript
 from sim_drivers.rtde.controller import DRIFT_ACCELERATION, NORMAL, PROTECTIVE_STOP, Controller
-from sim_drivers.rtde.joint_motion import Motion, MoveJ, Reference, ServoJ, VelocityRamp
+from sim_drivers.rtde.joint_motion import JointMotion, MoveJ, Reference, ServoJ, VelocityRamp
 from sim_drivers.rtde.script_port import ScriptSession
 from sim_drivers.rtde.variables import parse_version
 
@@ -23,7 +23,7 @@ LIMIT = np.full(6, math.pi)
 JOINTS = st.lists(st.floats(-1.5, 1.5), min_size=6, max_size=6).map(np.array)
 
 
-def run(motion: Motion, periods: int = 20_000) -> list[Reference]:
+def run(motion: JointMotion, periods: int = 20_000) -> list[Reference]:
     references = []
     for _ in range(periods):
         references.append(motion.step(PERIOD))
@@ -240,7 +240,7 @@ def test_scripts_start_only_where_they_are_the_control_script() -> None:
         ("protective-stop", ProtectiveStop()),
         ("heat j3 12.5", Heat(2, 12.5)),
         ("heat 3 12.5", Heat(2, 12.5)),
-        ("block j3", Block(2)),
+        ("block j3", BlockJoint(2)),
         ("drift 1 -0.5", Drift(0, -0.5)),
     ],
 )

@@ -29,7 +29,7 @@ from drivers.errors import ConnectionFailedError, UsageError
 from drivers.gains import DriveGain
 from drivers.serial_thermometer.driver import SerialThermometerDriver
 from drivers.serial_thermometer.port import READ_TIMEOUT
-from drivers.streams import Block
+from drivers.streams import Batch
 from sim_drivers.plant.plant import Plant
 from sim_drivers.serving.thermometer import PERIOD, BesideThermometer, thermometer_alone, thermometer_keys
 from sim_drivers.thermometer.pseudo_terminal import PseudoTerminal
@@ -81,7 +81,7 @@ def listen(
     driver: SerialThermometerDriver, clock: Clock, seconds: float
 ) -> tuple[np.ndarray, np.ndarray, list[Notice]]:
     """Rows, their stamps [s] and notices of a while [s]."""
-    blocks: list[Block] = []
+    blocks: list[Batch] = []
     notices: list[Notice] = []
     end = clock.now() + seconds
     while (left := end - clock.now()) > 1e-9:
@@ -453,7 +453,7 @@ def test_a_hot_joint_stops_the_arm(tmp_path: Path, clock: SimulatedClock, line: 
 def test_on_a_pseudo_terminal(tmp_path: Path) -> None:
     path = str(tmp_path / "port")
     settings = simulated_thermometer({**KEYS, "url": path}, JOINTS)
-    blocks: list[Block] = []
+    blocks: list[Batch] = []
     notices: list[Notice] = []
 
     with ThermometerServer(lambda: [30.0, -5.25], settings, plug=PseudoTerminal(path)) as server:
