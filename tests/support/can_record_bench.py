@@ -124,8 +124,18 @@ def simulated(arm: Arm, wire: str, *options: str) -> Iterator[tuple[dict[str, An
 
 @contextmanager
 def recorder(arm: Arm, wire: str, out: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """`dynid record` in a process of its own."""
-    command = [sys.executable, "-c", COMMAND, "record", str(arm.path), "--wire", wire, "-o", str(out), "--no-ui"]
+    """`dynid record` in a process of its own, with time limits that no stall passes."""
+    command = [
+        sys.executable,
+        "tests/support/patient_dynid.py",
+        "record",
+        str(arm.path),
+        "--wire",
+        wire,
+        "-o",
+        str(out),
+        "--no-ui",
+    ]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     process = subprocess.Popen([*command, *arguments], text=True, cwd=ROOT, env=ENVIRONMENT, **pipes)  # type: ignore[call-overload]
     try:
@@ -223,11 +233,12 @@ class Outcome:
         return [] if self.recording is None else [f"{e.level}: {e.message}" for e in self.recording.events]
 
 
-def type_fault(simulator: subprocess.Popen[str], line: str, out: Path) -> None:
+def type_fault(simulator: subprocess.Popen[str], line: str, recording: subprocess.Popen[str], out: Path) -> None:
     """Type a fault into the simulator once the recording has some rows."""
     end = time.monotonic() + PATIENCE
     rows = 0
     while rows <= SOME_ROWS:
+        assert recording.poll() is None, recording.communicate()
         assert time.monotonic() < end
         time.sleep(0.05)
         with contextlib.suppress(OSError, KeyError), h5py.File(out, "r", libver="latest", swmr=True) as file:

@@ -10,6 +10,7 @@ import sys
 from daq.motion import player
 from daq.session import session
 from daq.session import supervisor as safety
+from drivers.canopen402 import configuration, driver, error_control, sdo
 from drivers.rtde import motion, receiver
 
 PATIENCE = 60.0
@@ -21,6 +22,11 @@ session.FIRST_SAMPLE_LIMIT = PATIENCE
 receiver.SILENCE_LIMIT = PATIENCE
 motion.SILENCE_LIMIT = motion.PATIENCE = motion.STOP_LIMIT = PATIENCE
 motion.WATCHDOG_RATE = 0.25
+sdo.ANSWER_LIMIT = configuration.ANSWER_LIMIT = error_control.ANSWER_LIMIT = (
+    5.0  # a poll of a bus that is gone lasts as long
+)
+configuration.PROBE_LIMIT = configuration.SETTLE_LIMIT = PATIENCE
+driver.SILENCE_LIMIT = driver.FIRST_ROW_LIMIT = PATIENCE
 
 if __name__ == "__main__":
     from dynid.command import main

@@ -19,8 +19,8 @@ from daq.recording.reader import read_recording
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
-WIDE: dict[str, object] = {"with": [], "sync_rate": 10, "heartbeat": 1.0}
-"""Samples are stale after 0.5 s and missed after 1 s; a drive and dynid miss each other after 3 s."""
+WIDE: dict[str, object] = {"with": [], "sync_rate": 10, "heartbeat": 1.0, "timeout": 60.0}
+"""A drive and dynid miss each other after 3 s."""
 
 
 def test_a_recording_is_complete_and_the_simulator_ends_with_ctrl_c(tmp_path: Path) -> None:
@@ -47,7 +47,7 @@ def test_a_recording_is_complete_and_the_simulator_ends_with_ctrl_c(tmp_path: Pa
 def test_a_typed_fault_ends_the_recording_and_is_its_reason(tmp_path: Path) -> None:
     arm, out = an_arm(tmp_path, **WIDE, mode="none"), tmp_path / "run.h5"
     with simulated(arm, "canopen") as (_, process), recorder(arm, "canopen", out, "--duration", "600") as program:
-        type_fault(process, "over-temperature 3", out)
+        type_fault(process, "over-temperature 3", program, out)
         errors = program.communicate(timeout=60)[1]
     reason = "elbow_joint: fault: drive temperature too high (EMCY 0x4310, register: generic, temperature)"
     assert_stopped(Outcome(program.returncode, errors, read_recording(out)), reason)
@@ -59,7 +59,7 @@ def test_an_adapter_on_a_pty_is_recorded_until_it_is_pulled_out(tmp_path: Path) 
         assert ready["interface"] == "slcan"
         changed(arm, "canopen", interface="slcan", channel=ready["channel"], options={})
         with recorder(arm, "canopen", out, "--duration", "600") as program:
-            type_fault(process, "unplug", out)
+            type_fault(process, "unplug", program, out)
             errors = program.communicate(timeout=60)[1]
     assert_stopped(Outcome(program.returncode, errors, read_recording(out)), "the CAN adapter", "no complete sample")
 
