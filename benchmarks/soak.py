@@ -28,8 +28,8 @@ from drivers.can.bus import Sender, close_bus, open_bus
 from drivers.canopen402.sync import SyncProducer
 from drivers.clock import SYSTEM_CLOCK
 from drivers.streams import Batch, FloatArray
-from examples import can_lossless, kill_recorder, lossless
 from sim_drivers.simulated_arm import simulated_arm
+from studies import can_lossless, kill_recorder, lossless
 
 RESULTS = Path(__file__).with_name("soak.json")
 PLAYER_RATE = 500.0
@@ -104,19 +104,19 @@ def latency(seconds: float) -> Figures:
 
 
 def lossless_rtde(seconds: float) -> Figures:
-    """Three readers beside two shell loops and a Python thread: examples/lossless.py."""
+    """Three readers beside two shell loops and a Python thread: studies/lossless.py."""
     with tempfile.TemporaryDirectory() as folder:
         return lossless.measure(seconds, Path(folder))
 
 
 def lossless_can(seconds: float) -> Figures:
-    """Six drives and two more listeners: examples/can_lossless.py."""
+    """Six drives and two more listeners: studies/can_lossless.py."""
     with tempfile.TemporaryDirectory() as folder:
         return can_lossless.measure(seconds, Path(folder))
 
 
 def cost_of_a_kill(seconds: float) -> Figures:
-    """What SIGKILL of the recorder loses: examples/kill_recorder.py."""
+    """What SIGKILL of the recorder loses: studies/kill_recorder.py."""
     return kill_recorder.measure(max(2, round(seconds / SECONDS_A_KILL)))
 
 

@@ -12,8 +12,8 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
-def example(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, REPOSITORY / "examples" / f"{name}.py")
+def script(path: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(Path(path).stem, REPOSITORY / path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -22,7 +22,7 @@ def example(name: str) -> ModuleType:
 
 
 def test_identify_from_arrays(capsys, tmp_path):
-    model = example("identify_from_arrays").main(duration=12.0, folder=str(tmp_path / "model"))
+    model = script("examples/identify_from_arrays.py").main(duration=12.0, folder=str(tmp_path / "model"))
     assert model.result.validation.relative_error < 0.1
     assert "predicted torque differs from measured torque by" in capsys.readouterr().out
 
@@ -42,7 +42,7 @@ def test_the_notebook_runs_and_holds_no_outputs(capsys):
 
 
 def test_coverage_runs(capsys):
-    example("coverage").main(robots=("ur5e",), seeds=1)
+    script("studies/coverage.py").main(robots=("ur5e",), seeds=1)
     assert "ur5e" in capsys.readouterr().out
 
 

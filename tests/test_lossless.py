@@ -1,4 +1,4 @@
-"""The figures that examples/lossless.py prints."""
+"""The figures that studies/lossless.py prints."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from examples import lossless
+from studies import lossless
 
 
 def clock(*ticks: int) -> np.ndarray:

@@ -313,7 +313,7 @@ def test_a_gap_and_a_rest_are_no_trouble(three_joint, method):
 @pytest.mark.slow
 def test_the_example_runs(capsys, monkeypatch):
     """On little data: each of its tables in small; and what it is there to show."""
-    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[3] / "examples")
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[3] / "studies")
     example = importlib.import_module("energy_vs_dynamic")
     arm = sampled(load_robot("sr400"), 250.0)
     models = example.compare_parameters(arm, moves=8)

@@ -272,7 +272,7 @@ def test_the_command(folder, capsys, monkeypatch):
 @pytest.mark.slow
 def test_the_example_runs(capsys, monkeypatch):
     """One seed, one friction: half sums are right where the load adds friction."""
-    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[3] / "examples")
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[3] / "studies")
     example = importlib.import_module("up_and_down")
     monkeypatch.setattr(example, "FRICTIONS", {"load": example.FRICTIONS["and 5 % of the load"]})
     monkeypatch.setattr(example, "RATE", 25.0)

@@ -3,7 +3,7 @@
 A UR5e under its own controller, with friction before sliding, noise and ripple, plays a d-optimal excitation: two
 periods of 15 s. Prints, over all base parameters and seeds, the share of 95 % intervals that hold the truth, the root
 mean square of error over standard deviation, and the parameters that are off the most on average: with equations left
-out (`--leave-out-reversals`) and kept, and for an arm that follows the motion exactly. `python examples/reversals.py
+out (`--leave-out-reversals`) and kept, and for an arm that follows the motion exactly. `python studies/reversals.py
 12` takes some minutes.
 """
 

@@ -1,4 +1,4 @@
-"""How far can the predictions of `dynid excite` be trusted? `python examples/predicted_errors.py` takes minutes.
+"""How far can the predictions of `dynid excite` be trusted? `python studies/predicted_errors.py` takes minutes.
 
 A motion of 24 s is predicted, then recorded in simulation and identified many times. Prints the true errors (root mean
 square over the recordings) over the predicted standard deviations: median and 10-90 % range over the base parameters.

@@ -1,4 +1,4 @@
-"""What does the sudden death of the recorder cost? `python examples/kill_recorder.py 20` takes about two minutes.
+"""What does the sudden death of the recorder cost? `python studies/kill_recorder.py 20` takes about two minutes.
 
 Records a simulated UR5e, kills `dynid record` with SIGKILL 2 to 5 s after its file appeared, rescues the file with
 `dynid recover` and compares its last sample with the controller's clock at the moment of the kill, which a second

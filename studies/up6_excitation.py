@@ -1,6 +1,6 @@
 """The UP6's excitation: the SFLA paper's Table 1 and ours, on the paper's criterion and on the condition number.
 
-`python examples/up6_excitation.py 20` gives each of our designs 20 s. All motions last as long as the paper's does
+`python studies/up6_excitation.py 20` gives each of our designs 20 s. All motions last as long as the paper's does
 here, 10 s: the paper does not say how long its own is. J = 1/‖QᵀQ‖₂ (eq. 12) is computed from 1000 samples.
 """
 

@@ -1,4 +1,4 @@
-"""Two experiments against one, on a simulated SR400: python examples/two_experiments.py [seeds [moves]].
+"""Two experiments against one, on a simulated SR400: python studies/two_experiments.py [seeds [moves]].
 
 SR400 .4.3 point 7. Quintic point-to-point motions, 1 kHz, encoder steps, torque noise and ripple of the built-in robot
 file. Three ways to spend the same number of moves on the arm:

@@ -1,4 +1,4 @@
-"""Excitations for every built-in arm, with all limits: `python examples/excite_robots.py 30` gives each 30 s.
+"""Excitations for every built-in arm, with all limits: `python studies/excite_robots.py 30` gives each 30 s.
 
 Friction columns included, rest to rest, torque limits from the file's truth, self-collision. Prints the condition
 number of the base regressor (columns scaled), how long it took, how often, and the largest use of any limit on a grid

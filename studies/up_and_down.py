@@ -1,4 +1,4 @@
-"""Drive gains from slow up-and-down runs, with friction that no model knows: python examples/up_and_down.py [seeds].
+"""Drive gains from slow up-and-down runs, with friction that no model knows: python studies/up_and_down.py [seeds].
 
 A simulated UR10e whose true gains are hidden, 2.8 kg load. One joint after the other goes there and back, the others at
 rest in a few poses, once without and once with the load. To the file's Coulomb and viscous friction is added, in turn:

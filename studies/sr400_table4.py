@@ -1,4 +1,4 @@
-"""Table 4 of the SR400 paper, from a simulated SR400, free and loaded: python examples/sr400_table4.py [seed [moves]].
+"""Table 4 of the SR400 paper, from a simulated SR400, free and loaded: python studies/sr400_table4.py [seed [moves]].
 
 Quintic point-to-point motions through random points, every joint moving, 1 kHz, encoder steps and current noise of the
 built-in robot file. The truth is Table 4's X̂ where it prints a value; the rest was chosen (see the file's sources). The

@@ -1,4 +1,4 @@
-"""One simulated arm, three wires: the same model? `python examples/three_wires.py` takes some minutes.
+"""One simulated arm, three wires: the same model? `python studies/three_wires.py` takes some minutes.
 
 Designs a motion of 10 s that uses about a third of every velocity and acceleration limit, and serves a UR5e three
 times: with RTDE, as CiA 402 drives on CANopen, and with CAN frames of its own. `dynid record` plays the same motion on

@@ -1,4 +1,4 @@
-"""Six CiA 402 drives at 400 Hz: who sees every frame? `python examples/can_lossless.py 300` takes five minutes.
+"""Six CiA 402 drives at 400 Hz: who sees every frame? `python studies/can_lossless.py 300` takes five minutes.
 
 Serves a simulated UR5e's drives over udp_multicast in a process of its own. `dynid record` sends SYNC and records; two
 more processes listen to the same bus in the usual ways: canopen's callbacks that read every variable with `.raw`, and

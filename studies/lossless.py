@@ -1,4 +1,4 @@
-"""Does a recording lose samples on a busy computer? `python examples/lossless.py 600` takes ten minutes.
+"""Does a recording lose samples on a busy computer? `python studies/lossless.py 600` takes ten minutes.
 
 Serves a simulated UR5e at 500 Hz and reads it three times at once, each reader a process of its own: `dynid record`,
 a loop around ur_rtde's RTDEReceiveInterface, and that interface's own file recording. Meanwhile two shell loops and a
