@@ -14,6 +14,7 @@ from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.streams import FloatArray
 from ident.model.dynamics import DynamicModel
@@ -80,6 +81,8 @@ class _Tree:
         self._data = self._arm.createData()
         self._aba, self._rnea, self._crba = pin.aba, pin.rnea, pin.crba
         self._gravity = pin.computeGeneralizedGravity
+        self._depth_first, self._order = _numbered_depth_first(self._arm)
+        self._depth_first_data = self._depth_first.createData()
 
     @property
     def armature(self) -> FloatArray:
@@ -102,8 +105,31 @@ class _Tree:
         return np.array(self._gravity(self._arm, self._data, position))
 
     def inertia(self, position: FloatArray) -> FloatArray:
-        upper = np.array(self._crba(self._arm, self._data, position))
-        return np.asarray(np.triu(upper) + np.triu(upper, 1).T)
+        order = self._order
+        upper = np.triu(self._crba(self._depth_first, self._depth_first_data, position[order]))
+        matrix = np.diag(self.armature)
+        matrix[order[:, None], order] += upper + np.triu(upper, 1).T
+        return matrix
+
+
+def _numbered_depth_first(arm: Any) -> tuple[Any, NDArray[np.intp]]:
+    """The same links with joints numbered depth first, as Pinocchio's `crba` demands, without motor inertias.
+
+    Returns:
+        The model, and the joint (from 0) of `arm` that each of its joints is.
+    """
+    import pinocchio as pin
+
+    paths: list[tuple[int, ...]] = [()]
+    for joint in range(1, arm.njoints):
+        paths.append((*paths[arm.parents[joint]], joint))
+    order = sorted(range(1, arm.njoints), key=paths.__getitem__)
+    index = {0: 0} | {joint: position for position, joint in enumerate(order, start=1)}
+    result = pin.Model()
+    for joint in order:
+        result.addJoint(index[arm.parents[joint]], arm.joints[joint], arm.jointPlacements[joint], arm.names[joint])
+        result.inertias[index[joint]] = arm.inertias[joint]
+    return result, np.array(order, dtype=np.intp) - 1
 
 
 class _Constrained(ABC):
