@@ -1,25 +1,29 @@
-"""Faults on request: what a simulated controller and its network can be asked to do wrong."""
+"""Faults on request: what simulated controllers, drives, buses and sensors can be asked to do wrong.
+
+`FAULTS` is the table of all of them: the word that is typed, its arguments, and the servers that obey it.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
+from typing import Literal
 
 from drivers.errors import UsageError
 
 
 @dataclass(frozen=True)
 class Drop:
-    """Lose the next `packages` data packages of every client that is connected; the controller's time goes on."""
+    """Lose the next `count` data packages of every RTDE client, or sample frames of a bus; time goes on."""
 
-    packages: int
+    count: int
 
 
 @dataclass(frozen=True)
 class Freeze:
-    """Say nothing for `duration` [s] and keep the connections; what would have been said is lost."""
+    """Send nothing for `duration` [s] and keep the connections; what would have been sent is lost."""
 
     duration: float
 
@@ -36,7 +40,7 @@ class ProtectiveStop:
 
 @dataclass(frozen=True)
 class Heat:
-    """Warm joint number `joint` (from 0) up by `celsius`."""
+    """Warm the joint of index `joint` up by `celsius` [K]."""
 
     joint: int
     celsius: float
@@ -44,98 +48,114 @@ class Heat:
 
 @dataclass(frozen=True)
 class BlockJoint:
-    """Jam joint number `joint` (from 0) for good: it stops at once and moves no more."""
+    """Jam the joint of index `joint` for good: it stops at once and moves no more."""
 
     joint: int
 
 
 @dataclass(frozen=True)
 class Drift:
-    """Carry joint number `joint` (from 0) away from its target at `velocity` [rad/s] while a program runs."""
+    """Move the joint of index `joint` away from its target at `velocity` [rad/s] while a program runs."""
 
     joint: int
     velocity: float
 
 
-Fault = Drop | Freeze | Cut | ProtectiveStop | Heat | BlockJoint | Drift
+@dataclass(frozen=True)
+class PowerCycle:
+    """Interrupt the power of the drive of joint index `joint` for a moment."""
 
-USAGE = "drop N | freeze SECONDS | cut | protective-stop | heat JOINT CELSIUS | block JOINT | drift JOINT RAD/S"
-
-
-class Faults:
-    """Faults waiting for the server's next period; may be called from any thread."""
-
-    def __init__(self) -> None:
-        self._waiting: SimpleQueue[Fault] = SimpleQueue()
-
-    def request(self, fault: Fault) -> None:
-        """Make it happen."""
-        self._waiting.put(fault)
-
-    def drop(self, packages: int) -> None:
-        """Lose the next data packages."""
-        self.request(Drop(packages))
-
-    def freeze(self, duration: float) -> None:
-        """Say nothing for a while [s]."""
-        self.request(Freeze(duration))
-
-    def cut(self) -> None:
-        """Close every RTDE connection."""
-        self.request(Cut())
-
-    def protective_stop(self) -> None:
-        """Stop protectively."""
-        self.request(ProtectiveStop())
-
-    def heat(self, joint: int, celsius: float) -> None:
-        """Warm a joint up."""
-        self.request(Heat(joint, celsius))
-
-    def block(self, joint: int) -> None:
-        """Jam a joint."""
-        self.request(BlockJoint(joint))
-
-    def drift(self, joint: int, velocity: float) -> None:
-        """Carry a joint away from its target [rad/s]."""
-        self.request(Drift(joint, velocity))
-
-    def take(self) -> list[Fault]:
-        """What was requested since the last call."""
-        taken: list[Fault] = []
-        while True:
-            try:
-                taken.append(self._waiting.get_nowait())
-            except Empty:
-                return taken
+    joint: int
 
 
-def parse_fault(line: str, joints: Sequence[str]) -> Fault:
-    """Read a fault as a person types it; a joint goes by its name, or its number from 1.
+@dataclass(frozen=True)
+class HeartbeatStop:
+    """The drive of joint index `joint` sends no heartbeat any more; all else goes on."""
 
-    Raises:
-        UsageError: not a fault, or a number that makes none.
-    """
-    match line.split():
-        case ["drop", count] if count.isdecimal() and int(count) > 0:
-            return Drop(int(count))
-        case ["freeze", seconds] if (duration := positive(seconds)) is not None:
-            return Freeze(duration)
-        case ["cut"]:
-            return Cut()
-        case ["protective-stop"]:
-            return ProtectiveStop()
-        case ["heat", joint, celsius] if (rise := positive(celsius)) is not None:
-            return Heat(joint_number(joint, joints), rise)
-        case ["block", joint]:
-            return BlockJoint(joint_number(joint, joints))
-        case ["drift", joint, speed] if (velocity := _finite(speed)) is not None:
-            return Drift(joint_number(joint, joints), velocity)
-    raise UsageError(f"'{line.strip()}' is not a fault", hint=USAGE)
+    joint: int
 
 
-def joint_number(text: str, joints: Sequence[str]) -> int:
-    """The number from 0 of a joint that goes by its name, or its number from 1.
+@dataclass(frozen=True)
+class OverTemperature:
+    """The drive of joint index `joint` goes into fault, as if it were too hot."""
+
+    joint: int
+
+
+@dataclass(frozen=True)
+class BusOff:
+    """An error frame, then `duration` [s] without any frame in either direction."""
+
+    duration: float
+
+
+@dataclass(frozen=True)
+class Truncate:
+    """Cut the next `count` sample frames short: the adapter's line, or the frame itself without an adapter."""
+
+    count: int
+
+
+@dataclass(frozen=True)
+class Garbage:
+    """Send `count` lines of random bytes through the adapter, or frames of random content without one."""
+
+    count: int
+
+
+@dataclass(frozen=True)
+class Unplug:
+    """Pull the adapter or the thermometer out; it comes back after `duration` [s] if there is one."""
+
+    duration: float | None = None
+
+
+@dataclass(frozen=True)
+class Mute:
+    """Frames of one identifier are not sent for `duration` [s]; all else goes on."""
+
+    identifier: int
+    duration: float
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Send random bytes in place of lines for `duration` [s], as at a wrong baud rate."""
+
+    duration: float
+
+
+@dataclass(frozen=True)
+class Replug:
+    """Plug the thermometer in again; nothing where it is plugged in."""
+
+
+Fault = (
+    Drop
+    | Freeze
+    | Cut
+    | ProtectiveStop
+    | Heat
+    | BlockJoint
+    | Drift
+    | PowerCycle
+    | HeartbeatStop
+    | OverTemperature
+    | BusOff
+    | Truncate
+    | Garbage
+    | Unplug
+    | Mute
+    | Noise
+    | Replug
+)
+
+Server = Literal["UR controller", "CANopen drives", "signal-table arm", "thermometer", "arm at rest"]
+"""Who obeys a fault; the arm at rest is one that only its thermometer watches."""
+
+
+def joint_index(text: str, joints: Sequence[str]) -> int:
+    """The index of a joint that goes by its name, or its number from 1.
 
     Raises:
         UsageError: there is no such joint.
@@ -147,15 +167,132 @@ def joint_number(text: str, joints: Sequence[str]) -> int:
     raise UsageError(f"no joint is called '{text}'", hint=f"1 to {len(joints)}, or {', '.join(joints)}")
 
 
-def _finite(text: str) -> float | None:
+def _identifier(text: str, _: Sequence[str]) -> int:
     try:
-        value = float(text)
+        return int(text, 0)
     except ValueError:
-        return None
-    return value if math.isfinite(value) else None
+        raise UsageError(f"'{text}' is not an identifier", hint="such as 0x182") from None
 
 
-def positive(text: str) -> float | None:
-    """A positive finite number; None where it is none."""
-    value = _finite(text)
-    return value if value is not None and value > 0 else None
+def _number(above: float, most: float) -> Callable[[str, Sequence[str]], float | None]:
+    def read(text: str, _: Sequence[str]) -> float | None:
+        try:
+            value = float(text)
+        except ValueError:
+            return None
+        return value if above < value <= most and math.isfinite(value) else None
+
+    return read
+
+
+@dataclass(frozen=True)
+class Argument:
+    """An argument of a fault.
+
+    Attributes:
+        name: in the usage text.
+        unit: of its value; empty for a count, a joint or an identifier.
+        read: gives the value of a text, on an arm with these joint names; None outside its bounds.
+    """
+
+    name: str
+    unit: str
+    read: Callable[[str, Sequence[str]], float | None]
+
+
+COUNT = Argument("N", "", lambda text, _: int(text) if text.isdecimal() and int(text) > 0 else None)
+SECONDS = Argument("SECONDS", "s", _number(0.0, math.inf))
+CELSIUS = Argument("CELSIUS", "K", _number(0.0, 1000.0))
+SPEED = Argument("RAD/S", "rad/s", _number(-math.inf, math.inf))
+JOINT = Argument("JOINT", "", joint_index)
+IDENTIFIER = Argument("IDENTIFIER", "", _identifier)
+
+
+@dataclass(frozen=True)
+class FaultEntry:
+    """A row of the table of faults.
+
+    Attributes:
+        word: as typed.
+        arguments: behind it.
+        make: the fault of their values.
+        servers: that obey it.
+    """
+
+    word: str
+    arguments: tuple[Argument, ...]
+    make: Callable[..., Fault]
+    servers: tuple[Server, ...]
+
+    @property
+    def usage(self) -> str:
+        """The word and its arguments."""
+        return " ".join([self.word, *(argument.name for argument in self.arguments)])
+
+
+ARMS: tuple[Server, ...] = ("UR controller", "CANopen drives", "signal-table arm")
+CAN: tuple[Server, ...] = ("CANopen drives", "signal-table arm")
+THERMOMETERS: tuple[Server, ...] = ("thermometer", "arm at rest")
+
+FAULTS = (
+    FaultEntry("drop", (COUNT,), Drop, ARMS),
+    FaultEntry("freeze", (SECONDS,), Freeze, ARMS),
+    FaultEntry("cut", (), Cut, ("UR controller",)),
+    FaultEntry("protective-stop", (), ProtectiveStop, ("UR controller",)),
+    FaultEntry("mute", (IDENTIFIER, SECONDS), Mute, ("signal-table arm",)),
+    FaultEntry("power-cycle", (JOINT,), PowerCycle, ("CANopen drives",)),
+    FaultEntry("heartbeat-stop", (JOINT,), HeartbeatStop, ("CANopen drives",)),
+    FaultEntry("over-temperature", (JOINT,), OverTemperature, CAN),
+    FaultEntry("bus-off", (SECONDS,), BusOff, CAN),
+    FaultEntry("truncate", (COUNT,), Truncate, CAN),
+    FaultEntry("garbage", (COUNT,), Garbage, CAN),
+    FaultEntry("heat", (JOINT, CELSIUS), Heat, (*ARMS, "arm at rest")),
+    FaultEntry("block", (JOINT,), BlockJoint, ARMS),
+    FaultEntry("drift", (JOINT, SPEED), Drift, ("UR controller",)),
+    FaultEntry("silent", (SECONDS,), Freeze, THERMOMETERS),
+    FaultEntry("garbage", (SECONDS,), Noise, THERMOMETERS),
+    FaultEntry("unplug", (), Unplug, ("CANopen drives", *THERMOMETERS)),
+    FaultEntry("unplug", (SECONDS,), Unplug, THERMOMETERS),
+    FaultEntry("replug", (), Replug, THERMOMETERS),
+)
+
+
+def usage(server: Server) -> str:
+    """The faults that a server obeys, as they are typed."""
+    first_word = "thermometer " if server == "thermometer" else ""  # beside an arm, it tells whose fault is meant
+    return first_word + " | ".join(entry.usage for entry in FAULTS if server in entry.servers)
+
+
+def parse_fault(line: str, server: Server, joints: Sequence[str]) -> Fault:
+    """Read a fault as it is typed; a joint goes by its name or its number from 1, an identifier as 0x182.
+
+    Raises:
+        UsageError: not a fault of this server, or an argument out of its bounds.
+    """
+    word, *texts = line.split() or [""]
+    for entry in FAULTS:
+        if entry.word == word and server in entry.servers and len(entry.arguments) == len(texts):
+            values = [argument.read(text, joints) for argument, text in zip(entry.arguments, texts, strict=True)]
+            if None not in values:
+                return entry.make(*values)
+    raise UsageError(f"'{line.strip()}' is not a fault of the {server}", hint=usage(server))
+
+
+class FaultQueue:
+    """Faults that wait for a server's next period; may be called from any thread."""
+
+    def __init__(self) -> None:
+        self._waiting: SimpleQueue[Fault] = SimpleQueue()
+
+    def put(self, fault: Fault) -> None:
+        """Request a fault."""
+        self._waiting.put(fault)
+
+    def requested(self) -> list[Fault]:
+        """The faults requested since the last call."""
+        faults: list[Fault] = []
+        while True:
+            try:
+                faults.append(self._waiting.get_nowait())
+            except Empty:
+                return faults

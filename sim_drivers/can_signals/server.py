@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import Self
 
 import can
@@ -24,11 +23,22 @@ from drivers.can_signals.settings import parse_settings
 from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
 from drivers.errors import ConnectionLostError
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
-from sim_drivers.can.faults import BusOff, Garbage, OverTemperature, Truncate
 from sim_drivers.can_signals.arm import TableArm
-from sim_drivers.can_signals.faults import Mute, TableFault, parse_table_fault
 from sim_drivers.canopen.server import BUS_OFF_ERROR
-from sim_drivers.faults import BlockJoint, Drop, Freeze, Heat
+from sim_drivers.faults import (
+    BlockJoint,
+    BusOff,
+    Drop,
+    Fault,
+    FaultQueue,
+    Freeze,
+    Garbage,
+    Heat,
+    Mute,
+    OverTemperature,
+    Truncate,
+    parse_fault,
+)
 from sim_drivers.plant.arm import SimulatedArm
 
 LONGEST_LAG = 0.25
@@ -95,7 +105,7 @@ class ProprietaryCanServer:
         self.messages: deque[str] = self._arm.messages
         self._model = BusModel(self.settings.bitrate)
         self._own = self.settings.identifiers
-        self._faults: SimpleQueue[TableFault] = SimpleQueue()
+        self._faults = FaultQueue()
         self._stopping = clock.event()
         self._thread: threading.Thread | None = None
         self._drop = self._truncate = 0
@@ -135,7 +145,7 @@ class ProprietaryCanServer:
         """What the arm has done so far."""
         return self._status
 
-    def cause(self, fault: TableFault) -> None:
+    def cause(self, fault: Fault) -> None:
         """Make a fault happen; from any thread."""
         self._faults.put(fault)
 
@@ -145,7 +155,7 @@ class ProprietaryCanServer:
         Raises:
             UsageError: not a fault of this arm.
         """
-        self.cause(parse_table_fault(line, self._joints))
+        self.cause(parse_fault(line, "signal-table arm", self._joints))
 
     def ready(self) -> dict[str, object]:
         """What a client must know to reach it."""
@@ -216,7 +226,8 @@ class ProprietaryCanServer:
                 self._take(sent)
 
     def _period(self, bus: can.BusABC, now: float) -> None:
-        self._obey_faults(bus, now)
+        for fault in self._faults.requested():
+            self._cause(bus, fault, now)
         self._advance_to(now)
         if self.settings.poll is None:
             self._speak(now)
@@ -267,32 +278,27 @@ class ProprietaryCanServer:
         bus.send(message)
         self._status = replace(self._status, frames=self._status.frames + 1)
 
-    def _obey_faults(self, bus: can.BusABC, now: float) -> None:
-        while True:
-            try:
-                fault = self._faults.get_nowait()
-            except Empty:
-                return
-            match fault:
-                case Drop(frames):
-                    self._drop += frames
-                case Truncate(frames):
-                    self._truncate += frames
-                case Freeze(duration):
-                    self._frozen_until = now + duration
-                case BusOff(duration):
-                    bus.send(can.Message(arbitration_id=BUS_OFF_ERROR, is_error_frame=True, dlc=8, data=bytes(8)))
-                    self._frozen_until = now + duration
-                case Mute(identifier, duration):
-                    self._muted[identifier] = now + duration
-                case Garbage(frames):
-                    for _ in range(frames):
-                        content = self._generator.bytes(int(self._generator.integers(0, 9)))
-                        rubbish = Frame(int(self._generator.integers(1, 0x800)), content)
-                        self._model.submit(rubbish, now, own=True)
-                case OverTemperature(joint):
-                    self._arm.fail(joint)
-                case Heat(joint, celsius):
-                    self._arm.arm.heat(joint, celsius)
-                case BlockJoint(joint):
-                    self._arm.arm.block(joint)
+    def _cause(self, bus: can.BusABC, fault: Fault, now: float) -> None:
+        match fault:
+            case Drop(frames):
+                self._drop += frames
+            case Truncate(frames):
+                self._truncate += frames
+            case Freeze(duration):
+                self._frozen_until = now + duration
+            case BusOff(duration):
+                bus.send(can.Message(arbitration_id=BUS_OFF_ERROR, is_error_frame=True, dlc=8, data=bytes(8)))
+                self._frozen_until = now + duration
+            case Mute(identifier, duration):
+                self._muted[identifier] = now + duration
+            case Garbage(frames):
+                for _ in range(frames):
+                    content = self._generator.bytes(int(self._generator.integers(0, 9)))
+                    rubbish = Frame(int(self._generator.integers(1, 0x800)), content)
+                    self._model.submit(rubbish, now, own=True)
+            case OverTemperature(joint):
+                self._arm.fail(joint)
+            case Heat(joint, celsius):
+                self._arm.arm.heat(joint, celsius)
+            case BlockJoint(joint):
+                self._arm.arm.block(joint)

@@ -11,7 +11,6 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from queue import Empty, SimpleQueue
 from typing import Self
 
 import can
@@ -25,21 +24,25 @@ from drivers.canopen402.settings import CanopenSettings
 from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
 from drivers.errors import ConnectionLostError
 from sim_drivers.can.bus_load import Frame, exact_bits
-from sim_drivers.can.faults import (
+from sim_drivers.can.slcan_adapter import SlcanAdapter
+from sim_drivers.canopen.axis import OVER_TEMPERATURE
+from sim_drivers.canopen.network import DrivenArm, DriveNetwork, NetworkCounts
+from sim_drivers.faults import (
+    BlockJoint,
     BusOff,
-    CanFault,
+    Drop,
+    Fault,
+    FaultQueue,
+    Freeze,
     Garbage,
     HeartbeatStop,
+    Heat,
     OverTemperature,
     PowerCycle,
     Truncate,
     Unplug,
-    parse_can_fault,
+    parse_fault,
 )
-from sim_drivers.can.slcan_adapter import SlcanAdapter
-from sim_drivers.canopen.axis import OVER_TEMPERATURE
-from sim_drivers.canopen.network import DrivenArm, DriveNetwork, NetworkCounts
-from sim_drivers.faults import BlockJoint, Drop, Freeze, Heat
 
 LONGEST_WAIT = 0.005
 """Between two looks at the drives [s]; the arm moves without any frame, too."""
@@ -108,7 +111,7 @@ class CanopenServer:
         self.failure: BaseException | None = None
         self.adapter = adapter
         self._arm = arm
-        self._faults: SimpleQueue[CanFault] = SimpleQueue()
+        self._faults = FaultQueue()
         self._stopping = clock.event()
         self._thread: threading.Thread | None = None
         self._bus: can.BusABC | None = None
@@ -148,7 +151,7 @@ class CanopenServer:
         if self.adapter is not None:
             self.adapter.stop()
 
-    def cause(self, fault: CanFault) -> None:
+    def cause(self, fault: Fault) -> None:
         """Make a fault happen; from any thread."""
         self._faults.put(fault)
 
@@ -158,7 +161,7 @@ class CanopenServer:
         Raises:
             UsageError: not a fault.
         """
-        self.cause(parse_can_fault(line, self.joints))
+        self.cause(parse_fault(line, "CANopen drives", self.joints))
 
     def status(self) -> CanopenStatus:
         """What the drives are at."""
@@ -205,7 +208,8 @@ class CanopenServer:
                 now = self._clock.now()
                 due = min(self.network.next_end() + GRANULARITY, now + LONGEST_WAIT)
                 self._receive(bus, max(due - now, 0.0))
-                self._obey_faults(bus)
+                for fault in self._faults.requested():
+                    self._cause(bus, fault)
                 now = self._clock.now()
                 silent = now < self._silent_until
                 for sent in self.network.advance(now):
@@ -271,14 +275,7 @@ class CanopenServer:
             )
         )
 
-    def _obey_faults(self, bus: can.BusABC) -> None:
-        while True:
-            try:
-                self._cause(bus, self._faults.get_nowait())
-            except Empty:
-                return
-
-    def _cause(self, bus: can.BusABC, fault: CanFault) -> None:
+    def _cause(self, bus: can.BusABC, fault: Fault) -> None:
         now = self._clock.now()
         match fault:
             case Drop(frames):

@@ -18,7 +18,17 @@ from typing import Literal, Self
 from daq.robot.schema import JointLimits
 from drivers.clock import SYSTEM_CLOCK, Clock, HasFileno
 from drivers.errors import ConnectionFailedError, ConnectionLostError, UsageError
-from sim_drivers.faults import BlockJoint, Cut, Drift, Drop, Fault, Faults, Freeze, Heat, ProtectiveStop
+from sim_drivers.faults import (
+    BlockJoint,
+    Cut,
+    Drift,
+    Drop,
+    Fault,
+    FaultQueue,
+    Freeze,
+    Heat,
+    ProtectiveStop,
+)
 from sim_drivers.plant.arm import SimulatedArm
 from sim_drivers.rtde.connection import ClientConnection, Session
 from sim_drivers.rtde.controller import Controller
@@ -112,7 +122,7 @@ class RtdeServer:
             raise UsageError(f"version {version} runs at up to {self.version.rate:g} Hz, not {self.rate:g}")
         self.host = host
         self.ports = ports
-        self.faults = Faults()
+        self._faults = FaultQueue()
         self.controller = Controller(plant, self.version, 1.0 / self.rate, joints)
         self.failure: BaseException | None = None
         self._buffer_limit = buffer_limit
@@ -168,6 +178,10 @@ class RtdeServer:
         if self._thread is not None:
             self._thread.join(STOP_TIMEOUT)
 
+    def cause(self, fault: Fault) -> None:
+        """Request a fault for the next period; from any thread."""
+        self._faults.put(fault)
+
     def status(self) -> ServerStatus:
         """What the server has done so far."""
         return self._status
@@ -207,7 +221,7 @@ class RtdeServer:
             self._close()
 
     def _period(self, *, behind: bool) -> None:
-        for fault in self.faults.take():
+        for fault in self._faults.requested():
             self._cause(fault)
         for connection in self._connections:
             if isinstance(connection.session, RtdeSession):
@@ -243,10 +257,10 @@ class RtdeServer:
 
     def _cause(self, fault: Fault) -> None:
         match fault:
-            case Drop(packages):
+            case Drop(count):
                 for connection in self._connections:
                     if isinstance(connection.session, RtdeSession):
-                        connection.session.withhold += packages
+                        connection.session.withhold += count
             case Freeze(duration):
                 self._frozen_until = self._clock.now() + duration
             case Cut():

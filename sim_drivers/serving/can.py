@@ -14,7 +14,7 @@ from drivers.errors import UsageError
 from sim_drivers.can.bus_load import Frame, exact_bits, worst_case_bits
 from sim_drivers.can.slcan_adapter import SlcanAdapter
 from sim_drivers.canopen.server import CanopenServer
-from sim_drivers.faults import joint_number
+from sim_drivers.faults import joint_index
 from sim_drivers.plant.plant import Plant
 from sim_drivers.serving.served import BusOptions, Served
 
@@ -112,4 +112,4 @@ def _pair(text: str, robot: Robot) -> tuple[int, int]:
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 2 or parts[0] == parts[1]:
         raise UsageError(f"--swap takes two joints, not '{text}'", hint="such as --swap 2,3")
-    return joint_number(parts[0], robot.joint_names), joint_number(parts[1], robot.joint_names)
+    return joint_index(parts[0], robot.joint_names), joint_index(parts[1], robot.joint_names)

@@ -53,7 +53,7 @@ class ServedRtde:
         Raises:
             UsageError: not a fault.
         """
-        self._server.faults.request(parse_fault(line, self._joints))
+        self._server.cause(parse_fault(line, "UR controller", self._joints))
 
 
 def _warn_unless_loopback(host: str) -> None:

@@ -11,10 +11,10 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import UsageError
-from sim_drivers.faults import joint_number
+from sim_drivers.faults import Heat, parse_fault
 from sim_drivers.plant.plant import Plant
 from sim_drivers.serving.served import Served
-from sim_drivers.thermometer.server import USAGE, Plug, ThermometerServer, serve_thermometer
+from sim_drivers.thermometer.server import Plug, ThermometerServer, serve_thermometer
 
 DRIVER = "serial_thermometer"
 WORD = "thermometer"
@@ -86,7 +86,7 @@ class ThermometerAlone:
     def __init__(self, plant: Plant, thermometer: ThermometerServer, clock: Clock = SYSTEM_CLOCK) -> None:
         self._plant, self._thermometer = plant, thermometer
         self._failure: BaseException | None = None
-        self._heat: deque[tuple[int, float]] = deque()
+        self._heat: deque[Heat] = deque()
         self._clock = clock
         self._ending = clock.event()
         self._thread = clock.thread(self._run, "plant")
@@ -121,20 +121,11 @@ class ThermometerAlone:
         Raises:
             UsageError: not a fault.
         """
-        match line.split():
-            case ["heat", joint, celsius]:
-                try:
-                    rise = float(celsius)
-                except ValueError:
-                    rise = float("nan")
-                if not 0.0 < rise < 1e3:
-                    raise UsageError(f"{celsius} is no rise of a temperature", hint="heat JOINT CELSIUS, up to 1000")
-                self._heat.append((joint_number(joint, self._plant.robot.joint_names), rise))
-            case [first, *rest]:
-                try:
-                    self._thermometer.obey(" ".join(rest if first == WORD else [first, *rest]))
-                except UsageError as error:
-                    raise UsageError(error.message, hint=f"{USAGE} | heat JOINT CELSIUS") from error
+        fault = parse_fault(line.strip().removeprefix(f"{WORD} "), "arm at rest", self._plant.robot.joint_names)
+        if isinstance(fault, Heat):
+            self._heat.append(fault)
+        else:
+            self._thermometer.cause(fault)
 
     def _run(self) -> None:
         try:
@@ -143,7 +134,8 @@ class ThermometerAlone:
                 if self._ending.wait(begun + count * PERIOD - self._clock.now()):
                     return
                 while self._heat:
-                    self._plant.heat(*self._heat.popleft())
+                    heat = self._heat.popleft()
+                    self._plant.heat(heat.joint, heat.celsius)
                 self._plant.advance(PERIOD)
         except BaseException as error:  # the thread ends either way; whoever started it must hear why
             self._failure = error

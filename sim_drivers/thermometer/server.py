@@ -22,6 +22,7 @@ from drivers.serial_thermometer.port import BITS_A_CHARACTER
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
 from drivers.streams import FloatArray
 from drivers.units import ZERO_CELSIUS
+from sim_drivers.faults import Fault, Freeze, Noise, Replug, Unplug, parse_fault
 from sim_drivers.plant.plant import Plant
 from sim_drivers.thermometer.pseudo_terminal import PseudoTerminal
 
@@ -29,7 +30,6 @@ SLICE = 0.002
 """[s] between two portions of characters."""
 STOP_LIMIT = 5.0
 NOISE_BYTES = bytes(range(256))
-USAGE = "thermometer silent SECONDS | garbage SECONDS | unplug | unplug SECONDS | replug"
 
 
 @dataclass(frozen=True)
@@ -164,14 +164,6 @@ class ThermometerServer:
         self.unplug()
         self._plug.remove()
 
-    def silent(self, duration: float) -> None:
-        """Send nothing for a while [s]."""
-        self._silent_until = self._clock.now() + duration
-
-    def garbage(self, duration: float) -> None:
-        """Send any bytes in place of lines for a while [s], as at a wrong baud rate."""
-        self._garbage_until = self._clock.now() + duration
-
     def unplug(self, duration: float | None = None) -> None:
         """Pull it out; it comes back after `duration` [s], or with `replug`."""
         with self._changed:
@@ -184,25 +176,25 @@ class ThermometerServer:
         with self._changed:
             self._plug_in()
 
+    def cause(self, fault: Fault) -> None:
+        """Make a fault happen at once; from any thread."""
+        match fault:
+            case Freeze(duration):
+                self._silent_until = self._clock.now() + duration
+            case Noise(duration):
+                self._garbage_until = self._clock.now() + duration
+            case Unplug(until_replugged):
+                self.unplug(until_replugged)
+            case Replug():
+                self.replug()
+
     def obey(self, line: str) -> None:
         """Cause a fault as a person types it, without the word `thermometer`.
 
         Raises:
             UsageError: not a fault.
         """
-        match line.split():
-            case ["silent", seconds] if (duration := _positive(seconds)) is not None:
-                self.silent(duration)
-            case ["garbage", seconds] if (duration := _positive(seconds)) is not None:
-                self.garbage(duration)
-            case ["unplug"]:
-                self.unplug()
-            case ["unplug", seconds] if (duration := _positive(seconds)) is not None:
-                self.unplug(duration)
-            case ["replug"]:
-                self.replug()
-            case _:
-                raise UsageError(f"'{line.strip()}' is not a fault of the thermometer", hint=USAGE)
+        self.cause(parse_fault(line, "thermometer", ()))
 
     def _run(self) -> None:
         try:
@@ -307,11 +299,3 @@ def serve_thermometer(
 def _by_joint(settings: ThermometerSettings, joints: Sequence[str]) -> dict[str, str]:
     """Channel → joint, in the order of the joints."""
     return dict(sorted(settings.channels.items(), key=lambda item: joints.index(item[1])))
-
-
-def _positive(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if 0.0 < value < float("inf") else None

@@ -109,8 +109,8 @@ class Bench:
 
     def fault(self, line: str, when: float = FAULT) -> None:
         """Type a fault so many seconds after the start."""
-        fault = parse_fault(line, ur5e().robot.joint_names)
-        self.clock.call_at(START + when, lambda: self.server.faults.request(fault))
+        fault = parse_fault(line, "UR controller", ur5e().robot.joint_names)
+        self.clock.call_at(START + when, lambda: self.server.cause(fault))
 
     def record(
         self, moved: Path | None = None, duration: float | None = None, robot: RobotFile | None = None

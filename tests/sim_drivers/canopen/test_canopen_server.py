@@ -18,11 +18,11 @@ from exact_plant import ExactPlant
 from simulated_clock import SimulatedClock
 
 from drivers.can.bus import open_bus
-from drivers.errors import ConnectionFailedError, UsageError
-from sim_drivers.can.faults import BusOff, Drop, Freeze, Garbage, Heat, Truncate, Unplug, parse_can_fault
+from drivers.errors import ConnectionFailedError
 from sim_drivers.canopen.drive import BOOT_TIME
 from sim_drivers.canopen.object_dictionary import EDS_NAME, entries
 from sim_drivers.canopen.server import GRANULARITY, LONGEST_WAIT, CanopenServer
+from sim_drivers.faults import BusOff, Drop, Freeze, Garbage, Truncate
 
 CHANNEL = "canopen-server"
 LOOK = LONGEST_WAIT + GRANULARITY + 1e-3
@@ -246,27 +246,3 @@ def test_a_bus_that_cannot_be_had_is_told_in_words(clock: SimulatedClock) -> Non
     settings = bus_settings(interface="socketcan", channel="nocan7")
     with pytest.raises(ConnectionFailedError):
         CanopenServer(ExactPlant(), six_joints(), settings, clock=clock).start()
-
-
-@pytest.mark.parametrize(
-    ("line", "fault"),
-    [
-        ("drop 3", Drop(3)),
-        ("freeze 0.5", Freeze(0.5)),
-        ("heat elbow 5", Heat(1, 5.0)),
-        ("unplug", Unplug()),
-        ("garbage 2", Garbage(2)),
-        ("truncate 1", Truncate(1)),
-        ("bus-off 2", BusOff(2.0)),
-    ],
-)
-def test_faults_are_typed(line: str, fault: object) -> None:
-    assert parse_can_fault(line, ("pan", "elbow")) == fault
-
-
-@pytest.mark.parametrize(
-    "line", ["", "cut", "drop", "bus-off nan", "power-cycle", "power-cycle 3", "truncate 0", "unplug 2"]
-)
-def test_what_is_no_fault_of_a_bus_is_refused(line: str) -> None:
-    with pytest.raises(UsageError):
-        parse_can_fault(line, ("pan", "elbow"))

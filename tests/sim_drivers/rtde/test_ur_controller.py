@@ -6,12 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from exact_plant import JOINT_NAMES, ExactPlant
+from exact_plant import ExactPlant
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import UsageError
-from sim_drivers.faults import BlockJoint, Cut, Drift, Drop, Freeze, Heat, ProtectiveStop, parse_fault
 from sim_drivers.rtde.control_script import ControlScript
 from sim_drivers.rtde.controller import DRIFT_ACCELERATION, NORMAL, PROTECTIVE_STOP, Controller
 from sim_drivers.rtde.joint_motion import JointMotion, MoveJ, Reference, ServoJ, VelocityRamp
@@ -229,44 +227,3 @@ def test_scripts_start_only_where_they_are_the_control_script() -> None:
         session.receive(bytes([byte]))
     assert arm.script is not None
     assert arm.values["output_int_register_24"] == 1
-
-
-@pytest.mark.parametrize(
-    ("line", "fault"),
-    [
-        ("drop 5", Drop(5)),
-        ("  freeze 0.5 ", Freeze(0.5)),
-        ("cut", Cut()),
-        ("protective-stop", ProtectiveStop()),
-        ("heat j3 12.5", Heat(2, 12.5)),
-        ("heat 3 12.5", Heat(2, 12.5)),
-        ("block j3", BlockJoint(2)),
-        ("drift 1 -0.5", Drift(0, -0.5)),
-    ],
-)
-def test_faults_are_read(line: str, fault: object) -> None:
-    assert parse_fault(line, JOINT_NAMES) == fault
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "",
-        "drop",
-        "drop -1",
-        "drop 0",
-        "freeze nan",
-        "freeze -1",
-        "heat 7 1",
-        "heat 0 1",
-        "heat j3",
-        "block",
-        "block j9",
-        "drift 1",
-        "drift 1 inf",
-        "boom",
-    ],
-)
-def test_what_is_no_fault_is_refused(line: str) -> None:
-    with pytest.raises(UsageError):
-        parse_fault(line, JOINT_NAMES)

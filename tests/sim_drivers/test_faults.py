@@ -1,0 +1,105 @@
+"""Faults as they are typed: every row of the table, and what is refused."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.errors import UsageError
+from sim_drivers.faults import (
+    FAULTS,
+    BlockJoint,
+    BusOff,
+    Cut,
+    Drift,
+    Drop,
+    Fault,
+    Freeze,
+    Garbage,
+    HeartbeatStop,
+    Heat,
+    Mute,
+    Noise,
+    OverTemperature,
+    PowerCycle,
+    ProtectiveStop,
+    Replug,
+    Server,
+    Truncate,
+    Unplug,
+    parse_fault,
+    usage,
+)
+
+JOINTS = ("pan", "elbow")
+TYPED: dict[str, tuple[str, Fault]] = {
+    "drop N": ("drop 5", Drop(5)),
+    "freeze SECONDS": ("  freeze 0.5 ", Freeze(0.5)),
+    "cut": ("cut", Cut()),
+    "protective-stop": ("protective-stop", ProtectiveStop()),
+    "mute IDENTIFIER SECONDS": ("mute 0x182 0.5", Mute(0x182, 0.5)),
+    "power-cycle JOINT": ("power-cycle 2", PowerCycle(1)),
+    "heartbeat-stop JOINT": ("heartbeat-stop pan", HeartbeatStop(0)),
+    "over-temperature JOINT": ("over-temperature elbow", OverTemperature(1)),
+    "bus-off SECONDS": ("bus-off 2", BusOff(2.0)),
+    "truncate N": ("truncate 1", Truncate(1)),
+    "garbage N": ("garbage 2", Garbage(2)),
+    "heat JOINT CELSIUS": ("heat elbow 12.5", Heat(1, 12.5)),
+    "block JOINT": ("block 2", BlockJoint(1)),
+    "drift JOINT RAD/S": ("drift 1 -0.5", Drift(0, -0.5)),
+    "silent SECONDS": ("silent 3", Freeze(3.0)),
+    "garbage SECONDS": ("garbage 0.5", Noise(0.5)),
+    "unplug": ("unplug", Unplug()),
+    "unplug SECONDS": ("unplug 2.5", Unplug(2.5)),
+    "replug": ("replug", Replug()),
+}
+SERVERS: tuple[Server, ...] = ("UR controller", "CANopen drives", "signal-table arm", "thermometer", "arm at rest")
+
+
+@pytest.mark.parametrize("server", SERVERS)
+def test_a_server_obeys_the_faults_of_its_usage_text_and_no_others(server: Server) -> None:
+    assert {entry.usage for entry in FAULTS} == set(TYPED)
+    obeyed = usage(server).removeprefix("thermometer ").split(" | ")
+    words = {(row.split()[0], len(row.split())) for row in obeyed}
+    for row, (line, fault) in TYPED.items():
+        if row in obeyed:
+            assert parse_fault(line, server, JOINTS) == fault
+        elif (row.split()[0], len(row.split())) not in words:
+            with pytest.raises(UsageError, match=f"'{line.strip()}' is not a fault of the {server}") as refused:
+                parse_fault(line, server, JOINTS)
+            assert refused.value.hint == usage(server)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "",
+        "boom",
+        "drop",
+        "drop -1",
+        "drop 0",
+        "truncate 0",
+        "freeze nan",
+        "freeze -1",
+        "freeze inf",
+        "bus-off nan",
+        "heat 3 1",
+        "heat 0 1",
+        "heat pan",
+        "heat pan cold",
+        "heat pan 1001",
+        "block",
+        "block wrist",
+        "power-cycle",
+        "power-cycle 3",
+        "drift 1",
+        "drift 1 inf",
+        "mute 0x182",
+        "mute 0x182 -1",
+        "mute pan 1",
+        "unplug 0",
+    ],
+)
+@pytest.mark.parametrize("server", SERVERS)
+def test_a_word_or_an_argument_out_of_its_bounds_is_refused(line: str, server: Server) -> None:
+    with pytest.raises(UsageError):
+        parse_fault(line, server, JOINTS)
