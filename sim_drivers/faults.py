@@ -150,7 +150,7 @@ Fault = (
     | Replug
 )
 
-Server = Literal["UR controller", "CANopen drives", "signal-table arm", "thermometer", "arm at rest"]
+ServerKind = Literal["UR controller", "CANopen drives", "signal-table arm", "thermometer", "arm at rest"]
 """Who obeys a fault; the arm at rest is one that only its thermometer watches."""
 
 
@@ -222,7 +222,7 @@ class FaultEntry:
     word: str
     arguments: tuple[Argument, ...]
     make: Callable[..., Fault]
-    servers: tuple[Server, ...]
+    servers: tuple[ServerKind, ...]
 
     @property
     def usage(self) -> str:
@@ -230,9 +230,9 @@ class FaultEntry:
         return " ".join([self.word, *(argument.name for argument in self.arguments)])
 
 
-ARMS: tuple[Server, ...] = ("UR controller", "CANopen drives", "signal-table arm")
-CAN: tuple[Server, ...] = ("CANopen drives", "signal-table arm")
-THERMOMETERS: tuple[Server, ...] = ("thermometer", "arm at rest")
+ARMS: tuple[ServerKind, ...] = ("UR controller", "CANopen drives", "signal-table arm")
+CAN: tuple[ServerKind, ...] = ("CANopen drives", "signal-table arm")
+THERMOMETERS: tuple[ServerKind, ...] = ("thermometer", "arm at rest")
 
 FAULTS = (
     FaultEntry("drop", (COUNT,), Drop, ARMS),
@@ -257,13 +257,13 @@ FAULTS = (
 )
 
 
-def usage(server: Server) -> str:
+def usage(server: ServerKind) -> str:
     """The faults that a server obeys, as they are typed."""
     first_word = "thermometer " if server == "thermometer" else ""  # beside an arm, it tells whose fault is meant
     return first_word + " | ".join(entry.usage for entry in FAULTS if server in entry.servers)
 
 
-def parse_fault(line: str, server: Server, joints: Sequence[str]) -> Fault:
+def parse_fault(line: str, server: ServerKind, joints: Sequence[str]) -> Fault:
     """Read a fault as it is typed; a joint goes by its name or its number from 1, an identifier as 0x182.
 
     Raises:

@@ -9,12 +9,14 @@ import re
 import threading
 import tty
 from collections import deque
-from typing import Protocol, Self
+from collections.abc import Callable, Mapping
+from typing import Protocol
 
 import can
 import numpy as np
 
 from drivers.clock import SYSTEM_CLOCK, Clock
+from sim_drivers.server import Server
 
 BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 """[bit/s] of the commands S0 to S8."""
@@ -100,7 +102,7 @@ class PseudoTerminal:
         os.close(self._device)
 
 
-class SlcanAdapter:
+class SlcanAdapter(Server):
     """An adapter that is plugged in by `start` and let go of by `stop`.
 
     Args:
@@ -117,18 +119,16 @@ class SlcanAdapter:
         port: SerialPort | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
+        super().__init__(clock)
         self._bus = bus
         self._bitrate = bitrate
         self._port = PseudoTerminal() if port is None else port
         self.path = self._port.path
         """The serial port that a client opens."""
-        self._clock = clock
         self._lock = threading.Lock()
         self._backlog = bytearray()
         self._plugged = True
-        self._ending = clock.event()
-        self._threads: list[threading.Thread] = []
-        self._open = self._listen_only = self._stamped = False
+        self._channel_open = self._listen_only = self._stamped = False
         self._setting: int | None = None
         self._flags = 0
         self._truncate = 0
@@ -136,26 +136,10 @@ class SlcanAdapter:
         self.lost = 0
         """Frames that the host did not read in time."""
 
-    def __enter__(self) -> Self:
-        self.start()
-        return self
+    def _work(self) -> Mapping[str, Callable[[], None]]:
+        return {"slcan-commands": self._serve_host, "slcan-frames": self._serve_bus}
 
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    def start(self) -> None:
-        """Plug it in."""
-        for name, work in (("slcan-commands", self._serve_host), ("slcan-frames", self._serve_bus)):
-            thread = self._clock.thread(work, name)
-            thread.start()
-            self._threads.append(thread)
-
-    def stop(self) -> None:
-        """Let go of bus and port; safe to call twice."""
-        self._ending.set()
-        for thread in self._threads:
-            thread.join()
-        self._threads = []
+    def _close(self) -> None:
         self.unplug()
         with contextlib.suppress(can.CanError):
             self._bus.shutdown()
@@ -201,11 +185,11 @@ class SlcanAdapter:
             del self._backlog[:written]
 
     def _serve_bus(self) -> None:
-        while not self._ending.is_set() and self._plugged:
+        while not self._stopping.is_set() and self._plugged:
             message = self._bus.recv(POLL)
             if message is not None and message.is_error_frame:
                 self._flags |= BUS_ERROR
-            elif message is None or not self._open or message.is_fd:
+            elif message is None or not self._channel_open or message.is_fd:
                 continue
             elif self._setting not in (None, self._bitrate):
                 self._flags |= BUS_ERROR
@@ -227,7 +211,7 @@ class SlcanAdapter:
     def _serve_host(self) -> None:
         received = bytearray()
         commands: deque[bytes] = deque()
-        while not self._ending.is_set() and self._plugged:
+        while not self._stopping.is_set() and self._plugged:
             chunk = self._read()
             for part in re.split(rb"(\r)", chunk):
                 if part == OK:
@@ -251,7 +235,7 @@ class SlcanAdapter:
                 return os.read(self._port.fileno(), 4096) if readable and self._plugged else b""
         except (OSError, ValueError):
             # Pulled out, or nobody has the port open at the moment.
-            self._ending.wait(POLL)
+            self._stopping.wait(POLL)
             return b""
 
     def _answer(self, command: bytes) -> bytes:
@@ -259,16 +243,16 @@ class SlcanAdapter:
         match command[:1], command[1:]:
             case b"", _:
                 return OK
-            case b"S", digit if not self._open and digit in [b"%d" % number for number in range(len(BITRATES))]:
+            case b"S", digit if not self._channel_open and digit in [b"%d" % number for number in range(len(BITRATES))]:
                 self._setting = BITRATES[int(digit)]
                 return OK
-            case (b"O" | b"L") as letter, b"" if not self._open:
-                self._open, self._listen_only, self._flags = True, letter == b"L", 0
+            case (b"O" | b"L") as letter, b"" if not self._channel_open:
+                self._channel_open, self._listen_only, self._flags = True, letter == b"L", 0
                 return OK
-            case b"C", b"" if self._open:
-                self._open = False
+            case b"C", b"" if self._channel_open:
+                self._channel_open = False
                 return OK
-            case ((b"t" | b"T" | b"r" | b"R"), _) if self._open and not self._listen_only:
+            case ((b"t" | b"T" | b"r" | b"R"), _) if self._channel_open and not self._listen_only:
                 message = parse_frame(command)
                 if message is None:
                     return REFUSED
@@ -277,14 +261,14 @@ class SlcanAdapter:
                     return REFUSED
                 self._bus.send(message)
                 return b"Z\r" if message.is_extended_id else b"z\r"
-            case b"F", b"" if self._open:
+            case b"F", b"" if self._channel_open:
                 flags, self._flags = self._flags, 0
                 return b"F%02X\r" % flags
             case b"V", b"":
                 return VERSION
             case b"N", b"":
                 return SERIAL_NUMBER
-            case b"Z", (b"0" | b"1") as digit if not self._open:
+            case b"Z", (b"0" | b"1") as digit if not self._channel_open:
                 self._stamped = digit == b"1"
                 return OK
         return REFUSED

@@ -7,12 +7,10 @@ is overtaken by its successor before it was sent is lost, as in a CAN controller
 from __future__ import annotations
 
 import math
-import threading
-from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Self
 
 import can
 import numpy as np
@@ -30,20 +28,18 @@ from sim_drivers.faults import (
     BusOff,
     Drop,
     Fault,
-    FaultQueue,
     Freeze,
     Garbage,
     Heat,
     Mute,
     OverTemperature,
     Truncate,
-    parse_fault,
 )
 from sim_drivers.plant.arm import SimulatedArm
+from sim_drivers.server import FaultyServer
 
 LONGEST_LAG = 0.25
 """A stall of more than this [s] is not made up for: the arm's time stands still meanwhile."""
-STOP_TIMEOUT = 5.0
 
 
 @dataclass(frozen=True)
@@ -71,7 +67,7 @@ class TableStatus:
     stalls: int = 0
 
 
-class ProprietaryCanServer:
+class ProprietaryCanServer(FaultyServer):
     """An arm on a bus; `start` opens it, `stop` lets go.
 
     Args:
@@ -80,10 +76,6 @@ class ProprietaryCanServer:
         connection: the keys of a can_frames connection, without `driver`.
         folder: what a relative `dbc` starts at; the current folder where None.
         clock: the host's.
-
-    Attributes:
-        messages: for whoever shows them.
-        failure: what ended it; None while all is well.
 
     Raises:
         UsageError: the keys are wrong, or the table has a quantity that a simulated arm does not measure.
@@ -97,17 +89,13 @@ class ProprietaryCanServer:
         folder: Path | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
+        super().__init__("signal-table arm", robot.joint_names, clock)
         self.settings = parse_settings(connection, robot.joint_names, folder)
-        self.failure: BaseException | None = None
-        self._clock = clock
-        self._joints = robot.joint_names
         self._arm = TableArm(arm, robot.joints, self.settings)
-        self.messages: deque[str] = self._arm.messages
+        self.messages = self._arm.messages
+        self._bus: can.BusABC | None = None
         self._model = BusModel(self.settings.bitrate)
         self._own = self.settings.identifiers
-        self._faults = FaultQueue()
-        self._stopping = clock.event()
-        self._thread: threading.Thread | None = None
         self._drop = self._truncate = 0
         self._frozen_until = -math.inf
         self._muted: dict[int, float] = {}
@@ -115,47 +103,9 @@ class ProprietaryCanServer:
         self._begun = self._arm_time = self._due = 0.0
         self._status = TableStatus(arm.time)
 
-    def __enter__(self) -> Self:
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    def start(self) -> None:
-        """Open the bus and let time run.
-
-        Raises:
-            ConnectionFailedError: the bus cannot be opened.
-        """
-        if self._thread is not None:
-            raise RuntimeError("started already")
-        settings = self.settings
-        bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
-        self._thread = self._clock.thread(self._run, "table-arm", (bus,))
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Let go of the bus; safe to call twice."""
-        self._stopping.set()
-        if self._thread is not None:
-            self._thread.join(STOP_TIMEOUT)
-
     def status(self) -> TableStatus:
         """What the arm has done so far."""
         return self._status
-
-    def cause(self, fault: Fault) -> None:
-        """Make a fault happen; from any thread."""
-        self._faults.put(fault)
-
-    def obey(self, line: str) -> None:
-        """Cause a fault as a person types it.
-
-        Raises:
-            UsageError: not a fault of this arm.
-        """
-        self.cause(parse_fault(line, "signal-table arm", self._joints))
 
     def ready(self) -> dict[str, object]:
         """What a client must know to reach it."""
@@ -175,10 +125,23 @@ class ProprietaryCanServer:
         troubles = {"withheld": status.withheld, "lost on the bus": status.lost, "stalls": status.stalls}
         return line + "".join(f", {count} {word}" for word, count in troubles.items() if count)
 
-    def _run(self, bus: can.BusABC) -> None:
+    def _open(self) -> None:
+        settings = self.settings
+        self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
+
+    def _close(self) -> None:
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            close_bus(bus)
+
+    def _work(self) -> Mapping[str, Callable[[], None]]:
+        assert self._bus is not None
+        return {"table-arm": partial(self._serve, self._bus)}
+
+    def _serve(self, bus: can.BusABC) -> None:
+        set_timer_slack()
         receiver = Receiver(bus, clock=self._clock)
         try:
-            set_timer_slack()
             receiver.start()
             self._begun = self._arm_time = self._clock.now()
             self._due = self._begun + 1.0 / self.settings.rate
@@ -202,12 +165,9 @@ class ProprietaryCanServer:
                     self._status = replace(self._status, stalls=self._status.stalls + 1)
                 self._run_until(bus, now)
         except can.CanError as error:
-            self.failure = ConnectionLostError(f"the bus does not take frames: {error.__cause__ or error}")
-        except BaseException as error:  # the thread ends either way; whoever started it must hear why
-            self.failure = error
+            raise ConnectionLostError(f"the bus does not take frames: {error.__cause__ or error}") from error
         finally:
             receiver.stop()
-            close_bus(bus)
 
     def _run_until(self, bus: can.BusABC, moment: float) -> None:
         """Everything that is due by a time: periods of the controller, and frames that are over on the bus."""

@@ -7,11 +7,10 @@ missed is made up for: frames come late then, but are lost only where a real bus
 
 from __future__ import annotations
 
-import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Self
+from functools import partial
 
 import can
 import numpy as np
@@ -32,7 +31,6 @@ from sim_drivers.faults import (
     BusOff,
     Drop,
     Fault,
-    FaultQueue,
     Freeze,
     Garbage,
     HeartbeatStop,
@@ -41,14 +39,13 @@ from sim_drivers.faults import (
     PowerCycle,
     Truncate,
     Unplug,
-    parse_fault,
 )
+from sim_drivers.server import FaultyServer
 
 LONGEST_WAIT = 0.005
 """Between two looks at the drives [s]; the arm moves without any frame, too."""
 GRANULARITY = 0.25e-3
 """Frames that are over within so short a time [s] go out together, not one wake-up each."""
-STOP_TIMEOUT = 5.0
 LOAD_WINDOW = 1.0
 """Of the bus load in the status [s]."""
 SAMPLE_IDENTIFIERS = range(TPDO1 + 1, 0x580)
@@ -74,7 +71,7 @@ class CanopenStatus:
     faulted: int = 0
 
 
-class CanopenServer:
+class CanopenServer(FaultyServer):
     """Drives that are switched on by `start` and off by `stop`.
 
     Args:
@@ -88,8 +85,6 @@ class CanopenServer:
 
     Attributes:
         network: the drives; not to be touched while they run.
-        messages: for whoever shows them.
-        failure: what ended it; None while all is well.
     """
 
     def __init__(
@@ -103,65 +98,16 @@ class CanopenServer:
         adapter: SlcanAdapter | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
+        super().__init__("CANopen drives", robot.joint_names, clock, beside=() if adapter is None else (adapter,))
         self.settings = settings
-        self._clock = clock
-        self.joints = robot.joint_names
         self.network = DriveNetwork(arm, robot, settings, self._clock.now(), swapped=swapped, length=length)
-        self.messages: deque[str] = deque(maxlen=100)
-        self.failure: BaseException | None = None
         self.adapter = adapter
         self._arm = arm
-        self._faults = FaultQueue()
-        self._stopping = clock.event()
-        self._thread: threading.Thread | None = None
         self._bus: can.BusABC | None = None
         self._silent_until = self._deaf_until = 0.0
         self._drop = self._truncate = self._faulted = 0
         self._loads: deque[tuple[float, int]] = deque([(self._clock.now(), 0)])
         self._generator = np.random.default_rng(0)
-
-    def __enter__(self) -> Self:
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    def start(self) -> None:
-        """Switch the drives on.
-
-        Raises:
-            ConnectionFailedError: the bus cannot be opened.
-        """
-        if self._thread is not None:
-            raise RuntimeError("started already")
-        settings = self.settings
-        self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
-        if self.adapter is not None:
-            self.adapter.start()
-        self._stamps = ArrivalClock(self._bus, self._clock)
-        self._thread = self._clock.thread(self._run, "canopen-nodes", (self._bus,))
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Switch them off; safe to call twice."""
-        self._stopping.set()
-        if self._thread is not None:
-            self._thread.join(STOP_TIMEOUT)
-        if self.adapter is not None:
-            self.adapter.stop()
-
-    def cause(self, fault: Fault) -> None:
-        """Make a fault happen; from any thread."""
-        self._faults.put(fault)
-
-    def obey(self, line: str) -> None:
-        """Cause a fault as a person types it.
-
-        Raises:
-            UsageError: not a fault.
-        """
-        self.cause(parse_fault(line, "CANopen drives", self.joints))
 
     def status(self) -> CanopenStatus:
         """What the drives are at."""
@@ -201,9 +147,23 @@ class CanopenServer:
     def _nodes(self) -> dict[str, int]:
         return {joint: drive.node for joint, drive in zip(self.joints, self.network.drives, strict=True)}
 
-    def _run(self, bus: can.BusABC) -> None:
+    def _open(self) -> None:
+        settings = self.settings
+        self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
+
+    def _close(self) -> None:
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            close_bus(bus)
+
+    def _work(self) -> Mapping[str, Callable[[], None]]:
+        assert self._bus is not None
+        self._stamps = ArrivalClock(self._bus, self._clock)
+        return {"canopen-nodes": partial(self._serve, self._bus)}
+
+    def _serve(self, bus: can.BusABC) -> None:
+        set_timer_slack()
         try:
-            set_timer_slack()
             while not self._stopping.is_set():
                 now = self._clock.now()
                 due = min(self.network.next_end() + GRANULARITY, now + LONGEST_WAIT)
@@ -218,11 +178,7 @@ class CanopenServer:
                     else:
                         self._transmit(bus, sent.frame)
         except can.CanError as error:
-            self.failure = ConnectionLostError(f"the bus does not take frames: {error.__cause__ or error}")
-        except BaseException as error:  # the thread ends either way; whoever started it must hear why
-            self.failure = error
-        finally:
-            close_bus(bus)
+            raise ConnectionLostError(f"the bus does not take frames: {error.__cause__ or error}") from error
 
     def _receive(self, bus: can.BusABC, timeout: float) -> None:
         """Take every frame that is there, waiting for the first."""

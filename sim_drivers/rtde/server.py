@@ -8,12 +8,12 @@ instead, so that the timestamps never have a gap that the arm did not have.
 
 from __future__ import annotations
 
+import ipaddress
 import socket
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from queue import SimpleQueue
-from typing import Literal, Self
+from typing import Literal
 
 from daq.robot.schema import JointLimits
 from drivers.clock import SYSTEM_CLOCK, Clock, HasFileno
@@ -24,7 +24,6 @@ from sim_drivers.faults import (
     Drift,
     Drop,
     Fault,
-    FaultQueue,
     Freeze,
     Heat,
     ProtectiveStop,
@@ -35,14 +34,14 @@ from sim_drivers.rtde.controller import Controller
 from sim_drivers.rtde.dashboard import DashboardSession
 from sim_drivers.rtde.script_port import ScriptSession
 from sim_drivers.rtde.session import RtdeSession
-from sim_drivers.rtde.variables import parse_version
+from sim_drivers.rtde.variables import JOINTS, parse_version
+from sim_drivers.server import FaultyServer
 
 MAXIMUM_CONNECTIONS = 64
 SELECTABLE_DESCRIPTORS = 1024
 LONGEST_LAG = 0.25
 """A stall of more than this [s] is not made up for."""
 SEND_BUFFER = 65536
-STOP_TIMEOUT = 5.0
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ class ServerStatus:
     playing: bool = False
 
 
-class RtdeServer:
+class RtdeServer(FaultyServer):
     """A simulated controller; `start` listens, `stop` lets go.
 
     Args:
@@ -116,17 +115,17 @@ class RtdeServer:
         buffer_limit: int = 1 << 20,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
+        names = [f"j{number}" for number in range(1, JOINTS + 1)] if joints is None else [one.name for one in joints]
+        super().__init__("UR controller", names, clock)
         self.version = parse_version(version)
         self.rate = self.version.rate if rate is None else rate
         if not 1.0 <= self.rate <= self.version.rate:
             raise UsageError(f"version {version} runs at up to {self.version.rate:g} Hz, not {self.rate:g}")
         self.host = host
         self.ports = ports
-        self._faults = FaultQueue()
         self.controller = Controller(plant, self.version, 1.0 / self.rate, joints)
-        self.failure: BaseException | None = None
+        self.messages = self.controller.messages
         self._buffer_limit = buffer_limit
-        self._clock = clock
         owners: dict[str, RtdeSession] = {}
         self._sessions: Mapping[Service, Callable[[], Session]] = {
             "rtde": lambda: RtdeSession(self.controller, owners),
@@ -136,55 +135,45 @@ class RtdeServer:
         self._listeners: dict[HasFileno, tuple[socket.socket, Service]] = {}
         self._arrived: SimpleQueue[tuple[socket.socket, Service]] = SimpleQueue()
         self._connections: list[ClientConnection] = []
-        self._stopping = clock.event()
-        self._thread: threading.Thread | None = None
         self._frozen_until = 0.0
         self._status = ServerStatus(plant.time)
 
-    def __enter__(self) -> Self:
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    def start(self) -> None:
-        """Listen and let time run; `ports` then holds what was taken.
-
-        Raises:
-            ConnectionFailedError: an address cannot be listened on.
-        """
-        if self._thread is not None:
-            raise RuntimeError("started already")
+    def _open(self) -> None:
+        """Listen; `ports` then holds the ports in use."""
         ports = self.ports
-        try:
-            rtde = self._listen(ports.rtde, "rtde")
-            script = self._listen(ports.script, "script")
-            dashboard = self._listen(ports.dashboard if self.version.has_dashboard else None, "dashboard")
-        except ConnectionFailedError:
-            self._close()
-            raise
+        rtde = self._listen(ports.rtde, "rtde")
+        script = self._listen(ports.script, "script")
+        dashboard = self._listen(ports.dashboard if self.version.has_dashboard else None, "dashboard")
         self.ports = Ports(rtde, dashboard, script)
-        self._thread = self._clock.thread(self._run, "rtde-server")
-        self._thread.start()
+        if not _is_loopback(self.host):
+            self.messages.append(f"{self.host} can be reached from the network; anybody there can move this arm")
 
     def serve(self, sock: socket.socket, service: Service) -> None:
         """Serve a client that is connected already, from the next period on; may be called from any thread."""
         self._arrived.put((sock, service))
 
-    def stop(self) -> None:
-        """Close every connection; safe to call twice."""
-        self._stopping.set()
-        if self._thread is not None:
-            self._thread.join(STOP_TIMEOUT)
-
-    def cause(self, fault: Fault) -> None:
-        """Request a fault for the next period; from any thread."""
-        self._faults.put(fault)
-
     def status(self) -> ServerStatus:
         """What the server has done so far."""
         return self._status
+
+    def ready(self) -> dict[str, object]:
+        """What a client must know to reach it."""
+        return {
+            "host": self.host,
+            "version": str(self.version),
+            "rate_hz": self.rate,
+            "rtde_port": self.ports.rtde,
+            "dashboard_port": self.ports.dashboard if self.version.has_dashboard else None,
+            "script_port": self.ports.script,
+        }
+
+    def live_line(self) -> str:
+        """Its state in one line."""
+        status = self._status
+        state = "protective stop" if status.safety_mode != 1 else "program running" if status.playing else "idle"
+        line = f"{self.host} {status.time:8.1f} s  {state}, {status.rtde_clients} clients, {status.packages} packages"
+        troubles = {"withheld": status.faulted, "overflowed": status.overflowed, "stalls": status.stalls}
+        return line + "".join(f", {count} {word}" for word, count in troubles.items() if count)
 
     def _listen(self, port: int | None, service: Service) -> int | None:
         if port is None:
@@ -201,24 +190,22 @@ class RtdeServer:
         self._listeners[listener] = listener, service
         return int(listener.getsockname()[1])
 
-    def _run(self) -> None:
-        try:
-            period = 1.0 / self.rate
-            begun, count = self._clock.now(), 0
-            while not self._stopping.is_set():
-                due = begun + count * period
-                self._attend(0.0)
-                while (left := due - self._clock.now()) > 0.0:
-                    self._attend(left)
-                self._period(behind=self._clock.now() - due > period)
-                count += 1
-                if self._clock.now() - (begun + count * period) > LONGEST_LAG:
-                    begun, count = self._clock.now(), 0
-                    self._count(stalls=1)
-        except BaseException as error:  # the thread ends either way; whoever started it must hear why
-            self.failure = error
-        finally:
-            self._close()
+    def _work(self) -> Mapping[str, Callable[[], None]]:
+        return {"rtde-server": self._serve}
+
+    def _serve(self) -> None:
+        period = 1.0 / self.rate
+        begun, count = self._clock.now(), 0
+        while not self._stopping.is_set():
+            due = begun + count * period
+            self._attend(0.0)
+            while (left := due - self._clock.now()) > 0.0:
+                self._attend(left)
+            self._period(behind=self._clock.now() - due > period)
+            count += 1
+            if self._clock.now() - (begun + count * period) > LONGEST_LAG:
+                begun, count = self._clock.now(), 0
+                self._count(stalls=1)
 
     def _period(self, *, behind: bool) -> None:
         for fault in self._faults.requested():
@@ -354,3 +341,10 @@ class RtdeServer:
         while not self._arrived.empty():
             self._arrived.get()[0].close()
         self._connections, self._listeners = [], {}
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from drivers.errors import UsageError
 from sim_drivers.rtde.server import RtdeServer
-from sim_drivers.serving.rtde import ServedRtde
 from sim_drivers.serving.served import BusOptions, Served, serve_until_interrupted
 
 if TYPE_CHECKING:
@@ -47,8 +46,7 @@ def _served(robot_file: RobotFile, wire: str, host: str, version: str, seed: int
     plant = Plant(robot_file, seed=seed)
     served: Served
     if wire == "rtde":
-        server = RtdeServer(plant, host=host, version=version, joints=robot_file.robot.joints)
-        served = ServedRtde(server, robot_file.robot.joint_names)
+        served = RtdeServer(plant, host=host, version=version, joints=robot_file.robot.joints)
     else:
         from sim_drivers.serving import can as can_wires
 

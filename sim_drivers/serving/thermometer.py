@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import itertools
-from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Self
 
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import UsageError
-from sim_drivers.faults import Heat, parse_fault
+from sim_drivers.faults import Fault, Heat
 from sim_drivers.plant.plant import Plant
+from sim_drivers.server import FaultyServer
 from sim_drivers.serving.served import Served
 from sim_drivers.thermometer.server import Plug, ThermometerServer, serve_thermometer
 
@@ -74,7 +74,7 @@ class BesideThermometer:
             self._served.obey(line)
 
 
-class ThermometerAlone:
+class ThermometerAlone(FaultyServer):
     """A thermometer on an arm at rest; `heat JOINT CELSIUS` warms a joint up.
 
     Args:
@@ -84,61 +84,44 @@ class ThermometerAlone:
     """
 
     def __init__(self, plant: Plant, thermometer: ThermometerServer, clock: Clock = SYSTEM_CLOCK) -> None:
+        super().__init__("arm at rest", plant.robot.joint_names, clock, beside=(thermometer,))
         self._plant, self._thermometer = plant, thermometer
-        self._failure: BaseException | None = None
-        self._heat: deque[Heat] = deque()
-        self._clock = clock
-        self._ending = clock.event()
-        self._thread = clock.thread(self._run, "plant")
-        self.messages: deque[str] = deque()
-
-    @property
-    def failure(self) -> BaseException | None:
-        """What ended it; None while all is well."""
-        return self._failure or self._thermometer.failure
-
-    def __enter__(self) -> Self:
-        self._thermometer.start()
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ending.set()
-        self._thread.join()
-        self._thermometer.stop()
 
     def ready(self) -> Mapping[str, object]:
         """What a client must know."""
         return _ready(self._thermometer)
 
     def live_line(self) -> str:
-        """How it goes, in one line."""
+        """Its state in one line."""
         return _live_line(self._thermometer)
 
     def obey(self, line: str) -> None:
-        """Cause a fault; the word `thermometer` may stand before it.
+        """Request a fault; the word `thermometer` may precede it.
 
         Raises:
             UsageError: not a fault.
         """
-        fault = parse_fault(line.strip().removeprefix(f"{WORD} "), "arm at rest", self._plant.robot.joint_names)
+        super().obey(line.strip().removeprefix(f"{WORD} "))
+
+    def cause(self, fault: Fault) -> None:
+        """Make a fault happen: heat at the plant's next period, all others at once."""
         if isinstance(fault, Heat):
-            self._heat.append(fault)
+            super().cause(fault)
         else:
             self._thermometer.cause(fault)
 
-    def _run(self) -> None:
-        try:
-            begun = self._clock.now()
-            for count in itertools.count(1):  # on a grid, so that no lateness accumulates
-                if self._ending.wait(begun + count * PERIOD - self._clock.now()):
-                    return
-                while self._heat:
-                    heat = self._heat.popleft()
-                    self._plant.heat(heat.joint, heat.celsius)
-                self._plant.advance(PERIOD)
-        except BaseException as error:  # the thread ends either way; whoever started it must hear why
-            self._failure = error
+    def _work(self) -> Mapping[str, Callable[[], None]]:
+        return {"plant": self._advance}
+
+    def _advance(self) -> None:
+        begun = self._clock.now()
+        for count in itertools.count(1):  # on a grid, so that no lateness accumulates
+            if self._stopping.wait(begun + count * PERIOD - self._clock.now()):
+                return
+            for fault in self._faults.requested():
+                if isinstance(fault, Heat):
+                    self._plant.heat(fault.joint, fault.celsius)
+            self._plant.advance(PERIOD)
 
 
 def thermometer_alone(

@@ -9,10 +9,9 @@ from __future__ import annotations
 import math
 import os
 import random
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 
@@ -22,13 +21,13 @@ from drivers.serial_thermometer.port import BITS_A_CHARACTER
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
 from drivers.streams import FloatArray
 from drivers.units import ZERO_CELSIUS
-from sim_drivers.faults import Fault, Freeze, Noise, Replug, Unplug, parse_fault
+from sim_drivers.faults import Fault, Freeze, Noise, Replug, Unplug
 from sim_drivers.plant.plant import Plant
+from sim_drivers.server import FaultyServer
 from sim_drivers.thermometer.pseudo_terminal import PseudoTerminal
 
 SLICE = 0.002
 """[s] between two portions of characters."""
-STOP_LIMIT = 5.0
 NOISE_BYTES = bytes(range(256))
 
 
@@ -86,7 +85,7 @@ class Plug(Protocol):
         """Leave nothing behind."""
 
 
-class ThermometerServer:
+class ThermometerServer(FaultyServer):
     """A thermometer on a serial line; `start` plugs it in, `stop` ends it.
 
     Args:
@@ -100,7 +99,6 @@ class ThermometerServer:
     Attributes:
         lines: sent whole, garbage not counted.
         lost: lines that nobody took.
-        failure: what ended it; None while all is well.
 
     Raises:
         UsageError: so many lines do not fit through the baud rate.
@@ -114,10 +112,10 @@ class ThermometerServer:
         plug: Plug | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
+        super().__init__("thermometer", (), clock)
         self.settings = settings
         self.lines = 0
         self.lost = 0
-        self.failure: BaseException | None = None
         self._temperatures = (lambda: source.thermal.housing) if isinstance(source, Plant) else source
         length = len(settings.line(np.full(len(settings.channels), -100.0)))
         if length * settings.rate * BITS_A_CHARACTER > settings.baudrate:
@@ -127,42 +125,14 @@ class ThermometerServer:
             )
         self._random = random.Random(seed)
         self._plug = PseudoTerminal() if plug is None else plug
-        self._clock = clock
         self._changed = clock.condition()
-        self._stopping = False
         self._silent_until = self._garbage_until = 0.0
         self._replug_at = math.inf
-        self._thread: threading.Thread | None = None
 
     @property
     def path(self) -> str:
         """Of the port; it stays the same when the thermometer is unplugged and plugged in again."""
         return self._plug.path
-
-    def __enter__(self) -> Self:
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    def start(self) -> None:
-        """Plug it in and let it send."""
-        if self._thread is not None:
-            raise RuntimeError("started already")
-        self.replug()
-        self._thread = self._clock.thread(self._run, "thermometer")
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End it; safe to call twice."""
-        with self._changed:
-            self._stopping = True
-            self._changed.notify_all()
-        if self._thread is not None:
-            self._thread.join(STOP_LIMIT)
-        self.unplug()
-        self._plug.remove()
 
     def unplug(self, duration: float | None = None) -> None:
         """Pull it out; it comes back after `duration` [s], or with `replug`."""
@@ -188,26 +158,26 @@ class ThermometerServer:
             case Replug():
                 self.replug()
 
-    def obey(self, line: str) -> None:
-        """Cause a fault as a person types it, without the word `thermometer`.
+    def _work(self) -> Mapping[str, Callable[[], None]]:
+        return {"thermometer": self._send}
 
-        Raises:
-            UsageError: not a fault.
-        """
-        self.cause(parse_fault(line, "thermometer", ()))
+    def _open(self) -> None:
+        self.replug()
 
-    def _run(self) -> None:
-        try:
-            self._send()
-        except BaseException as error:  # the thread ends either way; whoever started it must hear why
-            self.failure = error
+    def _wake(self) -> None:
+        with self._changed:
+            self._changed.notify_all()
+
+    def _close(self) -> None:
+        self.unplug()
+        self._plug.remove()
 
     def _send(self) -> None:
         period = 1.0 / self.settings.rate
         byte_time = BITS_A_CHARACTER / self.settings.baudrate
         due = free = self._clock.now()
         waiting = bytearray()
-        while not self._stopping:
+        while not self._stopping.is_set():
             now = self._clock.now()
             with self._changed:
                 if now >= self._replug_at:
@@ -223,7 +193,7 @@ class ThermometerServer:
                 del waiting[:count]
                 free += count * byte_time
             with self._changed:
-                if not self._stopping:
+                if not self._stopping.is_set():
                     self._changed.wait(min(now + SLICE if waiting else due, self._replug_at) - now)
 
     def _plug_in(self) -> None:

@@ -23,7 +23,7 @@ from sim_drivers.faults import (
     PowerCycle,
     ProtectiveStop,
     Replug,
-    Server,
+    ServerKind,
     Truncate,
     Unplug,
     parse_fault,
@@ -52,11 +52,11 @@ TYPED: dict[str, tuple[str, Fault]] = {
     "unplug SECONDS": ("unplug 2.5", Unplug(2.5)),
     "replug": ("replug", Replug()),
 }
-SERVERS: tuple[Server, ...] = ("UR controller", "CANopen drives", "signal-table arm", "thermometer", "arm at rest")
+SERVERS: tuple[ServerKind, ...] = ("UR controller", "CANopen drives", "signal-table arm", "thermometer", "arm at rest")
 
 
 @pytest.mark.parametrize("server", SERVERS)
-def test_a_server_obeys_the_faults_of_its_usage_text_and_no_others(server: Server) -> None:
+def test_a_server_obeys_the_faults_of_its_usage_text_and_no_others(server: ServerKind) -> None:
     assert {entry.usage for entry in FAULTS} == set(TYPED)
     obeyed = usage(server).removeprefix("thermometer ").split(" | ")
     words = {(row.split()[0], len(row.split())) for row in obeyed}
@@ -100,6 +100,6 @@ def test_a_server_obeys_the_faults_of_its_usage_text_and_no_others(server: Serve
     ],
 )
 @pytest.mark.parametrize("server", SERVERS)
-def test_a_word_or_an_argument_out_of_its_bounds_is_refused(line: str, server: Server) -> None:
+def test_a_word_or_an_argument_out_of_its_bounds_is_refused(line: str, server: ServerKind) -> None:
     with pytest.raises(UsageError):
         parse_fault(line, server, JOINTS)

@@ -1,0 +1,139 @@
+"""The life cycle of simulated devices: they start, work in threads of a clock, and stop."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Self
+
+from drivers.clock import Clock
+from sim_drivers.faults import Fault, FaultQueue, ServerKind, parse_fault
+
+if TYPE_CHECKING:
+    import threading
+
+STOP_TIMEOUT = 5.0
+"""[s] that a stop waits for each thread."""
+
+
+class Server(ABC):
+    """A simulated device; `start` and `stop`, or its context, begin and end it. It starts once.
+
+    Args:
+        clock: the host's.
+        beside: servers that start and stop with this one; what ends one of them ends this one.
+    """
+
+    def __init__(self, clock: Clock, beside: Sequence[Server] = ()) -> None:
+        self._clock = clock
+        self._beside = tuple(beside)
+        self._stopping = clock.event()
+        self._threads: list[threading.Thread] = []
+        self._counting = clock.lock()
+        self._running = 0
+        self._failure: BaseException | None = None
+
+    @property
+    def failure(self) -> BaseException | None:
+        """The error that ended it; None while it runs and after `stop`."""
+        return next((error for error in (self._failure, *(one.failure for one in self._beside)) if error), None)
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def start(self) -> None:
+        """Open what it needs and start its threads.
+
+        Raises:
+            ConnectionFailedError: a port, bus or address is not available.
+        """
+        if self._threads:
+            raise RuntimeError("started already")
+        with ExitStack() as undo:
+            undo.callback(self._close)
+            self._open()
+            for server in self._beside:
+                server.start()
+                undo.callback(server.stop)
+            undo.pop_all()
+        work = self._work()
+        self._running = len(work)
+        self._threads = [self._clock.thread(self._run, name, (task,)) for name, task in work.items()]
+        for thread in self._threads:
+            thread.start()
+
+    def stop(self) -> None:
+        """End the threads and close everything; safe to call twice."""
+        self._stopping.set()
+        self._wake()
+        for thread in self._threads:
+            thread.join(STOP_TIMEOUT)
+        if not self._threads:
+            self._close()
+        for server in self._beside:
+            server.stop()
+
+    def _run(self, task: Callable[[], None]) -> None:
+        try:
+            task()
+        except BaseException as error:  # the thread ends either way; `failure` says why
+            self._failure = error
+            self._stopping.set()
+        finally:
+            with self._counting:
+                self._running -= 1
+                last = self._running == 0
+            if last:
+                self._close()
+
+    @abstractmethod
+    def _work(self) -> Mapping[str, Callable[[], None]]:
+        """What its threads do until `_stopping` is set, by their names."""
+
+    def _open(self) -> None:  # noqa: B027
+        """Open what the threads need."""
+
+    def _close(self) -> None:  # noqa: B027
+        """Close it: after the last thread, or where none was started; safe to call twice."""
+
+    def _wake(self) -> None:  # noqa: B027
+        """Wake threads that wait for something other than `_stopping`."""
+
+
+class FaultyServer(Server):
+    """A server that obeys faults.
+
+    Args:
+        kind: decides which faults.
+        joints: their names, in order.
+        clock: the host's.
+        beside: servers that start and stop with this one.
+
+    Attributes:
+        messages: for the terminal, oldest first.
+    """
+
+    def __init__(self, kind: ServerKind, joints: Sequence[str], clock: Clock, beside: Sequence[Server] = ()) -> None:
+        super().__init__(clock, beside)
+        self.joints = tuple(joints)
+        self.messages: deque[str] = deque(maxlen=100)
+        self._kind = kind
+        self._faults = FaultQueue()
+
+    def cause(self, fault: Fault) -> None:
+        """Request a fault; from any thread."""
+        self._faults.put(fault)
+
+    def obey(self, line: str) -> None:
+        """Request a fault as it is typed.
+
+        Raises:
+            UsageError: not a fault of this server.
+        """
+        self.cause(parse_fault(line, self._kind, self.joints))
