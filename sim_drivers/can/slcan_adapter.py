@@ -7,7 +7,6 @@ import errno
 import os
 import re
 import threading
-import tty
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Protocol
@@ -16,6 +15,7 @@ import can
 import numpy as np
 
 from drivers.clock import SYSTEM_CLOCK, Clock
+from sim_drivers.pseudo_terminal import LineEnd, PseudoTerminal
 from sim_drivers.server import Server
 
 BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
@@ -65,41 +65,11 @@ def format_frame(message: can.Message, stamp: int | None = None) -> bytes:
     return f"{letter}{identifier}{message.dlc}{data}{tail}\r".encode()
 
 
-class SerialPort(Protocol):
-    """The adapter's end of a serial line that does not block.
-
-    Attributes:
-        path: what a client opens.
-    """
-
-    path: str
+class PollableLineEnd(LineEnd, Protocol):
+    """A line's end whose descriptor can be waited for, and does not block."""
 
     def fileno(self) -> int:
         """Its descriptor."""
-
-    def close(self) -> None:
-        """Pull the plug."""
-
-
-class PseudoTerminal:
-    """A serial port that any program on this computer can open."""
-
-    def __init__(self) -> None:
-        self._host, self._device = os.openpty()
-        self.path = os.ttyname(self._device)
-        # Bytes as they are: no echo, no line editing, on either side.
-        tty.setraw(self._host)
-        tty.setraw(self._device)
-        os.set_blocking(self._host, False)
-
-    def fileno(self) -> int:
-        """Its descriptor."""
-        return self._host
-
-    def close(self) -> None:
-        """Pull the plug."""
-        os.close(self._host)
-        os.close(self._device)
 
 
 class SlcanAdapter(Server):
@@ -108,7 +78,7 @@ class SlcanAdapter(Server):
     Args:
         bus: what it stands in front of; closed with it.
         bitrate: of that bus [bit/s]; an adapter set to another gets nothing across.
-        port: where clients reach it; closed with it. A pseudo-terminal where None.
+        port: its end of the serial line; a pseudo-terminal where None.
         clock: the host's.
     """
 
@@ -116,18 +86,18 @@ class SlcanAdapter(Server):
         self,
         bus: can.BusABC,
         bitrate: int = 1_000_000,
-        port: SerialPort | None = None,
+        port: PollableLineEnd | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         super().__init__(clock)
         self._bus = bus
         self._bitrate = bitrate
-        self._port = PseudoTerminal() if port is None else port
+        self._port: PollableLineEnd = PseudoTerminal() if port is None else port
         self.path = self._port.path
         """The serial port that a client opens."""
         self._lock = threading.Lock()
         self._backlog = bytearray()
-        self._plugged = True
+        self._plugged = False
         self._channel_open = self._listen_only = self._stamped = False
         self._setting: int | None = None
         self._flags = 0
@@ -139,8 +109,13 @@ class SlcanAdapter(Server):
     def _work(self) -> Mapping[str, Callable[[], None]]:
         return {"slcan-commands": self._serve_host, "slcan-frames": self._serve_bus}
 
+    def _open(self) -> None:
+        self._port.plug_in()
+        self._plugged = True
+
     def _close(self) -> None:
         self.unplug()
+        self._port.remove()
         with contextlib.suppress(can.CanError):
             self._bus.shutdown()
 
@@ -149,7 +124,7 @@ class SlcanAdapter(Server):
         with self._lock:
             if self._plugged:
                 self._plugged = False
-                self._port.close()
+                self._port.pull_out()
 
     def truncate(self, lines: int) -> None:
         """Cut the next lines of received frames short."""
@@ -178,7 +153,7 @@ class SlcanAdapter(Server):
             except BlockingIOError:
                 return
             except OSError as error:
-                if error.errno == errno.EIO:  # nobody has the port open
+                if error.errno == errno.EIO:  # no client has the port open
                     self._backlog.clear()
                     return
                 raise
@@ -234,7 +209,7 @@ class SlcanAdapter(Server):
             with self._lock:
                 return os.read(self._port.fileno(), 4096) if readable and self._plugged else b""
         except (OSError, ValueError):
-            # Pulled out, or nobody has the port open at the moment.
+            # Pulled out, or no client has the port open.
             self._stopping.wait(POLL)
             return b""
 

@@ -14,7 +14,7 @@ from sim_drivers.faults import Fault, Heat
 from sim_drivers.plant.plant import Plant
 from sim_drivers.server import FaultyServer
 from sim_drivers.serving.served import Served
-from sim_drivers.thermometer.server import Plug, ThermometerServer, serve_thermometer
+from sim_drivers.thermometer.server import ThermometerServer, WritableLineEnd, serve_thermometer
 
 DRIVER = "serial_thermometer"
 WORD = "thermometer"
@@ -125,14 +125,14 @@ class ThermometerAlone(FaultyServer):
 
 
 def thermometer_alone(
-    robot_file: RobotFile, seed: int, plug: Plug | None = None, clock: Clock = SYSTEM_CLOCK
+    robot_file: RobotFile, seed: int, line_end: WritableLineEnd | None = None, clock: Clock = SYSTEM_CLOCK
 ) -> ThermometerAlone:
     """The thermometer of a robot file, on its arm at rest.
 
     Args:
         robot_file: of the arm.
         seed: of noise and garbage.
-        plug: the thermometer's end of the line; a pseudo-terminal where None.
+        line_end: the thermometer's end of the line; a pseudo-terminal where None.
         clock: the host's.
 
     Raises:
@@ -141,7 +141,7 @@ def thermometer_alone(
     """
     keys = thermometer_keys(robot_file.robot)
     plant = Plant(robot_file, seed=seed)
-    return ThermometerAlone(plant, serve_thermometer(plant, keys, seed, plug, clock), clock)
+    return ThermometerAlone(plant, serve_thermometer(plant, keys, seed, line_end, clock), clock)
 
 
 def thermometer_keys(robot: Robot) -> Mapping[str, object]:

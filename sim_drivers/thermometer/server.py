@@ -23,8 +23,8 @@ from drivers.streams import FloatArray
 from drivers.units import ZERO_CELSIUS
 from sim_drivers.faults import Fault, Freeze, Noise, Replug, Unplug
 from sim_drivers.plant.plant import Plant
+from sim_drivers.pseudo_terminal import LineEnd, PseudoTerminal
 from sim_drivers.server import FaultyServer
-from sim_drivers.thermometer.pseudo_terminal import PseudoTerminal
 
 SLICE = 0.002
 """[s] between two portions of characters."""
@@ -65,24 +65,11 @@ class SimulatedThermometer:
         return (self.separator.join(values) + "\r\n").encode("ascii")
 
 
-class Plug(Protocol):
-    """One end of a serial line, which may be pulled out; no two of its methods run at a time."""
-
-    @property
-    def path(self) -> str:
-        """What a reader opens."""
-
-    def plug_in(self) -> None:
-        """Let the port be there; nothing where it is."""
-
-    def pull_out(self) -> None:
-        """Take the port away; nothing where there is none."""
+class WritableLineEnd(LineEnd, Protocol):
+    """A line's end that sends."""
 
     def write(self, data: bytes) -> int:
-        """Send without waiting; how many characters somebody took."""
-
-    def remove(self) -> None:
-        """Leave nothing behind."""
+        """Send without waiting; the number of bytes that went out."""
 
 
 class ThermometerServer(FaultyServer):
@@ -93,7 +80,7 @@ class ThermometerServer(FaultyServer):
             temperatures [°C], one a channel.
         settings: what is sent.
         seed: of the garbage.
-        plug: its end of the line; a pseudo-terminal where None.
+        line_end: its end of the line; a pseudo-terminal where None.
         clock: the host's.
 
     Attributes:
@@ -109,7 +96,7 @@ class ThermometerServer(FaultyServer):
         source: Plant | Callable[[], Sequence[float] | FloatArray],
         settings: SimulatedThermometer,
         seed: int = 0,
-        plug: Plug | None = None,
+        line_end: WritableLineEnd | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         super().__init__("thermometer", (), clock)
@@ -124,7 +111,7 @@ class ThermometerServer(FaultyServer):
                 hint=f"at most {settings.baudrate / (BITS_A_CHARACTER * length):.3g} lines a second",
             )
         self._random = random.Random(seed)
-        self._plug = PseudoTerminal() if plug is None else plug
+        self._line_end: WritableLineEnd = PseudoTerminal() if line_end is None else line_end
         self._changed = clock.condition()
         self._silent_until = self._garbage_until = 0.0
         self._replug_at = math.inf
@@ -132,13 +119,13 @@ class ThermometerServer(FaultyServer):
     @property
     def path(self) -> str:
         """Of the port; it stays the same when the thermometer is unplugged and plugged in again."""
-        return self._plug.path
+        return self._line_end.path
 
     def unplug(self, duration: float | None = None) -> None:
         """Pull it out; it comes back after `duration` [s], or with `replug`."""
         with self._changed:
             self._replug_at = math.inf if duration is None else self._clock.now() + duration
-            self._plug.pull_out()
+            self._line_end.pull_out()
             self._changed.notify_all()
 
     def replug(self) -> None:
@@ -170,7 +157,7 @@ class ThermometerServer(FaultyServer):
 
     def _close(self) -> None:
         self.unplug()
-        self._plug.remove()
+        self._line_end.remove()
 
     def _send(self) -> None:
         period = 1.0 / self.settings.rate
@@ -198,7 +185,7 @@ class ThermometerServer(FaultyServer):
 
     def _plug_in(self) -> None:
         self._replug_at = math.inf
-        self._plug.plug_in()
+        self._line_end.plug_in()
 
     def _next_line(self, now: float) -> bytes:
         if now < self._silent_until:
@@ -210,7 +197,7 @@ class ThermometerServer(FaultyServer):
 
     def _write(self, data: bytes) -> None:
         with self._changed:
-            taken = self._plug.write(data)
+            taken = self._line_end.write(data)
         self.lines += data[:taken].count(b"\n")
         self.lost += data[taken:].count(b"\n")
 
@@ -239,7 +226,7 @@ def serve_thermometer(
     plant: Plant,
     connection: Mapping[str, object],
     seed: int = 0,
-    plug: Plug | None = None,
+    line_end: WritableLineEnd | None = None,
     clock: Clock = SYSTEM_CLOCK,
 ) -> ThermometerServer:
     """A thermometer, not yet started, on an arm: the joints that a robot file's connection names.
@@ -248,7 +235,7 @@ def serve_thermometer(
         plant: the arm.
         connection: the keys of the robot file's connection.
         seed: of the garbage.
-        plug: its end of the line; where None a pseudo-terminal, which appears where the connection's `url` says, if
+        line_end: its end of the line; where None a pseudo-terminal, which appears where the connection's `url` says, if
             that is the path of no device.
         clock: the host's.
 
@@ -260,10 +247,10 @@ def serve_thermometer(
     settings = parse_settings({key: value for key, value in connection.items() if key != "with"}, joints)
     columns = [joints.index(joint) for joint in _by_joint(settings, joints).values()]
     simulated = simulated_thermometer(connection, joints)
-    if plug is None:
+    if line_end is None:
         own = os.path.isabs(settings.url) and not settings.url.startswith("/dev/")
-        plug = PseudoTerminal(settings.url if own else None)
-    return ThermometerServer(lambda: plant.thermal.housing[columns], simulated, seed, plug, clock)
+        line_end = PseudoTerminal(settings.url if own else None)
+    return ThermometerServer(lambda: plant.thermal.housing[columns], simulated, seed, line_end, clock)
 
 
 def _by_joint(settings: ThermometerSettings, joints: Sequence[str]) -> dict[str, str]:

@@ -46,8 +46,13 @@ class SimulatedLine:
         """Say something at the far end."""
         self._far.sendall(data)
 
-    def close(self) -> None:
-        """Pull the plug."""
+    def plug_in(self) -> None:
+        """It is from the start."""
+
+    def pull_out(self) -> None:
+        self._far.close()
+
+    def remove(self) -> None:
         self._far.close()
 
     def read_until(self, end: bytes, seconds: float = 1.0) -> bytes:
@@ -115,5 +120,5 @@ def simulated_line(clock: SimulatedClock) -> Iterator[SimulatedLine]:
         try:
             yield line
         finally:
-            line.close()
+            line.remove()
             line.near.close()

@@ -288,7 +288,7 @@ def test_slcan_with_truncated_lines_garbage_and_the_plug_pulled(
             assert take(receiver, 1)[0][1:] == (0x183, b"\x1a")
             told = {notice.message.split(" ", 1)[1] for notice in receiver.notices()}
             assert told == {"truncated frame(s) left out", "unreadable frame(s) left out"}
-            line.close()
+            line.pull_out()
             error = lost(receiver)
             assert "the CAN adapter is gone" in error.message
             assert error.where == f"slcan {line.path}"

@@ -31,8 +31,8 @@ from drivers.serial_thermometer.driver import SerialThermometerDriver
 from drivers.serial_thermometer.port import READ_TIMEOUT
 from drivers.streams import Batch
 from sim_drivers.plant.plant import Plant
+from sim_drivers.pseudo_terminal import PseudoTerminal
 from sim_drivers.serving.thermometer import PERIOD, BesideThermometer, thermometer_alone, thermometer_keys
-from sim_drivers.thermometer.pseudo_terminal import PseudoTerminal
 from sim_drivers.thermometer.server import (
     SLICE,
     SimulatedThermometer,
@@ -100,7 +100,7 @@ def messages(notices: list[Notice]) -> list[str]:
 def test_the_driver_reads_what_it_sends(opened: Make, clock: SimulatedClock, line: SerialLine, unit: str) -> None:
     settings = simulated_thermometer({**KEYS, "unit": unit, "with": ["x"]}, JOINTS)
     assert settings.channels == ("b", "a")  # in the joints' order
-    with ThermometerServer(lambda: [30.0, -5.25], settings, plug=line, clock=clock) as server:
+    with ThermometerServer(lambda: [30.0, -5.25], settings, line_end=line, clock=clock) as server:
         rows, _, notices = listen(opened(unit=unit), clock, 1.0)
         assert server.lines == MISSED + len(rows)
     np.testing.assert_allclose(rows, [[30.0, -5.25]] * 19, rtol=0, atol=0.006)
@@ -112,7 +112,7 @@ def test_lines_take_the_time_of_their_characters(opened: Make, clock: SimulatedC
     settings = SimulatedThermometer(("b", "a"), rate=2.0, baudrate=1200)
     text = settings.line([20.0, 21.0])
     begun = clock.now()
-    with ThermometerServer(lambda: [20.0, 21.0], settings, plug=line, clock=clock):
+    with ThermometerServer(lambda: [20.0, 21.0], settings, line_end=line, clock=clock):
         driver = opened(baudrate=1200, rate=2)
         rows, times, _ = listen(driver, clock, 10.0 - (clock.now() - begun))
     assert b"".join(data for _, data in line.said) == text * 20
@@ -138,7 +138,9 @@ def test_a_pattern_that_does_not_match_is_refused() -> None:
 
 def test_faults_are_seen_and_passed(opened: Make, clock: SimulatedClock, line: SerialLine) -> None:
     begun = clock.now()
-    with ThermometerServer(lambda: [30.0, 31.0], simulated_thermometer(KEYS, JOINTS), plug=line, clock=clock) as server:
+    with ThermometerServer(
+        lambda: [30.0, 31.0], simulated_thermometer(KEYS, JOINTS), line_end=line, clock=clock
+    ) as server:
         driver = opened()
 
         def until(end: float) -> tuple[np.ndarray, list[Notice]]:
@@ -189,7 +191,9 @@ def test_faults_are_seen_and_passed(opened: Make, clock: SimulatedClock, line: S
 
 
 def test_it_comes_back_after_the_time_that_was_said_last(clock: SimulatedClock, line: SerialLine) -> None:
-    with ThermometerServer(lambda: [30.0, 31.0], simulated_thermometer(KEYS, JOINTS), plug=line, clock=clock) as server:
+    with ThermometerServer(
+        lambda: [30.0, 31.0], simulated_thermometer(KEYS, JOINTS), line_end=line, clock=clock
+    ) as server:
 
         def plugged_after(limit: float) -> float | None:
             begun = clock.now()
@@ -209,7 +213,7 @@ def test_it_comes_back_after_the_time_that_was_said_last(clock: SimulatedClock, 
 def test_what_nobody_reads_is_lost_not_kept(opened: Make, clock: SimulatedClock, line: SerialLine) -> None:
     value = [20.0]
     settings = SimulatedThermometer(("b",), rate=50.0, baudrate=115200)
-    with ThermometerServer(lambda: value, settings, plug=line, clock=clock) as server:
+    with ThermometerServer(lambda: value, settings, line_end=line, clock=clock) as server:
         clock.sleep(0.295)
         assert (server.lost, server.lines) == (15, 0)
         value[0] = 40.0
@@ -223,7 +227,7 @@ def test_it_measures_the_plant(pendulum, opened: Make, clock: SimulatedClock, li
     plant = Plant(pendulum())
     (joint,) = plant.robot.joint_names
     plant.heat(0, 17.0)
-    with serve_thermometer(plant, {**KEYS, "channels": {1: joint}}, plug=line, clock=clock):
+    with serve_thermometer(plant, {**KEYS, "channels": {1: joint}}, line_end=line, clock=clock):
         rows, _, _ = listen(opened(joints=(joint,), channels={1: joint}), clock, 0.1)
     np.testing.assert_allclose(rows[:, 0], plant.thermal.housing[0], rtol=0, atol=0.006)
     assert len(rows) == 2
@@ -316,7 +320,7 @@ def test_dynid_sim_serves_it_beside_an_arm(pendulum, clock: SimulatedClock, line
 
     robot_file, keys, _ = on_bench(pendulum)
     arm = Arm()
-    with BesideThermometer(arm, serve_thermometer(Plant(robot_file), keys, plug=line, clock=clock)) as both:
+    with BesideThermometer(arm, serve_thermometer(Plant(robot_file), keys, line_end=line, clock=clock)) as both:
         assert both.ready() == {"interface": "virtual", "thermometer": line.path, "thermometer_baudrate": 9600}
         both.obey("block 1")
         both.obey("thermometer unplug")
@@ -347,7 +351,7 @@ def recorded(
     server = ThermometerServer(
         lambda: [30.0, 75.0 if clock.now() - arm.begun > hot_from else 31.0],
         simulated_thermometer({**KEYS, **keys}, JOINTS),
-        plug=line,
+        line_end=line,
         clock=clock,
     )
     with server:
@@ -456,7 +460,7 @@ def test_on_a_pseudo_terminal(tmp_path: Path) -> None:
     blocks: list[Batch] = []
     notices: list[Notice] = []
 
-    with ThermometerServer(lambda: [30.0, -5.25], settings, plug=PseudoTerminal(path)) as server:
+    with ThermometerServer(lambda: [30.0, -5.25], settings, line_end=PseudoTerminal(path)) as server:
         driver = driver_of(server.path, SYSTEM_CLOCK, timeout=LIMIT)
         driver.open()
 

@@ -18,7 +18,7 @@ serial.protocol_handler_packages.append(__name__)
 
 
 class SerialLine:
-    """A line whose device's end is held here; implements `sim_drivers.thermometer.server.Plug`.
+    """A line whose device's end is held here; implements `sim_drivers.thermometer.server.WritableLineEnd`.
 
     Args:
         clock: of the test.

@@ -8,15 +8,33 @@ import select
 import tempfile
 import tty
 from pathlib import Path
+from typing import Protocol
 
 from drivers.errors import UsageError
 
 
+class LineEnd(Protocol):
+    """A device's end of a serial line, which may be pulled out; no two of its methods run at a time."""
+
+    @property
+    def path(self) -> str:
+        """The port that a client opens."""
+
+    def plug_in(self) -> None:
+        """Create the port; nothing where it exists."""
+
+    def pull_out(self) -> None:
+        """Remove the port; nothing where there is none."""
+
+    def remove(self) -> None:
+        """Leave nothing behind."""
+
+
 class PseudoTerminal:
-    """The device's end of a pseudo-terminal; implements `sim_drivers.thermometer.server.Plug`.
+    """A device's end of a pseudo-terminal that any program on this computer can open.
 
     Args:
-        path: where the port appears; a folder of its own where None.
+        path: of the port; in a temporary folder where None.
 
     Attributes:
         path: of the port.
@@ -28,7 +46,7 @@ class PseudoTerminal:
     def __init__(self, path: str | None = None) -> None:
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         if path is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="dynid-thermometer-")
+            self._folder = tempfile.TemporaryDirectory(prefix="dynid-serial-")
             path = str(Path(self._folder.name) / "port")
         elif os.path.exists(path):
             raise UsageError("there is something already", where=path, hint="choose another path, or remove it")
@@ -36,36 +54,48 @@ class PseudoTerminal:
         self._master: int | None = None
 
     def plug_in(self) -> None:
-        """Let the port be there; nothing where it is."""
+        """Create the port; nothing where it exists."""
         if self._master is not None:
             return
         master, slave = os.openpty()
+        # Bytes as they are: no echo, no line editing, on either side.
+        tty.setraw(master)
         tty.setraw(slave)
         if os.path.islink(self.path):
-            os.unlink(self.path)  # left by one that was killed
+            os.unlink(self.path)  # left by a process that was killed
         os.symlink(os.ttyname(slave), self.path)
         os.close(slave)
         os.set_blocking(master, False)
         self._master = master
 
     def pull_out(self) -> None:
-        """Take the port away; nothing where there is none."""
+        """Remove the port; nothing where there is none."""
         master, self._master = self._master, None
         if master is not None:
             os.close(master)
             with contextlib.suppress(FileNotFoundError):
                 os.unlink(self.path)
 
+    def fileno(self) -> int:
+        """The descriptor of the device's end.
+
+        Raises:
+            OSError: it is pulled out.
+        """
+        if self._master is None:
+            raise OSError("the port is pulled out")
+        return self._master
+
     def write(self, data: bytes) -> int:
-        """Send without waiting; how many characters somebody took: none where nobody has the port open."""
+        """Send without waiting; the number of bytes that went out: none where no client has the port open."""
         if self._master is None:
             return 0
         poll = select.poll()
         poll.register(self._master, select.POLLHUP)
-        if any(event & select.POLLHUP for _, event in poll.poll(0)):  # nobody has the port open
+        if any(event & select.POLLHUP for _, event in poll.poll(0)):  # no client has the port open
             return 0
         with contextlib.suppress(OSError):
-            os.read(self._master, 4096)  # whatever is said to it
+            os.read(self._master, 4096)  # discard what the client sends
         try:
             return os.write(self._master, data)
         except OSError:
