@@ -79,21 +79,6 @@ def temperature_factor(parameters: FrictionParameters, celsius: FloatArray) -> F
     return np.asarray(beta1 + beta2 * kelvin + beta3 / kelvin**3)
 
 
-def sliding_friction(
-    parameters: FrictionParameters, velocity: FloatArray, celsius: FloatArray, load_torque: FloatArray
-) -> FloatArray:
-    """Friction torque (n,) [N·m] of joints that slide (the module's formula; AUBO eq. 3-6)."""
-    speed = np.abs(velocity)
-    dry = (
-        parameters.coulomb
-        + parameters.stribeck * np.exp(-((speed / parameters.stribeck_velocity) ** 2))
-        + parameters.load * load_torque**2
-    )
-    wet = parameters.viscous * speed**parameters.alpha + np.sqrt(speed) * temperature_factor(parameters, celsius)
-    # A factor fitted at one temperature must not turn friction into a drive at another.
-    return np.asarray(np.sign(velocity) * (dry + np.maximum(wet, 0.0)) + parameters.offset)
-
-
 def steepest_slope(parameters: FrictionParameters, celsius: float) -> FloatArray:
     """Largest slope (n,) [N·m·s/rad] of the terms that grow with velocity, at velocities up to 1 rad/s."""
     power = parameters.viscous * np.maximum(SLOWEST ** (parameters.alpha - 1.0), parameters.alpha)

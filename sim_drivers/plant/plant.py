@@ -226,45 +226,36 @@ class Plant:
             target_torque=self._torque_at_joints(model_torque),
         )
 
-    def set_ambient(self, celsius: float) -> None:
-        """Change the temperature of the air around the arm [°C].
-
-        Raises:
-            ValueError: colder than -100 °C, where the friction's T⁻³ means nothing, or not a number.
-        """
-        if not COLDEST <= celsius < np.inf:
-            raise ValueError(f"no arm works at {celsius} °C")
-        self.thermal.ambient = celsius
-
-    def heat(self, joint: int | str, celsius: float) -> None:
-        """Raise one joint's winding and housing by so many degrees at once; the joint by name or number.
+    def heat(self, joint: int, celsius: float) -> None:
+        """Raise the temperature of winding and housing of the joint of this index at once, by `celsius` [K].
 
         Raises:
             ValueError: no such joint, or a housing colder than -100 °C.
         """
-        number = self.robot.joint_names.index(joint) if isinstance(joint, str) else joint
-        if not 0 <= number < self.robot.dof:
-            raise ValueError(f"no joint {joint}; there are {self.robot.dof}, the first is 0")
-        if not COLDEST <= self.thermal.housing[number] + celsius < np.inf:
-            raise ValueError(f"no joint works {celsius} K above {self.thermal.housing[number]} °C")
-        self.thermal.winding[number] += celsius
-        self.thermal.housing[number] += celsius
+        self._check_joint(joint)
+        if not COLDEST <= self.thermal.housing[joint] + celsius < np.inf:
+            raise ValueError(f"no joint works {celsius} K above {self.thermal.housing[joint]} °C")
+        self.thermal.winding[joint] += celsius
+        self.thermal.housing[joint] += celsius
         self._update_conditions()
 
     def block(self, joint: int) -> None:
-        """Jam a joint by its number: it stops at once and moves no more, whatever its drive does.
+        """Jam the joint of this index: it stops at once and moves no more, whatever its drive does.
 
         Raises:
             ValueError: no such joint.
         """
-        if not 0 <= joint < self.robot.dof:
-            raise ValueError(f"no joint {joint}; there are {self.robot.dof}, the first is 0")
+        self._check_joint(joint)
         # So much inertia that no drive moves it: the other joints then feel the jam as they would feel a rigid link.
         self._added_inertia[joint] = 0.0
         armature = self._moving_arm.armature.copy()
         armature[joint] = JAMMED_INERTIA
         self._moving_arm.armature = armature
         self.velocity[joint] = self.acceleration[joint] = 0.0
+
+    def _check_joint(self, joint: int) -> None:
+        if not 0 <= joint < self.robot.dof:
+            raise ValueError(f"no joint {joint}; there are {self.robot.dof}, the first is 0")
 
     def _vector(self, values: FloatArray, what: str) -> FloatArray:
         vector = np.asarray(values, dtype=np.float64)

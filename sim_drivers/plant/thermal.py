@@ -30,12 +30,6 @@ def copper_losses(robot: Robot) -> FloatArray:
     )
 
 
-def time_constants(thermal: TruthThermal) -> tuple[float, float]:
-    """The two time constants of a joint [s], the faster first."""
-    rates = np.sort(-np.linalg.eigvals(_heat_matrix(thermal)).real)
-    return float(1.0 / rates[1]), float(1.0 / rates[0])
-
-
 def _heat_matrix(thermal: TruthThermal) -> FloatArray:
     across, out = thermal.winding_to_housing, thermal.housing_to_ambient
     return np.array(

@@ -92,11 +92,6 @@ class Controller:
         self._publish(measured)
 
     @property
-    def runtime_state(self) -> int:
-        """Whether a program runs."""
-        return STOPPED if self.script is None else PLAYING
-
-    @property
     def steady(self) -> bool:
         """Whether the arm has stood still for a while."""
         return self.arm.time - self._still_since >= STEADY_TIME

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_drivers.plant.friction import FrictionParameters, SimulatedFriction, sliding_friction
+from sim_drivers.plant.friction import FrictionParameters, SimulatedFriction
 from sim_drivers.plant.plant import Plant, PlantSettings
 
 FREE = PlantSettings(controller="none")
@@ -27,6 +27,16 @@ def amount(limit):
 
 
 @settings(max_examples=60, deadline=None)
+def sliding_friction(truth, velocity, celsius, load_torque):
+    """Friction torque (n,) [N·m] of joints that slide, term by term (AUBO eq. 3-6)."""
+    speed = np.abs(velocity)
+    beta1, beta2, beta3 = truth.temperature
+    kelvin = celsius + 273.15
+    dry = truth.coulomb + truth.stribeck * np.exp(-((speed / truth.stribeck_velocity) ** 2))
+    wet = truth.viscous * speed**truth.alpha + np.sqrt(speed) * (beta1 + beta2 * kelvin + beta3 / kelvin**3)
+    return np.sign(velocity) * (dry + truth.load * load_torque**2 + np.maximum(wet, 0.0)) + truth.offset
+
+
 @given(
     coulomb=amount(10), viscous=amount(10), alpha=st.floats(0.3, 2.0), beta=st.floats(-5, 5),
     beta2=st.floats(-0.1, 0.1), load=amount(0.1), offset=st.floats(-2, 2), stribeck=amount(3),
@@ -52,11 +62,15 @@ def test_the_terms_are_those_of_equations_4_to_6():
     truth = parameters(
         coulomb=[2.0], viscous=[3.0], alpha=[0.5], load=[0.01], offset=[0.4], temperature=[[5.0], [-0.01], [2e7]]
     )
+    friction = SimulatedFriction(truth, np.full(1, 1e5), np.full(1, 300.0))
     # T = 300 K: β1 + β2·T + β3·T⁻³ = 5 − 3 + 20/27.
-    kelvin_300 = np.array([300.0 - 273.15])
+    friction.set_conditions(np.array([300.0 - 273.15]), np.array([10.0]))
     for sign in (1.0, -1.0):
+        speed = np.array([sign * 0.49])
+        for _ in range(400):
+            torque = friction.torque(speed, speed * 0.05)
         expected = sign * (2.0 + 3.0 * 0.7 + 0.7 * (2.0 + 20.0 / 27.0) + 0.01 * 100.0) + 0.4
-        assert sliding_friction(truth, np.array([sign * 0.49]), kelvin_300, np.array([10.0])) == pytest.approx(expected)
+        assert torque == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("extra", ["", ", stribeck: 1.5", ", viscous: 2", ", alpha: 0.5, viscous: 2"])
@@ -125,7 +139,7 @@ def constant_speed_torque(plant, speed=0.8, seconds=1.5):
 def test_a_warmer_joint_rubs_less_as_its_betas_say(pendulum):
     robot_file = pendulum(f"coulomb: 2, viscous: 3, {BETAS}", thermal="copper_loss: {swing: 0}")
     cold, warm = Plant(robot_file, position=np.zeros(1)), Plant(robot_file, position=np.zeros(1))
-    warm.heat("swing", 25.0)
+    warm.heat(0, 25.0)
     difference = constant_speed_torque(cold) - constant_speed_torque(warm)
     kelvin = 23.0 + 273.15
     expected = np.sqrt(0.8) * (0.06 * 25.0 + 1e7 * (kelvin**-3 - (kelvin + 25.0) ** -3))

@@ -10,7 +10,7 @@ from daq.robot.loader import parse_robot
 from daq.robot.schema import TruthThermal
 from drivers.errors import RobotFileError
 from sim_drivers.plant.plant import Plant, PlantSettings
-from sim_drivers.plant.thermal import JointHeat, time_constants
+from sim_drivers.plant.thermal import JointHeat
 
 THERMAL = TruthThermal(
     ambient=20.0, winding_capacity=100.0, housing_capacity=1000.0, winding_to_housing=4.0, housing_to_ambient=2.0
@@ -40,20 +40,6 @@ def test_it_is_the_solution_of_its_differential_equations():
     assert [heat.winding[0], heat.housing[0]] == pytest.approx(exact, abs=1e-6)
 
 
-def test_the_slow_time_constant_shows_in_the_cooling():
-    fast, slow = time_constants(THERMAL)
-    assert fast < 25.0  # C_w/G_wh, shortened by the housing
-    assert slow > 500.0  # C_h/G_ha, lengthened by the winding
-    heat = JointHeat(THERMAL, 1, 1.0)
-    heat.winding, heat.housing = np.array([80.0]), np.array([80.0])
-    above = []
-    for _ in range(2000):
-        heat.advance(np.zeros(1), np.zeros(1))
-        above.append(heat.housing[0] - 20.0)
-    late = np.polyfit(np.arange(200, 2000), np.log(above[200:]), 1)[0]
-    assert -1.0 / late == pytest.approx(slow, rel=1e-4)
-
-
 def test_holding_a_load_heats_the_winding(pendulum):
     robot_file = pendulum("coulomb: 0", thermal="copper_loss: {swing: 2.0}, winding_to_housing: 5.0")
     plant = Plant(robot_file, position=np.zeros(1))
@@ -78,17 +64,14 @@ def test_rubbing_heats_the_housing(pendulum):
     assert plant.thermal.housing - 23.0 == pytest.approx(expected.housing - 23.0, rel=0.05)
 
 
-def test_the_air_can_change_and_a_joint_be_heated(pendulum):
+def test_a_joint_can_be_heated_and_cools(pendulum):
     plant = Plant(pendulum(noise="temperature_resolution: 0.5"), PlantSettings(controller="none"))
     assert plant.measure().temperature == pytest.approx(23.0)
     plant.heat(0, 10.2)
     assert plant.measure().temperature == pytest.approx(33.0)
-    plant.set_ambient(40.0)
+    hot = plant.thermal.housing[0]
     plant.advance(20.0)
-    other = Plant(pendulum(), PlantSettings(controller="none"))
-    other.heat("swing", 10.2)
-    other.advance(20.0)
-    assert plant.thermal.housing > other.thermal.housing + 0.1
+    assert plant.thermal.housing < hot - 0.1
 
 
 def test_the_robot_file_says_what_is_wrong(pendulum):
