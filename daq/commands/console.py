@@ -38,8 +38,8 @@ def print_table(title: str, headers: Sequence[str], rows: Iterable[Sequence[obje
     from rich.text import Text
 
     table = Table(title=Text(title) if title else None, title_justify="left", show_edge=False, pad_edge=False)
-    for number, header in enumerate(headers):
-        table.add_column(Text(header), justify="left" if number == 0 else "right", overflow="fold")
+    for column, header in enumerate(headers):
+        table.add_column(Text(header), justify="left" if column == 0 else "right", overflow="fold")
     for row in rows:
         table.add_row(*(Text(cell(value)) for value in row))
     console = Console(highlight=False)

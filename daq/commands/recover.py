@@ -29,11 +29,11 @@ def recover_command(
     from daq.recording.stream_quality import stream_quality
 
     target = out if out is not None else file.with_name(f"{file.stem}-recovered.h5")
-    found = recover(file, target, overwrite=force)
-    qualities = {name: stream_quality(stream.time) for name, stream in found.recording.streams.items()}
+    rescued = recover(file, target, overwrite=force)
+    qualities = {name: stream_quality(stream.time) for name, stream in rescued.recording.streams.items()}
     if as_json:
         streams = {name: asdict(quality) for name, quality in qualities.items()}
-        print_json({"file": str(target), "streams": streams, "cut": dict(found.cut)})
+        print_json({"file": str(target), "streams": streams, "cut": dict(rescued.cut)})
         return
     for name, quality in qualities.items():
-        print(f"{target}: {name}: {quality.samples} samples rescued, {found.cut[name]} announced but not written")
+        print(f"{target}: {name}: {quality.samples} samples rescued, {rescued.cut[name]} announced but not written")

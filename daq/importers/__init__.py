@@ -149,8 +149,8 @@ def _one_line(text: str) -> str:
 def _sha256(path: Path) -> str:
     digest = hashlib.sha256()
     with parsing(path, "a file"):
-        for part in bag_files(path):
-            with part.open("rb") as file:
+        for bag_file in bag_files(path):
+            with bag_file.open("rb") as file:
                 while chunk := file.read(1 << 20):
                     digest.update(chunk)
     return digest.hexdigest()

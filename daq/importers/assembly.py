@@ -56,23 +56,23 @@ def assemble(table: ForeignTable, robot: RobotFile, choices: ImportChoices, wher
             different length.
     """
     notes = list(table.notes)
-    blocks = _decide_effort(dict(table.blocks), choices, where)
-    if "position" not in blocks:
+    foreign = _decide_effort(dict(table.quantities), choices, where)
+    if "position" not in foreign:
         raise ImportFileError(
-            f"has no joint positions; understood were: {listed(blocks) or 'none'}",
+            f"has no joint positions; understood were: {listed(foreign) or 'none'}",
             where=where,
             hint="map them: --column q1=NAME (or q=NAME for a whole array)",
         )
     sliding = robot.prismatic_joints
-    _check_lengths(table, blocks, where)
+    _check_lengths(table, foreign, where)
     names = robot.robot.joint_names
     quantities = {}
-    unnamed = sorted(quantity for quantity, block in blocks.items() if block.joints is None)
+    unnamed = sorted(quantity for quantity, given in foreign.items() if given.joints is None)
     if unnamed:
         order = ", ".join(names)
         notes.append(Note("info", f"joints matched by order (the file has no names) for {listed(unnamed)}: {order}"))
-    for quantity, block in blocks.items():
-        ordered, match_notes = _in_robot_order(quantity, block, names, choices, where)
+    for quantity, given in foreign.items():
+        ordered, match_notes = _in_robot_order(quantity, given, names, choices, where)
         notes.extend(note for note in match_notes if note not in notes)
         quantities[quantity] = _in_si(quantity, ordered, sliding, choices, where, notes)
     if "torque" not in quantities and "current" not in quantities:
@@ -84,32 +84,32 @@ def assemble(table: ForeignTable, robot: RobotFile, choices: ImportChoices, wher
 
 
 def _decide_effort(
-    blocks: dict[str, QuantityColumns], choices: ImportChoices, where: str
+    quantities: dict[str, QuantityColumns], choices: ImportChoices, where: str
 ) -> dict[str, QuantityColumns]:
-    effort = blocks.pop("effort", None)
+    effort = quantities.pop("effort", None)
     if effort is None:
-        if choices.effort is not None and choices.effort not in blocks:
+        if choices.effort is not None and choices.effort not in quantities:
             raise ImportFileError(
-                f"has neither effort nor {choices.effort}; understood were: {listed(blocks) or 'none'}",
+                f"has neither effort nor {choices.effort}; understood were: {listed(quantities) or 'none'}",
                 where=where,
                 hint=f"leave --effort {choices.effort} out, or map the columns with --column",
             )
-        return blocks
+        return quantities
     if choices.effort is None:
         raise ImportFileError(
             "has 'effort', which is a motor current with some drivers and a joint torque with others",
             where=where,
             hint="say which: --effort torque or --effort current",
         )
-    if choices.effort in blocks:
+    if choices.effort in quantities:
         raise ImportFileError(
             f"has both effort and {choices.effort}", where=where, hint="choose one with --column and leave --effort out"
         )
-    return {**blocks, choices.effort: effort}
+    return {**quantities, choices.effort: effort}
 
 
-def _check_lengths(table: ForeignTable, blocks: dict[str, QuantityColumns], where: str) -> None:
-    lengths = {quantity: len(block.values) for quantity, block in blocks.items()}
+def _check_lengths(table: ForeignTable, quantities: dict[str, QuantityColumns], where: str) -> None:
+    lengths = {quantity: len(given.values) for quantity, given in quantities.items()}
     if table.time is not None:
         lengths = {"time": len(table.time), **lengths}
     if len(set(lengths.values())) > 1:
@@ -121,18 +121,18 @@ def _check_lengths(table: ForeignTable, blocks: dict[str, QuantityColumns], wher
 
 
 def _in_robot_order(
-    quantity: str, block: QuantityColumns, names: tuple[str, ...], choices: ImportChoices, where: str
+    quantity: str, given: QuantityColumns, names: tuple[str, ...], choices: ImportChoices, where: str
 ) -> tuple[QuantityColumns, tuple[Note, ...]]:
-    if block.joints is None:
-        return replace(block, joints=names), ()
-    if quantity == "temperature" and set(block.joints) <= set(names):
-        return block, ()
-    match = match_joints(block.joints, names, by_order=choices.by_order, where=f"{where}: {quantity}")
+    if given.joints is None:
+        return replace(given, joints=names), ()
+    if quantity == "temperature" and set(given.joints) <= set(names):
+        return given, ()
+    match = match_joints(given.joints, names, by_order=choices.by_order, where=f"{where}: {quantity}")
     columns = list(match.columns)
     ordered = QuantityColumns(
-        block.values[:, columns],
-        tuple(block.labels[column] for column in columns),
-        tuple(block.units[column] for column in columns),
+        given.values[:, columns],
+        tuple(given.labels[column] for column in columns),
+        tuple(given.units[column] for column in columns),
         names,
     )
     return ordered, match.notes
@@ -140,15 +140,15 @@ def _in_robot_order(
 
 def _in_si(
     quantity: str,
-    block: QuantityColumns,
+    given: QuantityColumns,
     sliding: frozenset[str],
     choices: ImportChoices,
     where: str,
     notes: list[Note],
 ) -> Quantity:
-    joints = block.joints or ()
-    stated = [label for label, unit in zip(block.labels, block.units, strict=True) if unit]
-    silent = [label for label, unit in zip(block.labels, block.units, strict=True) if not unit]
+    joints = given.joints or ()
+    stated = [label for label, unit in zip(given.labels, given.units, strict=True) if unit]
+    silent = [label for label, unit in zip(given.labels, given.units, strict=True) if not unit]
     if stated and silent:
         raise ImportFileError(
             f"mixed units of {quantity}: {listed(stated)} state one, {listed(silent)} don't",
@@ -156,9 +156,9 @@ def _in_si(
             hint="state the unit of all of them or of none",
         )
     angular = quantity in ("position", "velocity")
-    values = block.values.copy()
+    values = given.values.copy()
     used: dict[str, list[str]] = {}
-    for column, (label, unit, joint) in enumerate(zip(block.labels, block.units, joints, strict=True)):
+    for column, (label, unit, joint) in enumerate(zip(given.labels, given.units, joints, strict=True)):
         prismatic = joint in sliding
         if angular and choices.degrees and not prismatic:
             degrees = "deg" if quantity == "position" else "deg/s"
@@ -187,7 +187,7 @@ def _in_si(
     left = [joint for joint in joints if joint in sliding]
     if angular and choices.degrees and left:
         notes.append(Note("info", f"{quantity} of prismatic joints not converted from degrees: {listed(left)}"))
-    return Quantity(values, joints, block.labels)
+    return Quantity(values, joints, given.labels)
 
 
 def _time(table: ForeignTable, count: int, choices: ImportChoices, where: str, notes: list[Note]) -> FloatArray:

@@ -1,4 +1,4 @@
-"""From named arrays to a `Table`: columns are gathered into one block a quantity, samples down, joints across."""
+"""From named arrays to a `Table`: columns are gathered by quantity, samples down, joints across."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def collect(
             unused.append(role.name)
             continue
         groups.setdefault(role.quantity, []).append((replace(role, unit=unit), values))
-    blocks = {}
+    quantities = {}
     for quantity, members in groups.items():
         whole = [role for role, _ in members if role.number is None and role.joint is None]
         if whole and len(members) > 1:
@@ -83,12 +83,12 @@ def collect(
                 hint="choose with --column",
             )
         if whole:
-            blocks[quantity] = _whole_block(members[0][0], members[0][1], joints, array_joints, width, where, notes)
+            quantities[quantity] = _from_array(members[0][0], members[0][1], joints, array_joints, width, where, notes)
         else:
-            blocks[quantity] = _column_block(quantity, members, joints, where, notes)
+            quantities[quantity] = _from_columns(quantity, members, joints, where, notes)
     if unused:
         notes.append(Note("info", f"not taken over: {listed(unused)}"))
-    return ForeignTable(source, time, time_unit, blocks, tuple(notes), lines)
+    return ForeignTable(source, time, time_unit, quantities, tuple(notes), lines)
 
 
 def _exact_stamps(stamps: npt.NDArray[Any], notes: list[Note]) -> npt.NDArray[Any]:
@@ -117,7 +117,7 @@ def _vector(values: FloatArray, name: str, where: str) -> FloatArray:
     )
 
 
-def _whole_block(
+def _from_array(
     role: Role,
     values: FloatArray,
     joints: Sequence[str],
@@ -145,7 +145,7 @@ def _whole_block(
     return QuantityColumns(np.ascontiguousarray(values), labels, (role.unit,) * width, array_joints)
 
 
-def _column_block(
+def _from_columns(
     quantity: str, members: list[tuple[Role, FloatArray]], joints: Sequence[str], where: str, notes: list[Note]
 ) -> QuantityColumns:
     named = [role for role, _ in members if role.joint is not None]

@@ -148,11 +148,13 @@ def assign_roles(
     """
     chosen = tuple(_chosen_role(key, given, names, joints, where) for key, given in columns.items())
     decided = {role.quantity for role in chosen}
-    found = [role for name in names if (role := parse_name(name, joints)) is not None and role.quantity not in decided]
-    full = {role.quantity for role in found if role.exact}
+    recognised = [
+        role for name in names if (role := parse_name(name, joints)) is not None and role.quantity not in decided
+    ]
+    full = {role.quantity for role in recognised if role.exact}
     # A column called exactly `t` beats one called `header.t`; among equals the user has to choose.
-    found = [role for role in found if role.exact or role.quantity not in full]
-    roles = (*chosen, *found)
+    recognised = [role for role in recognised if role.exact or role.quantity not in full]
+    roles = (*chosen, *recognised)
     meanings: dict[tuple[str, int | None, str | None], Role] = {}
     for role in roles:
         meaning = (role.quantity, role.number, role.joint)

@@ -90,12 +90,12 @@ def read_rosbag(path: Path, joints: Sequence[str], choices: ImportChoices) -> Fo
     seconds = (stamps - stamps[0]) / SECOND
     notes.append(Note("info", f"time is counted from the first message, stamped {stamps[0] / SECOND:.9f} s"))
     labels = tuple(joints)
-    blocks = {}
+    quantities = {}
     for field in _FIELDS:
         values = _gather(messages, field, taken, matches, place)
         if values is not None:
-            blocks[field] = QuantityColumns(values, labels, ("",) * len(joints), labels)
-    return ForeignTable("ROS 2 bag", seconds, "s", blocks, tuple(notes))
+            quantities[field] = QuantityColumns(values, labels, ("",) * len(joints), labels)
+    return ForeignTable("ROS 2 bag", seconds, "s", quantities, tuple(notes))
 
 
 def _openable(path: Path, notes: list[Note]) -> tuple[Path, ...]:
@@ -155,16 +155,18 @@ def _chosen(connections: Sequence[Any], topic: str | None, where: str) -> list[A
     if topic is not None:
         if topic not in topics:
             others = {connection.topic: connection.msgtype for connection in connections}
-            found = f"carries {printable(others[topic])}, not {JOINT_STATE}" if topic in others else "is not in the bag"
+            problem = (
+                f"carries {printable(others[topic])}, not {JOINT_STATE}" if topic in others else "is not in the bag"
+            )
             raise ImportFileError(
-                f"topic {printable(topic)} {found}; with JointState: {listed(topics) or 'none'}",
+                f"topic {printable(topic)} {problem}; with JointState: {listed(topics) or 'none'}",
                 where=where,
                 hint=did_you_mean(topic, topics),
             )
         topics = [topic]
     if not topics:
-        found = listed(sorted({f"{connection.topic} ({connection.msgtype})" for connection in connections}))
-        raise ImportFileError(f"has no topic with {JOINT_STATE}; it has: {found or 'nothing'}", where=where)
+        present = listed(sorted({f"{connection.topic} ({connection.msgtype})" for connection in connections}))
+        raise ImportFileError(f"has no topic with {JOINT_STATE}; it has: {present or 'nothing'}", where=where)
     if len(topics) > 1:
         raise _several(topics, where)
     chosen = [connection for connection in carrying if connection.topic == topics[0]]

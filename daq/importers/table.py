@@ -49,7 +49,7 @@ class ForeignTable:
         source: kind of the file, in words.
         time: (N,) stamps in `time_unit`; None where the file has none.
         time_unit: as the file states it; empty where it doesn't.
-        blocks: quantity (`position`, `velocity`, `torque`, `current`, `effort`, `temperature`) → block.
+        quantities: `position`, `velocity`, `torque`, `current`, `effort` or `temperature` → its columns.
         notes: what the reader assumed.
         lines: (N,) line number of each sample in a text file; None otherwise.
     """
@@ -57,7 +57,7 @@ class ForeignTable:
     source: str
     time: FloatArray | None
     time_unit: str
-    blocks: Mapping[str, QuantityColumns]
+    quantities: Mapping[str, QuantityColumns]
     notes: tuple[Note, ...] = ()
     lines: npt.NDArray[np.int64] | None = None
 

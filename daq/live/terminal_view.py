@@ -103,13 +103,13 @@ class Publisher:
         self._past: deque[tuple[float, Mapping[str, int]]] = deque(maxlen=RATE_PICTURES)
         self._sent = -np.inf
 
-    def take(self, block: Batch) -> None:
-        """Note a block."""
+    def add(self, batch: Batch) -> None:
+        """Note a batch."""
         with suppress(Exception):  # a display must not stop an arm
-            self._samples[block.stream] = self._samples.get(block.stream, 0) + len(block.time)
-            self._lost[block.stream] = self._lost.get(block.stream, 0) + block.lost
-            if block.stream == JOINTS_STREAM and len(block.time):
-                self._take_joints(block.values)
+            self._samples[batch.stream] = self._samples.get(batch.stream, 0) + len(batch.time)
+            self._lost[batch.stream] = self._lost.get(batch.stream, 0) + batch.lost
+            if batch.stream == JOINTS_STREAM and len(batch.time):
+                self._add_joints(batch.values)
 
     def show(self, state: str, elapsed: float, total: float) -> None:
         """Send a picture, at most one a period; `elapsed` of `total` [s]."""
@@ -147,16 +147,16 @@ class Publisher:
             overflow,
         )
 
-    def _take_joints(self, values: Mapping[str, FloatArray]) -> None:
+    def _add_joints(self, values: Mapping[str, FloatArray]) -> None:
         limits = self._limits
         torque = values.get("torque")
         if torque is None and "current" in values:
             torque = values["current"] * limits.torque_per_current
         if torque is not None:
             shares = np.abs(torque).max(axis=0) / limits.torque
-            found = _largest(np.where(np.isinf(limits.torque), np.nan, shares), limits.joints)
-            if found is not None and (self._torque is None or found[0] > self._torque[0]):
-                self._torque = found
+            largest = _largest(np.where(np.isinf(limits.torque), np.nan, shares), limits.joints)
+            if largest is not None and (self._torque is None or largest[0] > self._torque[0]):
+                self._torque = largest
         if "temperature" in values:
             self._temperature = _largest(values["temperature"][-1], limits.joints)
 

@@ -217,9 +217,9 @@ class SampledMotion:
             jerk, speed = (end - start) / width, self._velocity(knots[:-1])
             root = np.sqrt(start**2 - 2.0 * jerk * speed)
             turns = [knots[:-1] + (-start + sign * root) / jerk for sign in (1.0, -1.0)]
-        found = np.concatenate([values.ravel() for values in (at_zero, *turns)])
-        found = found[np.isfinite(found) & (found > 0.0) & (found < self.duration)]
-        return np.unique(np.concatenate([knots, found]))
+        candidates = np.concatenate([values.ravel() for values in (at_zero, *turns)])
+        candidates = candidates[np.isfinite(candidates) & (candidates > 0.0) & (candidates < self.duration)]
+        return np.unique(np.concatenate([knots, candidates]))
 
 
 @dataclass(frozen=True)
@@ -288,14 +288,14 @@ def motion_extremes(motion: Motion) -> Extremes:
     count = int(min(max(motion.duration * GRID_RATE, 2000.0), _MAX_GRID)) + 1
     time = np.unique(np.concatenate([np.linspace(0.0, motion.duration, count), motion.extreme_times()]))
     position, velocity, acceleration = motion.evaluate(time)
-    found = (position.argmin(1), position.argmax(1), np.abs(velocity).argmax(1), np.abs(acceleration).argmax(1))
+    extremes = (position.argmin(1), position.argmax(1), np.abs(velocity).argmax(1), np.abs(acceleration).argmax(1))
     rows = np.arange(len(position))
     return Extremes(
-        position[rows, found[0]],
-        position[rows, found[1]],
-        np.abs(velocity[rows, found[2]]),
-        np.abs(acceleration[rows, found[3]]),
-        time[np.array(found)],
+        position[rows, extremes[0]],
+        position[rows, extremes[1]],
+        np.abs(velocity[rows, extremes[2]]),
+        np.abs(acceleration[rows, extremes[3]]),
+        time[np.array(extremes)],
     )
 
 
@@ -316,10 +316,10 @@ def check_limits(motion: Motion, limits: Sequence[JointLimits], where: str) -> N
             ("velocity", "rad/s or m/s", extremes.velocity[joint], limit.velocity, 1.0),
             ("acceleration", "rad/s² or m/s²", extremes.acceleration[joint], limit.acceleration, 1.0),
         )
-        for number, (quantity, unit, value, allowed, sign) in enumerate(cases):
+        for case, (quantity, unit, value, allowed, sign) in enumerate(cases):
             if not value <= allowed + LIMIT_TOLERANCE * max(1.0, abs(allowed)):
                 raise UsageError(
-                    f"joint {limit.name}: {quantity} {sign * value:.5g} at {extremes.times[number, joint]:.3f} s "
+                    f"joint {limit.name}: {quantity} {sign * value:.5g} at {extremes.times[case, joint]:.3f} s "
                     f"passes its limit of {sign * allowed:.5g} {unit}",
                     where=where,
                     hint="reduce the amplitude or slow the motion down",

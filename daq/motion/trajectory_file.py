@@ -230,8 +230,8 @@ def parse_trajectory(text: str, robot: Robot, *, where: str, folder: Path | None
     kind = content.get("kind")
     schema = _KINDS.get(kind) if isinstance(kind, str) else None
     if schema is None:
-        found = f"found {describe(kind)}" if "kind" in content else "this key is missing"
-        raise UsageError(f"{found}; allowed: {', '.join(_KINDS)}", where=f"{where}: kind")
+        problem = f"found {describe(kind)}" if "kind" in content else "this key is missing"
+        raise UsageError(f"{problem}; allowed: {', '.join(_KINDS)}", where=f"{where}: kind")
     if kind == "samples" and "csv" in content:
         content = _with_samples(content, robot, where, folder)
         text = yaml.safe_dump(content, allow_unicode=True, sort_keys=False)
@@ -294,13 +294,13 @@ def _read_csv(path: Path, joints: tuple[str, ...]) -> tuple[FloatArray, FloatArr
         )
     columns = [header.index(name) for name in ("time", *joints)]
     values = []
-    for number, row in enumerate(rows[1:], start=2):
+    for line, row in enumerate(rows[1:], start=2):
         if not row:
             continue
         try:
             values.append([float(row[column]) for column in columns])
         except (ValueError, IndexError) as error:
-            raise UsageError("a number is missing or not readable", where=f"{path}, line {number}") from error
+            raise UsageError("a number is missing or not readable", where=f"{path}, line {line}") from error
     if not values:
         raise UsageError("has no samples", where=str(path))
     table = np.array(values)

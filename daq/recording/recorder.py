@@ -1,4 +1,4 @@
-"""The recorder: a thread that writes blocks to the file while they arrive.
+"""The recorder: a thread that writes batches to the file while they arrive.
 
 The file is followed while it grows (HDF5 SWMR) and survives the death of the process: whole chunks of half a second
 are written and flushed at once; `dynid recover` rescues them.
@@ -21,7 +21,7 @@ from drivers.errors import DiskError, RecordingError
 from drivers.streams import Batch, StreamLayout
 
 MEMORY_LIMIT = 64 * 2**20
-"""Bytes of samples that may wait for the disk before blocks are dropped, and counted."""
+"""Bytes of samples that may wait for the disk before batches are dropped, and counted."""
 RESERVE = 16 * 2**20
 """Bytes of free disk space [B] at which recording ends in order: a full disk leaves HDF5 no way to close a file."""
 _WAIT = 0.1
@@ -41,7 +41,7 @@ def require_room(path: Path) -> None:
 
 
 class Recorder:
-    """Takes blocks from the acquisition without ever making it wait for the disk.
+    """Takes batches from the acquisition without ever making it wait for the disk.
 
     Args:
         path: of the new recording.
@@ -100,20 +100,20 @@ class Recorder:
         """Why nothing can be written any more; None while all is well."""
         return self._failure
 
-    def put(self, block: Batch) -> None:
-        """Hand over a block; dropped and counted where too much waits already."""
-        size = _size(block)
+    def put(self, batch: Batch) -> None:
+        """Hand over a batch; dropped and counted where too much waits already."""
+        size = _size(batch)
         with self._changed:
             if self._failure is not None:
                 return
             if self._waiting + size > self._memory_limit:
                 if self.overflow == 0:
-                    when = float(block.time[0]) if len(block.time) else float("nan")
+                    when = float(batch.time[0]) if len(batch.time) else float("nan")
                     self._queue.append((when, "error", "recorder", "the disk does not keep up: samples are dropped"))
-                self.overflow += len(block.time)
+                self.overflow += len(batch.time)
                 return
             self._waiting += size
-            self._queue.append(block)
+            self._queue.append(batch)
             self._changed.notify()
 
     def event(self, time: float, level: Level, source: str, message: str) -> None:
@@ -152,10 +152,10 @@ class Recorder:
                 with self._changed:
                     if not self._queue and not self._closing:
                         self._changed.wait(_WAIT)
-                    taken = list(self._queue)
+                    items = list(self._queue)
                     self._queue.clear()
                     closing = self._closing
-                for item in taken:
+                for item in items:
                     self._take(item)
                 self._write(everything=closing)
                 if closing:
@@ -190,15 +190,15 @@ class Recorder:
     def _write(self, *, everything: bool) -> None:
         """Whole chunks; what is left only at the end, or where a source is much slower than it said."""
         wrote = False
-        for stream, blocks in self._pending.items():
-            waiting = sum(len(block.time) for block in blocks)
+        for stream, batches in self._pending.items():
+            waiting = sum(len(batch.time) for batch in batches)
             whole = waiting - waiting % self._rows[stream]
-            late = bool(blocks) and self._clock.now() - self._since[stream] > 2.0 * CHUNK_SECONDS
+            late = bool(batches) and self._clock.now() - self._since[stream] > 2.0 * CHUNK_SECONDS
             count = waiting if everything or late else whole
             if count == 0:
                 continue
             require_room(self.path)
-            joined = _join(blocks)
+            joined = _join(batches)
             self._writer.append(
                 stream,
                 joined.time[:count],
@@ -220,19 +220,19 @@ class Recorder:
             self._writer.flush()
 
 
-def _join(blocks: Sequence[Batch]) -> Batch:
-    if len(blocks) == 1:
-        return blocks[0]
+def _join(batches: Sequence[Batch]) -> Batch:
+    if len(batches) == 1:
+        return batches[0]
     return Batch(
-        blocks[0].stream,
-        np.concatenate([block.time for block in blocks]),
-        np.concatenate([block.host_time for block in blocks]),
-        {name: np.concatenate([block.values[name] for block in blocks]) for name in blocks[0].values},
+        batches[0].stream,
+        np.concatenate([batch.time for batch in batches]),
+        np.concatenate([batch.host_time for batch in batches]),
+        {name: np.concatenate([batch.values[name] for batch in batches]) for name in batches[0].values},
     )
 
 
-def _size(block: Batch) -> int:
-    return block.time.nbytes + block.host_time.nbytes + sum(values.nbytes for values in block.values.values())
+def _size(batch: Batch) -> int:
+    return batch.time.nbytes + batch.host_time.nbytes + sum(values.nbytes for values in batch.values.values())
 
 
 def _disk_error(error: RecordingError, path: Path) -> DiskError:

@@ -202,15 +202,15 @@ class Recording:
             raise UsageError(
                 f"there is no stream '{stream}'", where=self.label, hint=f"streams: {', '.join(self.streams)}"
             )
-        found = self.streams[stream]
-        joints = next((channel.columns for channel in found.channels.values()), ())
+        data = self.streams[stream]
+        joints = next((channel.columns for channel in data.channels.values()), ())
         coordinates: dict[str, object] = {
-            "time": ("time", found.time, {"units": "s"}),
-            "host_time": ("time", found.host_time, {"units": "s"}),
+            "time": ("time", data.time, {"units": "s"}),
+            "host_time": ("time", data.host_time, {"units": "s"}),
             "joint": list(joints),
         }
         variables = {}
-        for quantity, channel in found.channels.items():
+        for quantity, channel in data.channels.items():
             dimension = "joint" if channel.columns == joints else f"{quantity}_column"
             coordinates.setdefault(dimension, list(channel.columns))
             attributes = {"units": channel.unit, "long_name": channel.description}

@@ -71,14 +71,14 @@ def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:
     if path.resolve() == out.resolve():
         raise RecordingError("would overwrite its own source", where=str(out), hint="choose another name with -o")
     _require_readable(path)
-    found = follow_recording(path)
+    rest = follow_recording(path)
     streams, cut = {}, {}
-    for name, stream in found.streams.items():
+    for name, stream in rest.streams.items():
         streams[name], cut[name] = _without_unwritten_rows(stream)
     lost = ", ".join(f"{count} rows of {name}" for name, count in cut.items() if count)
     message = f"recovered from {path.name}, whose writer did not close it" + (f"; unwritten: {lost}" if lost else "")
-    events = (*found.events, Event(float("nan"), "warning", "recover", message))
-    recording = replace(found, streams=streams, events=events, complete=False)
+    events = (*rest.events, Event(float("nan"), "warning", "recover", message))
+    recording = replace(rest, streams=streams, events=events, complete=False)
     write_recording(out, recording, overwrite=overwrite)
     return Recovered(replace(recording, path=out), cut)
 

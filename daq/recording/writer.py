@@ -177,23 +177,27 @@ class RecordingWriter:
             dataset.dims[0].label = "time"
             dataset.dims[1].label = "joint"
 
-    def append(self, stream: str, time: FloatArray, host_time: FloatArray, blocks: Mapping[str, FloatArray]) -> None:
-        """Append N samples of one stream: `time` and `host_time` (N,) [s], `blocks` quantity → (N, n).
+    def append(
+        self, stream: str, time: FloatArray, host_time: FloatArray, quantities: Mapping[str, FloatArray]
+    ) -> None:
+        """Append N samples of one stream: `time` and `host_time` (N,) [s], `quantities` quantity → (N, n).
 
         Raises:
             ValueError: a quantity is missing or has another shape than the stream's layout says.
             RecordingError: the file cannot be written any more (full disk).
         """
         layout = self._layouts[stream]
-        if set(blocks) != {channel.quantity for channel in layout.channels}:
-            raise ValueError(f"stream '{stream}' takes {[c.quantity for c in layout.channels]}, not {sorted(blocks)}")
+        if set(quantities) != {channel.quantity for channel in layout.channels}:
+            raise ValueError(
+                f"stream '{stream}' takes {[c.quantity for c in layout.channels]}, not {sorted(quantities)}"
+            )
         count = len(time)
         for channel in layout.channels:
-            if np.shape(blocks[channel.quantity]) != (count, len(channel.columns)):
-                raise ValueError(f"{stream}/{channel.quantity}: shape {np.shape(blocks[channel.quantity])}")
+            if np.shape(quantities[channel.quantity]) != (count, len(channel.columns)):
+                raise ValueError(f"{stream}/{channel.quantity}: shape {np.shape(quantities[channel.quantity])}")
         datasets = self._datasets[stream]
         try:
-            for name, values in (("time", time), ("host_time", host_time), *blocks.items()):
+            for name, values in (("time", time), ("host_time", host_time), *quantities.items()):
                 dataset = datasets[name]
                 start = dataset.shape[0]
                 dataset.resize(start + count, axis=0)

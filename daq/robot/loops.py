@@ -193,6 +193,6 @@ def coupling_matrix(coupling: Mapping[str, Mapping[str, float]], active: tuple[s
     """R (n, n) with q_motor = R·q_joint; motors that `coupling` does not name move their own joint alone."""
     matrix = np.eye(len(active))
     for motor, row in coupling.items():
-        number = active.index(motor)
-        matrix[number] = [row.get(name, 0.0) for name in active]
+        row_index = active.index(motor)
+        matrix[row_index] = [row.get(name, 0.0) for name in active]
     return matrix

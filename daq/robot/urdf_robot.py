@@ -75,8 +75,8 @@ def _limits(joint: ElementTree.Element, where: str) -> dict[str, object]:
             where=f"{where}: joint {name}",
             hint="complete <limit lower= upper= velocity= effort=>, or write a robot file",
         )
-    found: dict[str, object] = {"name": name, "position": [values["lower"], values["upper"]]}
-    found["velocity"] = values["velocity"]
+    limits: dict[str, object] = {"name": name, "position": [values["lower"], values["upper"]]}
+    limits["velocity"] = values["velocity"]
     if values.get("effort", 0.0) > 0:
-        found["torque"] = values["effort"]
-    return found
+        limits["torque"] = values["effort"]
+    return limits

@@ -50,5 +50,5 @@ def session_warnings(robot_file: RobotFile, wire: str | None) -> list[str]:
         RobotFileError: a connection asks more of its bus than fits.
     """
     budgets = ((name, bus_budget(robot_file, name)) for name in connection_names(robot_file.robot, wire))
-    told = (tight_bus(name, budget) for name, budget in budgets if budget is not None)
-    return [warning for warning in told if warning is not None]
+    warnings = (tight_bus(name, budget) for name, budget in budgets if budget is not None)
+    return [warning for warning in warnings if warning is not None]

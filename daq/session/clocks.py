@@ -24,9 +24,9 @@ LEAST_SPAN = 1.0
 """[s]; over less there is no drift to speak of."""
 LEAST_POINTS = 8
 GROUP_SPAN = 0.5
-"""[s]; of each such stretch the least delay is kept."""
+"""[s]; of each such interval the least delay is kept."""
 GROUPS = 16
-"""Groups of stretches whose least delays tell how sure the line is."""
+"""Groups of intervals whose least delays give the uncertainty of the line."""
 OFFSET_FACTOR = 3.0
 DRIFT_FACTOR = 2.0
 """Stated errors over the groups' mean least delay (and over the length of the edge). With exponential, uniform, gamma
@@ -68,8 +68,8 @@ class ClockFit:
 
     def _restart(self) -> None:
         self._hull: list[tuple[float, float]] = []
-        self._stretches: list[tuple[float, float]] = []
-        self._stretch = math.nan
+        self._intervals: list[tuple[float, float]] = []
+        self._interval = math.nan
         self._origin = 0.0
         self._last = -math.inf
         self._points = 0
@@ -83,24 +83,24 @@ class ClockFit:
         if time[0] < self._last:
             self._restart()
         self._last = float(time[-1])
-        # Within a stretch no drift shows: its earliest sample says it all.
-        stretch = np.floor(time / GROUP_SPAN)
-        starts = np.concatenate([[0], np.flatnonzero(np.diff(stretch)) + 1, [len(time)]])
+        # Within a interval no drift shows: its earliest sample says it all.
+        interval = np.floor(time / GROUP_SPAN)
+        starts = np.concatenate([[0], np.flatnonzero(np.diff(interval)) + 1, [len(time)]])
         for first, end in itertools.pairwise(starts):
             best = first + int(np.argmin(host_time[first:end] - time[first:end]))
-            self._add_point(float(time[best]), float(host_time[best] - time[best]), float(stretch[first]))
+            self._add_point(float(time[best]), float(host_time[best] - time[best]), float(interval[first]))
 
     def estimate(self) -> ClockEstimate | None:
         """Offset and drift from what was seen so far; None where that is too little."""
         if self._points < LEAST_POINTS or self._hull[-1][0] - self._hull[0][0] < LEAST_SPAN:
             return None
         middle = 0.5 * (self._hull[0][0] + self._hull[-1][0])
-        right = next((number for number, (x, _) in enumerate(self._hull) if x >= middle), len(self._hull) - 1)
+        right = next((index for index, (x, _) in enumerate(self._hull) if x >= middle), len(self._hull) - 1)
         (x0, y0), (x1, y1) = self._hull[max(right - 1, 0)], self._hull[max(right, 1)]
         drift = (y1 - y0) / (x1 - x0)
         offset = y0 + drift * (middle - x0)
-        above = np.array([y - offset - drift * (x - middle) for x, y in self._stretches])
-        least = np.array([group.min() for group in np.array_split(above, min(GROUPS, len(above)))])
+        above = np.array([y - offset - drift * (x - middle) for x, y in self._intervals])
+        least = np.array([interval.min() for interval in np.array_split(above, min(GROUPS, len(above)))])
         typical = float(np.mean(least))
         return ClockEstimate(
             reference=self._origin + middle,
@@ -111,16 +111,16 @@ class ClockFit:
             span=self._hull[-1][0] - self._hull[0][0],
         )
 
-    def _add_point(self, time: float, ahead: float, stretch: float) -> None:
+    def _add_point(self, time: float, ahead: float, interval: float) -> None:
         if not self._points:
             self._origin = time
         x = time - self._origin
         self._points += 1
-        if stretch != self._stretch:
-            self._stretches.append((x, ahead))
-            self._stretch = stretch
-        elif ahead < self._stretches[-1][1]:
-            self._stretches[-1] = (x, ahead)
+        if interval != self._interval:
+            self._intervals.append((x, ahead))
+            self._interval = interval
+        elif ahead < self._intervals[-1][1]:
+            self._intervals[-1] = (x, ahead)
         hull = self._hull
         if hull and x <= hull[-1][0]:  # stamps may repeat
             if ahead >= hull[-1][1]:
@@ -143,10 +143,10 @@ class ClockLog:
         self._fits: dict[str, ClockFit] = {}
         self._due = clock.now() + REPORT_PERIOD
 
-    def take(self, block: Batch) -> None:
-        """Note a block's stamps."""
-        if len(block.time):
-            self._fits.setdefault(block.stream, ClockFit()).add(block.time, block.host_time)
+    def add(self, batch: Batch) -> None:
+        """Note a batch's stamps."""
+        if len(batch.time):
+            self._fits.setdefault(batch.stream, ClockFit()).add(batch.time, batch.host_time)
 
     def due(self) -> list[str]:
         """A message on each stream's clock once every `REPORT_PERIOD`; nothing in between."""
@@ -158,7 +158,7 @@ class ClockLog:
     def messages(self) -> list[str]:
         """What is known of each stream's clock now, in words; nothing of a stream of too short a span."""
         estimates = {stream: fit.estimate() for stream, fit in self._fits.items()}
-        return [describe_clock(stream, found) for stream, found in estimates.items() if found is not None]
+        return [describe_clock(stream, estimate) for stream, estimate in estimates.items() if estimate is not None]
 
 
 def describe_clock(stream: str, estimate: ClockEstimate) -> str:

@@ -83,8 +83,8 @@ class Play:
 class View(Protocol):
     """What is shown of a running session; it must neither wait nor raise."""
 
-    def take(self, block: Batch) -> None:
-        """Note a block."""
+    def add(self, batch: Batch) -> None:
+        """Note a batch."""
 
     def show(self, state: str, elapsed: float, total: float) -> None:
         """Show how it goes; `elapsed` of `total` [s]."""
@@ -111,18 +111,18 @@ class _Course:
     silent: set[str] = field(default_factory=set)
     host_ahead: dict[str, float] = field(default_factory=dict)
 
-    def take(self, block: Batch) -> None:
-        self.samples[block.stream] = self.samples.get(block.stream, 0) + len(block.time)
-        self.lost[block.stream] = self.lost.get(block.stream, 0) + block.lost
-        self.silent.discard(f"stream {block.stream}")
-        self.clocks.take(block)
-        if len(block.time):
-            self.host_ahead[block.stream] = float(block.host_time[-1] - block.time[-1])
-        if block.stream == JOINTS_STREAM and len(block.time):
-            self.position = block.values["position"][-1].copy()
-            self.source_minus_host = float(block.time[-1] - block.host_time[-1])
+    def add(self, batch: Batch) -> None:
+        self.samples[batch.stream] = self.samples.get(batch.stream, 0) + len(batch.time)
+        self.lost[batch.stream] = self.lost.get(batch.stream, 0) + batch.lost
+        self.silent.discard(f"stream {batch.stream}")
+        self.clocks.add(batch)
+        if len(batch.time):
+            self.host_ahead[batch.stream] = float(batch.host_time[-1] - batch.time[-1])
+        if batch.stream == JOINTS_STREAM and len(batch.time):
+            self.position = batch.values["position"][-1].copy()
+            self.source_minus_host = float(batch.time[-1] - batch.host_time[-1])
         if self.view is not None:
-            self.view.take(block)
+            self.view.add(batch)
 
     def source_time(self) -> float:
         """Now, in the clock of the joints' stream [s]."""
@@ -167,14 +167,14 @@ def load_driver(
 
 def _make_driver(robot: Robot, name: str, keys: Mapping[str, object], folder: Path | None, clock: Clock) -> Driver:
     driver = robot.connections[name].driver
-    found = {entry.name: entry for entry in entry_points(group=DRIVERS_GROUP)}
-    if driver not in found:
+    drivers = {entry.name: entry for entry in entry_points(group=DRIVERS_GROUP)}
+    if driver not in drivers:
         raise UsageError(
             f"no driver is called '{driver}'",
             where=f"{robot.name}: connections.{name}.driver",
-            hint=f"installed: {', '.join(sorted(found)) or 'none'}",
+            hint=f"installed: {', '.join(sorted(drivers)) or 'none'}",
         )
-    make: Callable[[DriverSettings], Driver] = found[driver].load()
+    make: Callable[[DriverSettings], Driver] = drivers[driver].load()
     return make(replace(driver_settings(robot, keys, folder), clock=clock))
 
 
@@ -204,7 +204,7 @@ def record(
         supervisor: of the arm's limits.
         play: the motion; None where something else moves the arm.
         duration: [s]; None for as long as the motion lasts.
-        view: is told every block, and how far the session is.
+        view: is told every batch, and how far the session is.
         clock: the host's; the driver's and the recorder's, too.
     """
     course = _Course(clock, ClockLog(clock), view=view)
@@ -310,19 +310,19 @@ def _cycle(
 ) -> None:
     """One look at everything: samples, notices, limits, ages, the disk."""
     before = course.clock.now()
-    blocks = driver.read(READ_TIMEOUT)
-    for block in blocks:
-        recorder.put(block)  # first of all, so that the recording shows what stopped it
-        course.take(block)
-        if block.lost:
-            when = float(block.time[0]) if len(block.time) else float("nan")
-            recorder.event(when, "warning", block.stream, f"{block.lost} samples lost")
+    batches = driver.read(READ_TIMEOUT)
+    for batch in batches:
+        recorder.put(batch)  # first of all, so that the recording shows what stopped it
+        course.add(batch)
+        if batch.lost:
+            when = float(batch.time[0]) if len(batch.time) else float("nan")
+            recorder.event(when, "warning", batch.stream, f"{batch.lost} samples lost")
     now = course.clock.now()
     breach = None
-    for block in blocks:
-        found = supervisor.check(block, now) if len(block.time) else None
-        if found is not None and breach is None:
-            breach = replace(found, time=course.joints_time(found.time, block.stream))
+    for batch in batches:
+        exceeded = supervisor.check(batch, now) if len(batch.time) else None
+        if exceeded is not None and breach is None:
+            breach = replace(exceeded, time=course.joints_time(exceeded.time, batch.stream))
     notice = _note(driver.notices(), recorder)
     if notice is not None and not (breach is not None and breach.time < notice.time):
         # Braking after a protective stop may itself pass a limit: what came first is the reason.
@@ -375,17 +375,17 @@ def _signals_noted(course: _Course) -> Iterator[None]:
         yield
         return
 
-    def note(number: int, _frame: FrameType | None) -> None:
-        course.interrupted = course.interrupted or _SIGNALS[signal.Signals(number)]
+    def note(signal_number: int, _frame: FrameType | None) -> None:
+        course.interrupted = course.interrupted or _SIGNALS[signal.Signals(signal_number)]
 
-    before = {number: signal.getsignal(number) for number in _SIGNALS}
-    for number in before:
-        signal.signal(number, note)
+    before = {handled: signal.getsignal(handled) for handled in _SIGNALS}
+    for handled in before:
+        signal.signal(handled, note)
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for handled, handler in before.items():
+            signal.signal(handled, handler)
 
 
 @contextmanager

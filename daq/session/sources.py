@@ -24,7 +24,7 @@ class _Source:
         name: of its connection.
         driver: its driver.
         streams: the driver's name of a stream → the session's; known once open.
-        host_ahead: the host's clock less the source's at its last block [s]; nan before the first.
+        host_ahead: the host's clock less the source's at its last batch [s]; nan before the first.
     """
 
     name: str
@@ -105,23 +105,23 @@ class Sources:
         """
         if self._failure is not None:
             raise self._failure
-        blocks = list(_renamed(self._main, _named(self._main, self._main.driver.read, timeout)))
+        batches = list(_renamed(self._main, _named(self._main, self._main.driver.read, timeout)))
         for source in self._others:
             try:
-                blocks.extend(_renamed(source, _named(source, source.driver.read, 0.0)))
+                batches.extend(_renamed(source, _named(source, source.driver.read, 0.0)))
             except DynidError as error:
                 self._failure = self._failure or error
-        return blocks
+        return batches
 
     def notices(self) -> Sequence[Notice]:
         """What all reported since the last call, the source's name first; stamps are on the main one's clock."""
-        found = list(self._notices)
+        notices = list(self._notices)
         self._notices.clear()
         for source in self._all:
             for notice in source.driver.notices():
                 shift = 0.0 if source is self._main else source.host_ahead - self._main.host_ahead
-                found.append(Notice(notice.time + shift, notice.level, f"{source.name}: {notice.message}"))
-        return found
+                notices.append(Notice(notice.time + shift, notice.level, f"{source.name}: {notice.message}"))
+        return notices
 
     def silence(self, stream: str, limit: float) -> str:
         """Who keeps a stream from coming, in its source's words; empty where it cannot tell (see `drivers.base`)."""
@@ -185,13 +185,13 @@ def _free(wanted: str, taken: set[str]) -> str:
     return name
 
 
-def _renamed(source: _Source, blocks: Iterable[Batch]) -> list[Batch]:
-    found = []
-    for block in blocks:
-        if len(block.time):
-            source.host_ahead = float(block.host_time[-1] - block.time[-1])
-        found.append(replace(block, stream=source.streams[block.stream]))
-    return found
+def _renamed(source: _Source, batches: Iterable[Batch]) -> list[Batch]:
+    renamed = []
+    for batch in batches:
+        if len(batch.time):
+            source.host_ahead = float(batch.host_time[-1] - batch.time[-1])
+        renamed.append(replace(batch, stream=source.streams[batch.stream]))
+    return renamed
 
 
 def _named(source: _Source, call: Callable[..., _Result], *arguments: object) -> _Result:

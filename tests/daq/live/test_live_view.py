@@ -46,9 +46,9 @@ def display_process():
 def test_a_picture_says_what_was_noted():
     reader, writer = os.pipe()
     publisher = Publisher(writer, LIMITS, IDLE)
-    publisher.take(joints_block([5.0, -40.0], [30.0, np.nan], lost=3))
+    publisher.add(joints_block([5.0, -40.0], [30.0, np.nan], lost=3))
     first = publisher.status("motion", 0.0, 9.0, now=100.0)
-    publisher.take(joints_block([10.0, 1.0], [31.0, 44.0]))
+    publisher.add(joints_block([10.0, 1.0], [31.0, 44.0]))
     status = publisher.status("motion", 3.0, 9.0, now=100.1)
     assert (first.torque_share, first.torque_joint) == (0.8, "elbow")
     assert (first.temperature, first.temperature_joint) == (30.0, "shoulder")
@@ -82,7 +82,7 @@ def test_a_picture_is_sent_at_most_once_a_period(clock: SimulatedClock) -> None:
     reader, writer = os.pipe()
     publisher = Publisher(writer, LIMITS, IDLE, clock)
     for number in range(34):
-        publisher.take(joints_block([1.0, 1.0], [30.0, 30.0], count=6))
+        publisher.add(joints_block([1.0, 1.0], [30.0, 30.0], count=6))
         publisher.show("motion", 0.03 * number, 1.0)
         clock.sleep(0.03)
     os.close(writer)
@@ -103,7 +103,7 @@ def test_a_pipe_that_takes_nothing_neither_blocks_nor_raises(end):
                 os.write(writer, bytes(4096))
     else:
         os.close(reader)
-    publisher.take(joints_block([1.0, 1.0], [30.0, 30.0]))
+    publisher.add(joints_block([1.0, 1.0], [30.0, 30.0]))
     publisher.show("motion", 1.0, 2.0)
     if end == "full":
         os.close(reader)

@@ -106,8 +106,8 @@ def test_a_session_reports_once_a_minute_and_at_its_end(clock: SimulatedClock) -
     log = ClockLog(clock)
     for second in range(150):
         time, host = stamps(second, "uniform", 100.0, 1.0, 7.0, 0.0, start=float(second))
-        log.take(Batch("joints", time, host))
-        log.take(Batch("thermometer", host, host))
+        log.add(Batch("joints", time, host))
+        log.add(Batch("thermometer", host, host))
         clock.sleep(1.0)
         said = log.due()
         assert bool(said) == (second + 1.0 in (REPORT_PERIOD, 2 * REPORT_PERIOD))
