@@ -49,10 +49,10 @@ DRAWS = 1000
 
 @dataclass(frozen=True)
 class Demo:
-    """What the demonstration found.
+    """Outcome of the demonstration.
 
     Attributes:
-        found: the identification.
+        identification: of the two recordings.
         result: as written.
         truth: (b,) true base parameters.
         folder: where everything was written.
@@ -60,7 +60,7 @@ class Demo:
         samples: that they hold.
     """
 
-    found: Identification
+    identification: Identification
     result: Result
     truth: FloatArray
     folder: Path
@@ -70,8 +70,8 @@ class Demo:
     @property
     def inside(self) -> int:
         """Number of true base parameters within their 95 % interval."""
-        error = np.abs(self.found.solution.parameters - self.truth)
-        return int(np.count_nonzero(error <= WITHIN_95_PERCENT * self.found.std))
+        error = np.abs(self.identification.solution.parameters - self.truth)
+        return int(np.count_nonzero(error <= WITHIN_95_PERCENT * self.identification.std))
 
 
 def run_demo(
@@ -130,19 +130,19 @@ def run_demo(
             samples += recorded.samples
     # From here on it is what a user does: two recordings on disk, nothing known but their content.
     recordings = [[read_recording(path)] for path in paths]
-    found = identify(recordings[0], recordings[1], IdentifyChoices(reversals=ADVISED_SHARE), progress=progress)
-    result = summarise(found, recordings[0], recordings[1])
+    identification = identify(recordings[0], recordings[1], IdentifyChoices(reversals=ADVISED_SHARE), progress=progress)
+    result = summarise(identification, recordings[0], recordings[1])
     write_result(folder / "result.json", result)
     table = TruthTable(names=base.names, values=truth)
-    write_report(folder / "report.html", result, found.fit_series, found.validation_series, table)
-    return Demo(found, result, truth, folder, lost, samples)
+    write_report(folder / "report.html", result, identification.fit_series, identification.validation_series, table)
+    return Demo(identification, result, truth, folder, lost, samples)
 
 
 def _excitation(robot_file: RobotFile, choices: DesignChoices, seed: int) -> str:
     """The trajectory file of a design as `dynid excite` makes it: the file's public inertias bound the torque."""
-    found = design(robot_file, find_prior(robot_file), choices, SearchChoices(seed=seed, starts=STARTS, workers=1))
-    comment = f"designed by dynid demo, condition number {found.condition:.3g}"
-    return dump_trajectory(found.family.trajectory(found.variables, robot_file.robot.name, comment))
+    designed = design(robot_file, find_prior(robot_file), choices, SearchChoices(seed=seed, starts=STARTS, workers=1))
+    comment = f"designed by dynid demo, condition number {designed.condition:.3g}"
+    return dump_trajectory(designed.family.trajectory(designed.variables, robot_file.robot.name, comment))
 
 
 def _validation(robot_file: RobotFile, choices: DesignChoices, seed: int) -> str:
@@ -154,8 +154,8 @@ def _validation(robot_file: RobotFile, choices: DesignChoices, seed: int) -> str
 
 def print_demo(demo: Demo, as_json: bool) -> None:
     """Truth, estimate and error of every base parameter, and where the report is."""
-    estimates, deviations = demo.found.solution.parameters, demo.found.std
-    names = demo.found.base.names
+    estimates, deviations = demo.identification.solution.parameters, demo.identification.std
+    names = demo.identification.base.names
     if as_json:
         print_json(
             {

@@ -111,13 +111,13 @@ def record_over_wire(robot: str, host: str, trajectory: Path, out: Path) -> dict
     arguments += ["--force", "--no-ui", "--json", *_priority()]
     done = subprocess.run(arguments, capture_output=True, text=True, check=False)
     try:
-        told = json.loads(done.stdout)
+        report = json.loads(done.stdout)
     except json.JSONDecodeError:
-        told = {}
+        report = {}
     if done.returncode != 0:
-        reason = told.get("error") or told.get("stopped_by") or done.stderr.strip() or "it ended without a word"
+        reason = report.get("error") or report.get("stopped_by") or done.stderr.strip() or "it ended without a message"
         raise WorkError(f"the recording stopped: {reason}", where=str(out))
-    return dict(told)
+    return dict(report)
 
 
 def _priority() -> list[str]:

@@ -66,7 +66,7 @@ def record_command(
         ask_for_realtime()
     for warning in warnings:
         print(f"dynid: warning: {warning}", file=sys.stderr)
-    try:  # only now is the wire touched
+    try:  # only now is the bus touched
         driver.open()
         layouts = driver.streams()
         rate = next((layout.rate for layout in layouts if layout.name == "joints" and layout.rate > 0), rate)

@@ -15,7 +15,7 @@ from drivers.errors import ImportFileError
 from drivers.streams import FloatArray
 
 SLOWEST, FASTEST = 1.0, 20_000.0
-"""Plausible sampling rates of a robot arm [Hz]; beyond them the stamps are hardly in seconds."""
+"""Plausible sampling rates of a robot arm [Hz]; beyond them the stamps are probably not in seconds."""
 
 RESTART_RUN = 50
 """So many samples that rise in order, all before a stamp already passed, are a second run and not a late message."""
@@ -148,7 +148,7 @@ def _plausible_rate(samples: ImportedSamples, choices: ImportChoices, where: str
     rate = 1.0 / period
     if SLOWEST <= rate <= FASTEST:
         return
-    outside = f"{rate:.4g} samples a second is no rate of a robot arm ({SLOWEST:g} to {FASTEST:g} Hz)"
+    outside = f"{rate:.4g} samples per second is no plausible rate of a robot arm ({SLOWEST:g} to {FASTEST:g} Hz)"
     if choices.rate is not None:
         raise ImportFileError(f"--rate: {outside}", where=where)
     fitting = [unit for unit in TIME_UNITS[1:] if SLOWEST <= rate / REVOLUTE["time"][unit] <= FASTEST]

@@ -1,4 +1,4 @@
-"""What the user decides about an import, and nobody may guess."""
+"""What the user decides about an import; none of it is guessed."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class ImportChoices:
         time_unit: unit of the time column, where neither the file nor seconds are right.
 
     Raises:
-        UsageError: an unknown repair, effort or time unit, or a rate that is no rate.
+        UsageError: an unknown repair, effort or time unit, or a rate that is not positive.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -63,4 +63,4 @@ class ImportChoices:
         if self.time_unit is not None and self.time_unit not in TIME_UNITS:
             raise UsageError(f"a time unit is one of {', '.join(TIME_UNITS)}, not '{self.time_unit}'")
         if self.rate is not None and not (math.isfinite(self.rate) and self.rate > 0):
-            raise UsageError(f"a rate is a positive number of samples a second, not {self.rate}")
+            raise UsageError(f"a rate is a positive number of samples per second, not {self.rate}")

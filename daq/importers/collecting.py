@@ -1,4 +1,4 @@
-"""From named arrays to a `Table`: columns are gathered by quantity, samples down, joints across."""
+"""From named arrays to a `Table`: columns are gathered by quantity, (N, n) each."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def _vector(values: FloatArray, name: str, where: str) -> FloatArray:
     if values.ndim == 1 or (values.ndim == 2 and 1 in values.shape):
         return values.reshape(-1)
     raise ImportFileError(
-        f"has shape {values.shape}, but one number a sample is expected: (N,)", where=f"{where}: {printable(name)}"
+        f"has shape {values.shape}, but one number per sample is expected: (N,)", where=f"{where}: {printable(name)}"
     )
 
 
@@ -140,7 +140,7 @@ def _from_array(
         values = values.T
         notes.append(Note("info", f"'{printable(role.name)}' was stored joints × samples and has been transposed"))
     elif values.shape[0] == width and width > 1:
-        raise ImportFileError(f"has shape {values.shape}: samples and joints cannot be told apart", where=place)
+        raise ImportFileError(f"has shape {values.shape}: samples and joints cannot be distinguished", where=place)
     labels = tuple(f"{role.name}[:, {column}]" for column in range(width))
     return QuantityColumns(np.ascontiguousarray(values), labels, (role.unit,) * width, array_joints)
 

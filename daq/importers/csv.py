@@ -31,7 +31,7 @@ def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
         choices: `columns` maps headers that say nothing.
 
     Raises:
-        ImportFileError: not text, no header, no rows, a row of another length, something that is no number; with
+        ImportFileError: not text, no header, no rows, a row of another length, something that is not a number; with
             the line.
     """
     where = str(path)
@@ -127,7 +127,7 @@ def _split_header(line: str, separator: str | None) -> list[str]:
 
 
 def _number(field: str) -> float | None:
-    """The value of a field, NaN for a missing one, None for one that is no number."""
+    """The value of a field, NaN for a missing one, None for one that is not a number."""
     if field.casefold() in _MISSING:
         return float("nan")
     # float() would also take 1_000, which no instrument writes.

@@ -109,13 +109,13 @@ def _check_velocity(
         angular = joint not in sliding
         if angular and near(ratio, DEGREES):
             raise ImportFileError(
-                "mixed units: the position looks like degrees, the velocity like radians a second",
+                "mixed units: the position looks like degrees, the velocity like radians per second",
                 where=place,
                 hint="state them in the header: q1 [deg], qd1 [rad/s]",
             )
         if angular and near(ratio, 1 / DEGREES):
             raise ImportFileError(
-                "mixed units: the position looks like radians, the velocity like degrees a second",
+                "mixed units: the position looks like radians, the velocity like degrees per second",
                 where=place,
                 hint="state them in the header: q1 [rad], qd1 [deg/s]",
             )

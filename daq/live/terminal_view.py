@@ -81,12 +81,12 @@ class Status:
 
 
 class Publisher:
-    """What a session tells how it goes; never blocks and never raises.
+    """Receives the state of a session; never blocks and never raises.
 
     Args:
         pipe: file descriptor of a pipe's writing end; it is made non-blocking.
         limits: of the arm.
-        recorder: whose backlog is told.
+        recorder: whose backlog is shown.
         clock: the host's.
     """
 
@@ -112,7 +112,7 @@ class Publisher:
                 self._add_joints(batch.values)
 
     def show(self, state: str, elapsed: float, total: float) -> None:
-        """Send a picture, at most one a period; `elapsed` of `total` [s]."""
+        """Send a picture, at most one per period; `elapsed` of `total` [s]."""
         now = self._clock.now()
         if now - self._sent < PERIOD:
             return

@@ -1,4 +1,4 @@
-"""The player: sends a motion to a driver, a position a period, by absolute times, in a thread of its own."""
+"""The player: sends a motion to a driver, one position per period, by absolute times, in a thread of its own."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from drivers.streams import FloatArray
 SKIP_LIMIT = 3
 """Overdue positions that are skipped; where a stall left more, the motion goes on where it was, that much later.
 
-An arm that was held for 0.1 s and is then told to be where it should be by now is thrown there.
+An arm that was held for 0.1 s and then receives the position of that moment jumps there.
 """
 DRY_RUN = 0.3
 """Length of the dry run [s]."""
@@ -50,11 +50,11 @@ def ticks(motion: Motion, rate: float) -> FloatArray:
 
 
 class Player:
-    """Sends positions until it is told to stop; holds the last one when the motion is over.
+    """Sends positions until it is stopped; holds the last one when the motion is over.
 
     Args:
         send: takes a position (n,); a driver's `command`.
-        noted: is told of every position, with the host's monotonic time [s], before it is sent.
+        noted: called with every position and the host's monotonic time [s], before it is sent.
         positions: (N, n), the first one where the arm stands.
         rate: [Hz].
         motion_index: of the position at which the approach ends and the motion itself begins.
@@ -154,7 +154,7 @@ class Player:
                     self._done = True
         except DynidError as error:
             self._failure = error
-        except Exception as error:  # whatever it was, the session must hear of it and stop the arm
+        except Exception as error:  # whatever it was, the session must know of it and stop the arm
             self._failure = WorkError(f"the player broke: {type(error).__name__}: {error}")
 
 

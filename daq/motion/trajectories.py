@@ -14,7 +14,7 @@ from drivers.errors import UsageError
 from drivers.streams import FloatArray
 
 GRID_RATE = 1000.0
-"""Limits are checked on a grid of at least this many points a second [Hz], and where the extremes lie."""
+"""Limits are checked on a grid of at least this many points per second [Hz], and where the extremes lie."""
 LIMIT_TOLERANCE = 1e-9
 QUINTIC_VELOCITY = 15.0 / 8.0
 """Largest velocity of a fifth-order move of length 1 in time 1."""

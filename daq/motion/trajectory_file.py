@@ -3,7 +3,7 @@
     robot: ur5e
     kind: fourier              # or fourier-quintic, sines, points, samples
     period: 10                 # [s]
-    offset: [0, -1.2, …]       # [rad or m], one a joint
+    offset: [0, -1.2, …]       # [rad or m], one per joint
     sine: [[…], …]             # a row a joint, a column a harmonic
     cosine: [[…], …]
     amplitudes: velocity       # ROCR6 eq. 21, divided by ω; position: AUBO eq. 20
@@ -12,8 +12,8 @@
 
 `fourier-quintic` has `period`, `offset`, `sine`, `cosine` (velocity amplitudes) and `periods`: a polynomial of fifth
 order, which follows from them, brings every period to rest at its ends. `sines` has `duration`, `offset`, `amplitude`,
-`frequency` (rows of [rad] and [rad/s], UP6 eq. 8) and `ramp`; `points` has `points` (a row a point), `durations` and
-`dwell` (SR400); `samples` has `time` and `position` (a row a sample) or `csv`, a file with a column `time` and one a
+`frequency` (rows of [rad] and [rad/s], UP6 eq. 8) and `ramp`; `points` has `points` (a row per point), `durations` and
+`dwell` (SR400); `samples` has `time` and `position` (a row per sample) or `csv`, a file with a column `time` and one a
 joint. A robot's name or path may stand under `robot`.
 """
 
@@ -243,7 +243,7 @@ def parse_trajectory(text: str, robot: Robot, *, where: str, folder: Path | None
             hint="limits and joints differ from arm to arm",
         )
     motion = _plausible(trajectory, where)
-    with np.errstate(all="ignore"):  # a move of no time to speak of has an infinite velocity, which is refused
+    with np.errstate(all="ignore"):  # a move of almost no duration has an infinite velocity, which is refused
         check_limits(motion, robot.joints, where)
         check_rest(motion, robot.joints, where)
     return TrajectoryFile(trajectory, motion, text)

@@ -72,7 +72,7 @@ def _checked(name: str, values: FloatArray, count: int, joints: tuple[str, ...])
         if values.shape == expected[::-1]:
             hint = f"it is transposed: give {name}.T, time first, joints last"
         else:
-            hint = f"a row a sample, a column a joint: {', '.join(joints)}"
+            hint = f"one row per sample, one column per joint: {', '.join(joints)}"
         raise _refusal(name, f"has shape {values.shape}; {expected} is needed", hint)
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
@@ -106,7 +106,7 @@ def _check_time(time: FloatArray) -> None:
         units = {unit: rate * factor for unit, factor in (("ms", 1e3), ("µs", 1e6), ("ns", 1e9))}
         fitting = next((unit for unit, there in units.items() if SLOWEST <= there <= FASTEST), None)
         hint = f"the stamps look like {fitting}; give seconds" if fitting else "give seconds"
-        raise _refusal("time", f"{rate:.4g} samples per second is no rate of a robot arm", hint)
+        raise _refusal("time", f"{rate:.4g} samples per second is no plausible rate of a robot arm", hint)
 
 
 def _check_units(robot_file: RobotFile, time: FloatArray, values: Mapping[str, FloatArray]) -> None:

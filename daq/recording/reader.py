@@ -129,7 +129,7 @@ def _read_stream(group: Any, where: str) -> Stream:
         raise RecordingError("has no dataset 'time'", where=where)
     for name, dataset in group.items():
         if not isinstance(dataset, h5py.Dataset) or not dataset.shape:
-            raise RecordingError(f"'{name}' is not a dataset with a row a sample", where=where)
+            raise RecordingError(f"'{name}' is not a dataset with one row per sample", where=where)
     lengths = {name: dataset.shape[0] for name, dataset in group.items()}
     count = lengths["time"]
     if any(length != count for length in lengths.values()):

@@ -125,7 +125,9 @@ class Recording:
         temperature: npt.ArrayLike | None = None,
         comment: str = "",
     ) -> Self:
-        """A recording from arrays (N, n): a row a sample, a column a joint in the robot's order. Nothing is filtered.
+        """A recording from arrays (N, n): one row per sample, one column per joint in the robot's order.
+
+        Nothing is filtered.
 
         Args:
             robot: built-in name, robot file, URDF, or what `load_robot` gave.

@@ -61,7 +61,7 @@ def follow_recording(path: Path) -> Recording:
 def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:
     """Copy what can be read of a half-written recording into a new file, which says so in an event.
 
-    The recording stays incomplete (`complete` false): whoever reads it should know that it ended by accident.
+    The recording stays incomplete (`complete` false): its readers should know that it ended by accident.
 
     Raises:
         RecordingError: nothing can be read, HDF5 loops or crashes over it, or the new file exists already.

@@ -17,7 +17,7 @@ LONGEST_INTERVAL = 1e9
 
 @dataclass(frozen=True)
 class Gap:
-    """A stretch without samples.
+    """A gap: a time without samples.
 
     Attributes:
         start: last stamp before it [s].

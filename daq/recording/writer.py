@@ -23,7 +23,7 @@ from drivers.errors import RecordingError
 from drivers.streams import ChannelLayout, FloatArray, StreamLayout
 
 CHUNK_SECONDS = 0.5
-"""What one chunk holds, and so the longest stretch that a crash can cost a recorder that flushes whole chunks."""
+"""Duration of a chunk [s], and so the most that a crash can cost a recorder that flushes whole chunks."""
 MAX_CHUNK_ROWS = 20_000  # a nominal rate that came out of nearly equal stamps must not size a chunk
 EVENT_CHUNK_ROWS = 64
 CREATION_ROOM = 64 * 1024

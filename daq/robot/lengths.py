@@ -14,7 +14,7 @@ def with_lengths(content: Any) -> Any:
     """The content of `model` with the names of lengths in its frames replaced by their values; others left alone.
 
     Raises:
-        ValueError: a frame refers to a length that is not there, or is no number.
+        ValueError: a frame refers to a length that is not there, or is not a number.
     """
     if not isinstance(content, dict) or not isinstance(content.get("lengths"), dict):
         return content

@@ -116,7 +116,7 @@ def parse_robot(text: str, *, where: str, folder: Path | None, urdf_text: str | 
     return RobotFile(robot=robot, text=text, folder=folder, urdf_text=urdf_text)
 
 
-# Reading the YAML takes 15 ms, and whoever asks a recording for its robot asks several times.
+# Reading the YAML takes 15 ms, and a recording is asked for its robot several times.
 @lru_cache(maxsize=64)
 def _robot(text: str, where: str) -> Robot:
     hint = "see a built-in one: dynid robot show ur5e --yaml"
@@ -135,7 +135,7 @@ def _read_urdf(urdf: str, folder: Path | None, where: str) -> str:
     try:
         path = path.expanduser()
         return path.read_text(encoding="utf-8")
-    except (OSError, ValueError, RuntimeError) as error:  # also: not UTF-8, a NUL in the path, ~ of nobody
+    except (OSError, ValueError, RuntimeError) as error:  # also: not UTF-8, a NUL in the path, ~ of no user
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise RobotFileError(
             f"cannot read the URDF {path}: {reason}",

@@ -204,7 +204,7 @@ class Truth(Section):
 
 
 class Connection(BaseModel):
-    """How to reach the arm on one wire; the keys beside `driver` belong to that driver."""
+    """How to reach the arm on one bus; the keys beside `driver` belong to that driver."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 

@@ -12,7 +12,7 @@ _PI_MULTIPLE = re.compile(r"^\s*([+-]?)\s*(?:(\d+(?:\.\d*)?)\s*\*\s*)?pi\s*(?:/\
 
 
 def _refuse_truth_value(value: Any) -> Any:
-    # YAML reads yes, on and true as a truth value, and pydantic would take that for 1.
+    # YAML reads yes, on and true as a boolean, and pydantic would read that as 1.
     if isinstance(value, bool):
         raise ValueError(f"found {str(value).lower()}, but it should be a number")
     return value

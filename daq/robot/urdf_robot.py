@@ -65,7 +65,7 @@ def _limits(joint: ElementTree.Element, where: str) -> dict[str, object]:
     try:
         values = {key: float(stated[key]) for key in ("lower", "upper", "velocity", "effort") if key in stated}
     except ValueError as error:
-        raise RobotFileError("has a limit that is no number", where=f"{where}: joint {name}") from error
+        raise RobotFileError("has a limit that is not a number", where=f"{where}: joint {name}") from error
     if joint.get("type") == "continuous":
         values |= {"lower": -UNLIMITED, "upper": UNLIMITED}
     missing = [key for key in ("lower", "upper", "velocity") if key not in values]

@@ -81,7 +81,7 @@ class KeepOut(Section):
 
 
 def _parse_link_radius(value: Any) -> float | dict[str, float]:
-    # By hand: pydantic's message for a union would speak of the alternative that was not meant.
+    # By hand: pydantic's message for a union would describe the alternative that was not meant.
     if isinstance(value, Mapping):
         for joint, radius in value.items():
             if not isinstance(joint, str):

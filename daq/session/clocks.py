@@ -4,7 +4,7 @@ A sample that was taken at `time` of the source's clock is received at host_time
 and delays are one-sided: buses and operating systems make a sample late, never early. So offset and drift are those of
 the line below all points (time, host_time − time) that lies closest to them, an edge of their lower convex hull, as in
 Moon, Skelly and Towsley, Estimation and removal of clock skew from network delay measurements (INFOCOM 1999). What the
-fastest sample needed is part of the offset: nothing that only listens can tell the two apart.
+fastest sample needed is part of the offset: nothing that only listens can distinguish the two.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from drivers.streams import Batch, FloatArray
 REPORT_PERIOD = 60.0
 """[s] between two reports on a clock."""
 LEAST_SPAN = 1.0
-"""[s]; over less there is no drift to speak of."""
+"""[s]; over less the drift is not estimated."""
 LEAST_POINTS = 8
 GROUP_SPAN = 0.5
 """[s]; of each such interval the least delay is kept."""

@@ -87,7 +87,7 @@ class View(Protocol):
         """Note a batch."""
 
     def show(self, state: str, elapsed: float, total: float) -> None:
-        """Show how it goes; `elapsed` of `total` [s]."""
+        """Show the state; `elapsed` of `total` [s]."""
 
 
 @dataclass
@@ -204,7 +204,7 @@ def record(
         supervisor: of the arm's limits.
         play: the motion; None where something else moves the arm.
         duration: [s]; None for as long as the motion lasts.
-        view: is told every batch, and how far the session is.
+        view: shows every batch and the progress of the session.
         clock: the host's; the driver's and the recorder's, too.
     """
     course = _Course(clock, ClockLog(clock), view=view)
@@ -343,7 +343,7 @@ def _cycle(
             return
         if course.moves:
             raise SafetyStopError(str(breach))
-        # Nobody is in danger: the recording goes on until the driver gives the connection up.
+        # Not in motion: the recording goes on until the driver gives the connection up.
         if breach.joint not in course.silent:
             recorder.event(course.source_time(), "warning", "session", str(breach))
             course.silent.add(breach.joint)

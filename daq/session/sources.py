@@ -37,7 +37,7 @@ class Sources:
     """A driver made of several; implements `drivers.base.Driver`.
 
     The main one moves the arm and is waited for; the others are asked what has arrived. The main one's streams keep
-    their names; another's only stream bears the name of its connection, several are called `connection_stream`.
+    their names; another's only stream has the name of its connection, several are called `connection_stream`.
 
     Args:
         name: of the main connection.

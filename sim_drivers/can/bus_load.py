@@ -1,6 +1,6 @@
 """Time on a CAN bus: how long a frame is with its stuffed bits, and which frame goes first (ISO 11898-1).
 
-Buses such as `virtual` and `udp_multicast` carry any number of frames a second; a simulated drive sends through a
+Buses such as `virtual` and `udp_multicast` carry any number of frames per second; a simulated drive sends through a
 `BusModel` instead, so that what would not fit on a real bus does not fit here.
 """
 

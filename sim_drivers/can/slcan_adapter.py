@@ -37,10 +37,10 @@ _FRAME = re.compile(rb"([tr])([0-9A-Fa-f]{3})([0-8])([0-9A-Fa-f]*)|([TR])([0-9A-
 
 def parse_frame(command: bytes) -> can.Message | None:
     """The frame of a t, T, r or R command; None where it is none."""
-    found = _FRAME.fullmatch(command)
-    if found is None:
+    match = _FRAME.fullmatch(command)
+    if match is None:
         return None
-    kind, identifier, length, data = found.groups()[:4] if found[1] else found.groups()[4:]
+    kind, identifier, length, data = match.groups()[:4] if match[1] else match.groups()[4:]
     extended, remote = kind in b"TR", kind in b"rR"
     size = int(length)
     if len(data) != (0 if remote else 2 * size) or int(identifier, 16) >= (1 << 29 if extended else 1 << 11):
@@ -55,7 +55,7 @@ def parse_frame(command: bytes) -> can.Message | None:
 
 
 def format_frame(message: can.Message, stamp: int | None = None) -> bytes:
-    """What the adapter says of a frame that came, with a time stamp [ms] where it has one."""
+    """What the adapter sends for a received frame, with a time stamp [ms] where it has one."""
     letter = "r" if message.is_remote_frame else "t"
     identifier = f"{message.arbitration_id:03X}"
     if message.is_extended_id:
@@ -133,11 +133,11 @@ class SlcanAdapter(Server):
     def garbage(self, lines: int) -> None:
         """Send lines of rubbish."""
         for _ in range(lines):
-            self._tell(self._generator.bytes(int(self._generator.integers(1, 30))) + OK)
+            self._send(self._generator.bytes(int(self._generator.integers(1, 30))) + OK)
 
     # Towards the host.
 
-    def _tell(self, content: bytes) -> bool:
+    def _send(self, content: bytes) -> bool:
         """Queue bytes for the host; False where it has left too many unread."""
         with self._lock:
             if not self._plugged or len(self._backlog) + len(content) > BACKLOG_LIMIT:
@@ -177,7 +177,7 @@ class SlcanAdapter(Server):
         if self._truncate > 0 and len(message.data) > 1:
             self._truncate -= 1
             line = line[:-3] + OK  # as many data bytes as the length says, but one
-        if not self._tell(line):
+        if not self._send(line):
             self._flags |= OVERRUN
             self.lost += 1
 
@@ -188,14 +188,14 @@ class SlcanAdapter(Server):
         commands: deque[bytes] = deque()
         while not self._stopping.is_set() and self._plugged:
             chunk = self._read()
-            for part in re.split(rb"(\r)", chunk):
-                if part == OK:
+            for text in re.split(rb"(\r)", chunk):
+                if text == OK:
                     commands.append(bytes(received))
                     received.clear()
                 elif len(received) <= LONGEST_COMMAND:
-                    received += part[: LONGEST_COMMAND + 1]
+                    received += text[: LONGEST_COMMAND + 1]
             while commands:
-                self._tell(self._answer(commands.popleft()))
+                self._send(self._answer(commands.popleft()))
 
     def _read(self) -> bytes:
         try:

@@ -1,1 +1,1 @@
-"""A simulated arm that speaks a table of CAN signals."""
+"""A simulated arm that is described by a table of CAN signals."""

@@ -1,6 +1,6 @@
-"""A simulated arm whose controller speaks a table of CAN frames, without clock and bus.
+"""A simulated arm whose controller sends and obeys a table of CAN frames, without clock and bus.
 
-The controller measures once a cycle, says it in the table's frames, and follows positions that it is commanded; what
+The controller measures once per cycle, sends it in the table's frames, and follows positions that it is commanded; what
 a real one does beyond that (brakes, start-up, collision detection) it has not.
 """
 
@@ -35,15 +35,15 @@ MEASURED = (
     "target_current",
     "target_torque",
 )
-"""Quantities that a plant gives one a joint."""
+"""Quantities that a plant has per joint."""
 SLOW = ("temperature",)
-"""Quantities whose frames, where they hold nothing else, take turns: one a cycle."""
+"""Quantities whose frames, where they hold nothing else, take turns: one per cycle."""
 SUBSTEP = 1e-3
 """How often the reference of the joint controllers is renewed [s]."""
 SPEED_MARGIN = 1.2
 """A command that asks for more than this share of a joint's velocity limit is a fault."""
 LEAST_STEADY = 5.0
-"""Speed over a period [rad/s²] from which two commands tell how far the third should be."""
+"""Speed over a period [rad/s²] from which two commands determine how far the third should be."""
 HALT_DECELERATION = 10.0
 """Of a stop [rad/s²]: an assumption."""
 FAULT_COMMAND, FAULT_REQUESTED = 1, 2
@@ -55,7 +55,7 @@ class TableArm:
 
     Args:
         arm: the plant.
-        joints: limits, one a joint.
+        joints: limits, one per joint.
         settings: of the connection; the same table that the driver reads.
 
     Raises:
@@ -63,7 +63,7 @@ class TableArm:
 
     Attributes:
         enabled: whether it follows commands.
-        messages: for whoever shows them.
+        messages: for the terminal, oldest first.
     """
 
     def __init__(self, arm: SimulatedArm, joints: Sequence[JointLimits], settings: CanFramesSettings) -> None:
@@ -90,9 +90,9 @@ class TableArm:
         self._time = self._commanded_at = 0.0
         self._ahead = 0.0
         self._goal: FloatArray = np.zeros(len(joints))
-        self._step: FloatArray = np.zeros(len(joints))  # of the commands, a period
+        self._step: FloatArray = np.zeros(len(joints))  # of the commands, per period
         self._axes: tuple[CyclicPosition, ...] = ()
-        # How many periods of full speed the next command may go, one a joint.
+        # How many periods of full speed the next command may go, one per joint.
         self._periods_left: FloatArray = np.zeros(len(joints))
         self._hold()
 
@@ -150,12 +150,12 @@ class TableArm:
         if table is None:
             return
         grouped = dict(batches([(0.0, identifier, data)]))
-        for number, part in enumerate(table.parts):
+        for index, part in enumerate(table.parts):
             if part.identifier != identifier:
                 continue
             _, values, _ = decode(part, grouped[identifier])
             if len(values):
-                self._commanded[number] = values[0]
+                self._commanded[index] = values[0]
         if len(self._commanded) == len(table.parts):
             self._follow(table.parts, late)
 
@@ -180,8 +180,8 @@ class TableArm:
 
     def _follow(self, parts: Sequence[Part], late: float) -> None:
         goal = np.full(len(self._names), np.nan)
-        for number, part in enumerate(parts):
-            for signal, value in zip(part.signals, self._commanded[number], strict=True):
+        for index, part in enumerate(parts):
+            for signal, value in zip(part.signals, self._commanded[index], strict=True):
                 if signal.quantity == "position":
                     goal[self._names.index(signal.joint)] = value
         self._commanded.clear()

@@ -1,4 +1,4 @@
-"""A simulated arm that speaks a table of CAN frames on a python-can bus, as time passes.
+"""A simulated arm with a signal table on a python-can bus, in the time of a clock.
 
 One thread does everything. Frames go out when they would have been over on a real bus of this bit rate; a value that
 is overtaken by its successor before it was sent is lost, as in a CAN controller.
@@ -118,7 +118,7 @@ class ProprietaryCanServer(FaultyServer):
         }
 
     def live_line(self) -> str:
-        """How it goes, in one line."""
+        """Its state in one line."""
         status = self._status
         state = "enabled" if status.enabled else "not enabled"
         line = f"{status.time:8.1f} s  {state}, {status.frames} frames, bus load {100 * status.load:.0f} %"
@@ -155,7 +155,7 @@ class ProprietaryCanServer(FaultyServer):
                     self._run_until(bus, arrived)
                     frame = Frame(identifier & ~EXTENDED, data, bool(identifier & EXTENDED))
                     if arrived < self._arm_time:
-                        # Heard late, by a thread that stalled: it was on the bus already, before all that waits there.
+                        # Received late, by a thread that stalled: it was on the bus before all that waits there.
                         self._take(Sent(frame, False, arrived, exact_bits(frame), arrived))
                     else:
                         self._model.submit(frame, arrived, own=False)
@@ -165,7 +165,7 @@ class ProprietaryCanServer(FaultyServer):
                     self._status = replace(self._status, stalls=self._status.stalls + 1)
                 self._run_until(bus, now)
         except can.CanError as error:
-            raise ConnectionLostError(f"the bus does not take frames: {error.__cause__ or error}") from error
+            raise ConnectionLostError(f"the bus does not accept frames: {error.__cause__ or error}") from error
         finally:
             receiver.stop()
 
@@ -208,7 +208,7 @@ class ProprietaryCanServer(FaultyServer):
         if self._arm.is_poll(identifier, frame.data):
             self._speak(sent.time)
         else:
-            # A computer that stalls hears frames after the arm's time has gone on; they came when they came.
+            # A computer that stalls receives frames after the arm's time has gone on; they came when they came.
             self._arm.obey(identifier, frame.data, max(0.0, self._arm_time - sent.ready))
 
     def _advance_to(self, now: float) -> None:

@@ -55,7 +55,7 @@ class Axis:
         setup: what the drive is.
         feedback: at the start.
         objects: of the drive's node; what this side shows and obeys is connected to them.
-        emergency: is told every error code, 0 once the error is gone.
+        emergency: called with every error code, 0 once the error is gone.
 
     Attributes:
         feedback: what was measured last.

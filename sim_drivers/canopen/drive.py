@@ -198,7 +198,7 @@ class SimulatedDrive:
             self.axis.command(_COMMANDS[AbortOption(option)])
 
     def _found(self) -> None:
-        """Whoever was silent is heard again."""
+        """A watched node that had fallen silent is present again."""
         if self.axis.machine.state not in FAULTY:
             self._emergency(0)
 

@@ -47,14 +47,14 @@ class NodeErrorControl:
         self._missed: set[int | None] = set()
 
     def heartbeat(self, producer: int, time: float) -> bool:
-        """Another node's heartbeat came at a time [s]; whether with it nobody is missed any more."""
+        """Another node's heartbeat came at a time [s]; whether with it no watched node is missing any more."""
         if producer not in dict(self._awaited()):
             return False
         self._heard[producer] = time
         return self._found(producer)
 
     def guard_request(self, time: float, nmt: int) -> bool:
-        """The master asked for the NMT state at a time [s]; whether with it nobody is missed any more."""
+        """The master asked for the NMT state at a time [s]; whether with it no watched node is missing any more."""
         if self._objects.number(HEARTBEAT_TIME.index):
             return False
         if not self.muted:
@@ -64,7 +64,7 @@ class NodeErrorControl:
         return self._found(None)
 
     def tick(self, time: float, nmt: int) -> bool:
-        """Send a heartbeat that is due at a time [s]; whether somebody who was watched has fallen silent just now."""
+        """Send a heartbeat that is due at a time [s]; whether a watched node has fallen silent just now."""
         period = 1e-3 * self._objects.number(HEARTBEAT_TIME.index)
         if period > 0.0 and time >= self._next_heartbeat:
             late = not time - self._next_heartbeat < period

@@ -73,14 +73,14 @@ def drive_setups(robot: Robot, settings: CanopenSettings) -> tuple[DriveSetup, .
     """What the drives of a connection are: as the robot file says, or of the usual size.
 
     Raises:
-        UsageError: counts a turn that are no whole number.
+        UsageError: counts per turn that are not an integer.
     """
     setups = []
     for joint, node in zip(robot.joints, settings.nodes, strict=True):
         counts = node.counts_per_turn
         if counts is not None and counts != round(counts):
             raise UsageError(
-                f"a simulated drive has a whole number of counts a turn, not {counts:g}",
+                f"a simulated drive has an integer number of counts per turn, not {counts:g}",
                 where=f"{robot.name}: {joint.name}",
             )
         torque = node.rated_torque or (joint.torque or 100.0) / PEAK_FACTOR
@@ -168,8 +168,8 @@ class DriveNetwork:
         return NetworkCounts(self._syncs, self._sent, self._bus.lost, self._bus.bits, self._stalls)
 
     def arrive(self, frame: Frame, time: float) -> None:
-        """A frame of the master, or of anybody else, that came at a time [s]; times must not fall."""
-        self._arrivals.append((time, frame))  # earlier than now where this computer was late to hear it
+        """A frame of the master, or of another node, that came at a time [s]; times must not fall."""
+        self._arrivals.append((time, frame))  # earlier than now where this computer was late to receive it
 
     def next_end(self) -> float:
         """When the frame that is on the bus will be over [s]; infinity where there is none."""

@@ -64,14 +64,14 @@ class Entry:
     default: Value | None
 
     def encode(self, value: Value) -> bytes:
-        """The bytes on the wire; a number that is too large is cut to the largest that fits."""
+        """The encoded bytes; a number that is too large is cut to the largest that fits."""
         if isinstance(value, str):
             return value.encode("ascii", "replace")
         low, high = self.limits
         return min(max(value, low), high).to_bytes(self.size, "little", signed=self.signed)
 
     def decode(self, content: bytes) -> Value:
-        """The value of bytes on the wire.
+        """The value of encoded bytes.
 
         Raises:
             SdoAbortError: another length.
@@ -100,12 +100,12 @@ def entries(node: int) -> dict[tuple[int, int], Entry]:
     from canopen.objectdictionary import SIGNED_TYPES, ODVariable, datatypes
     from canopen.objectdictionary.eds import import_eds
 
-    found: dict[tuple[int, int], Entry] = {}
+    by_place: dict[tuple[int, int], Entry] = {}
     read: Any = import_eds
     for index, item in read(StringIO(eds_text()), node).items():
         for variable in [item] if isinstance(item, ODVariable) else item.values():
             text = variable.data_type == datatypes.VISIBLE_STRING
-            found[index, variable.subindex] = Entry(
+            by_place[index, variable.subindex] = Entry(
                 name=variable.name,
                 size=0 if text else len(variable) // 8,
                 signed=variable.data_type in SIGNED_TYPES,
@@ -114,7 +114,7 @@ def entries(node: int) -> dict[tuple[int, int], Entry]:
                 mappable=variable.pdo_mappable,
                 default=variable.default,
             )
-    return found
+    return by_place
 
 
 class ObjectDictionary:
@@ -161,11 +161,11 @@ class ObjectDictionary:
         Raises:
             SdoAbortError: there is none.
         """
-        found = self.entries.get((index, subindex))
-        if found is None:
+        entry = self.entries.get((index, subindex))
+        if entry is None:
             known = any(place == index for place, _ in self.entries)
             raise SdoAbortError(Abort.NO_SUBINDEX if known else Abort.NO_OBJECT)
-        return found
+        return entry
 
     def number(self, index: int, subindex: int = 0) -> int:
         """The number at a place, as the drive itself sees it."""

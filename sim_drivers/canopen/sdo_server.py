@@ -68,9 +68,9 @@ class SdoServer:
         if self._sending is None:
             raise SdoAbortError(Abort.COMMAND)
         self._check_toggle(command)
-        part, self._sending = self._sending[:7], self._sending[7:]
+        segment, self._sending = self._sending[:7], self._sending[7:]
         last = not self._sending
-        answer = bytes([command & 0x10 | 7 - len(part) << 1 | last]) + part.ljust(7, b"\x00")
+        answer = bytes([command & 0x10 | 7 - len(segment) << 1 | last]) + segment.ljust(7, b"\x00")
         if last:
             self.reset()
         return answer

@@ -55,7 +55,7 @@ BUS_OFF_ERROR = 0x40
 
 @dataclass(frozen=True)
 class CanopenStatus:
-    """What the drives are at.
+    """State of bus and drives.
 
     Attributes:
         counts: of the bus.
@@ -110,7 +110,7 @@ class CanopenServer(FaultyServer):
         self._generator = np.random.default_rng(0)
 
     def status(self) -> CanopenStatus:
-        """What the drives are at."""
+        """State of bus and drives."""
         counts, now = self.network.counts, self._clock.now()
         self._loads.append((now, counts.bits))
         while len(self._loads) > 2 and self._loads[1][0] < now - LOAD_WINDOW:
@@ -128,13 +128,13 @@ class CanopenServer(FaultyServer):
     def ready(self) -> dict[str, object]:
         """What a client must know to reach them."""
         settings = self.settings
-        told: dict[str, object] = {"interface": settings.interface, "channel": settings.channel}
+        place: dict[str, object] = {"interface": settings.interface, "channel": settings.channel}
         if self.adapter is not None:
-            told = {"interface": "slcan", "channel": self.adapter.path}
-        return told | {"bitrate": settings.bitrate, "nodes": self._nodes()}
+            place = {"interface": "slcan", "channel": self.adapter.path}
+        return place | {"bitrate": settings.bitrate, "nodes": self._nodes()}
 
     def live_line(self) -> str:
-        """How it goes, in one line."""
+        """Its state in one line."""
         status = self.status()
         counts = status.counts
         line = (
@@ -178,7 +178,7 @@ class CanopenServer(FaultyServer):
                     else:
                         self._transmit(bus, sent.frame)
         except can.CanError as error:
-            raise ConnectionLostError(f"the bus does not take frames: {error.__cause__ or error}") from error
+            raise ConnectionLostError(f"the bus does not accept frames: {error.__cause__ or error}") from error
 
     def _receive(self, bus: can.BusABC, timeout: float) -> None:
         """Take every frame that is there, waiting for the first."""
@@ -264,4 +264,4 @@ class CanopenServer(FaultyServer):
             case Unplug() if self.adapter is not None:
                 self.adapter.unplug()
             case Unplug():
-                self.messages.append("there is no adapter to pull out; it is --wire slcan that has one")
+                self.messages.append("there is no adapter to unplug; only --wire slcan has one")

@@ -36,8 +36,8 @@ class DriveSetup:
         zero: joint position at count 0 [rad].
         rated_current: [A].
         rated_torque: joint side [N·m].
-        velocity: of profiles, unless it is told another [rad/s].
-        acceleration: of profiles, unless it is told another [rad/s²].
+        velocity: of profiles, unless the master sets another [rad/s].
+        acceleration: of profiles, unless the master sets another [rad/s²].
     """
 
     serial: int

@@ -1,4 +1,4 @@
-"""A simulated arm that differs from its robot file: with a load on its tool, or with drive gains nobody knows.
+"""A simulated arm that differs from its robot file: with a load on its tool, or with unknown drive gains.
 
 Only `RobotFile.robot`, from which recordings are computed, is changed. The text, which recordings carry, stays as it
 was: an identification sees the arm that the user believes to have.

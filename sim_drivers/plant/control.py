@@ -95,7 +95,7 @@ class Pid:
     Args:
         arm: the nominal arm with its motors' inertias.
         inertia: (n,) J of `independent_inertia` [kg·m²].
-        largest_inertia: (n,) largest that the joint may have [kg·m²]; a heavy joint bears less integral action.
+        largest_inertia: (n,) largest that the joint may have [kg·m²]; a heavy joint tolerates less integral action.
         bandwidth: ω [rad/s].
         period: between two calls [s].
         torque_limit: (n,) [N·m].

@@ -1,6 +1,6 @@
 """The simulated arm: rigid bodies, friction, drives, heat, controller and sensors, advanced in virtual time.
 
-Leapfrog (velocity Verlet) with one articulated-body evaluation a step. Position, velocity, acceleration and drive
+Leapfrog (velocity Verlet) with one articulated-body evaluation per step. Position, velocity, acceleration and drive
 torque of one instant belong together: to second order in the step, the torque is the inverse dynamics of the motion.
 
 State, friction and controller are the motors', referred to the joint side. They are the joints', but where the robot
@@ -208,7 +208,7 @@ class Plant:
                 self._update_heat()
 
     def measure(self) -> Measurement:
-        """What the sensors say now; each call draws its own noise."""
+        """What the sensors measure now; each call draws its own noise."""
         target = self._target
         torque = self._torque_sensor.read() - self._unseen_inertia * self.acceleration
         model_torque = self._arm.inverse(target.position, target.velocity, target.acceleration)

@@ -9,7 +9,7 @@ CHUNK = 65536
 
 
 class Session(Protocol):
-    """What one client and the server say to each other, without the socket."""
+    """The protocol between one client and the server, without the socket."""
 
     closing: bool
 
@@ -20,7 +20,7 @@ class Session(Protocol):
         """Take what the client sent, give what to answer.
 
         Raises:
-            ConnectionLostError: the client does not speak this protocol.
+            ConnectionLostError: the client does not follow this protocol.
         """
 
     def close(self) -> None:
@@ -28,7 +28,7 @@ class Session(Protocol):
 
 
 class ClientConnection:
-    """One client's socket and what it has not yet taken.
+    """One client's socket and the bytes that it has not yet read.
 
     Args:
         sock: connected; made non-blocking here.

@@ -57,7 +57,7 @@ class ControlScript:
     def step(self, controller: Controller) -> None:
         """One period of the program's main loop."""
         if self._watchdog and controller.arm.time - self._kicked_at > 1.0 / self._watchdog:
-            controller.fail_program(f"watchdog: fewer than {self._watchdog:g} commands a second")
+            controller.fail_program(f"watchdog: fewer than {self._watchdog:g} commands per second")
             return
         if self._asynchronous is not None and self._asynchronous.finished:
             self._end_asynchronous(controller)

@@ -71,7 +71,9 @@ class Controller:
         measured = arm.measure()
         count = len(measured.position)
         if count != JOINTS:
-            raise UsageError(f"RTDE is for arms of {JOINTS} joints, not {count}", hint="simulate it on another wire")
+            raise UsageError(
+                f"RTDE is for arms of {JOINTS} joints, not {count}", hint="simulate it on another bus: --wire canopen"
+            )
         self.arm = arm
         self.version = version
         self.period = period
@@ -243,7 +245,7 @@ class Controller:
             "actual_main_voltage": 48.0,
             "actual_robot_voltage": 48.0,
             "actual_joint_voltage": (48.0,) * JOINTS,
-            # The plant has no tool and no force sensor: not a number, rather than a number that nobody measured.
+            # The plant has no tool and no force sensor: not a number, rather than a number that was not measured.
             **dict.fromkeys(("actual_TCP_pose", "actual_TCP_speed", "actual_TCP_force"), unknown),
             **dict.fromkeys(("target_TCP_pose", "target_TCP_speed"), unknown),
             "actual_tool_accelerometer": unknown[:3],

@@ -54,7 +54,7 @@ class Ports:
 
 
 Service = Literal["rtde", "dashboard", "script"]
-"""What a port speaks."""
+"""The protocol of a port."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class ServerStatus:
         packages: data packages sent.
         faulted: data packages withheld by faults.
         overflowed: clients dropped because they did not read.
-        broken: clients dropped because they did not speak the protocol.
+        broken: clients dropped because they did not follow the protocol.
         refused: connections beyond what the server holds.
         stalls: times when virtual time fell behind the clock.
         safety_mode: 1 normal, 3 protective stop.
@@ -146,7 +146,7 @@ class RtdeServer(FaultyServer):
         dashboard = self._listen(ports.dashboard if self.version.has_dashboard else None, "dashboard")
         self.ports = Ports(rtde, dashboard, script)
         if not _is_loopback(self.host):
-            self.messages.append(f"{self.host} can be reached from the network; anybody there can move this arm")
+            self.messages.append(f"{self.host} can be reached from the network; any computer there can move this arm")
 
     def serve(self, sock: socket.socket, service: Service) -> None:
         """Serve a client that is connected already, from the next period on; may be called from any thread."""

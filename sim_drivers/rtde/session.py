@@ -67,7 +67,7 @@ class RtdeSession:
         self._ticks = 0
 
     def greeting(self) -> bytes:
-        """RTDE's server waits for the client to speak."""
+        """RTDE's server waits for the client's first package."""
         return b""
 
     def close(self) -> None:
@@ -80,7 +80,7 @@ class RtdeSession:
         """Take what the client sent, give what to answer.
 
         Raises:
-            ConnectionLostError: the client does not speak RTDE, or not version 2.
+            ConnectionLostError: the client does not follow RTDE, or not version 2.
         """
         answer = b""
         for package in self._splitter.feed(chunk):

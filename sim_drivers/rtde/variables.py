@@ -178,7 +178,7 @@ def input_variables(version: ControllerVersion) -> dict[str, str]:
 
 
 def zero(kind: str) -> Value:
-    """A variable's value before anybody wrote it."""
+    """A variable's value before its first write."""
     if SIZES[kind] > 1:
         return (0.0,) * SIZES[kind] if kind.endswith("D") else (0,) * SIZES[kind]
     return {"DOUBLE": 0.0, "BOOL": False}.get(kind, 0)

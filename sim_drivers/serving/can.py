@@ -53,7 +53,7 @@ def slcan(robot_file: RobotFile, plant: Plant, options: BusOptions) -> Served:
 
 
 def proprietary(robot_file: RobotFile, plant: Plant, options: BusOptions) -> Served:
-    """An arm whose controller speaks the table of the robot file's can_frames connection.
+    """An arm with the signal table of the robot file's can_frames connection.
 
     Raises:
         UsageError: there is no such connection, or its keys are wrong.
@@ -66,7 +66,7 @@ def proprietary(robot_file: RobotFile, plant: Plant, options: BusOptions) -> Ser
     keys = _connection_keys(robot, "can_frames", options)
     if keys is None:
         raise UsageError(
-            "the robot file has no connection with the driver can_frames, so there is no table to speak",
+            "the robot file has no connection with the driver can_frames, so there is no signal table",
             where=f"{robot.name}: connections",
             hint="docs/can.md shows one",
         )
@@ -86,8 +86,8 @@ def _drives(
 def _canopen_keys(robot: Robot, options: BusOptions) -> dict[str, object]:
     """The keys of the canopen402 connection; default ones where the robot file has none."""
     nodes = {name: {"id": number} for number, name in enumerate(robot.joint_names, start=1)}
-    found = _connection_keys(robot, "canopen402", options)
-    return found if found is not None else _with_options({**DEFAULT_BUS, "nodes": nodes}, options)
+    keys = _connection_keys(robot, "canopen402", options)
+    return keys if keys is not None else _with_options({**DEFAULT_BUS, "nodes": nodes}, options)
 
 
 def _connection_keys(robot: Robot, driver: str, options: BusOptions) -> dict[str, object] | None:
@@ -109,7 +109,7 @@ def _with_options(keys: dict[str, object], options: BusOptions) -> dict[str, obj
 
 
 def _pair(text: str, robot: Robot) -> tuple[int, int]:
-    parts = [part.strip() for part in text.split(",")]
-    if len(parts) != 2 or parts[0] == parts[1]:
+    names = [name.strip() for name in text.split(",")]
+    if len(names) != 2 or names[0] == names[1]:
         raise UsageError(f"--swap takes two joints, not '{text}'", hint="such as --swap 2,3")
-    return joint_index(parts[0], robot.joint_names), joint_index(parts[1], robot.joint_names)
+    return joint_index(names[0], robot.joint_names), joint_index(names[1], robot.joint_names)

@@ -1,4 +1,4 @@
-"""What `dynid sim` does: build the plant and serve it on a bus, until it is interrupted."""
+"""`dynid sim`: builds the plant and serves it on a bus until it is interrupted."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def simulate(
     """Serve a simulated arm until Ctrl-C or SIGTERM.
 
     Raises:
-        UsageError: a wire, a version or an arm that cannot be simulated, or a connection whose keys are wrong.
+        UsageError: a bus, a version or an arm that cannot be simulated, or a connection whose keys are wrong.
         RobotFileError: the robot file cannot be read, or has no truth.
         ConnectionFailedError: an address cannot be listened on, or a bus not opened.
     """
     from daq.robot.loader import load_robot
 
     if wire not in WIRES:
-        raise UsageError(f"'{wire}' cannot be simulated yet", hint=f"--wire {', '.join(WIRES)}")
+        raise UsageError(f"'{wire}' cannot be simulated", hint=f"--wire {', '.join(WIRES)}")
     robot_file = load_robot(robot)
     served = _served(robot_file, wire, host, version, seed, bus)
     serve_until_interrupted(served, robot_file.robot.name, live=live)

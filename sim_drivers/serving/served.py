@@ -23,11 +23,11 @@ CLEAR_LINE = "\r\x1b[K"
 
 
 class Served(Protocol):
-    """A simulated device, whatever its wire; entering its context starts it, leaving stops it.
+    """A simulated device on any bus; entering its context starts it, leaving stops it.
 
     Attributes:
         messages: for the terminal, oldest first.
-        failure: what ended it; None while all is well.
+        failure: the error that ended it; None while it runs.
     """
 
     messages: deque[str]
@@ -43,7 +43,7 @@ class Served(Protocol):
         """What a client must know to reach it; known once started."""
 
     def live_line(self) -> str:
-        """How it goes, in one line."""
+        """Its state in one line."""
 
     def obey(self, line: str) -> None:
         """Cause a fault as a person types it.
@@ -55,7 +55,7 @@ class Served(Protocol):
 
 @dataclass(frozen=True)
 class BusOptions:
-    """How a simulated arm's wire differs from its robot file's, and what is served beside it.
+    """How a simulated arm's bus differs from its robot file's, and what is served beside it.
 
     Attributes:
         interface, channel: of python-can; the connection's where None.
@@ -75,7 +75,7 @@ def serve_until_interrupted(served: Served, name: str, *, live: bool) -> None:
     """Start a simulated device, say so in one JSON object on standard output, and wait for Ctrl-C or SIGTERM.
 
     Raises:
-        ConnectionFailedError: its wire cannot be had.
+        ConnectionFailedError: its bus or port is not available.
         WorkError: the simulation broke down.
     """
     signal.signal(signal.SIGTERM, _interrupt)
@@ -88,7 +88,7 @@ def serve_until_interrupted(served: Served, name: str, *, live: bool) -> None:
         gc.collect()
         gc.freeze()
         print(json.dumps({"ready": True, "robot": name, **served.ready()}), flush=True)
-        # A person types and looks at this: the terminal's time is nobody else's.
+        # Typed by a person: it runs in real time, whatever clock the device has.
         threading.Thread(target=_obey_typed_faults, args=(served,), name="faults", daemon=True).start()
         with contextlib.suppress(KeyboardInterrupt):
             while served.failure is None:

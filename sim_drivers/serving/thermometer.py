@@ -1,4 +1,4 @@
-"""`dynid sim` with a thermometer: alone on an arm at rest, or beside an arm that is served on its own wire."""
+"""`dynid sim` with a thermometer: alone on an arm at rest, or beside an arm that is served on its own bus."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PERIOD = 0.02
 
 
 class BesideThermometer:
-    """An arm on its wire and a thermometer on the same arm, served together.
+    """An arm on its bus and a thermometer on the same arm, served together.
 
     Args:
         served: the arm.
@@ -37,7 +37,7 @@ class BesideThermometer:
 
     @property
     def failure(self) -> BaseException | None:
-        """What ended one of them; None while all is well."""
+        """The error that ended one of them; None while they run."""
         return self._served.failure or self._thermometer.failure
 
     def __enter__(self) -> Self:
@@ -58,7 +58,7 @@ class BesideThermometer:
         return {**self._served.ready(), **_ready(self._thermometer)}
 
     def live_line(self) -> str:
-        """How both go, in one line."""
+        """The state of both in one line."""
         return f"{self._served.live_line()}; {_live_line(self._thermometer)}"
 
     def obey(self, line: str) -> None:
@@ -165,5 +165,5 @@ def _ready(thermometer: ThermometerServer) -> Mapping[str, object]:
 
 
 def _live_line(thermometer: ThermometerServer) -> str:
-    lost = f", {thermometer.lost} that nobody took" if thermometer.lost else ""
+    lost = f", {thermometer.lost} that no client read" if thermometer.lost else ""
     return f"thermometer {thermometer.path}: {thermometer.lines} lines{lost}"

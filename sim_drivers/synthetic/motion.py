@@ -20,7 +20,7 @@ _GRID = 400
 def random_fourier_motion(model: DynamicModel, period: float, seed: int, candidates: int = CANDIDATES) -> FourierSeries:
     """The Fourier series with the lowest condition among `candidates` random ones, within 90 % of every limit.
 
-    The limits hold on a grid of 400 points a period; with 5 harmonics the extremes lie within 0.1 % of it.
+    The limits hold on a grid of 400 points per period; with 5 harmonics the extremes lie within 0.1 % of it.
     """
     generator = np.random.default_rng(seed)
     columns = base_parameters(model).columns

@@ -1,6 +1,6 @@
 """A simulated serial thermometer: lines of text, as fast as its baud rate lets them through.
 
-What it is plugged into carries any number of characters a second; so they are handed over one after the other, ten bit
+A pseudo-terminal carries any number of characters per second; so they are handed over one after the other, ten bit
 times each.
 """
 
@@ -36,8 +36,8 @@ class SimulatedThermometer:
     """What the thermometer sends.
 
     Attributes:
-        channels: one a value, in the order of the temperatures.
-        rate: lines a second.
+        channels: one per value, in the order of the temperatures.
+        rate: lines per second.
         baudrate: [bit/s].
         template: of one value; `channel` and `value` in the unit.
         separator: between the values of a line.
@@ -52,7 +52,7 @@ class SimulatedThermometer:
     unit: str = "degC"
 
     def line(self, celsius: Sequence[float] | FloatArray) -> bytes:
-        """A line with these temperatures [°C], one a channel."""
+        """A line with these temperatures [°C], one per channel."""
         convert: Mapping[str, Callable[[float], float]] = {
             "degC": lambda value: value,
             "degF": lambda value: 1.8 * value + 32.0,
@@ -77,7 +77,7 @@ class ThermometerServer(FaultyServer):
 
     Args:
         source: an arm whose joints' housings are measured, all of them in their order, or a function that gives the
-            temperatures [°C], one a channel.
+            temperatures [°C], one per channel.
         settings: what is sent.
         seed: of the garbage.
         line_end: its end of the line; a pseudo-terminal where None.
@@ -85,7 +85,7 @@ class ThermometerServer(FaultyServer):
 
     Attributes:
         lines: sent whole, garbage not counted.
-        lost: lines that nobody took.
+        lost: lines that no client read.
 
     Raises:
         UsageError: so many lines do not fit through the baud rate.
@@ -107,8 +107,8 @@ class ThermometerServer(FaultyServer):
         length = len(settings.line(np.full(len(settings.channels), -100.0)))
         if length * settings.rate * BITS_A_CHARACTER > settings.baudrate:
             raise UsageError(
-                f"{settings.rate:g} lines a second of {length} characters do not fit through {settings.baudrate} bit/s",
-                hint=f"at most {settings.baudrate / (BITS_A_CHARACTER * length):.3g} lines a second",
+                f"{settings.rate:g} lines per second of {length} characters exceed {settings.baudrate} bit/s",
+                hint=f"at most {settings.baudrate / (BITS_A_CHARACTER * length):.3g} lines per second",
             )
         self._random = random.Random(seed)
         self._line_end: WritableLineEnd = PseudoTerminal() if line_end is None else line_end
@@ -197,9 +197,9 @@ class ThermometerServer(FaultyServer):
 
     def _write(self, data: bytes) -> None:
         with self._changed:
-            taken = self._line_end.write(data)
-        self.lines += data[:taken].count(b"\n")
-        self.lost += data[taken:].count(b"\n")
+            sent = self._line_end.write(data)
+        self.lines += data[:sent].count(b"\n")
+        self.lost += data[sent:].count(b"\n")
 
 
 def simulated_thermometer(connection: Mapping[str, object], joints: Sequence[str]) -> SimulatedThermometer:
@@ -213,8 +213,8 @@ def simulated_thermometer(connection: Mapping[str, object], joints: Sequence[str
         tuple(_by_joint(settings, joints)), settings.rate, settings.baudrate, unit=settings.unit
     )
     line = simulated.line([20.0] * len(simulated.channels)).decode("ascii")
-    found = [match["channel"] for match in settings.pattern.finditer(line)]
-    if found != list(simulated.channels):
+    channels = [match["channel"] for match in settings.pattern.finditer(line)]
+    if channels != list(simulated.channels):
         raise UsageError(
             f"the simulated thermometer sends lines such as {line.strip()!r}, which 'pattern' does not match",
             hint=r"for the simulation take T(?P<channel>\w+)=(?P<value>[-+.\d]+)",

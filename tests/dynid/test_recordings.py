@@ -51,7 +51,10 @@ def test_two_recordings_in_memory_keep_their_own_windows_and_hashes(result):
     ("change", "message"),
     [
         ({"position": lambda q: q.T}, r"position: has shape \(6, 400\); \(400, 6\) is needed \(it is transposed"),
-        ({"position": lambda q: q[:, :5]}, r"position: has shape \(400, 5\); \(400, 6\) is needed \(a row a sample"),
+        (
+            {"position": lambda q: q[:, :5]},
+            r"position: has shape \(400, 5\); \(400, 6\) is needed \(one row per sam",
+        ),
         ({"position": lambda q: q[:10]}, r"position: has shape \(10, 6\)"),
         ({"position": lambda q: q[0]}, r"position: has shape \(6,\)"),
         ({"position": np.rad2deg}, "position: reaches .* these are degrees .*deg2rad"),
@@ -143,7 +146,7 @@ def test_a_urdf_is_a_robot(tmp_path):
         ("<robot", "is not a URDF"),
         ("<robot name='x'><link name='a'/></robot>", "has no movable joint"),
         (URDF.replace('lower="-0.2" ', ""), "joint elbow: states no lower limit"),
-        (URDF.replace('velocity="0.5"', 'velocity="fast"'), "a limit that is no number"),
+        (URDF.replace('velocity="0.5"', 'velocity="fast"'), "a limit that is not a number"),
     ],
 )
 def test_a_broken_urdf_is_refused(tmp_path, text, message):

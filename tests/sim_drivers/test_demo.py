@@ -53,14 +53,14 @@ def test_files_are_there_and_can_be_read(demo):
 
 @pytest.mark.slow
 def test_truth_is_projected_and_lies_inside(demo):
-    robot_file = demo.found.robot_file
-    assert np.allclose(demo.truth, demo.found.base.projection @ truth_vector(robot_file))
+    robot_file = demo.identification.robot_file
+    assert np.allclose(demo.truth, demo.identification.base.projection @ truth_vector(robot_file))
     assert build_model(robot_file).dof == 6
-    error = np.abs(demo.found.solution.parameters - demo.truth)
-    assert demo.inside == np.sum(error <= WITHIN_95_PERCENT * demo.found.std)
+    error = np.abs(demo.identification.solution.parameters - demo.truth)
+    assert demo.inside == np.sum(error <= WITHIN_95_PERCENT * demo.identification.std)
     assert demo.inside >= 0.9 * len(demo.truth)
-    assert np.all(error < 4.0 * demo.found.std)
-    assert demo.found.validation.relative_error < 0.06
+    assert np.all(error < 4.0 * demo.identification.std)
+    assert demo.identification.validation.relative_error < 0.06
     assert "That is usable" in demo.result.verdict
 
 
@@ -72,14 +72,14 @@ def test_json_is_one_strict_object(demo, capsys):
     assert shown["inside_95_percent"] == demo.inside
     assert (shown["samples"], shown["lost"]) == (demo.samples, 0)
     assert [p["truth"] for p in shown["base_parameters"]] == pytest.approx(list(demo.truth))
-    assert shown["validation_relative_error"] == demo.found.validation.relative_error
+    assert shown["validation_relative_error"] == demo.identification.validation.relative_error
 
 
 @pytest.mark.slow
 def test_table_shows_truth_beside_estimate(demo, capsys):
     print_demo(demo, as_json=False)
     text = capsys.readouterr().out
-    for name in demo.found.base.names:
+    for name in demo.identification.base.names:
         assert name in text
     assert f"{demo.inside} of {len(demo.truth)} true values" in text
     assert demo.result.verdict in text

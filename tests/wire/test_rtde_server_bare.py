@@ -370,7 +370,7 @@ def test_what_cannot_be_served_is_refused(clock: SimulatedClock) -> None:
 @pytest.mark.parametrize(
     ("robot", "wire_name", "version", "message"),
     [
-        ("ur5e", "carrier-pigeon", "5.22", "cannot be simulated yet"),
+        ("ur5e", "carrier-pigeon", "5.22", "cannot be simulated"),
         ("ur5e", "rtde", "4.1", "no version"),
         ("panda", "rtde", "5.22", "6 joints, not 7"),
     ],

@@ -53,7 +53,7 @@ def test_a_gear_is_read_from_the_drive() -> None:
 
 
 def test_counts_that_no_encoder_has_are_refused() -> None:
-    with pytest.raises(UsageError, match="whole number"):
+    with pytest.raises(UsageError, match="integer number"):
         Bench(nodes={f"j{number}": {"id": number, "counts_per_turn": 1000.5} for number in range(1, 7)})
 
 

@@ -167,7 +167,7 @@ def test_faults_of_the_bus_are_seen(master: Master) -> None:
     for line in ("unplug", "heat 1 3", "block j2"):
         server.obey(line)
     master.hear(0.1)
-    assert list(server.messages) == ["there is no adapter to pull out; it is --wire slcan that has one"]
+    assert list(server.messages) == ["there is no adapter to unplug; only --wire slcan has one"]
     assert server.status().faulted == 4 + 2 + 6  # neither what nobody heard, nor what nobody was asked for
     assert "6 drives operational, 0 enabled, 6 SYNCs" in server.live_line()
 

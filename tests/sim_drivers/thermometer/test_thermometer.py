@@ -127,7 +127,7 @@ def test_lines_take_the_time_of_their_characters(opened: Make, clock: SimulatedC
 
 
 def test_more_lines_than_the_baud_rate_takes_are_refused() -> None:
-    with pytest.raises(UsageError, match="do not fit through 1200 bit/s"):
+    with pytest.raises(UsageError, match="exceed 1200 bit/s"):
         ThermometerServer(lambda: [20.0], SimulatedThermometer(("a",), rate=20.0, baudrate=1200))
 
 
