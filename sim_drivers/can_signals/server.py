@@ -9,20 +9,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import can
-import numpy as np
 
 from daq.robot.schema import Robot
-from drivers.can.bus import EXTENDED, Receiver, close_bus, open_bus
+from drivers.can.bus import EXTENDED, Receiver
 from drivers.can_signals.settings import parse_settings
-from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
-from drivers.errors import ConnectionLostError
+from drivers.clock import SYSTEM_CLOCK, Clock
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
+from sim_drivers.can.bus_server import BusServer, send_error_frame
 from sim_drivers.can_signals.arm import TableArm
-from sim_drivers.canopen.server import BUS_OFF_ERROR
 from sim_drivers.faults import (
     BlockJoint,
     BusOff,
@@ -36,7 +33,6 @@ from sim_drivers.faults import (
     Truncate,
 )
 from sim_drivers.plant.arm import SimulatedArm
-from sim_drivers.server import FaultyServer
 
 LONGEST_LAG = 0.25
 """A stall of more than this [s] is not made up for: the arm's time stands still meanwhile."""
@@ -67,7 +63,7 @@ class TableStatus:
     stalls: int = 0
 
 
-class ProprietaryCanServer(FaultyServer):
+class ProprietaryCanServer(BusServer):
     """An arm on a bus; `start` opens it, `stop` lets go.
 
     Args:
@@ -89,17 +85,15 @@ class ProprietaryCanServer(FaultyServer):
         folder: Path | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
-        super().__init__("signal-table arm", robot.joint_names, clock)
         self.settings = parse_settings(connection, robot.joint_names, folder)
+        super().__init__("signal-table arm", robot.joint_names, self.settings, clock)
         self._arm = TableArm(arm, robot.joints, self.settings)
         self.messages = self._arm.messages
-        self._bus: can.BusABC | None = None
         self._model = BusModel(self.settings.bitrate)
         self._own = self.settings.identifiers
         self._drop = self._truncate = 0
         self._frozen_until = -math.inf
         self._muted: dict[int, float] = {}
-        self._generator = np.random.default_rng(0)
         self._begun = self._arm_time = self._due = 0.0
         self._status = TableStatus(arm.time)
 
@@ -125,21 +119,10 @@ class ProprietaryCanServer(FaultyServer):
         troubles = {"withheld": status.withheld, "lost on the bus": status.lost, "stalls": status.stalls}
         return line + "".join(f", {count} {word}" for word, count in troubles.items() if count)
 
-    def _open(self) -> None:
-        settings = self.settings
-        self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
-
-    def _close(self) -> None:
-        bus, self._bus = self._bus, None
-        if bus is not None:
-            close_bus(bus)
-
     def _work(self) -> Mapping[str, Callable[[], None]]:
-        assert self._bus is not None
-        return {"table-arm": partial(self._serve, self._bus)}
+        return {"table-arm": self._run_on_bus}
 
     def _serve(self, bus: can.BusABC) -> None:
-        set_timer_slack()
         receiver = Receiver(bus, clock=self._clock)
         try:
             receiver.start()
@@ -164,8 +147,6 @@ class ProprietaryCanServer(FaultyServer):
                     self._due = self._arm_time = now
                     self._status = replace(self._status, stalls=self._status.stalls + 1)
                 self._run_until(bus, now)
-        except can.CanError as error:
-            raise ConnectionLostError(f"the bus does not accept frames: {error.__cause__ or error}") from error
         finally:
             receiver.stop()
 
@@ -247,15 +228,13 @@ class ProprietaryCanServer(FaultyServer):
             case Freeze(duration):
                 self._frozen_until = now + duration
             case BusOff(duration):
-                bus.send(can.Message(arbitration_id=BUS_OFF_ERROR, is_error_frame=True, dlc=8, data=bytes(8)))
+                send_error_frame(bus)
                 self._frozen_until = now + duration
             case Mute(identifier, duration):
                 self._muted[identifier] = now + duration
             case Garbage(frames):
                 for _ in range(frames):
-                    content = self._generator.bytes(int(self._generator.integers(0, 9)))
-                    rubbish = Frame(int(self._generator.integers(1, 0x800)), content)
-                    self._model.submit(rubbish, now, own=True)
+                    self._model.submit(self._random_frame(), now, own=True)
             case OverTemperature(joint):
                 self._arm.fail(joint)
             case Heat(joint, celsius):

@@ -10,19 +10,16 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 
 import can
-import numpy as np
 
 from daq.robot.schema import Robot
 from drivers.can.arrival_clock import ArrivalClock
-from drivers.can.bus import close_bus, open_bus
 from drivers.canopen402.objects import STATE_OPERATIONAL, TPDO1
 from drivers.canopen402.settings import CanopenSettings
-from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
-from drivers.errors import ConnectionLostError
+from drivers.clock import SYSTEM_CLOCK, Clock
 from sim_drivers.can.bus_load import Frame, exact_bits
+from sim_drivers.can.bus_server import BusServer, send_error_frame
 from sim_drivers.can.slcan_adapter import SlcanAdapter
 from sim_drivers.canopen.axis import OVER_TEMPERATURE
 from sim_drivers.canopen.network import DrivenArm, DriveNetwork, NetworkCounts
@@ -40,7 +37,6 @@ from sim_drivers.faults import (
     Truncate,
     Unplug,
 )
-from sim_drivers.server import FaultyServer
 
 LONGEST_WAIT = 0.005
 """Between two looks at the drives [s]; the arm moves without any frame, too."""
@@ -49,8 +45,6 @@ GRANULARITY = 0.25e-3
 LOAD_WINDOW = 1.0
 """Of the bus load in the status [s]."""
 SAMPLE_IDENTIFIERS = range(TPDO1 + 1, 0x580)
-BUS_OFF_ERROR = 0x40
-"""Identifier of the error frame, as socketcan gives it."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +65,7 @@ class CanopenStatus:
     faulted: int = 0
 
 
-class CanopenServer(FaultyServer):
+class CanopenServer(BusServer):
     """Drives that are switched on by `start` and off by `stop`.
 
     Args:
@@ -98,16 +92,15 @@ class CanopenServer(FaultyServer):
         adapter: SlcanAdapter | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
-        super().__init__("CANopen drives", robot.joint_names, clock, beside=() if adapter is None else (adapter,))
+        beside = () if adapter is None else (adapter,)
+        super().__init__("CANopen drives", robot.joint_names, settings, clock, beside)
         self.settings = settings
         self.network = DriveNetwork(arm, robot, settings, self._clock.now(), swapped=swapped, length=length)
         self.adapter = adapter
         self._arm = arm
-        self._bus: can.BusABC | None = None
         self._silent_until = self._deaf_until = 0.0
         self._drop = self._truncate = self._faulted = 0
         self._loads: deque[tuple[float, int]] = deque([(self._clock.now(), 0)])
-        self._generator = np.random.default_rng(0)
 
     def status(self) -> CanopenStatus:
         """State of bus and drives."""
@@ -147,38 +140,24 @@ class CanopenServer(FaultyServer):
     def _nodes(self) -> dict[str, int]:
         return {joint: drive.node for joint, drive in zip(self.joints, self.network.drives, strict=True)}
 
-    def _open(self) -> None:
-        settings = self.settings
-        self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
-
-    def _close(self) -> None:
-        bus, self._bus = self._bus, None
-        if bus is not None:
-            close_bus(bus)
-
     def _work(self) -> Mapping[str, Callable[[], None]]:
-        assert self._bus is not None
-        self._stamps = ArrivalClock(self._bus, self._clock)
-        return {"canopen-nodes": partial(self._serve, self._bus)}
+        return {"canopen-nodes": self._run_on_bus}
 
     def _serve(self, bus: can.BusABC) -> None:
-        set_timer_slack()
-        try:
-            while not self._stopping.is_set():
-                now = self._clock.now()
-                due = min(self.network.next_end() + GRANULARITY, now + LONGEST_WAIT)
-                self._receive(bus, max(due - now, 0.0))
-                for fault in self._faults.requested():
-                    self._cause(bus, fault)
-                now = self._clock.now()
-                silent = now < self._silent_until
-                for sent in self.network.advance(now):
-                    if silent:
-                        self._faulted += 1
-                    else:
-                        self._transmit(bus, sent.frame)
-        except can.CanError as error:
-            raise ConnectionLostError(f"the bus does not accept frames: {error.__cause__ or error}") from error
+        self._stamps = ArrivalClock(bus, self._clock)
+        while not self._stopping.is_set():
+            now = self._clock.now()
+            due = min(self.network.next_end() + GRANULARITY, now + LONGEST_WAIT)
+            self._receive(bus, max(due - now, 0.0))
+            for fault in self._faults.requested():
+                self._cause(bus, fault)
+            now = self._clock.now()
+            silent = now < self._silent_until
+            for sent in self.network.advance(now):
+                if silent:
+                    self._faulted += 1
+                else:
+                    self._transmit(bus, sent.frame)
 
     def _receive(self, bus: can.BusABC, timeout: float) -> None:
         """Take every frame that is there, waiting for the first."""
@@ -239,7 +218,7 @@ class CanopenServer(FaultyServer):
             case Freeze(duration):
                 self._silent_until = now + duration
             case BusOff(duration):
-                bus.send(can.Message(arbitration_id=BUS_OFF_ERROR, is_error_frame=True, dlc=8, data=bytes(8)))
+                send_error_frame(bus)
                 self._silent_until = self._deaf_until = now + duration
             case Heat(joint, celsius):
                 self._arm.heat(joint, celsius)
@@ -259,8 +238,7 @@ class CanopenServer(FaultyServer):
                 self.adapter.garbage(frames)
             case Garbage(frames):
                 for _ in range(frames):
-                    content = self._generator.bytes(int(self._generator.integers(0, 9)))
-                    self._transmit(bus, Frame(int(self._generator.integers(1, 0x800)), content))
+                    self._transmit(bus, self._random_frame())
             case Unplug() if self.adapter is not None:
                 self.adapter.unplug()
             case Unplug():
