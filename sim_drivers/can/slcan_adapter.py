@@ -6,7 +6,6 @@ import contextlib
 import errno
 import os
 import re
-import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Protocol
@@ -95,7 +94,7 @@ class SlcanAdapter(Server):
         self._port: PollableLineEnd = PseudoTerminal() if port is None else port
         self.path = self._port.path
         """The serial port that a client opens."""
-        self._lock = threading.Lock()
+        self._lock = clock.lock()
         self._backlog = bytearray()
         self._plugged = False
         self._channel_open = self._listen_only = self._stamped = False

@@ -141,7 +141,7 @@ class TableArm:
             self._commanded.clear()
             return
         if given in settings.start:
-            # In their order, as a procedure that a maker prescribes.
+            # In their order, as a procedure that a manufacturer prescribes.
             self._starting = self._starting + 1 if settings.start[self._starting % len(settings.start)] == given else 0
             if self._starting == len(settings.start):
                 self._enable()

@@ -30,7 +30,7 @@ JOINT_MODE_RUNNING = 253
 
 PROGRAM_END_DECELERATION = 4.0
 PROTECTIVE_STOP_DECELERATION = 20.0
-"""[rad/s²]: assumptions; the maker publishes stopping times and distances only."""
+"""[rad/s²]: assumptions; the manufacturer publishes stopping times and distances only."""
 DRIFT_ACCELERATION = 4.0
 """Of a drift on request [rad/s²]."""
 UNLOCK_DELAY = 5.0

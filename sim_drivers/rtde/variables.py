@@ -81,7 +81,7 @@ def parse_version(text: str) -> ControllerVersion:
     match = re.fullmatch(r"(\d{1,3})\.(\d{1,3})(?:\.(\d{1,3}))?", text.strip())
     if match is None or int(match[1]) not in (3, 5, 10):
         raise UsageError(
-            f"'{text}' is no version of a UR controller", hint="such as 3.15 (CB3), 5.22, 5.23 (e-Series), 10.10"
+            f"'{text}' is not a version of a UR controller", hint="such as 3.15 (CB3), 5.22, 5.23 (e-Series), 10.10"
         )
     return ControllerVersion(int(match[1]), int(match[2]), int(match[3] or 0))
 

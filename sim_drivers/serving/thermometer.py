@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from typing import Self
 
 from daq.robot.loader import RobotFile
@@ -34,6 +35,7 @@ class BesideThermometer:
     def __init__(self, served: Served, thermometer: ThermometerServer) -> None:
         self._served, self._thermometer = served, thermometer
         self.messages = served.messages
+        self._both = ExitStack()
 
     @property
     def failure(self) -> BaseException | None:
@@ -41,17 +43,14 @@ class BesideThermometer:
         return self._served.failure or self._thermometer.failure
 
     def __enter__(self) -> Self:
-        self._served.__enter__()
-        try:
-            self._thermometer.start()
-        except BaseException:
-            self._served.__exit__(None, None, None)
-            raise
+        with ExitStack() as stack:
+            stack.enter_context(self._served)
+            stack.enter_context(self._thermometer)
+            self._both = stack.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._thermometer.stop()
-        self._served.__exit__(*_)
+        self._both.close()
 
     def ready(self) -> Mapping[str, object]:
         """What clients must know."""

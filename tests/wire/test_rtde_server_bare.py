@@ -371,7 +371,7 @@ def test_what_cannot_be_served_is_refused(clock: SimulatedClock) -> None:
     ("robot", "wire_name", "version", "message"),
     [
         ("ur5e", "carrier-pigeon", "5.22", "cannot be simulated"),
-        ("ur5e", "rtde", "4.1", "no version"),
+        ("ur5e", "rtde", "4.1", "not a version"),
         ("panda", "rtde", "5.22", "6 joints, not 7"),
     ],
 )
