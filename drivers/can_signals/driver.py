@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Sequence
 
 import can
-import numpy as np
 
 from drivers.base import DriverSettings, Notice, State, require_state
 from drivers.can.bus import Receiver, Sender, close_bus, open_bus
@@ -19,13 +18,12 @@ from drivers.can_signals.standstill import REST_LIMIT, comes_to_rest
 from drivers.can_signals.startup import hear_all
 from drivers.can_signals.streams import FrameStreams
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.first_step import check_first_step, finite_position
 from drivers.streams import Batch, FloatArray, StreamLayout
 
 SILENCE_LIMIT = 0.5
 """Without a row for so long [s], or for `SILENT_PERIODS`, the connection counts as lost."""
 SILENT_PERIODS = 20
-FIRST_STEP_LIMIT = 0.1
-"""How far [rad] a first command may be from where the arm stands; it would be reached within one period."""
 STOP_REPEATS = 3
 """How often the stop frames are sent: a frame that an arm misses is not sent again by anybody else."""
 STOP_INTERVAL = 0.01
@@ -150,9 +148,7 @@ class CanFramesDriver:
             ConnectionLostError: the adapter is gone.
             ValueError: not n finite numbers.
         """
-        target = np.asarray(position, dtype=np.float64)
-        if target.shape != (len(self._joints),) or not np.all(np.isfinite(target)):
-            raise ValueError(f"a position must be {len(self._joints)} finite numbers, not {position!r}")
+        target = finite_position(position, self._joints)
         with self._command_lock:
             require_state(self._state, "running", "move")
             if self._halted:
@@ -163,7 +159,7 @@ class CanFramesDriver:
                     "this connection cannot move the arm", hint="its table has no 'command'; recording works"
                 )
             if self._commander is None:
-                self._check_first(target)
+                check_first_step(target, self._streams.latest_position, self._joints)
                 commander = Commander(table, self._joints)
                 frames = commander.frames(target)  # fits, before anything is enabled
                 self._commander = commander
@@ -214,19 +210,6 @@ class CanFramesDriver:
             f"no complete row of the joints for {limit:g} s{what}",
             where=f"{self._settings.interface} {self._settings.channel}",
         )
-
-    def _check_first(self, target: FloatArray) -> None:
-        stands = self._streams.latest_position
-        if stands is None:
-            raise DriverStateError("nobody knows where the arm stands", hint="read samples before the first command")
-        away = np.abs(target - stands)
-        if not np.all(away <= FIRST_STEP_LIMIT):
-            worst = int(np.argmax(np.where(np.isnan(away), np.inf, away)))
-            raise DriverStateError(
-                f"the first position is {away[worst]:.3f} rad away from where the joint stands",
-                where=f"joint {self._joints[worst]}",
-                hint=f"begin within {FIRST_STEP_LIMIT:g} rad of the present position",
-            )
 
     def _send(self, frames: Sequence[FixedFrame]) -> None:
         if frames and self._sender is not None:

@@ -31,6 +31,7 @@ from drivers.canopen402.settings import MODES, parse_settings
 from drivers.canopen402.sync import SyncProducer
 from drivers.canopen402.temperature import TemperaturePoll, read_temperature
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.first_step import check_first_step, finite_position
 from drivers.streams import Batch, FloatArray, StreamLayout
 
 SILENCE_LIMIT = 0.5
@@ -38,8 +39,6 @@ SILENCE_LIMIT = 0.5
 SILENCE_PERIODS = 10
 FIRST_ROW_LIMIT = 1.0
 """How long [s] the first complete row may take."""
-FIRST_STEP_LIMIT = 0.1
-"""How far [rad] a first command may be from where the arm stands; it would be reached within one period."""
 STANDSTILL = 0.01
 """Speed [rad/s] below which a stopped joint is at rest."""
 
@@ -199,9 +198,7 @@ class Canopen402Driver:
             ConnectionLostError: the adapter is gone.
             ValueError: not n finite numbers.
         """
-        position = np.asarray(position, dtype=np.float64)
-        if position.shape != (len(self._joints),) or not np.all(np.isfinite(position)):
-            raise ValueError(f"a position has {len(self._joints)} finite numbers, not {position}")
+        position = finite_position(position, self._joints)
         with self._motion_lock:
             require_state(self._state, "running", "move")
             if self._halted:
@@ -215,7 +212,7 @@ class Canopen402Driver:
                 if failure is not None:
                     raise failure
             if not motion.moving and motion.ended_by is None:
-                self._check_first(position)
+                check_first_step(position, self._latest_position, self._joints)
                 motion.enable(self._settings.timeout)
             try:
                 motion.command(self._configured.scaling.counts(position))
@@ -365,18 +362,6 @@ class Canopen402Driver:
             where=f"{self._settings.interface} {self._settings.channel}",
             hint="is the power on, and can the bus carry this sync_rate? (dynid check)",
         )
-
-    def _check_first(self, position: FloatArray) -> None:
-        if self._latest_position is None:
-            raise DriverStateError("nobody knows where the arm stands", hint="read samples before the first command")
-        away = np.abs(position - self._latest_position)
-        worst = int(np.argmax(away))
-        if away[worst] > FIRST_STEP_LIMIT:
-            raise DriverStateError(
-                f"the first position is {away[worst]:.3f} rad away from where the joint stands",
-                where=f"joint {self._joints[worst]}",
-                hint=f"begin within {FIRST_STEP_LIMIT:g} rad of the present position",
-            )
 
     def _as_failed(self, error: ConnectionLostError) -> ConnectionFailedError:
         return ConnectionFailedError(error.message, where=error.where, hint=error.hint)

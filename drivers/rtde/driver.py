@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from drivers.base import DriverSettings, Notice, State, require_state
 from drivers.errors import DriverStateError, UsageError
+from drivers.first_step import check_first_step, finite_position
 from drivers.gains import joint_torque
 from drivers.rtde import protocol as wire
 from drivers.rtde.connect import Connect, connect_tcp
@@ -29,8 +30,6 @@ THERMAL_RATE = 20.0
 STATUS_RATE = 10.0
 DASHBOARD_TIMEOUT = 1.0
 """How long [s] the dashboard may take to end a program."""
-FIRST_STEP_LIMIT = 0.1
-"""How far [rad] a first command may be from where the arm stands; it would be reached within one period."""
 
 
 @dataclass(frozen=True)
@@ -250,12 +249,14 @@ class RtdeDriver:
             ConnectionLostError: the connection broke, or the controller refused a position.
             ValueError: not six finite numbers.
         """
+        position = finite_position(position, self._joints)
         with self._motion_lock:
             require_state(self._state, "running", "move")
             if self._halted:
                 raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
             if self._motion is None:
-                self._check_first(position)
+                self._check_port()
+                check_first_step(position, self._latest_position, self._joints)
                 self._motion = self._take_control(self._settings.host, self._receiver.rate, self._settings.timeout)
             self._motion.command(position)
 
@@ -342,22 +343,12 @@ class RtdeDriver:
                 self._notices.append(Notice(float(clock[index]), level, text))
             self._last_mode[source.variable] = int(column[-1])
 
-    def _check_first(self, position: FloatArray) -> None:
+    def _check_port(self) -> None:
         if self._settings.port != wire.PORT:
             raise DriverStateError(
                 f"motion needs RTDE on port {wire.PORT}, but the connection's is {self._settings.port}",
                 where=self._settings.host,
                 hint="ur_rtde knows no other port; recording alone works on any",
-            )
-        if self._latest_position is None:
-            raise DriverStateError("nobody knows where the arm stands", hint="read samples before the first command")
-        away = np.abs(np.asarray(position) - self._latest_position)
-        if np.max(away) > FIRST_STEP_LIMIT:
-            worst = int(np.argmax(away))
-            raise DriverStateError(
-                f"the first position is {away[worst]:.3f} rad away from where the joint stands",
-                where=f"joint {self._joints[worst]}",
-                hint=f"begin within {FIRST_STEP_LIMIT:g} rad of the present position",
             )
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import struct
 import tomllib
 from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint
@@ -299,12 +300,38 @@ def test_frames_that_are_too_short_are_said(arm: Arm, make_driver: Make, read_fo
     assert "too short for the table" in said(list(driver.notices()), "warning")
 
 
+@pytest.mark.parametrize("unknown", [math.nan, math.inf])
+def test_an_arm_at_an_unknown_position_is_not_enabled(
+    arm: Arm, make_driver: Make, read_for: Read, unknown: float
+) -> None:
+    made = arm(lambda number: [(0x181, struct.pack("<ff", 0.1, unknown))])
+    keys = moving(made.channel)
+    keys["signals"] = [
+        {
+            "quantity": "position",
+            "joint": joint,
+            "id": 0x181,
+            "start": 32 * n,
+            "length": 32,
+            "float": True,
+            "unit": "rad",
+        }
+        for n, joint in enumerate(JOINTS)
+    ]
+    driver = started(make_driver(keys))
+    read_for(driver, 0.1)
+    with pytest.raises(DriverStateError, match=r"measured one, (nan|inf) rad") as caught:
+        driver.command(np.array([0.1, -0.2]))
+    assert caught.value.where == "joint elbow"
+    assert made.heard == []
+
+
 def test_the_arm_is_enabled_commanded_and_stopped(
     arm: Arm, make_driver: Make, read_for: Read, clock: SimulatedClock
 ) -> None:
     made = arm()
     driver = started(make_driver(moving(made.channel)))
-    with pytest.raises(DriverStateError, match="nobody knows where the arm stands"):
+    with pytest.raises(DriverStateError, match="no position of the arm is known"):
         driver.command(np.array([0.1, -0.2]))
     read_for(driver, 0.1)
     with pytest.raises(DriverStateError, match=r"0\.110 rad away"):

@@ -57,13 +57,13 @@ def test_targets_go_out_to_all_drives_after_the_next_sync() -> None:
 
 def test_a_jump_and_a_blind_start_are_refused() -> None:
     with bench() as one:
-        with pytest.raises(DriverStateError, match="nobody knows where the arm stands"):
+        with pytest.raises(DriverStateError, match="no position of the arm is known"):
             one.driver.command(np.zeros(3))
         one.read_rows(2)
         with pytest.raises(DriverStateError, match=r"0\.200 rad away") as caught:
             one.driver.command(one.position + np.array([0.0, 0.0, 0.2]))
         assert caught.value.where == "joint elbow"
-        for wrong in (np.zeros(2), np.full(3, np.nan), np.zeros((3, 1))):
+        for wrong in (np.zeros(2), np.full(3, np.nan), np.full(3, np.inf), np.zeros((3, 1))):
             with pytest.raises(ValueError, match="3 finite numbers"):
                 one.driver.command(wrong)
         assert all(drive.controlwords == [] for drive in one.drives)

@@ -325,6 +325,23 @@ def test_motion_needs_the_port_that_ur_rtde_knows(controller: Make, make_driver:
         driver.command(np.zeros(6))
 
 
+@pytest.mark.parametrize("unknown", [np.nan, np.inf])
+def test_nobody_takes_control_of_an_arm_at_an_unknown_position(
+    controller: Make, make_driver: MakeDriver, unknown: float
+) -> None:
+    samples = [Sample(1.0 + step / 500, {"actual_q": [0, 0, 0, 0, unknown, 0]}) for step in range(5)]
+    driver = make_driver(controller(lambda number: [*samples, Never()]))  # `no_control` raises
+    driver.open()
+    driver.start()
+    read_all(driver, 5)
+    with pytest.raises(DriverStateError, match="the first position, 0 rad") as caught:
+        driver.command(np.zeros(6))
+    assert caught.value.where == "joint j5"
+    for wrong in (np.full(6, unknown), np.zeros(5)):
+        with pytest.raises(ValueError, match="6 finite numbers"):
+            driver.command(wrong)
+
+
 def test_motion_begins_where_the_arm_stands_and_ends_with_stop(clock: SimulatedClock, make_driver: MakeDriver) -> None:
     arm = RememberedArm(ExactPlant())
     server = RtdeServer(arm, ports=NOWHERE, clock=clock)
@@ -333,7 +350,7 @@ def test_motion_begins_where_the_arm_stands_and_ends_with_stop(clock: SimulatedC
         driver = make_driver(network, take_control=motions.take_control)
         driver.open()
         driver.start()
-        with pytest.raises(DriverStateError, match="where the arm stands"):
+        with pytest.raises(DriverStateError, match="no position of the arm is known"):
             driver.command(np.zeros(6))
         blocks = list(driver.read(1.0))
         position = blocks[0].values["position"][-1]

@@ -1,0 +1,55 @@
+"""What every driver checks of a joint position before it commands it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from drivers.errors import DriverStateError
+from drivers.streams import FloatArray
+
+FIRST_STEP_LIMIT = 0.1
+"""How far [rad or m] a first command may be from the measured position; it would be reached within one period."""
+
+
+def finite_position(position: FloatArray, joints: Sequence[str]) -> FloatArray:
+    """A commanded joint position as an array (n,) [rad or m].
+
+    Raises:
+        ValueError: not n finite numbers.
+    """
+    target = np.asarray(position, dtype=np.float64)
+    if target.shape != (len(joints),) or not np.all(np.isfinite(target)):
+        raise ValueError(f"a position has {len(joints)} finite numbers, not {position!r}")
+    return target
+
+
+def check_first_step(target: FloatArray, measured: FloatArray | None, joints: Sequence[str]) -> None:
+    """Refuse a first command that the arm could only reach by a jump.
+
+    Args:
+        target: (n,) commanded position [rad or m].
+        measured: (n,) newest measured position [rad or m]; None before the first sample.
+        joints: n names.
+
+    Raises:
+        DriverStateError: it is further than `FIRST_STEP_LIMIT` from the measured position, or either of them is
+            unknown, NaN or infinite; names the joint that is worst.
+    """
+    if measured is None:
+        raise DriverStateError("no position of the arm is known yet", hint="read samples before the first command")
+    with np.errstate(invalid="ignore"):
+        away = np.abs(target - measured)
+    if np.all(away <= FIRST_STEP_LIMIT):  # false for NaN
+        return
+    worst = int(np.argmax(np.where(np.isnan(away), np.inf, away)))
+    if np.isfinite(away[worst]):
+        message = f"the first position is {away[worst]:.3f} rad away from the measured one"
+    else:
+        message = (
+            f"the first position, {target[worst]:g} rad, has no distance from the measured one, {measured[worst]:g} rad"
+        )
+    raise DriverStateError(
+        message, where=f"joint {joints[worst]}", hint=f"begin within {FIRST_STEP_LIMIT:g} rad of the measured position"
+    )
