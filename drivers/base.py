@@ -36,6 +36,7 @@ class DriverSettings:
         joints: joint names in the order of every array.
         connection: the robot file's keys for this connection, without `driver`.
         gains: one a joint.
+        coupling: R (n, n) of q_motor = R·q_joint; None where each motor moves its own joint alone.
         folder: what relative paths among the keys start at; None for the current folder.
         clock: the host's, whose monotonic time stamps what arrives.
     """
@@ -43,6 +44,7 @@ class DriverSettings:
     joints: tuple[str, ...]
     connection: Mapping[str, object]
     gains: tuple[DriveGain, ...]
+    coupling: FloatArray | None = None
     folder: Path | None = None
     clock: Clock = SYSTEM_CLOCK
 

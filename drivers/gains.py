@@ -1,4 +1,4 @@
-"""Motor signals and joint torque: Γ = G_T·V (SR400 .4.3 point 1), τ = K·I (AUBO eq. 2)."""
+"""From motor signals to joint torque: Γ = G_T·V (SR400 §4.3 point 1), τ = K·I (AUBO eq. 2), coupled motors by Rᵀ."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.streams import ChannelLayout, FloatArray
 
 
 @dataclass(frozen=True)
@@ -26,40 +26,38 @@ class DriveGain:
 
 
 def joint_torque(signal: FloatArray, gains: Sequence[DriveGain], coupling: FloatArray | None = None) -> FloatArray:
-    """Joint torque (N, n) [N·m] from motor signals (N, n).
+    """Joint torque (N, n) [N·m] of the motors' signals (N, n): the one way from a current to a torque.
 
-    `coupling` R (n, n) with q_motor = R·q_joint maps motor torques to the joints by Rᵀ; None for one motor a joint.
+    Args:
+        signal: currents [A] or voltages [V], a column per motor.
+        gains: n, one per motor.
+        coupling: R (n, n) of q_motor = R·q_joint; None where each motor moves its own joint alone.
 
     Raises:
         ValueError: a gain is unknown.
     """
-    factors = _known([gain.gain for gain in gains])
-    motor = signal * factors
-    return motor if coupling is None else motor @ coupling
+    factors = [gain.gain for gain in gains if gain.gain is not None]
+    if len(factors) < len(gains):
+        unknown = [str(number) for number, gain in enumerate(gains, start=1) if gain.gain is None]
+        raise ValueError(f"the gain is unknown for joint(s) {', '.join(unknown)}")
+    motor_torque = signal * np.array(factors, dtype=np.float64)
+    return motor_torque if coupling is None else torque_at_joints(motor_torque, coupling)
 
 
-def joint_torque_std(signal: FloatArray, gains: Sequence[DriveGain], coupling: FloatArray | None = None) -> FloatArray:
-    """Standard deviation (N, n) [N·m] that the gains' uncertainty gives the torque, gains independent of each other.
-
-    Raises:
-        ValueError: a standard deviation is unknown.
-    """
-    variance = (signal * _known([gain.std for gain in gains])) ** 2
-    return np.asarray(np.sqrt(variance if coupling is None else variance @ coupling**2))
+def torque_at_joints(motor_torque: FloatArray, coupling: FloatArray) -> FloatArray:
+    """Joint torque (N, n) = Rᵀ·Γ_motor [N·m] of motor torques (N, n) [N·m], by which both give the same power."""
+    # Joint by joint over the motors that move it: in a product of matrices, one NaN would reach every joint.
+    moving = coupling != 0.0
+    columns = [motor_torque[:, moving[:, joint]] @ column[moving[:, joint]] for joint, column in enumerate(coupling.T)]
+    return np.stack(columns, axis=1)
 
 
-def motor_signal(torque: FloatArray, gains: Sequence[DriveGain], coupling: FloatArray | None = None) -> FloatArray:
-    """Motor signals (N, n) of joint torques (N, n) [N·m]: the inverse of `joint_torque`.
-
-    Raises:
-        ValueError: a gain is unknown, or the coupling cannot be inverted.
-    """
-    motor = torque if coupling is None else np.linalg.solve(coupling.T, torque.T).T
-    return np.asarray(motor / _known([gain.gain for gain in gains]))
+def gives_torque(gains: Sequence[DriveGain], joints: Sequence[str]) -> bool:
+    """Whether currents become torques: every joint has a motor whose gain [N·m/A] is known."""
+    return len(gains) == len(joints) and all(gain.gain is not None and gain.signal == "current" for gain in gains)
 
 
-def _known(values: Sequence[float | None]) -> FloatArray:
-    missing = [number + 1 for number, value in enumerate(values) if value is None]
-    if missing:
-        raise ValueError(f"unknown for joint(s) {', '.join(map(str, missing))}")
-    return np.array(values, dtype=np.float64)
+def torque_channel(joints: Sequence[str], coupling: FloatArray | None) -> ChannelLayout:
+    """The channel that `joint_torque` fills from currents."""
+    at_joints = "" if coupling is None else ", brought from the coupled motors to the joints"
+    return ChannelLayout("torque", tuple(joints), "", f"current times the robot file's drive gains{at_joints}")

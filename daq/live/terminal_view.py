@@ -149,12 +149,13 @@ class Publisher:
 
     def _add_joints(self, values: Mapping[str, FloatArray]) -> None:
         limits = self._limits
-        torque = values.get("torque")
+        torque, joints = values.get("torque"), np.arange(len(limits.joints))
         if torque is None and "current" in values:
-            torque = values["current"] * limits.torque_per_current
+            torque, joints = limits.torque_of_current(values["current"], joints)
         if torque is not None:
-            shares = np.abs(torque).max(axis=0) / limits.torque
-            largest = _largest(np.where(np.isinf(limits.torque), np.nan, shares), limits.joints)
+            limit = limits.torque[joints]
+            shares = np.where(np.isinf(limit), np.nan, np.abs(torque).max(axis=0) / limit)
+            largest = _largest(shares, tuple(limits.joints[joint] for joint in joints))
             if largest is not None and (self._torque is None or largest[0] > self._torque[0]):
                 self._torque = largest
         if "temperature" in values:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
 from drivers.base import DriverSettings
 from drivers.errors import UsageError
@@ -50,4 +51,5 @@ def driver_settings(robot: Robot, keys: Mapping[str, object], folder: Path | Non
     """What a driver is told about a robot and one of its connections."""
     drives = [robot.drive(joint) for joint in robot.joint_names]
     gains = tuple(DriveGain(drive.gain, drive.gain_std, drive.signal) for drive in drives)
-    return DriverSettings(robot.joint_names, keys, gains, folder)
+    coupling = coupling_matrix(robot.model.coupling, robot.joint_names) if robot.model.coupling else None
+    return DriverSettings(robot.joint_names, keys, gains, coupling, folder)

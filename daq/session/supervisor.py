@@ -10,7 +10,9 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
+from drivers.gains import torque_at_joints
 from drivers.streams import Batch, FloatArray, StreamLayout
 
 TRACKING_ERROR = 0.2
@@ -22,6 +24,9 @@ VELOCITY_MARGIN = 1.1
 STALE_PERIODS = 5
 STALE_FLOOR = 0.05
 """An ordinary PC stalls for tens of milliseconds itself: below this [s] nobody can tell that from a silent source."""
+
+
+IndexArray = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,8 @@ class Limits:
         torque: [N·m or N].
         temperature: [°C].
         tracking_error: [rad or m].
-        torque_per_current: [N·m/A], nan where unknown; used where a source has no torque.
+        torque_per_current: of the motors [N·m/A], nan where unknown; used where a source has no torque.
+        coupling: (n, n) R of q_motor = R·q_joint.
     """
 
     joints: tuple[str, ...]
@@ -72,6 +78,7 @@ class Limits:
     temperature: FloatArray
     tracking_error: FloatArray
     torque_per_current: FloatArray
+    coupling: FloatArray
 
     @classmethod
     def of_robot(cls, robot: Robot, tracking_error: float = TRACKING_ERROR) -> Self:
@@ -86,7 +93,20 @@ class Limits:
             np.array([np.inf if joint.temperature is None else joint.temperature for joint in robot.joints]),
             np.full(robot.dof, tracking_error),
             np.array([d.gain if d.gain is not None and d.signal == "current" else np.nan for d in drives]),
+            coupling_matrix(robot.model.coupling, robot.joint_names),
         )
+
+    def torque_of_current(self, current: FloatArray, motors: IndexArray) -> tuple[FloatArray, IndexArray]:
+        """Joint torque (N, k) [N·m] of the currents (N, m) [A] of some motors (m,), and of which joints (k,).
+
+        A joint is left out where one of the motors that move it is not among them, or has an unknown gain.
+        """
+        gain = np.full(len(self.joints), np.nan)
+        gain[motors] = self.torque_per_current[motors]
+        joints = np.flatnonzero(~np.any((self.coupling != 0.0) & np.isnan(gain)[:, np.newaxis], axis=0))
+        torque = np.zeros((len(current), len(self.joints)))
+        torque[:, motors] = current * gain[motors]
+        return torque_at_joints(torque, self.coupling)[:, joints], joints
 
 
 def stale_after(rate: float) -> float:
@@ -94,8 +114,7 @@ def stale_after(rate: float) -> float:
     return max(STALE_PERIODS / rate, STALE_FLOOR) if rate > 0 else np.inf
 
 
-_Index = npt.NDArray[np.intp]
-_Part = tuple[FloatArray, _Index]
+_Part = tuple[FloatArray, IndexArray]
 """Values (N, m) of m joints, and which joints (m,) they are."""
 
 
@@ -185,9 +204,8 @@ class Supervisor:
             return np.abs(part[0]), part[1]
         if (part := self._part(block, "current")) is None:
             return None
-        current, joints = part
-        gain = self._limits.torque_per_current[joints]
-        return np.abs(np.where(np.isnan(gain), 0.0, current * gain)), joints
+        torque, joints = self._limits.torque_of_current(*part)
+        return np.abs(torque), joints
 
     def _distance_to_commands(self, host_time: FloatArray, position: FloatArray) -> FloatArray:
         """How far (N, n) positions lie from everything commanded shortly before; 0 without a command."""
@@ -235,12 +253,12 @@ class Supervisor:
 
 def _partial_channels(
     joints: Sequence[str], layouts: Sequence[StreamLayout]
-) -> Mapping[tuple[str, str], tuple[_Index, _Index]]:
+) -> Mapping[tuple[str, str], tuple[IndexArray, IndexArray]]:
     """(stream, quantity) → its columns that bear joints' names, and those joints, in their order.
 
     Channels with a column for each joint, in their order or under names of their own, are left out.
     """
-    found: dict[tuple[str, str], tuple[_Index, _Index]] = {}
+    found: dict[tuple[str, str], tuple[IndexArray, IndexArray]] = {}
     for layout in layouts:
         for channel in layout.channels:
             named = [number for number, joint in enumerate(joints) if joint in channel.columns]

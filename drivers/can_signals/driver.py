@@ -53,7 +53,9 @@ class CanFramesDriver:
         self._command_lock = self._clock.lock()  # held while a stop is repeated
         self._halted = False
         self._notices: deque[Notice] = deque()
-        self._streams = FrameStreams(self._settings, self._joints, settings.gains, self._notices, self._clock)
+        self._streams = FrameStreams(
+            self._settings, self._joints, settings.gains, settings.coupling, self._notices, self._clock
+        )
 
     def open(self) -> None:
         """Open the bus and hear every frame of the joints once, within the connection's `timeout`.

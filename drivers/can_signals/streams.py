@@ -18,7 +18,7 @@ from drivers.can_signals.settings import CanFramesSettings
 from drivers.can_signals.signal_keys import WHOLE_ARM
 from drivers.can_signals.signals import batches
 from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.gains import DriveGain, joint_torque
+from drivers.gains import DriveGain, gives_torque, joint_torque, torque_channel
 from drivers.streams import Batch, ChannelLayout, FloatArray, StreamLayout
 
 
@@ -29,6 +29,7 @@ class FrameStreams:
         settings: with the table.
         joints: names.
         gains: of their drives; torques are made of currents where all are known.
+        coupling: R (n, n) of q_motor = R·q_joint; None where each motor moves its own joint alone.
         notices: are appended to.
         host_clock: the host's.
 
@@ -44,11 +45,13 @@ class FrameStreams:
         settings: CanFramesSettings,
         joints: Sequence[str],
         gains: Sequence[DriveGain],
+        coupling: FloatArray | None,
         notices: deque[Notice],
         host_clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self._host_clock = host_clock
         self._settings, self._joints, self._gains = settings, tuple(joints), tuple(gains)
+        self._coupling = coupling
         self._assemblers = {
             name: Assembler(settings.parts(name), settings.cycle if name == "joints" else None, 0.5 / settings.rate)
             for name in settings.streams
@@ -91,7 +94,7 @@ class FrameStreams:
                 columns = tuple(assembler.signals[index].joint for index in members)
                 channels.append(ChannelLayout(quantity, columns, unit, self._description(name, quantity)))
             if name == "joints" and self._knows_torque:
-                channels.append(ChannelLayout("torque", self._joints, "", "current times the robot file's drive gains"))
+                channels.append(torque_channel(self._joints, self._coupling))
             layouts.append(StreamLayout(name, tuple(channels), self._settings.rate if name == "joints" else 0.0))
         return tuple(layouts)
 
@@ -114,12 +117,7 @@ class FrameStreams:
     @property
     def _knows_torque(self) -> bool:
         quantities = self._columns(self.joints)
-        return (
-            "current" in quantities
-            and "torque" not in quantities
-            and len(self._gains) == len(self._joints)
-            and all(gain.gain is not None and gain.signal == "current" for gain in self._gains)
-        )
+        return "current" in quantities and "torque" not in quantities and gives_torque(self._gains, self._joints)
 
     def _columns(self, assembler: Assembler) -> dict[str, list[int]]:
         """Quantity → columns of the assembler's values in the joints' order."""
@@ -157,7 +155,7 @@ class FrameStreams:
         self._rate_watch.note(host_time, self._lost)
         values_of = self._values(values, assembler)
         if self._knows_torque:
-            values_of["torque"] = joint_torque(values_of["current"], self._gains)
+            values_of["torque"] = joint_torque(values_of["current"], self._gains, self._coupling)
         self.latest_position = values_of["position"][-1]
         lost, self._lost = self._lost, 0
         return Batch("joints", times, host_time, values_of, lost)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from drivers.base import DriverSettings, Notice, State, require_state
 from drivers.errors import DriverStateError, UsageError
 from drivers.first_step import check_first_step, finite_position
-from drivers.gains import joint_torque
+from drivers.gains import gives_torque, joint_torque, torque_channel
 from drivers.rtde import protocol as wire
 from drivers.rtde.connect import Connect, connect_tcp
 from drivers.rtde.dashboard import stop_program
@@ -118,7 +118,8 @@ class RtdeDriver:
                 hint="choose a Universal Robots arm, or another connection",
             )
         self._joints = settings.joints
-        self._gains = settings.gains
+        self._gains, self._coupling = settings.gains, settings.coupling
+        self._knows_torque = gives_torque(settings.gains, settings.joints)
         self._settings = parse_settings(settings.connection)
         self._receiver = RtdeReceiver(
             self._settings.host,
@@ -187,7 +188,7 @@ class RtdeDriver:
                 for source in self._delivered(name)
             ]
             if name == "joints" and self._knows_torque:
-                channels.append(ChannelLayout("torque", self._joints, "", "current times the robot file's drive gains"))
+                channels.append(torque_channel(self._joints, self._coupling))
             if channels:
                 layouts.append(StreamLayout(name, tuple(channels), self._receiver.rate / self._every(name)))
         return tuple(layouts)
@@ -298,12 +299,6 @@ class RtdeDriver:
         self._receiver.close()
         self._state = "closed"
 
-    @property
-    def _knows_torque(self) -> bool:
-        return len(self._gains) == JOINTS and all(
-            gain.gain is not None and gain.signal == "current" for gain in self._gains
-        )
-
     def _delivered(self, stream: str) -> tuple[_Source, ...]:
         variables = self._receiver.recipe.variables
         return tuple(source for source in _STREAMS[stream] if source.variable in variables)
@@ -315,7 +310,7 @@ class RtdeDriver:
     def _joints_block(self, samples: Samples) -> Batch:
         values = {source.quantity: _values(samples.rows, source) for source in self._delivered("joints")}
         if self._knows_torque:
-            values["torque"] = joint_torque(values["current"], self._gains)
+            values["torque"] = joint_torque(values["current"], self._gains, self._coupling)
         return Batch("joints", _clock(samples.rows), samples.host_time, values, samples.lost)
 
     def _thinned_block(self, stream: str, sources: Sequence[_Source], samples: Samples) -> Batch:

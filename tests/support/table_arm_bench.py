@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,12 @@ import numpy as np
 from simulated_clock import SimulatedClock
 
 from daq.recording.recorder import Recorder
-from daq.robot.loader import load_robot
+from daq.robot.loader import RobotFile, load_robot
+from daq.robot.schema import Robot
+from daq.session.connections import driver_settings
 from daq.session.session import Play, SessionReport, record
 from daq.session.supervisor import Limits, Supervisor
-from drivers.base import DriverSettings
 from drivers.can_signals.driver import CanFramesDriver
-from drivers.gains import DriveGain
 from drivers.streams import Batch
 from sim_drivers.can_signals.arm import TableArm
 from sim_drivers.can_signals.server import ProprietaryCanServer
@@ -45,10 +46,10 @@ def keys(**more: object) -> dict[str, Any]:
 class Noting(Plant):
     """Keeps what it measured, by the number that the table arm's cycle had."""
 
-    def __init__(self) -> None:
+    def __init__(self, robot_file: RobotFile = ROBOT_FILE) -> None:
         self.noted: dict[int, Any] = {}
         self.talker: TableArm | None = None
-        super().__init__(ROBOT_FILE, seed=3, position=POSE)
+        super().__init__(robot_file, seed=3, position=POSE)
 
     def measure(self) -> Any:
         measured = super().measure()
@@ -58,10 +59,10 @@ class Noting(Plant):
 
 
 @contextmanager
-def served(clock: SimulatedClock) -> Iterator[ProprietaryCanServer]:
+def served(clock: SimulatedClock, robot_file: RobotFile = ROBOT_FILE) -> Iterator[ProprietaryCanServer]:
     """The arm, from now on; its plant is a `Noting`."""
-    plant = Noting()
-    server = ProprietaryCanServer(plant, ROBOT, keys(), clock=clock)
+    plant = Noting(robot_file)
+    server = ProprietaryCanServer(plant, robot_file.robot, keys(), clock=clock)
     plant.talker = server._arm
     with server:
         yield server
@@ -69,10 +70,9 @@ def served(clock: SimulatedClock) -> Iterator[ProprietaryCanServer]:
 
 
 @contextmanager
-def opened(connection: dict[str, Any], clock: SimulatedClock) -> Iterator[CanFramesDriver]:
+def opened(connection: dict[str, Any], clock: SimulatedClock, robot: Robot = ROBOT) -> Iterator[CanFramesDriver]:
     """The driver of an arm."""
-    gains = tuple(DriveGain(ROBOT.drive(joint).gain, None, ROBOT.drive(joint).signal) for joint in JOINTS)
-    driver = CanFramesDriver(DriverSettings(JOINTS, connection, gains, clock=clock))
+    driver = CanFramesDriver(replace(driver_settings(robot, connection), clock=clock))
     driver.open()
     try:
         yield driver
