@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from daq.robot.loader import RobotFile
-from daq.session.connections import connection_keys, connection_names, driver_settings
+from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
 from drivers.bus_budget import TIGHT_SHARE, Budget, connection_budget
-from drivers.errors import RobotFileError, UsageError
+from drivers.errors import RobotFileError
 
 
 def bus_budget(robot_file: RobotFile, name: str) -> Budget | None:
@@ -18,11 +18,8 @@ def bus_budget(robot_file: RobotFile, name: str) -> Budget | None:
     robot = robot_file.robot
     where = f"{robot.name}: connections.{name}"
     keys = connection_keys(robot, name)
-    try:
+    with errors_of_connection(robot, name):
         budget = connection_budget(robot.connections[name].driver, driver_settings(robot, keys, robot_file.folder))
-    except UsageError as error:
-        error.where = f"{where}: {error.where}" if error.where else where
-        raise
     if budget is not None and budget.load > 1.0:
         raise RobotFileError(
             f"{budget.rate:g} Hz do not fit on a bus of {budget.bitrate:.0f} bit/s: {100 * budget.load:.0f} % of it",

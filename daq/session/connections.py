@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
 from drivers.base import DriverSettings
+from drivers.config import WITH
 from drivers.errors import UsageError
 from drivers.gains import DriveGain
-
-WITH = "with"
-"""Key of a connection: names of others that are recorded in the same session."""
 
 
 def connection_names(robot: Robot, wire: str | None = None) -> list[str]:
@@ -45,6 +44,17 @@ def connection_names(robot: Robot, wire: str | None = None) -> list[str]:
 def connection_keys(robot: Robot, name: str) -> dict[str, object]:
     """A connection's keys as its driver knows them."""
     return {key: value for key, value in (robot.connections[name].model_extra or {}).items() if key != WITH}
+
+
+@contextmanager
+def errors_of_connection(robot: Robot, name: str) -> Iterator[None]:
+    """Errors about a connection's keys say whose they are."""
+    try:
+        yield
+    except UsageError as error:
+        place = f"{robot.name}: connections.{name}"
+        error.where = f"{place}: {error.where}" if error.where else place
+        raise
 
 
 def driver_settings(robot: Robot, keys: Mapping[str, object], folder: Path | None = None) -> DriverSettings:

@@ -22,7 +22,7 @@ from daq.recording.recorder import Recorder
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.schema import Robot
 from daq.session.clocks import ClockLog
-from daq.session.connections import connection_keys, connection_names, driver_settings
+from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
 from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
 from drivers.base import DRIVERS_GROUP, Attributing, Driver, DriverSettings, Notice
@@ -175,7 +175,8 @@ def _make_driver(robot: Robot, name: str, keys: Mapping[str, object], folder: Pa
             hint=f"installed: {', '.join(sorted(drivers)) or 'none'}",
         )
     make: Callable[[DriverSettings], Driver] = drivers[driver].load()
-    return make(replace(driver_settings(robot, keys, folder), clock=clock))
+    with errors_of_connection(robot, name):
+        return make(replace(driver_settings(robot, keys, folder), clock=clock))
 
 
 def _rate_of(keys: Mapping[str, object]) -> float:

@@ -3,51 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
 
-from drivers.connection_keys import ConnectionKeys
-from drivers.errors import UsageError
+from pydantic import Field
+
+from drivers.config import ConnectionSettings, Text, read_settings
 from drivers.rtde import protocol as wire
 
-_KEYS = ConnectionKeys("the RTDE connection")
 
+class RtdeSettings(ConnectionSettings):
+    """How to reach a Universal Robots controller."""
 
-@dataclass(frozen=True)
-class RtdeSettings:
-    """How to reach a Universal Robots controller.
-
-    Attributes:
-        host: name or address.
-        port: of RTDE.
-        rate: of the samples [Hz]; None for the controller's maximum (500, or 125 on CB3).
-        timeout: for connecting, and for taking control of the arm [s].
-    """
-
-    host: str
-    port: int = wire.PORT
-    rate: float | None = None
-    timeout: float = 5.0
+    host: Text = Field(description="the controller's name or address, such as 192.168.56.101")
+    port: int = Field(wire.PORT, ge=1, le=65535, description=f"of RTDE, usually {wire.PORT}")
+    rate: float | None = Field(
+        None, ge=1, le=500, description="[Hz] of the samples, usually 500 or 125; left out, the controller's maximum"
+    )
+    timeout: float = Field(5.0, ge=0.1, le=300, description="[s] for connecting, and for taking control of the arm")
 
 
 def parse_settings(connection: Mapping[str, object]) -> RtdeSettings:
     """Check a connection's keys.
 
     Raises:
-        UsageError: names the key, what was found and what is allowed.
+        UsageError: names every key that is wrong, what was found and what is allowed.
     """
-    known = [field.name for field in fields(RtdeSettings)]
-    for key in connection:
-        if key not in known:
-            raise UsageError(f"an RTDE connection has no key '{key}'", hint=f"allowed: {', '.join(known)}")
-    host = connection.get("host")
-    if not isinstance(host, str) or not host.strip():
-        raise _KEYS.wrong("host", host, "the controller's name or address, such as 192.168.56.101")
-    allowed_port = f"a whole number from 1 to 65535, usually {wire.PORT}"
-    port = _KEYS.whole("port", connection.get("port", wire.PORT), 1, 65535, allowed_port)
-    rate = connection.get("rate")
-    if rate is not None:
-        rate = _KEYS.number(
-            "rate", rate, 1.0, 500.0, "a number from 1 to 500 Hz, usually 500 or 125; left out, the maximum"
-        )
-    timeout = _KEYS.number("timeout", connection.get("timeout", 5.0), 0.1, 300.0, "a number from 0.1 to 300 s")
-    return RtdeSettings(host.strip(), port, rate, timeout)
+    return read_settings(RtdeSettings, connection, "RTDE")

@@ -11,11 +11,12 @@ import numpy as np
 
 from daq.commands.console import print_table
 from daq.robot.loader import RobotFile
-from daq.session.connections import WITH, connection_names
+from daq.session.connections import connection_names
 from daq.session.session import load_driver
 from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Driver, Identifying
 from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.config import WITH
 from drivers.errors import ConnectionFailedError
 from drivers.streams import Batch, FloatArray
 

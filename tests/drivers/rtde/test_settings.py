@@ -29,7 +29,7 @@ from drivers.rtde.settings import parse_settings
     ],
 )
 def test_wrong_keys_are_named_with_what_is_allowed(connection: dict[str, object], key: str) -> None:
-    with pytest.raises(UsageError, match=f"'{key}'") as caught:
+    with pytest.raises(UsageError, match=f"'{key}' of the RTDE connection") as caught:
         parse_settings(connection)
     assert caught.value.hint.startswith("allowed:")
     if key in connection and key != "hots":
@@ -39,3 +39,15 @@ def test_wrong_keys_are_named_with_what_is_allowed(connection: dict[str, object]
 def test_settings_have_defaults() -> None:
     settings = parse_settings({"host": " arm "})
     assert (settings.host, settings.port, settings.rate, settings.timeout) == ("arm", 30004, None, 5.0)
+
+
+def test_everything_that_is_wrong_is_said_at_once() -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_settings({"host": 7, "prot": 30004, "rate": True})
+    assert caught.value.message == (
+        "3 keys of the RTDE connection are wrong: "
+        "'host' is 7 (allowed: the controller's name or address, such as 192.168.56.101); "
+        "'rate' is True (allowed: a number from 1 to 500 [Hz] of the samples, usually 500 or 125; left out, the "
+        "controller's maximum); "
+        "unknown key 'prot' (allowed: host, port, rate, timeout; did you mean 'port'?)"
+    )
