@@ -85,7 +85,7 @@ def _words(problem: ErrorDetails, path: str, field: FieldInfo | None, section: t
     """What stands before and after the key's name, and the hint."""
     kind, context = problem["type"], problem.get("ctx", {})
     if kind in {"extra_forbidden", "invalid_key"}:
-        known = list(section.model_fields)
+        known = list(_fields(section))
         guess = did_you_mean(str(problem["loc"][-1]), known)
         return "unknown key ", "", f"allowed: {', '.join(known)}{f'; {guess}' if guess else ''}"
     allowed = f"allowed: {_allowed(field)}" if field is not None else ""
@@ -100,14 +100,12 @@ def _allowed(field: FieldInfo) -> str:
     plain = _plain(field.annotation)
     limits: dict[str, float] = {}
     for constraint in field.metadata:
-        limits |= {name: getattr(constraint, name) for name in ("ge", "gt", "le") if hasattr(constraint, name)}
+        limits |= {name: getattr(constraint, name) for name in ("ge", "le") if hasattr(constraint, name)}
     kind = {int: "an integer", float: "a number", bool: "true or false"}.get(plain, "")
     if get_origin(plain) is Literal:
         kind = " or ".join(map(str, get_args(plain)))
     if "ge" in limits and "le" in limits:
-        kind += f" from {limits['ge']} to {limits['le']}"
-    elif "gt" in limits:
-        kind += f" greater than {limits['gt']}"
+        kind += f" from {limits['ge']:.10g} to {limits['le']:.10g}"
     description = field.description or ""
     return f"{kind}{' ' if description.startswith('[') or not kind else ', '}{description}".strip(" ,")
 
@@ -118,7 +116,7 @@ def _locate(schema: type[BaseModel], location: tuple[int | str, ...]) -> tuple[s
     annotation: Any = schema
     for part in location:
         if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            section, field = annotation, annotation.model_fields.get(str(part))
+            section, field = annotation, _fields(annotation).get(str(part))
             path += f".{part}"
             if field is None:
                 break
@@ -130,6 +128,11 @@ def _locate(schema: type[BaseModel], location: tuple[int | str, ...]) -> tuple[s
         else:  # a member of a union, or pydantic's name of a validator
             break
     return path.lstrip("."), field, section
+
+
+def _fields(section: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Key of the file → field."""
+    return {field.alias or name: field for name, field in section.model_fields.items()}
 
 
 def _plain(annotation: Any) -> Any:

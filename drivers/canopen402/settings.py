@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from typing import Literal, cast
+from typing import Literal, Self
 
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from drivers.can.settings import CanSettings
 from drivers.canopen402.objects import MODE_CYCLIC_POSITION, MODE_PROFILE_POSITION
-from drivers.connection_keys import ConnectionKeys
-from drivers.errors import UsageError
+from drivers.config import ConnectionSettings, read_settings, refused
 
 Mode = Literal["position", "profile", "none"]
 MODES: Mapping[Mode, int | None] = {
@@ -19,254 +20,133 @@ MODES: Mapping[Mode, int | None] = {
 """Key `mode` → mode of operation; None where the drives are never enabled."""
 HIGHEST_ID = 127
 """Of the node ids of CiA 301."""
-_KEYS = ConnectionKeys("the canopen402 connection")
+SMALLEST, LARGEST = 1e-9, 1e12
+"""Of a positive number."""
 
 
-@dataclass(frozen=True)
-class TemperatureSource:
-    """A drive's own object with a temperature: value · scale + offset [°C].
+class TemperatureSource(ConnectionSettings):
+    """A drive's own object with a temperature: value · scale + offset [°C]."""
 
-    Attributes:
-        index, subindex: of the object.
-        scale: [°C per count].
-        offset: [°C].
-        signed: whether the count may be negative.
-    """
+    index: int = Field(ge=0x1000, le=0xFFFF, description="an object index, 0x1000 to 0xFFFF")
+    subindex: int = Field(0, ge=0, le=255)
+    scale: float = Field(1.0, ge=-1e6, le=1e6, description="[°C per count], other than 0")
+    offset: float = Field(0.0, ge=-1e6, le=1e6, description="[°C]")
+    signed: bool = Field(True, description="whether the count may be negative")
 
-    index: int
-    subindex: int = 0
-    scale: float = 1.0
-    offset: float = 0.0
-    signed: bool = True
-
-
-@dataclass(frozen=True)
-class NodeSettings:
-    """One joint's drive.
-
-    Attributes:
-        id: node id, 1 to 127.
-        counts_per_turn: position counts a joint revolution; None to read it from the drive.
-        direction: sign of all that the drive says and is told, 1 or -1.
-        zero: joint position at count 0 [rad].
-        rated_current: [A]; None to read it from the drive.
-        rated_torque: [N·m]; None to read it from the drive.
-        serial: serial number that the drive must have; None where any will do.
-        velocity: in mode "profile" [rad/s]; None to leave the drive's own.
-        acceleration: in mode "profile" [rad/s²]; None to leave the drive's own.
-        temperature: where the drive says its temperature; None where it does not.
-    """
-
-    id: int
-    counts_per_turn: float | None = None
-    direction: int = 1
-    zero: float = 0.0
-    rated_current: float | None = None
-    rated_torque: float | None = None
-    serial: int | None = None
-    velocity: float | None = None
-    acceleration: float | None = None
-    temperature: TemperatureSource | None = None
+    @field_validator("scale")
+    @classmethod
+    def _not_zero(cls, scale: float) -> float:
+        if scale == 0.0:
+            raise refused("0 makes every temperature the same")
+        return scale
 
 
-@dataclass(frozen=True)
-class Guarding:
-    """Node guarding, for drives without a heartbeat.
+class NodeSettings(ConnectionSettings):
+    """One joint's drive."""
 
-    Attributes:
-        period: how often each drive is asked [s].
-        factor: requests in a row that may stay without an answer; also how many periods a drive waits for a request.
-    """
+    id: int = Field(ge=1, le=HIGHEST_ID, description="the node id")
+    counts_per_turn: float | None = Field(
+        None, ge=SMALLEST, le=LARGEST, description="[position counts per joint revolution]; left out, the drive's own"
+    )
+    direction: int = Field(1, description="1 or -1, the sign of all that the drive says and is told")
+    zero: float = Field(0.0, ge=-1e3, le=1e3, description="[rad], the joint position at count 0")
+    rated_current: float | None = Field(None, ge=SMALLEST, le=LARGEST, description="[A]; left out, the drive's own")
+    rated_torque: float | None = Field(None, ge=SMALLEST, le=LARGEST, description="[N·m]; left out, the drive's own")
+    serial: int | None = Field(None, ge=0, le=2**32 - 1, description="the serial number that the drive must have")
+    velocity: float | None = Field(
+        None, ge=SMALLEST, le=LARGEST, description="[rad/s] in mode 'profile'; left out, the drive's own"
+    )
+    acceleration: float | None = Field(
+        None, ge=SMALLEST, le=LARGEST, description="[rad/s²] in mode 'profile'; left out, the drive's own"
+    )
+    temperature: TemperatureSource | None = Field(
+        None, description="a mapping such as {index: 0x2031, subindex: 1, scale: 0.1}"
+    )
 
-    period: float = 0.1
-    factor: int = 3
+    @field_validator("direction")
+    @classmethod
+    def _sign(cls, direction: int) -> int:
+        if direction not in {1, -1}:
+            raise refused(f"{direction} is no sign")
+        return direction
 
 
-@dataclass(frozen=True)
-class CanopenSettings:
-    """A bus with one CiA 402 drive a joint.
+class Guarding(ConnectionSettings):
+    """Node guarding, for drives without a heartbeat."""
 
-    Attributes:
-        interface, channel, bitrate, options: see `drivers.can.bus.open_bus`.
-        sync_rate: of SYNC, and so of the joints' samples [Hz].
-        mode: how the arm is moved, if at all.
-        timeout: for the configuration, and for enabling the drives [s].
-        heartbeat: period of the drives' heartbeat, and of dynid's own [s].
-        guarding: in place of heartbeats; None for heartbeats.
-        own_id: node id under which dynid sends its own heartbeat.
-        nodes: one a joint, in the joints' order.
-    """
+    period: float = Field(0.1, ge=0.01, le=10, description="[s] between two requests to a drive")
+    factor: int = Field(
+        3,
+        ge=3,  # a lost answer makes the next one invalid, too
+        le=255,
+        description="requests in a row that may stay without an answer, and periods that a drive waits for a request",
+    )
 
-    interface: str
-    channel: str | int
-    nodes: tuple[NodeSettings, ...]
-    bitrate: int = 1_000_000
-    options: Mapping[str, object] = field(default_factory=dict)
-    sync_rate: float = 250.0
-    mode: Mode = "position"
-    timeout: float = 5.0
-    heartbeat: float = 0.1
-    guarding: Guarding | None = None
-    own_id: int = HIGHEST_ID
+
+class CanopenSettings(CanSettings):
+    """A bus with one CiA 402 drive per joint."""
+
+    bitrate: int = Field(1_000_000, ge=10_000, le=1_000_000, description="[bit/s]")
+    sync_rate: float = Field(250.0, ge=1, le=1000, description="[Hz] of SYNC, and so of the joints' samples")
+    mode: Mode = Field("position", description="how the arm is moved, if at all")
+    timeout: float = Field(5.0, ge=0.1, le=300, description="[s] for the configuration, and for enabling the drives")
+    heartbeat: float = Field(0.1, ge=0.01, le=10, description="[s], period of the drives' heartbeat and of dynid's")
+    guarding: Guarding | None = Field(
+        None, description="a mapping such as {period: 0.1, factor: 3}, for drives without a heartbeat"
+    )
+    drives: dict[str, NodeSettings] = Field(alias="nodes", description="a mapping of joint → {id: …}")
+    own_id: int = Field(
+        0, ge=1, le=HIGHEST_ID, description="dynid's own node id; left out, the highest that no drive has"
+    )
+
+    @property
+    def nodes(self) -> tuple[NodeSettings, ...]:
+        """One per joint, in the joints' order."""
+        return tuple(self.drives.values())
+
+    @field_validator("drives")
+    @classmethod
+    def _one_per_joint(cls, drives: dict[str, NodeSettings], info: ValidationInfo) -> dict[str, NodeSettings]:
+        joints: Sequence[str] = (info.context or {})["joints"]
+        for joint in drives:
+            if joint not in joints:
+                raise refused(f"'{joint}' is no joint", f"allowed: {', '.join(joints)}")
+        missing = [joint for joint in joints if joint not in drives]
+        if missing:
+            raise refused(f"no drive for {', '.join(missing)}", f"add nodes: {missing[0]}: {{id: …}}")
+        holder: dict[int, str] = {}
+        for joint in joints:
+            if (other := holder.setdefault(drives[joint].id, joint)) != joint:
+                raise refused(
+                    f"nodes.{joint}.id is {drives[joint].id}, as {other}'s is already",
+                    "every drive needs a node id of its own",
+                )
+        if len(holder) >= HIGHEST_ID:
+            raise refused(f"{len(holder)} drives", f"at most {HIGHEST_ID - 1}, for dynid needs a node id, too")
+        return {joint: drives[joint] for joint in joints}
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if "heartbeat" in self.model_fields_set and self.guarding is not None:
+            raise refused(
+                "keys 'heartbeat' and 'guarding' exclude each other",
+                "write 'guarding' only where drives have no heartbeat (object 0x1017)",
+            )
+        holder = {node.id: joint for joint, node in self.drives.items()}
+        if self.own_id in holder:
+            raise refused(
+                f"key 'own_id' is {self.own_id}, which is the node id of {holder[self.own_id]}'s drive",
+                "choose a node id that no device on the bus has",
+            )
+        if self.own_id:
+            return self
+        return self.model_copy(update={"own_id": max(set(range(1, HIGHEST_ID + 1)) - set(holder))})
 
 
 def parse_settings(connection: Mapping[str, object], joints: Sequence[str]) -> CanopenSettings:
     """Check a connection's keys.
 
     Raises:
-        UsageError: names the key, what was found and what is allowed.
+        UsageError: names every key that is wrong, what was found and what is allowed.
     """
-    own = {key: value for key, value in connection.items() if key != "with"}  # other connections, not ours to know
-    _check_keys(own, [one.name for one in fields(CanopenSettings)], "")
-    interface = connection.get("interface")
-    if not isinstance(interface, str) or not interface.strip():
-        raise _KEYS.wrong(
-            "interface", interface, "a python-can interface: socketcan, slcan, pcan, udp_multicast, virtual, …"
-        )
-    channel = connection.get("channel")
-    if isinstance(channel, bool) or not isinstance(channel, str | int) or not str(channel).strip():
-        raise _KEYS.wrong("channel", channel, "what the interface calls a bus: can0, /dev/ttyACM0, 239.74.163.2, …")
-    options = connection.get("options", {})
-    if not isinstance(options, Mapping) or not all(isinstance(key, str) for key in options):
-        raise _KEYS.wrong("options", options, "a mapping of further arguments of the interface")
-    mode = connection.get("mode", "position")
-    if not isinstance(mode, str) or mode not in MODES:
-        raise _KEYS.wrong("mode", mode, ", ".join(MODES))
-    if connection.get("heartbeat") is not None and connection.get("guarding") is not None:
-        raise UsageError(
-            "keys 'heartbeat' and 'guarding' of the canopen402 connection exclude each other",
-            hint="write 'guarding' only where drives have no heartbeat (object 0x1017)",
-        )
-    nodes = _nodes(connection.get("nodes"), joints)
-    return CanopenSettings(
-        interface=interface.strip(),
-        channel=channel.strip() if isinstance(channel, str) else channel,
-        nodes=nodes,
-        bitrate=_KEYS.whole(
-            "bitrate", connection.get("bitrate", 1_000_000), 10_000, 1_000_000, "10000 to 1000000 bit/s"
-        ),
-        options=dict(options),
-        sync_rate=_KEYS.number(
-            "sync_rate", connection.get("sync_rate", 250.0), 1.0, 1000.0, "a number from 1 to 1000 Hz"
-        ),
-        mode=cast("Mode", mode),
-        timeout=_KEYS.number("timeout", connection.get("timeout", 5.0), 0.1, 300.0, "a number from 0.1 to 300 s"),
-        heartbeat=_KEYS.number("heartbeat", connection.get("heartbeat", 0.1), 0.01, 10.0, "a number from 0.01 to 10 s"),
-        guarding=_guarding(connection.get("guarding")),
-        own_id=_own_id(connection.get("own_id"), dict(zip(joints, nodes, strict=True))),
-    )
-
-
-def _nodes(value: object, joints: Sequence[str]) -> tuple[NodeSettings, ...]:
-    if not isinstance(value, Mapping):
-        raise _KEYS.wrong("nodes", value, "a mapping of joint → {id: …}")
-    for joint in value:
-        if joint not in joints:
-            raise UsageError(
-                f"key 'nodes' of the canopen402 connection names '{joint}', which is no joint",
-                hint=f"allowed: {', '.join(joints)}",
-            )
-    missing = [joint for joint in joints if joint not in value]
-    if missing:
-        raise UsageError(
-            f"key 'nodes' of the canopen402 connection has no drive for {', '.join(missing)}",
-            hint=f"add nodes: {missing[0]}: {{id: …}}",
-        )
-    nodes = tuple(_node(value[joint], f"nodes.{joint}") for joint in joints)
-    holder: dict[int, str] = {}
-    for joint, node in zip(joints, nodes, strict=True):
-        if node.id in holder:
-            raise UsageError(
-                f"key 'nodes.{joint}.id' of the canopen402 connection is {node.id}, as {holder[node.id]}'s is already",
-                hint="every drive needs a node id of its own",
-            )
-        holder[node.id] = joint
-    return nodes
-
-
-def _node(value: object, key: str) -> NodeSettings:
-    if not isinstance(value, Mapping):
-        raise _KEYS.wrong(key, value, "a mapping such as {id: 1, counts_per_turn: 524288}")
-    _check_keys(value, [one.name for one in fields(NodeSettings)], f"{key}.")
-
-    def positive(name: str, unit: str) -> float | None:
-        if value.get(name) is None:
-            return None
-        return _KEYS.number(f"{key}.{name}", value[name], 1e-9, 1e12, f"a positive number [{unit}]")
-
-    direction = _KEYS.whole(f"{key}.direction", value.get("direction", 1), -1, 1, "1 or -1")
-    if direction == 0:
-        raise _KEYS.wrong(f"{key}.direction", 0, "1 or -1")
-    serial = value.get("serial")
-    return NodeSettings(
-        id=_KEYS.whole(f"{key}.id", value.get("id"), 1, HIGHEST_ID, f"a whole number from 1 to {HIGHEST_ID}"),
-        counts_per_turn=positive("counts_per_turn", "counts a joint revolution"),
-        direction=direction,
-        zero=_KEYS.number(f"{key}.zero", value.get("zero", 0.0), -1e3, 1e3, "a number [rad]"),
-        rated_current=positive("rated_current", "A"),
-        rated_torque=positive("rated_torque", "N·m"),
-        serial=None
-        if serial is None
-        else _KEYS.whole(f"{key}.serial", serial, 0, 2**32 - 1, "a whole number, 32 bits"),
-        velocity=positive("velocity", "rad/s"),
-        acceleration=positive("acceleration", "rad/s²"),
-        temperature=_temperature(value.get("temperature"), f"{key}.temperature"),
-    )
-
-
-def _guarding(value: object) -> Guarding | None:
-    if value is None:
-        return None
-    if not isinstance(value, Mapping):
-        raise _KEYS.wrong("guarding", value, "a mapping such as {period: 0.1, factor: 3}")
-    _check_keys(value, [one.name for one in fields(Guarding)], "guarding.")
-    allowed = "a whole number from 3 to 255, for a lost answer makes the next one invalid, too"
-    return Guarding(
-        period=_KEYS.number("guarding.period", value.get("period", 0.1), 0.01, 10.0, "a number from 0.01 to 10 s"),
-        factor=_KEYS.whole("guarding.factor", value.get("factor", 3), 3, 255, allowed),
-    )
-
-
-def _own_id(value: object, nodes: Mapping[str, NodeSettings]) -> int:
-    holder = {node.id: joint for joint, node in nodes.items()}
-    if value is None:
-        free = [number for number in range(1, HIGHEST_ID + 1) if number not in holder]
-        if not free:
-            raise _KEYS.wrong(
-                "nodes", f"{len(holder)} drives", f"at most {HIGHEST_ID - 1}, for dynid needs a node id, too"
-            )
-        return free[-1]
-    own = _KEYS.whole("own_id", value, 1, HIGHEST_ID, f"a whole number from 1 to {HIGHEST_ID}")
-    if own in holder:
-        raise UsageError(
-            f"key 'own_id' of the canopen402 connection is {own}, which is the node id of {holder[own]}'s drive",
-            hint="choose a node id that no device on the bus has",
-        )
-    return own
-
-
-def _temperature(value: object, key: str) -> TemperatureSource | None:
-    if value is None:
-        return None
-    if not isinstance(value, Mapping):
-        raise _KEYS.wrong(key, value, "a mapping such as {index: 0x2031, subindex: 1, scale: 0.1}")
-    _check_keys(value, [one.name for one in fields(TemperatureSource)], f"{key}.")
-    scale = _KEYS.number(f"{key}.scale", value.get("scale", 1.0), -1e6, 1e6, "a number other than 0")
-    if scale == 0.0:
-        raise _KEYS.wrong(f"{key}.scale", 0, "a number other than 0")
-    signed = value.get("signed", True)
-    if not isinstance(signed, bool):
-        raise _KEYS.wrong(f"{key}.signed", signed, "true or false")
-    return TemperatureSource(
-        index=_KEYS.whole(f"{key}.index", value.get("index"), 0x1000, 0xFFFF, "an object index, 0x1000 to 0xFFFF"),
-        subindex=_KEYS.whole(f"{key}.subindex", value.get("subindex", 0), 0, 255, "a whole number from 0 to 255"),
-        scale=scale,
-        offset=_KEYS.number(f"{key}.offset", value.get("offset", 0.0), -1e6, 1e6, "a number [°C]"),
-        signed=signed,
-    )
-
-
-def _check_keys(given: Mapping[object, object] | Mapping[str, object], known: Sequence[str], prefix: str) -> None:
-    for key in given:
-        if key not in known:
-            raise UsageError(f"a canopen402 connection has no key '{prefix}{key}'", hint=f"allowed: {', '.join(known)}")
+    return read_settings(CanopenSettings, connection, "canopen402", {"joints": joints})

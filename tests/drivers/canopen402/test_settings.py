@@ -43,7 +43,9 @@ def test_defaults_and_order_of_the_joints() -> None:
 
 def test_a_temperature_object() -> None:
     connection = changed("nodes.j1.temperature", {"index": 0x2031, "subindex": 1, "scale": 0.1, "offset": -3})
-    assert parse_settings(connection, JOINTS).nodes[0].temperature == TemperatureSource(0x2031, 1, 0.1, -3.0)
+    assert parse_settings(connection, JOINTS).nodes[0].temperature == TemperatureSource(
+        index=0x2031, subindex=1, scale=0.1, offset=-3.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -85,6 +87,8 @@ def test_a_temperature_object() -> None:
         ("nodes.j1.id", 2),
         ("nodes.j1.direction", 0),
         ("nodes.j1.direction", -2),
+        ("nodes.j1.direction", True),
+        ("nodes.j1.direction", 1.0),
         ("nodes.j1.counts_per_turn", 0),
         ("nodes.j1.counts_per_turn", -5),
         ("nodes.j1.zero", "pi"),
@@ -115,8 +119,10 @@ def test_wrong_keys_are_named_with_what_is_allowed(path: str, value: object) -> 
 
 def test_guarding_takes_the_place_of_heartbeats() -> None:
     assert parse_settings(GOOD, JOINTS).guarding is None
-    assert parse_settings({**GOOD, "guarding": {}}, JOINTS).guarding == Guarding(0.1, 3)
-    assert parse_settings({**GOOD, "guarding": {"period": 1, "factor": 5}}, JOINTS).guarding == Guarding(1.0, 5)
+    assert parse_settings({**GOOD, "guarding": {}}, JOINTS).guarding == Guarding(period=0.1, factor=3)
+    assert parse_settings({**GOOD, "guarding": {"period": 1, "factor": 5}}, JOINTS).guarding == Guarding(
+        period=1.0, factor=5
+    )
     with pytest.raises(UsageError, match=r"'heartbeat' and 'guarding'.*exclude each other"):
         parse_settings({**GOOD, "guarding": {}, "heartbeat": 0.1}, JOINTS)
 
@@ -125,7 +131,7 @@ def test_dynids_own_id_is_one_that_no_drive_has() -> None:
     assert parse_settings(GOOD, JOINTS).own_id == 127
     assert parse_settings(GOOD | {"nodes": {"j1": {"id": 127}, "j2": {"id": 126}}}, JOINTS).own_id == 125
     assert parse_settings({**GOOD, "own_id": 64}, JOINTS).own_id == 64
-    with pytest.raises(UsageError, match=r"'own_id'.* is 1, which is the node id of j1's drive"):
+    with pytest.raises(UsageError, match=r"'own_id' is 1, which is the node id of j1's drive"):
         parse_settings({**GOOD, "own_id": 1}, JOINTS)
     many = tuple(f"j{number}" for number in range(1, 128))
     with pytest.raises(UsageError, match="127 drives"):
@@ -165,3 +171,16 @@ def test_hostile_values_are_refused_or_taken_but_never_crash(path: str, value: o
         return
     assert len(settings.nodes) == 2
     assert len({node.id for node in settings.nodes}) == 2
+
+
+def test_everything_that_is_wrong_is_said_at_once() -> None:
+    connection = changed("nodes.j1.zero", "pi") | {"sync_rat": 400, "mode": "velocity"}
+    with pytest.raises(UsageError, match="3 keys of the canopen402 connection are wrong") as caught:
+        parse_settings(connection, JOINTS)
+    for words in (
+        "'mode' is 'velocity' (allowed: position or profile or none",
+        "'nodes.j1.zero' is 'pi' (allowed: a number from -1000 to 1000 [rad]",
+        "unknown key 'sync_rat' (allowed: interface, ",
+        "did you mean 'sync_rate'?",
+    ):
+        assert words in caught.value.message
