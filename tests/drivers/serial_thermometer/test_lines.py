@@ -127,8 +127,8 @@ def test_units_are_converted(unit: str, text: str, celsius: float) -> None:
         ({"channels": {}}, "'channels'"),
         ({"channels": {1: "knee"}}, "which is no joint"),
         ({"channels": {1: "elbow", 2: "elbow"}}, "two channels"),
-        ({"channels": {1: "elbow", "1": "wrist"}}, "names channel 1 twice"),
-        ({"channels": {True: "elbow"}}, "has the channel True"),
+        ({"channels": {1: "elbow", "1": "wrist"}}, "channel 1 is named twice"),
+        ({"channels": {True: "elbow"}}, "channel True is neither"),
         ({"rate": 0}, "'rate'"),
         ({"rate": math.nan}, "'rate'"),
         ({"rate": None}, "'rate' .* is missing"),
@@ -138,9 +138,10 @@ def test_units_are_converted(unit: str, text: str, celsius: float) -> None:
         ({"required": "yes"}, "'required'"),
         ({"range": [100, 0]}, "'range'"),
         ({"range": [-300, 0]}, "'range'"),
+        ({"range": [0, True]}, r"'range\[1\]' .* is True"),
         ({"range": "warm"}, "'range'"),
         ({"timeout": math.inf}, "'timeout'"),
-        ({"baud": 9600}, "no key 'baud'"),
+        ({"baud": 9600}, "unknown key 'baud' .* did you mean 'baudrate'"),
     ],
 )
 def test_wrong_keys_are_named(change: dict[str, object], said: str) -> None:
