@@ -57,8 +57,9 @@ def read_settings(
     Raises:
         UsageError: names every key that is wrong, what was found and what is allowed.
     """
+    given = {key: value for key, value in keys.items() if key != WITH and value is not None}  # `key:` says nothing
     try:
-        return schema.model_validate({key: keys[key] for key in keys if key != WITH}, context=dict(context or {}))
+        return schema.model_validate(given, context=dict(context or {}))
     except ValidationError as error:
         raise refusal(error.errors(include_url=False), schema, f"the {driver} connection") from error
 
@@ -125,6 +126,8 @@ def _locate(schema: type[BaseModel], location: tuple[int | str, ...]) -> tuple[s
             path += f"[{part}]" if isinstance(part, int) and get_origin(annotation) is tuple else f".{part}"
             arguments = [one for one in get_args(annotation) if one is not Ellipsis]
             annotation = _plain(arguments[-1])
+        elif part in (choices := {one.__name__: one for one in _sections(annotation)}):
+            annotation = choices[str(part)]  # a tagged union: the tag is the section's name
         else:  # a member of a union, or pydantic's name of a validator
             break
     return path.lstrip("."), field, section
@@ -136,9 +139,19 @@ def _fields(section: type[BaseModel]) -> dict[str, FieldInfo]:
 
 
 def _plain(annotation: Any) -> Any:
-    """An annotation without None and constraints; of a union its first member."""
+    """An annotation without None and constraints; of a union its first member, unless there are several sections."""
     if get_origin(annotation) is Annotated:
         return _plain(get_args(annotation)[0])
     if get_origin(annotation) in (Union, types.UnionType):
-        return _plain(next(one for one in get_args(annotation) if one is not type(None)))
+        return annotation if len(_sections(annotation)) > 1 else _plain(_members(annotation)[0])
     return annotation
+
+
+def _members(annotation: Any) -> list[Any]:
+    return [one for one in get_args(annotation) if one is not type(None)]
+
+
+def _sections(annotation: Any) -> list[type[BaseModel]]:
+    """The sections among the members of a union."""
+    members = [_plain(one) for one in _members(annotation)]
+    return [one for one in members if isinstance(one, type) and issubclass(one, BaseModel)]

@@ -13,7 +13,8 @@ from drivers.base import DriverSettings, Notice, State, require_state
 from drivers.can.bus import Receiver, Sender, close_bus, open_bus
 from drivers.can_signals.motion import Commander
 from drivers.can_signals.polling import Poller
-from drivers.can_signals.settings import FixedFrame, parse_settings
+from drivers.can_signals.settings import parse_settings
+from drivers.can_signals.signals import FixedFrame
 from drivers.can_signals.standstill import REST_LIMIT, comes_to_rest
 from drivers.can_signals.startup import hear_all
 from drivers.can_signals.streams import FrameStreams

@@ -3,30 +3,139 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from drivers.can.bus import EXTENDED
-from drivers.can_signals import keys
-from drivers.can_signals.bits import FRAME_BYTES
-from drivers.can_signals.signal_keys import parse_signals
-from drivers.can_signals.signals import Part, Signal, check_overlaps, identifier_text, parts_of
+from drivers.can.settings import CanSettings
+from drivers.can_signals.dbc import Dbc, load_dbc
+from drivers.can_signals.keys import ALLOWED_IDENTIFIERS, EXTENDED_LIMIT, STANDARD_LIMIT, FrameKeys
+from drivers.can_signals.signal_keys import (
+    SignalEntry,
+    check_together,
+    entries_named_by_rule,
+    require_no_overlap,
+)
+from drivers.can_signals.signals import FixedFrame, Part, Signal, identifier_text, parts_of
+from drivers.config import ConnectionSettings, Entries, Text, read_settings, refused
 from drivers.errors import UsageError
 
-LARGEST_OPTIONS = 100
+MOST_SIGNALS = 4096
+_FRAMES = 'a list of frames, such as [{id: 0x200, data: "01 00"}]'
 
 
-@dataclass(frozen=True)
-class FixedFrame:
-    """A frame that is sent as it stands.
+class PollKeys(FrameKeys):
+    """What makes the arm answer with one cycle of its frames: one frame, or several."""
 
-    Attributes:
-        identifier: `EXTENDED` is added to one of 29 bits.
-        data: 0 to 8 bytes.
-    """
+    id: int | None = Field(None, description=ALLOWED_IDENTIFIERS)  # type: ignore[assignment]
+    frames: Entries[FrameKeys] = Field((), description=_FRAMES)
+    period: float | None = Field(None, ge=1e-4, le=10, description="[s]; left out, that of the rate")
 
-    identifier: int
-    data: bytes
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if (self.id is None) == (not self.frames):
+            raise refused("give either 'id' and 'data' of one frame, or 'frames', at least one frame")
+        return self
+
+
+class CommandKeys(ConnectionSettings):
+    """Where joint positions stand in frames that command the arm."""
+
+    quantity: Literal["position"] = Field("position", description="dynid commands nothing else")
+    signals: Entries[SignalEntry] = Field(
+        max_length=MOST_SIGNALS, description="a list of where each joint's position goes"
+    )
+    frames: Entries[FrameKeys] = Field((), description=f"the frames' other bits, {_FRAMES}")
+
+    @field_validator("signals", mode="before")
+    @classmethod
+    def _positions(cls, signals: Any) -> Any:
+        if not isinstance(signals, list):
+            return signals
+        return [{"quantity": "position", **one} if isinstance(one, dict) else one for one in signals]
+
+    @field_validator("signals")
+    @classmethod
+    def _whole_arm(cls, entries: tuple[SignalEntry, ...], info: ValidationInfo) -> tuple[SignalEntry, ...]:
+        signals = [entry.signal for entry in entries]
+        for signal in signals:
+            if signal.quantity not in ("position", "counter"):
+                raise refused(f"{signal.label}", "allowed: position, or counter of the commands")
+        named = [signal.joint for signal in signals if signal.quantity == "position"]
+        for joint in (info.context or {})["joints"]:
+            if named.count(joint) != 1:
+                raise refused(
+                    f"{named.count(joint) or 'no'} position of joint '{joint}'",
+                    "each joint needs exactly one; an arm is moved as a whole",
+                )
+        require_no_overlap(signals)
+        return entries
+
+    @model_validator(mode="after")
+    def _templates_of_signals(self) -> Self:
+        for one in self.frames:
+            if all(entry.signal.identifier != one.identifier for entry in self.signals):
+                raise refused(f"no signal is in frame {identifier_text(one.identifier)}")
+        return self
+
+
+class CanFramesKeys(CanSettings):
+    """The connection's keys, as the file has them."""
+
+    rate: float = Field(ge=0.1, le=10_000, description="[Hz] of the cycles")
+    timeout: float = Field(2.0, ge=0.1, le=300, description="[s] until all of the arm's frames must have come once")
+    dbc: Text | None = Field(None, description="the path of a DBC file")
+    signals: Entries[SignalEntry] = Field(
+        max_length=MOST_SIGNALS,
+        description=f"a list of mappings of keys, at most {MOST_SIGNALS}; or name a DBC file under 'dbc'",
+    )
+    cycle: int | None = Field(
+        None,
+        ge=0,
+        le=EXTENDED_LIMIT,
+        description="the identifier, not in quotes, of a frame that begins each cycle and has no signals",
+    )
+    poll: PollKeys | None = Field(None, description='a mapping such as {id: 0x100, data: "01"}')
+    begin: Entries[FrameKeys] = Field((), description=f"{_FRAMES}, sent when the connection is opened")
+    end: Entries[FrameKeys] = Field((), description=f"{_FRAMES}, sent when the connection is closed")
+    start: Entries[FrameKeys] = Field((), description=f"{_FRAMES}, that enable the drives")
+    stop: Entries[FrameKeys] = Field((), description=f"{_FRAMES}, that halt the arm")
+    command: CommandKeys | None = Field(None, description="a mapping of keys with the list 'signals'")
+
+    @field_validator("signals")
+    @classmethod
+    def _table(cls, entries: tuple[SignalEntry, ...], info: ValidationInfo) -> tuple[SignalEntry, ...]:
+        check_together([entry.signal for entry in entries], (info.context or {})["joints"], info.data.get("rate"))
+        return entries
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.cycle is not None and any(entry.signal.identifier == self.marker for entry in self.signals):
+            raise refused(
+                f"key 'cycle': frame {identifier_text(self.cycle)} has signals of its own",
+                "the first of 'signals' says which frame begins a cycle; 'cycle' is for a frame without signals",
+            )
+        if self.poll is not None and self.poll.period is not None and abs(self.poll.period * self.rate - 1.0) > 0.01:
+            raise refused(
+                f"key 'poll.period': {self.poll.period:g} s contradicts the rate, {self.rate:g} Hz",
+                f"each poll is answered by one cycle: {1 / self.rate:g} s",
+            )
+        if self.command is not None and not self.stop:
+            raise refused(
+                "key 'stop': a table that moves the arm must also say how it is halted",
+                'give its frames, such as [{id: 0x200, data: "00"}]',
+            )
+        if self.command is None and self.start:
+            raise refused("key 'start': frames that enable the arm, but none that command it", "add 'command'")
+        return self
+
+    @property
+    def marker(self) -> int | None:
+        """Identifier of the frame that begins a cycle, with `EXTENDED` added to one of 29 bits."""
+        return self.cycle | EXTENDED if self.cycle is not None and self.cycle > STANDARD_LIMIT else self.cycle
 
 
 @dataclass(frozen=True)
@@ -52,7 +161,7 @@ class CommandTable:
     """
 
     parts: tuple[Part, ...]
-    templates: Mapping[int, bytes] = field(default_factory=dict)
+    templates: Mapping[int, bytes]
 
 
 @dataclass(frozen=True)
@@ -77,16 +186,16 @@ class CanFramesSettings:
     channel: str | int
     rate: float
     signals: tuple[Signal, ...]
-    bitrate: int = 1_000_000
-    options: Mapping[str, object] = field(default_factory=dict)
-    timeout: float = 2.0
-    cycle: int | None = None
-    poll: Poll | None = None
-    begin: tuple[FixedFrame, ...] = ()
-    end: tuple[FixedFrame, ...] = ()
-    start: tuple[FixedFrame, ...] = ()
-    stop: tuple[FixedFrame, ...] = ()
-    command: CommandTable | None = None
+    bitrate: int
+    options: Mapping[str, object]
+    timeout: float
+    cycle: int | None
+    poll: Poll | None
+    begin: tuple[FixedFrame, ...]
+    end: tuple[FixedFrame, ...]
+    start: tuple[FixedFrame, ...]
+    stop: tuple[FixedFrame, ...]
+    command: CommandTable | None
 
     @property
     def identifiers(self) -> frozenset[int]:
@@ -104,153 +213,66 @@ class CanFramesSettings:
         return parts_of([signal for signal in self.signals if signal.stream == stream])
 
 
-_KEYS = (*(f.name for f in fields(CanFramesSettings)), "dbc", "with")
-
-
 def parse_settings(
     connection: Mapping[str, object], joints: Sequence[str], folder: Path | None = None
 ) -> CanFramesSettings:
     """Check a connection's keys.
 
+    Without `signals`, those of the DBC file are chosen whose name is a quantity, an underscore and a joint.
+
     Args:
-        connection: the keys beside `driver`; `with` belongs to others.
+        connection: the keys beside `driver`.
         joints: names of the arm's joints.
         folder: what a relative `dbc` starts at; the current folder where None.
 
     Raises:
-        UsageError: names the key, what was found and what is allowed.
+        UsageError: names every key that is wrong, what was found and what is allowed; or the DBC file cannot be used.
     """
-    keys.refuse_unknown(connection, _KEYS, "")
-    options = connection.get("options", {})
-    if (
-        not isinstance(options, Mapping)
-        or len(options) > LARGEST_OPTIONS
-        or not all(isinstance(key, str) for key in options)
-    ):
-        raise keys.wrong("options", options, "a mapping of python-can's arguments for this interface")
-    channel = connection.get("channel")
-    if isinstance(channel, bool) or not isinstance(channel, str | int) or channel == "":
-        raise keys.wrong("channel", channel, "what the interface calls its bus, such as can0")
-    rate = keys.number(connection, "rate", "", 0.1, 10_000.0, "Hz")
-    signals, pick = parse_signals(connection, joints, rate, folder)
-    cycle = None
-    if connection.get("cycle") is not None:
-        cycle = keys.identifier(connection, "cycle", "", allow_extended=True)
-        if any(signal.identifier == cycle for signal in signals):
+    dbc = _dbc(connection.get("dbc"), folder)
+    if dbc is not None and connection.get("signals") is None:
+        entries = entries_named_by_rule(dbc, joints)
+        if not entries:
             raise UsageError(
-                f"frame {identifier_text(cycle)} has signals of its own",
-                where="cycle",
-                hint="the first of 'signals' says which frame begins a cycle; 'cycle' is for a frame without signals",
+                "no signal of the DBC file is called after a quantity and a joint",
+                where=str(dbc.path),
+                hint=f"such as position_{joints[0]}; or list the names of its signals under 'signals'",
             )
-    lists = {name: _frames(connection, name) for name in ("begin", "end", "start", "stop")}
-    command = _command(connection, joints, pick)
-    if command is not None and not lists["stop"]:
-        raise UsageError(
-            "a table that moves the arm must also say how it is halted",
-            where="stop",
-            hint='give its frames, such as [{id: 0x200, data: "00"}]',
-        )
-    if command is None and lists["start"]:
-        raise UsageError("frames that enable the arm, but none that command it", where="start", hint="add 'command'")
+        connection = {**connection, "signals": entries}
+    keys = read_settings(CanFramesKeys, connection, "can_frames", {"joints": joints, "dbc": dbc})
+    poll, command = keys.poll, keys.command
     return CanFramesSettings(
-        interface=keys.text(connection, "interface", "a bus that python-can knows, such as socketcan"),
-        channel=channel,
-        rate=rate,
-        signals=signals,
-        bitrate=keys.whole(connection, "bitrate", "", 1000, 1_000_000, default=1_000_000),
-        options=dict(options),
-        timeout=keys.number(connection, "timeout", "", 0.1, 300.0, "s", default=2.0),
-        cycle=cycle,
-        poll=_poll(connection, rate),
-        command=command,
-        **lists,
+        interface=keys.interface,
+        channel=keys.channel,
+        rate=keys.rate,
+        signals=tuple(entry.signal for entry in keys.signals),
+        bitrate=keys.bitrate,
+        options=keys.options,
+        timeout=keys.timeout,
+        cycle=keys.marker,
+        poll=None if poll is None else Poll(_frames(poll.frames or (poll,)), poll.period or 1.0 / keys.rate),
+        begin=_frames(keys.begin),
+        end=_frames(keys.end),
+        start=_frames(keys.start),
+        stop=_frames(keys.stop),
+        command=None if command is None else _command(command),
     )
 
 
-def _poll(connection: Mapping[str, object], rate: float) -> Poll | None:
-    given = connection.get("poll")
-    if given is None:
-        return None
-    section = keys.mapping(given, "poll")
-    keys.refuse_unknown(section, ("id", "data", "extended", "frames", "period"), "poll")
-    if ("id" in section) == ("frames" in section):
-        raise UsageError("give either 'id' and 'data' of one frame, or 'frames'", where="poll")
-    if "frames" in section:
-        frames = _frames(section, "frames", "poll.")
-        if not frames:
-            raise keys.wrong("frames", section["frames"], "at least one frame", "poll")
-    else:
-        frames = (_frame({key: section[key] for key in section if key != "period"}, "poll"),)
-    period = keys.number(section, "period", "poll", 1e-4, 10.0, "s", default=1.0 / rate)
-    if abs(period * rate - 1.0) > 0.01:
-        raise UsageError(
-            f"the period, {period:g} s, contradicts the rate, {rate:g} Hz",
-            where="poll.period",
-            hint=f"each poll is answered by one cycle: {1 / rate:g} s",
-        )
-    return Poll(frames, period)
-
-
-def _command(connection: Mapping[str, object], joints: Sequence[str], pick: keys.Pick) -> CommandTable | None:
-    given = connection.get("command")
-    if given is None:
-        return None
-    section = keys.mapping(given, "command")
-    keys.refuse_unknown(section, ("quantity", "signals", "frames"), "command")
-    if section.get("quantity", "position") != "position":
-        raise keys.wrong("quantity", section.get("quantity"), "position; dynid commands nothing else", "command")
-    listed = section.get("signals")
-    if not isinstance(listed, Sequence) or isinstance(listed, str) or not listed:
-        raise keys.wrong("signals", listed, "a list of where each joint's position goes", "command")
-    signals = []
-    for number, entry in enumerate(listed):
-        where = f"command.signals[{number}]"
-        entry = keys.mapping(entry, where)
-        signal = pick({"quantity": "position", **entry}, where)
-        if signal.quantity not in ("position", "counter"):
-            raise keys.wrong("quantity", signal.quantity, "position, or counter of the commands", where)
-        signals.append(signal)
-    named = [signal.joint for signal in signals if signal.quantity == "position"]
-    for joint in joints:
-        if named.count(joint) != 1:
-            raise UsageError(
-                f"{named.count(joint) or 'no'} position of joint '{joint}'",
-                where="command.signals",
-                hint="each joint needs exactly one; an arm is moved as a whole",
-            )
+def _dbc(path: object, folder: Path | None) -> Dbc | None:
+    if not isinstance(path, str) or not path.strip():
+        return None  # absent, or refused with the other keys
     try:
-        check_overlaps(signals)
-    except ValueError as error:
-        raise UsageError(str(error), where="command.signals") from error
-    parts = parts_of(signals)
-    templates = {frame.identifier: frame.data for frame in _frames(section, "frames", "command.")}
-    for identifier in templates:
-        if all(part.identifier != identifier for part in parts):
-            raise UsageError(f"no signal is in frame {identifier_text(identifier)}", where="command.frames")
-    return CommandTable(parts, templates)
+        return load_dbc((folder or Path()) / path.strip())
+    except ValueError as error:  # a NUL in the path
+        raise UsageError(f"no path: {error}", where="dbc") from error
 
 
-def _frames(section: Mapping[str, object], key: str, prefix: str = "") -> tuple[FixedFrame, ...]:
-    given = section.get(key)
-    if given is None:
-        return ()
-    if not isinstance(given, Sequence) or isinstance(given, str):
-        raise keys.wrong(key, given, 'a list of frames, such as [{id: 0x200, data: "01 00"}]', prefix.rstrip("."))
-    return tuple(_frame(keys.mapping(one, f"{prefix}{key}[{n}]"), f"{prefix}{key}[{n}]") for n, one in enumerate(given))
+def _command(keys: CommandKeys) -> CommandTable:
+    frames = _frames(keys.frames)
+    return CommandTable(
+        parts_of([entry.signal for entry in keys.signals]), {frame.identifier: frame.data for frame in frames}
+    )
 
 
-def _frame(section: Mapping[str, object], where: str) -> FixedFrame:
-    keys.refuse_unknown(section, ("id", "data", "extended"), where)
-    extended = keys.truth(section, "extended", where, default=False)
-    identifier = keys.identifier(section, "id", where, allow_extended=extended)
-    data = section.get("data", "")
-    allowed = f'up to {FRAME_BYTES} bytes in hexadecimal, such as "01 0F"; in quotes'
-    if not isinstance(data, str):
-        raise keys.wrong("data", data, allowed, where)
-    try:
-        content = bytes.fromhex(data)
-    except ValueError:
-        raise keys.wrong("data", data, allowed, where) from None
-    if len(content) > FRAME_BYTES:
-        raise keys.wrong("data", data, allowed, where)
-    return FixedFrame(identifier | (EXTENDED if extended else 0), content)
+def _frames(keys: Sequence[FrameKeys]) -> tuple[FixedFrame, ...]:
+    return tuple(one.frame for one in keys)

@@ -65,6 +65,19 @@ class Signal:
 
 
 @dataclass(frozen=True)
+class FixedFrame:
+    """A frame that is sent as it stands.
+
+    Attributes:
+        identifier: `EXTENDED` is added to one of 29 bits.
+        data: 0 to 8 bytes.
+    """
+
+    identifier: int
+    data: bytes
+
+
+@dataclass(frozen=True)
 class Part:
     """Signals of a table that come together: those of one frame, for one value of its multiplexer.
 

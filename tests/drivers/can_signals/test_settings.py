@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from drivers.can.bus import EXTENDED
 from drivers.can_signals.bits import BitField
 from drivers.can_signals.dbc import load_dbc
-from drivers.can_signals.settings import FixedFrame, parse_settings
+from drivers.can_signals.settings import parse_settings
+from drivers.can_signals.signals import FixedFrame
 from drivers.errors import UsageError
 
 HERE = Path(__file__).parent
@@ -74,47 +75,51 @@ def test_a_connection_is_read() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "where", "words"),
+    ("change", "path", "words"),
     [
-        ({"rate": 0}, "connection", "key 'rate' is 0"),
-        ({"rate": math.nan}, "connection", "key 'rate' is nan"),
-        ({"rate": True}, "connection", "key 'rate' is True"),
-        ({"rate": None}, "connection", "key 'rate' is missing"),
-        ({"speed": 1}, "connection", "unknown key 'speed'"),
-        ({"interface": 3}, "connection", "key 'interface' is 3"),
-        ({"channel": None}, "connection", "key 'channel' is missing"),
-        ({"options": [1]}, "connection", "key 'options'"),
-        ({"bitrate": 3_000_000}, "connection", "key 'bitrate'"),
-        ({"signals": []}, "connection", "key 'signals'"),
-        ({"signals": None}, "connection", "key 'signals' is missing"),
-        ({"signals": [3]}, "signals[0]", "a mapping of keys should stand here"),
-        ({"signals": [{}]}, "signals[0]", "key 'quantity' is missing"),
-        ({"signals": [position("shoulder", quantity="speed")]}, "signals[0]", "key 'quantity' is 'speed'"),
-        ({"signals": [position("wrist")]}, "signals[0]", "key 'joint' is 'wrist'"),
-        ({"signals": [position("shoulder", unit="km")]}, "signals[0].unit", "unit 'km' of position"),
-        ({"signals": [position("shoulder", unit="")]}, "signals[0].unit", "no unit of position"),
-        ({"signals": [position("shoulder", unit=3)]}, "signals[0]", "key 'unit' is 3"),
-        ({"signals": [position("shoulder", length=70)]}, "signals[0]", "key 'length' is 70"),
+        ({"rate": 0}, "rate", "is 0"),
+        ({"rate": math.nan}, "rate", "is nan"),
+        ({"rate": True}, "rate", "is True"),
+        ({"rate": None}, "rate", "is missing"),
+        ({"speed": 1}, "speed", "unknown key"),
+        ({"interface": 3}, "interface", "is 3"),
+        ({"channel": None}, "channel", "is missing"),
+        ({"options": [1]}, "options", ""),
+        ({"bitrate": 3_000_000}, "bitrate", ""),
+        ({"signals": []}, "signals", ""),
+        ({"signals": None}, "signals", "is missing"),
+        ({"signals": [3]}, "signals[0]", "is 3 (allowed: a list of mappings"),
+        ({"signals": [{}]}, "signals[0].quantity", "is missing"),
+        ({"signals": [position("shoulder", quantity="speed")]}, "signals[0].quantity", "'speed' is no quantity"),
+        ({"signals": [position("wrist")]}, "signals[0].joint", "'wrist' is no joint"),
+        ({"signals": [position("shoulder", unit="km")]}, "signals[0]", "unit 'km' of position"),
+        ({"signals": [position("shoulder", unit="")]}, "signals[0]", "no unit of position"),
+        ({"signals": [position("shoulder", unit=3)]}, "signals[0].unit", "is 3"),
+        ({"signals": [position("shoulder", length=70)]}, "signals[0].length", "is 70"),
         ({"signals": [position("shoulder", start=60)]}, "signals[0]", "leave the frame"),
-        ({"signals": [position("shoulder", start=-1)]}, "signals[0]", "key 'start' is -1"),
+        ({"signals": [position("shoulder", start=-1)]}, "signals[0].start", "is -1"),
         ({"signals": [position("shoulder", float=True, length=20)]}, "signals[0]", "16, 32 or 64 bits"),
-        ({"signals": [position("shoulder", byte_order="middle")]}, "signals[0]", "key 'byte_order'"),
-        ({"signals": [position("shoulder", signed="yes")]}, "signals[0]", "key 'signed'"),
-        ({"signals": [position("shoulder", scale=0)]}, "signals[0]", "key 'scale' is 0"),
-        ({"signals": [position("shoulder", scale=math.inf)]}, "signals[0]", "key 'scale' is inf"),
-        ({"signals": [position("shoulder", scale=10**400)]}, "signals[0]", "key 'scale'"),
-        ({"signals": [position("shoulder", 0x800)]}, "signals[0]", "with 'extended: true'"),
-        ({"signals": [position("shoulder", id="0x181")]}, "signals[0]", "not in quotes"),
-        ({"signals": [position("shoulder", endian="big")]}, "signals[0]", "unknown key 'endian'"),
-        ({"signals": [position("shoulder", stream="a/b")]}, "signals[0]", "key 'stream'"),
-        ({"signals": [position("shoulder", multiplexer=1)]}, "signals[0].multiplexer", "a mapping of keys"),
+        ({"signals": [position("shoulder", byte_order="middle")]}, "signals[0].byte_order", ""),
+        ({"signals": [position("shoulder", signed="yes")]}, "signals[0].signed", ""),
+        ({"signals": [position("shoulder", scale=0)]}, "signals[0]", "scale 0 "),
+        ({"signals": [position("shoulder", scale=math.inf)]}, "signals[0].scale", "is inf"),
+        ({"signals": [position("shoulder", scale=10**400)]}, "signals[0].scale", ""),
+        ({"signals": [position("shoulder", 0x800)]}, "signals[0].id", "with 'extended: true'"),
+        ({"signals": [position("shoulder", id="0x181")]}, "signals[0].id", "not in quotes"),
+        ({"signals": [position("shoulder", endian="big")]}, "signals[0].endian", "unknown key"),
+        ({"signals": [position("shoulder", stream="a/b")]}, "signals[0].stream", ""),
+        (
+            {"signals": [position("shoulder", multiplexer=1)]},
+            "signals[0].multiplexer",
+            "allowed: a mapping of keys",
+        ),
         (
             {"signals": [position("shoulder", multiplexer={"start": 32, "length": 2, "value": 4})]},
-            "signals[0].multiplexer",
-            "key 'value' is 4",
+            "signals[0]",
+            "multiplexer.value is 4 (allowed: 0 to 3",
         ),
-        ({"signals": [position("shoulder", signal="A")]}, "signals[0]", "unknown key"),
-        ({"signals": [{"quantity": "position", "joint": "elbow", "signal": "A"}]}, "signals[0].signal", "no 'dbc'"),
+        ({"signals": [position("shoulder", signal="A")]}, "signals[0].id", "unknown key"),
+        ({"signals": [{"quantity": "position", "joint": "elbow", "signal": "A"}]}, "signals[0]", "no 'dbc'"),
         ({"signals": [position("shoulder"), position("shoulder", start=16)]}, "signals", "there twice"),
         ({"signals": [position("shoulder"), position("elbow", start=8)]}, "signals", "overlap in frame 0x181"),
         ({"signals": [position("shoulder")]}, "signals", "no position of joint 'elbow'"),
@@ -122,23 +127,24 @@ def test_a_connection_is_read() -> None:
         ({"poll": {"data": "00"}}, "poll", "either 'id' and 'data'"),
         ({"poll": {"frames": []}}, "poll", "at least one frame"),
         ({"poll": {"id": 1, "period": 0.01}}, "poll.period", "contradicts the rate"),
-        ({"poll": {"id": 1, "data": "xy"}}, "poll", "hexadecimal"),
-        ({"poll": {"id": 1, "data": 10}}, "poll", "in quotes"),
-        ({"poll": {"id": 1, "data": "00" * 9}}, "poll", "up to 8 bytes"),
-        ({"stop": "00"}, "connection", "key 'stop'"),
-        ({"stop": [5]}, "stop[0]", "a mapping of keys"),
+        ({"poll": {"id": 1, "data": "xy"}}, "poll.data", "hexadecimal"),
+        ({"poll": {"id": 1, "data": 10}}, "poll.data", "in quotes"),
+        ({"poll": {"id": 1, "data": "00" * 9}}, "poll.data", "up to 8 bytes"),
+        ({"stop": "00"}, "stop", ""),
+        ({"stop": [5]}, "stop[0]", "is 5 (allowed: a list of frames"),
         ({"start": [{"id": 1}]}, "start", "none that command it"),
-        ({"timeout": -1}, "connection", "key 'timeout'"),
-        ({"dbc": 5}, "connection", "key 'dbc'"),
+        ({"timeout": -1}, "timeout", ""),
+        ({"dbc": 5}, "dbc", ""),
         ({"dbc": "nowhere.dbc"}, "nowhere.dbc", "cannot be read"),
         ({"dbc": "a\0b"}, "dbc", "no path"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(change: dict[str, object], where: str, words: str) -> None:
+def test_what_is_wrong_is_said_in_one_line(change: dict[str, object], path: str, words: str) -> None:
     with pytest.raises(UsageError) as caught:
         parse_settings({key: value for key, value in (connection() | change).items() if value is not None}, JOINTS)
-    assert words in str(caught.value)
-    assert where in caught.value.where
+    said = str(caught.value)
+    assert words in said
+    assert f"'{path}'" in said or said.startswith(f"{path}: ")  # the latter of a DBC file
     assert "\n" not in str(caught.value)
 
 
@@ -148,7 +154,7 @@ def test_what_is_wrong_is_said_in_one_line(change: dict[str, object], where: str
         ({"stop": None}, "must also say how it is halted"),
         ({"command": []}, "a mapping of keys"),
         ({"command": {"quantity": "torque"}}, "dynid commands nothing else"),
-        ({"command": {"signals": []}}, "key 'signals'"),
+        ({"command": {"signals": []}}, "key 'command.signals'"),
         ({"command": {"signals": [position("elbow")]}}, "no position of joint 'shoulder'"),
         ({"command": {"signals": [position("elbow"), position("elbow")]}}, "no position of joint 'shoulder'"),
         ({"command": {"signals": [position("shoulder"), position("elbow")]}}, "overlap"),
@@ -159,6 +165,22 @@ def test_command_tables_that_cannot_be(change: dict[str, object], words: str) ->
     with pytest.raises(UsageError) as caught:
         parse_settings({key: value for key, value in (moving() | change).items() if value is not None}, JOINTS)
     assert words in str(caught.value)
+
+
+def test_everything_that_is_wrong_is_said_at_once() -> None:
+    keys = connection(rate=True, poll={"id": 1, "data": "xy"}, tiemout=3)
+    keys["signals"][1] |= {"length": 70, "unit": 5}
+    with pytest.raises(UsageError, match="5 keys of the can_frames connection are wrong") as caught:
+        parse_settings(keys, JOINTS)
+    for words in (
+        "'rate' is True (allowed: a number from 0.1 to 10000 [Hz]",
+        "'signals[1].length' is 70 (allowed: an integer from 1 to 64 [bit])",
+        "'signals[1].unit' is 5",
+        "'poll.data': 'xy' is not hexadecimal",
+        "unknown key 'tiemout' (allowed: interface, ",
+        "did you mean 'timeout'?",
+    ):
+        assert words in caught.value.message
 
 
 def test_command_frames_need_signals() -> None:
@@ -263,7 +285,7 @@ def test_signals_are_picked_from_a_dbc_file(tmp_path: Path) -> None:
     for change, words in (
         ({"message": None}, "one of those that have 'Angle1': A, B"),
         ({"signal": "Angle3"}, "did you mean 'Angle"),
-        ({"length": 3}, "unknown key 'length'"),
+        ({"length": 3}, "unknown key 'signals[0].length'"),
         ({"unit": "A"}, "unit 'A' of position"),
     ):
         wrong = [{**entries[0], **change}, entries[1]]
