@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from drivers.can.bus import Frame
 from drivers.canopen402.objects import TPDO_BASES
+from drivers.gains import torque_at_joints
 from drivers.streams import FloatArray
 
 IntArray = npt.NDArray[np.int64]
@@ -38,6 +39,7 @@ class Scaling:
         zero: joint position at count 0 [rad].
         rated_current: [A].
         rated_torque: [N·m].
+        coupling: R (n, n) of q_motor = R·q_joint; None where each drive moves its own joint alone.
     """
 
     counts_per_turn: FloatArray
@@ -45,6 +47,7 @@ class Scaling:
     zero: FloatArray
     rated_current: FloatArray
     rated_torque: FloatArray
+    coupling: FloatArray | None = None
 
     @property
     def radians_per_count(self) -> FloatArray:
@@ -53,21 +56,31 @@ class Scaling:
 
     def counts(self, position: FloatArray) -> IntArray:
         """The counts (n,) nearest to joint positions (n,) [rad]."""
-        return np.asarray(np.rint((position - self.zero) / self.radians_per_count), dtype=np.int64)
+        motors = position if self.coupling is None else self.coupling @ position
+        return np.asarray(np.rint((motors - self.zero) / self.radians_per_count), dtype=np.int64)
 
     def position(self, counts: npt.ArrayLike) -> FloatArray:
         """Joint positions (…, n) [rad] of counts (…, n)."""
-        return np.asarray(np.asarray(counts) * self.radians_per_count + self.zero)
+        return self._at_joints(np.asarray(np.asarray(counts) * self.radians_per_count + self.zero))
 
     def values(self, rows: AlignedRows) -> dict[str, FloatArray]:
-        """Quantity → (N, n): position [rad], velocity [rad/s], current [A], torque [N·m], statusword."""
+        """Quantity → (N, n): the joints' position [rad], velocity [rad/s] and torque [N·m]; current [A], statusword."""
+        torque = np.asarray(rows.torque * (PER_MILLE * self.direction * self.rated_torque))
         return {
             "position": self.position(rows.position),
-            "velocity": np.asarray(rows.velocity * self.radians_per_count),
+            "velocity": self._at_joints(np.asarray(rows.velocity * self.radians_per_count)),
             "current": np.asarray(rows.current * (PER_MILLE * self.direction * self.rated_current)),
-            "torque": np.asarray(rows.torque * (PER_MILLE * self.direction * self.rated_torque)),
+            "torque": torque if self.coupling is None else torque_at_joints(torque, self.coupling),
             "statusword": rows.statusword.astype(np.float64),
         }
+
+    def _at_joints(self, motion: FloatArray) -> FloatArray:
+        """Motion (…, n) of the joints, from that of the motors."""
+        return (
+            motion
+            if self.coupling is None
+            else np.asarray(np.linalg.solve(self.coupling, motion[..., np.newaxis])[..., 0])
+        )
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 
 import can
 import numpy as np
@@ -55,6 +56,7 @@ class Canopen402Driver:
 
     def __init__(self, settings: DriverSettings) -> None:
         self._joints = settings.joints
+        self._coupling = settings.coupling
         self._settings = parse_settings(settings.connection, settings.joints)
         self._ids = tuple(node.id for node in self._settings.nodes)
         self._mode = MODES[self._settings.mode]
@@ -94,6 +96,7 @@ class Canopen402Driver:
             pairs = zip(self._joints, self._ids, strict=True)
             self._drives = [RemoteDrive(network, joint, node, self._clock) for joint, node in pairs]
             self._configured = self._configure(deadline, network)
+            self._scaling = replace(self._configured.scaling, coupling=self._coupling)
             self._sync = SyncProducer(self._sender, settings.sync_rate, self._outputs, self._clock)
             self._watch = self._make_watch()
             self._sdo_stop = SdoStop(self._sender, self._ids, self._clock)
@@ -215,7 +218,7 @@ class Canopen402Driver:
                 check_first_step(position, self._latest_position, self._joints)
                 motion.enable(self._settings.timeout)
             try:
-                motion.command(self._configured.scaling.counts(position))
+                motion.command(self._scaling.counts(position))
             except DriverStateError as error:
                 cause = "" if motion.dropped_out is None else self._watch.cause(motion.dropped_out)
                 if not cause:
@@ -282,7 +285,7 @@ class Canopen402Driver:
         return configured
 
     def _make_motion(self, mode: int) -> DriveMotion:
-        standstill = STANDSTILL / np.abs(self._configured.scaling.radians_per_count)
+        standstill = STANDSTILL / np.abs(self._scaling.radians_per_count)
         period = 1.0 / self._settings.sync_rate
         latest, sender, beside = self._receiver.latest, self._sender, self._sdo_stop
         return DriveMotion(self._joints, self._ids, mode, period, list(standstill), latest, sender, beside, self._clock)
@@ -327,7 +330,7 @@ class Canopen402Driver:
         self._last_slot = int(rows.slot[-1])
         lost = self._last_slot - before - len(rows.slot)
         time_ = rows.slot / self._settings.sync_rate
-        values = self._configured.scaling.values(rows)
+        values = self._scaling.values(rows)
         values["sync_lateness"] = (self._sync.clock(rows.sent) - time_)[:, np.newaxis]
         self._latest_position = values["position"][-1].copy()
         self._last_row, self._asked = float(rows.host_time[-1]), self._sync.count

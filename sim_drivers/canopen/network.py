@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
+from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
 from drivers.canopen402.objects import EMCY, HEARTBEAT, NMT, SDO_ANSWER, SDO_REQUEST, SYNC
 from drivers.canopen402.settings import CanopenSettings
@@ -45,11 +46,11 @@ class DrivenArm(Protocol):
 
     @property
     def position(self) -> FloatArray:
-        """True position [rad]."""
+        """True position of the motors [rad]."""
 
     @property
     def velocity(self) -> FloatArray:
-        """True velocity [rad/s]."""
+        """True velocity of the motors [rad/s]."""
 
     def set_target(
         self, position: FloatArray, velocity: FloatArray | None = None, acceleration: FloatArray | None = None
@@ -144,6 +145,8 @@ class DriveNetwork:
         length: Callable[[Frame], int] = exact_bits,
     ) -> None:
         self._arm = arm
+        coupled = bool(robot.model.coupling)
+        self._coupling = coupling_matrix(robot.model.coupling, robot.joint_names) if coupled else None
         self._bus = BusModel(settings.bitrate, length)
         self._arrivals: deque[tuple[float, Frame]] = deque(maxlen=LONGEST_QUEUE)
         nodes = [node.id for node in settings.nodes]
@@ -250,7 +253,10 @@ class DriveNetwork:
             drive.step(LOOP_PERIOD, actual)
             for drive, actual in zip(self.drives, self._arm.position.tolist(), strict=True)
         ]
-        position, velocity, acceleration = np.array([(r.position, r.velocity, r.acceleration) for r in references]).T
+        motion = np.array([(r.position, r.velocity, r.acceleration) for r in references])
+        position, velocity, acceleration = (
+            motion if self._coupling is None else np.linalg.solve(self._coupling, motion)
+        ).T
         self._arm.set_target(position, velocity, acceleration)
         self._arm.advance(LOOP_PERIOD)
         if self._ticks % TICKS_PER_CHORE == 0:
@@ -268,5 +274,8 @@ class DriveNetwork:
         """What the drives measure `ahead` [s] of the plant's last step."""
         measured = self._arm.measure()
         position = self._arm.position + ahead * self._arm.velocity
-        columns = (position, measured.velocity, measured.torque, measured.current, measured.temperature)
+        velocity, torque = measured.velocity, measured.torque
+        if self._coupling is not None:  # a drive measures its motor
+            velocity, torque = self._coupling @ velocity, np.linalg.solve(self._coupling.T, torque)
+        columns = (position, velocity, torque, measured.current, measured.temperature)
         return [Feedback(*row) for row in np.array(columns).T.tolist()]

@@ -177,9 +177,10 @@ class Run:
 
 
 @functools.cache
-def _robot_on_virtual_bus(keys: str, serials: bool) -> RobotFile:
+def _robot_on_virtual_bus(keys: str, serials: bool, coupling: str) -> RobotFile:
     """A UR5e whose canopen402 connection is on a virtual bus."""
     arm = yaml.safe_load(load_robot("ur5e").text)
+    arm["model"]["coupling"] = yaml.safe_load(coupling) or {}
     place = {"interface": "virtual", "channel": CHANNEL, "options": {}, "sync_rate": 100}
     arm["connections"] = {"canopen": arm["connections"]["canopen"] | place | (yaml.safe_load(keys) or {})}
     for node in arm["connections"]["canopen"]["nodes"].values() if serials else ():
@@ -199,7 +200,12 @@ def swing() -> Motion:
 
 @contextmanager
 def arm_on_bus(
-    keys: str = "", swapped: tuple[int, int] | None = None, *, serials: bool = False, opened: bool = True
+    keys: str = "",
+    swapped: tuple[int, int] | None = None,
+    *,
+    serials: bool = False,
+    opened: bool = True,
+    coupling: str = "",
 ) -> Iterator[Bench]:
     """A simulated UR5e and its driver.
 
@@ -208,9 +214,10 @@ def arm_on_bus(
         swapped: two joints (from 0) whose drives have each other's node id.
         serials: whether the robot file has the drives' serial numbers.
         opened: whether the driver is.
+        coupling: of the motors, as YAML.
     """
     with simulated_time() as clock:
-        robot_file = _robot_on_virtual_bus(keys, serials)
+        robot_file = _robot_on_virtual_bus(keys, serials, coupling)
         robot = robot_file.robot
         settings = parse_settings(dict(robot.connections["canopen"].model_extra or {}), robot.joint_names)
         plant = Plant(robot_file)

@@ -92,6 +92,29 @@ def test_a_motion_is_recorded_as_it_was(tmp_path: Path) -> None:
         np.testing.assert_allclose(thermal.channels["temperature"].values[-1], housing, atol=0.1)
 
 
+def test_a_coupled_arm_is_moved_and_recorded_in_joints(tmp_path: Path) -> None:
+    """The drives count and drive their motors; commands and the recording are the joints'."""
+    coupling = np.eye(6)
+    coupling[2, 1] = 1.0  # the elbow's motor turns with the shoulder, too
+    with arm_on_bus(coupling="{elbow_joint: {elbow_joint: 1, shoulder_lift_joint: 1}}") as bench:
+        run = bench.record(tmp_path, motion=swing())
+        assert run.report.stopped_by is None  # no tracking error either
+        assert bench.rests()
+        joints = run.recording.streams["joints"]
+        recorded = {name: channel.values for name, channel in joints.channels.items()}
+        heard = dict(zip(bench.sent(), bench.measured, strict=False))
+        motors = {
+            name: np.array([[getattr(one.feedback, name) for one in heard[slot]] for slot in run.slots])
+            for name in ("position", "velocity", "torque")
+        }
+        rated = np.array([drive.axis.setup.rated_torque for drive in bench.server.network.drives])
+        enabled = np.array([[one.enabled for one in heard[slot]] for slot in run.slots])
+    np.testing.assert_allclose(recorded["position"] @ coupling.T, motors["position"], atol=4e-5)
+    np.testing.assert_allclose(recorded["velocity"] @ coupling.T, motors["velocity"], atol=4e-5)
+    assert np.max(np.abs(recorded["torque"] - (motors["torque"] * enabled) @ coupling)) < 1e-3 * np.max(rated)
+    assert np.max(np.abs(recorded["torque"] - motors["torque"] * enabled)[:, 1]) > 10.0  # the motor's own is another
+
+
 def test_a_recording_without_a_motion_lasts_as_long_as_it_was_asked_for(tmp_path: Path) -> None:
     with arm_on_bus("{sync_rate: 400, mode: none}") as bench:
         bench.at(0.5, "heat 1 5")
