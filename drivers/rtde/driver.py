@@ -280,19 +280,6 @@ class RtdeDriver:
             self._receiver.pause()
             self._state = "open"
 
-    def reconnect(self) -> None:
-        """Connect anew after a ConnectionLostError while recording; nothing from before is handed out any more.
-
-        Raises:
-            ConnectionFailedError: nobody answers, or a controller with other variables does.
-            DriverStateError: it is not running, or moves the arm: then the motion is over and must be stopped.
-        """
-        require_state(self._state, "running", "reconnect")
-        if self._motion is not None:
-            raise DriverStateError("a motion does not survive a lost connection", hint="stop first")
-        self._last_mode, self._latest_position = {}, None  # but the clock's grid goes on: the gap must show
-        self._receiver.reconnect()
-
     def close(self) -> None:
         """Let go of the connection; safe in every state."""
         self.stop()

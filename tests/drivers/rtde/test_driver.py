@@ -227,19 +227,14 @@ def test_modes_become_notices_when_they_change(controller: Make, make_driver: Ma
     assert driver.notices() == []
 
 
-def test_a_lost_connection_shows_and_can_be_had_again(controller: Make, make_driver: MakeDriver) -> None:
-    scripts = [[*steady(1.0, 20), Cut()], [*steady(2.0, 20), Never()]]
-    driver = make_driver(controller(lambda number: scripts[number]))
+def test_a_lost_connection_shows_on_every_read(controller: Make, make_driver: MakeDriver) -> None:
+    driver = make_driver(controller(lambda number: [*steady(1.0, 20), Cut()]))
     driver.open()
     driver.start()
     read_all(driver, 20)
     for _ in range(2):
         with pytest.raises(ConnectionLostError):
             driver.read(1.0)
-    driver.reconnect()
-    blocks = read_all(driver, 20)
-    assert times(blocks["joints"])[0] == 2.0
-    assert sum(block.lost for block in blocks["joints"]) == 480
     driver.stop()
     driver.close()
 
@@ -280,7 +275,6 @@ def test_calls_that_the_state_does_not_allow(controller: Make, make_driver: Make
         "start": driver.start,
         "read": lambda: driver.read(0.0),
         "command": lambda: driver.command(np.zeros(6)),
-        "reconnect": driver.reconnect,
     }
 
     def refused(*names: str) -> None:
@@ -288,16 +282,16 @@ def test_calls_that_the_state_does_not_allow(controller: Make, make_driver: Make
             with pytest.raises(DriverStateError, match="the driver must be"):
                 calls[name]()
 
-    refused("streams", "start", "read", "command", "reconnect")
+    refused("streams", "start", "read", "command")
     driver.stop()
     driver.close()
     driver.open()
-    refused("open", "read", "command", "reconnect")
+    refused("open", "read", "command")
     driver.start()
     refused("open", "start")
     driver.streams()
     driver.close()
-    refused("streams", "start", "read", "command", "reconnect")
+    refused("streams", "start", "read", "command")
 
 
 def test_an_arm_of_another_make_is_refused() -> None:
