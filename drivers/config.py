@@ -89,7 +89,8 @@ def _words(problem: ErrorDetails, path: str, field: FieldInfo | None, section: t
         known = list(_fields(section))
         guess = did_you_mean(str(problem["loc"][-1]), known)
         return "unknown key ", "", f"allowed: {', '.join(known)}{f'; {guess}' if guess else ''}"
-    allowed = f"allowed: {_allowed(field)}" if field is not None else ""
+    words = "" if field is None else _allowed(field)
+    allowed = f"allowed: {words}" if words else ""
     if kind == "refused":
         return "key ", f": {context['message']}", context["hint"] or allowed
     missing = kind == "missing" or problem["input"] is None
