@@ -32,7 +32,7 @@ def main(seconds: float) -> None:
         )
         worst = int(found.use.argmax())
         print(
-            f"{name:10} {found.cost:10.2f} {found.found.finished:7d} {found.found.seconds:8.1f} "
+            f"{name:10} {found.cost:10.2f} {found.search.finished:7d} {found.search.seconds:8.1f} "
             f"{100 * found.use[worst]:11.2f} %  {found.limits[worst]}",
             flush=True,
         )

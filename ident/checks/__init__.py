@@ -1,1 +1,1 @@
-"""What `dynid check` and `dynid info` find."""
+"""Checks of robot files, connections and recordings (`dynid check`, `dynid info`)."""

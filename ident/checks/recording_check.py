@@ -1,4 +1,4 @@
-"""What `dynid info` tells of a recording: is it good enough to go home?"""
+"""Quality of a recording, for `dynid info`: clocks, signals, excitation, delay, expected error bars."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ JITTER_SHARE = 0.2
 CLIPPED_PERCENT = 0.1
 GOOD_CONDITION = 50.0
 SLOW_SHARE_PERCENT = 20.0
-"""Beyond these a recording is worth repeating: jitter of the period, clipped samples, condition with scaled columns,
-largest speed of its limit."""
+"""Beyond these a recording is worth repeating: jitter of the period, clipped samples, column-normalised condition
+number, utilisation of the velocity limit."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,11 @@ class RecordingInfo:
         robot_name: of the robot file.
         streams: name → evenness of its clock.
         columns: (stream, quantity) → figures of its columns.
-        excitation: what the motion could reveal; None where nothing could be analysed.
+        excitation: how well the motion excites the arm; None where nothing could be analysed.
         delay: torque behind position; None where there is no torque or no motion.
-        sufficiency: error bars that the motion lets expect; None where nothing could be analysed.
+        sufficiency: error bars expected from the motion; None where nothing could be analysed.
         times: how long it must last for a wanted RSD; None where none was asked for.
-        findings: what speaks against the recording, in words; empty if nothing does.
+        findings: problems of the recording, in words; empty if there are none.
     """
 
     recording: Recording
@@ -72,7 +72,7 @@ def recording_info(
     Args:
         recording: as read.
         robot_file: of its arm.
-        wanted_rsd_percent: relative standard deviation [%] for which the time needed is told.
+        wanted_rsd_percent: relative standard deviation [%] for which the time needed is estimated.
 
     Raises:
         UsageError: `wanted_rsd_percent` is not a percentage.
@@ -105,7 +105,7 @@ def _delay(motion: RecordedMotion) -> DelaySearch | None:
     try:
         segments = without_reversals(motion.kernel, motion.prepared.segments)
         return search_delay(motion.kernel, segments, motion.prepared.parallel_filter)
-    except DynidError:  # too short to tell
+    except DynidError:  # too short for an estimate
         return None
 
 
@@ -115,13 +115,13 @@ def _findings(
     columns: Mapping[tuple[str, str], tuple[ColumnQuality, ...]],
     excitation: ExcitationReached | None,
 ) -> list[str]:
-    findings = [] if recording.complete else ["the recording was not closed in order: its end may be missing"]
+    findings = [] if recording.complete else ["the recording was not closed properly: its end may be missing"]
     for name, quality in streams.items():
         if quality.lost:
             share = 100.0 * quality.lost / (quality.samples + quality.lost)
             findings.append(f"{name}: {quality.lost} samples lost ({share:.2g} %) in {len(quality.gaps)} gaps")
         if quality.duplicates:
-            findings.append(f"{name}: {quality.duplicates} stamps do not advance")
+            findings.append(f"{name}: {quality.duplicates} stamps do not increase")
         if quality.jitter_ms * quality.rate_hz > JITTER_SHARE * 1e3:
             findings.append(f"{name}: stamps jitter by {quality.jitter_ms:.2g} ms")
     for (stream, quantity), qualities in columns.items():
@@ -131,12 +131,14 @@ def _findings(
             if column.clipped_percent > CLIPPED_PERCENT:
                 findings.append(f"{stream}/{quantity} of {column.name} is clipped in {column.clipped_percent:.2g} %")
     if excitation is None:
-        findings.append("no motion that could be analysed")
+        findings.append("no motion to analyse")
         return findings
     if excitation.unexcited:
         findings.append(f"the motion does not excite {', '.join(excitation.unexcited)}")
     if excitation.scaled_condition > GOOD_CONDITION:
-        findings.append(f"condition {excitation.scaled_condition:.0f} is high (below {GOOD_CONDITION:g} is good)")
+        findings.append(
+            f"condition number {excitation.scaled_condition:.0f} is high (below {GOOD_CONDITION:g} is good)"
+        )
     joints = recording.streams[JOINTS_STREAM].channels["position"].columns
     slow = [
         name
@@ -193,7 +195,7 @@ def _sufficiency_object(info: RecordingInfo) -> dict[str, Any] | None:
 def print_info(info: RecordingInfo, file: str) -> None:
     """The same for a person."""
     recording = info.recording
-    state = "complete" if recording.complete else "NOT closed in order"
+    state = "complete" if recording.complete else "NOT closed properly"
     print(f"{file}: {info.robot_name}, {state}, created {recording.created or 'at an unknown time'}")
     clock = ("samples", "seconds", "rate [Hz]", "jitter [ms]", "longest [ms]", "lost", "duplicates")
     print_table(
@@ -223,8 +225,8 @@ def print_info(info: RecordingInfo, file: str) -> None:
         )
     if info.excitation is not None:
         print_table(
-            f"\nMotion: condition {info.excitation.scaled_condition:.1f} (columns scaled)",
-            ("joint", "range [rad]", "velocity [rad/s]", "of its limit [%]"),
+            f"\nMotion: column-normalised condition number {info.excitation.scaled_condition:.1f}",
+            ("joint", "range [rad]", "velocity [rad/s]", "limit utilisation [%]"),
             zip(
                 recording.streams[JOINTS_STREAM].channels["position"].columns,
                 info.excitation.position_range,
@@ -240,11 +242,11 @@ def print_info(info: RecordingInfo, file: str) -> None:
     for event in recording.events:
         print(f"{event.level} at {event.time:.3f} s, {event.source}: {event.message}")
     if info.findings:
-        print("\nBefore you go home:")
+        print("\nChecks on this recording:")
         for finding in info.findings:
             print(f"  - {finding}")
     else:
-        print("\nNothing speaks against this recording.")
+        print("\nChecks on this recording: no problems found.")
 
 
 def _print_sufficiency(sufficiency: Sufficiency, times: TimesNeeded | None) -> None:

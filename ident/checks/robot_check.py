@@ -1,4 +1,4 @@
-"""What `dynid check` finds in a robot file beyond its keys."""
+"""Checks of a valid robot file for `dynid check`: gains, gravity, limits, drivers, bus budgets."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def budget_object(budget: Budget) -> dict[str, float]:
 def print_budget(name: str, budget: Budget) -> None:
     """The same for a person."""
     print(
-        f"  connection {name}: its bus ({budget.bitrate / 1e3:g} kbit/s) is {100 * budget.load:.1f} % full at "
+        f"  connection {name}: bus load {100 * budget.load:.1f} % ({budget.bitrate / 1e3:g} kbit/s) at "
         f"{budget.rate:g} Hz with every stuffed bit; at most {budget.highest_rate():.0f} Hz, "
         f"{budget.highest_rate(TIGHT_SHARE):.0f} Hz for {100 * TIGHT_SHARE:.0f} %"
     )

@@ -1,4 +1,4 @@
-"""What a robot file says and what its arm can reveal, as one JSON object."""
+"""A robot file and the base parameters of its arm as one JSON object (`dynid robot show --json`)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ident.model.symbols import symbolic_expressions
 
 
 def description(robot_file: RobotFile) -> dict[str, Any]:
-    """What `--json` prints of a robot file."""
+    """The JSON object of a robot file."""
     robot, model = robot_file.robot, build_model(robot_file)
     base = base_parameters(model)
     expressions = symbolic_expressions(robot_file, model, base)

@@ -17,7 +17,7 @@ def check(
     host: str = typer.Option(None, "--host", help="Address in place of the connection's own."),
     as_json: bool = JSON,
 ) -> None:
-    """Validate a robot file: its keys, kinematics, base parameters, connections and how full their CAN buses will be.
+    """Validate a robot file: its keys, kinematics, base parameters, connections and the load of their CAN buses.
 
     Example: dynid check my_arm.yaml --connect
     """
@@ -32,7 +32,7 @@ def check(
     from ident.checks.robot_description import description
 
     if not connect and (wire is not None or host is not None):
-        raise UsageError("--wire and --host say what --connect opens", hint="add --connect")
+        raise UsageError("--wire and --host apply to --connect only", hint="add --connect")
     robot_file = load_robot(robot)
     findings = check_robot(robot_file)
     budgets = bus_budgets(robot_file)

@@ -33,15 +33,17 @@ def excite(
     points: int = typer.Option(DesignChoices.points, "--points", help="Points of a point-to-point motion."),
     period: float = typer.Option(DesignChoices.period, "--period", help="Seconds of one repetition."),
     periods: int = typer.Option(DesignChoices.periods, "--periods", help="Repetitions."),
-    ramp: float = typer.Option(DesignChoices.ramp, "--ramp", help="Seconds from rest to full pace, and back."),
+    ramp: float = typer.Option(DesignChoices.ramp, "--ramp", help="Seconds from rest to full speed, and back."),
     seed: int = typer.Option(0, "--seed", help="Of the random starts."),
     seconds: float = typer.Option(None, "--time", help=f"Search for SECONDS; {DEFAULT_SECONDS:g} without --starts."),
     starts: int = typer.Option(None, "--starts", help="Search from this many starts, whatever the machine's speed."),
     earlier: Path = typer.Option(None, "--from", help="Trajectory file to improve."),
-    loaded: bool = typer.Option(False, "--loaded", help="Design for the last link, which a payload changes."),
+    loaded: bool = typer.Option(
+        False, "--loaded", help="Design for identifying a payload: the parameters of the last link."
+    ),
     joints: str = typer.Option(None, "--joints", help="Joints that move, separated by commas; the others rest."),
-    prior: Path = typer.Option(None, "--prior", help="result.json that tells parameters and noise."),
-    margin: float = typer.Option(DesignChoices.margin, "--margin", help="Share of every limit that is not used."),
+    prior: Path = typer.Option(None, "--prior", help="result.json with prior parameters and noise."),
+    margin: float = typer.Option(DesignChoices.margin, "--margin", help="Share of every limit kept free."),
     self_collision: bool = typer.Option(True, "--self-collision/--no-self-collision", help="Keep links apart."),
     solver: str = typer.Option("slsqp", "--solver", help="slsqp, trust-constr or ipopt."),
     page: Path = typer.Option(None, "--page", help="Page to write (.html): figures, plots, the arm in motion."),
@@ -128,7 +130,7 @@ def _check_file(path: Path | None, force: bool) -> None:
 
 
 def _state(found: SearchResult) -> str:
-    best = f"condition number {found.best.condition:.4g}" if found.best is not None else "nothing within the limits yet"
+    best = f"condition number {found.best.condition:.4g}" if found.best is not None else "no feasible motion yet"
     return f"{found.seconds:.0f} s, {found.finished} starts finished, best so far: {best}"
 
 
@@ -154,9 +156,9 @@ def _object(
         "choices": asdict(choices),
         "cost": found.cost,
         "search": {
-            "finished_starts": found.found.finished,
-            "seconds": found.found.seconds,
-            "interrupted": found.found.interrupted,
+            "finished_starts": found.search.finished,
+            "seconds": found.search.seconds,
+            "interrupted": found.search.interrupted,
         },
         "limits": {name: float(use) for name, use in zip(found.limits, found.use, strict=True)},
         "figures": asdict(figures),
@@ -168,10 +170,10 @@ def _print(out: Path, page: Path | None, found: Design, figures: ExcitationFigur
     from ident.regression.pruning import SIGNIFICANT_RSD
     from ident.tasks.excitation import design_summary, search_words
 
-    if found.found.interrupted:
-        print("Ctrl-C ended the search; this is the best motion so far that keeps every limit.")
+    if found.search.interrupted:
+        print("Ctrl-C ended the search; this is the best feasible motion so far.")
     print_table(
-        "Use of the limits [%]",
+        "Limit utilisation [%]",
         ("joint", "position", "velocity", "acceleration", "torque"),
         [
             (

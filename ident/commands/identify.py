@@ -13,7 +13,7 @@ app = typer.Typer()
 
 @app.command("identify")
 def identify_recordings(
-    recordings: list[Path] = typer.Argument(help="Recordings (.h5) of one arm; several stack."),
+    recordings: list[Path] = typer.Argument(help="Recordings (.h5) of one arm; several are stacked."),
     out: Path = typer.Option(None, "-o", "--out", help="Folder for result.json and report.html."),
     method: str = typer.Option("wls", "--method", help="Estimator: ols, wls, energy or power."),
     validate_with: list[Path] = typer.Option([], "--validate", help="Held-out recording; the last 30 % without one."),
@@ -23,7 +23,7 @@ def identify_recordings(
     offset: bool = typer.Option(None, "--offset/--no-offset", help="A constant torque per joint."),
     motor_inertia: bool = typer.Option(None, "--motor-inertia/--no-motor-inertia", help="Columns for motor inertia."),
     smoothing: float = typer.Option(None, "--smoothing", help="ε [rad/s] of tanh(q̇/ε) in place of sign(q̇)."),
-    delay: str = typer.Option("auto", "--delay", help="Torque behind position: auto, or SECONDS."),
+    delay: str = typer.Option("auto", "--delay", help="Delay of torque behind position: auto, or SECONDS."),
     position_cutoff: float = typer.Option(None, "--position-cutoff", help="Low-pass of the positions [Hz]."),
     torque_cutoff: float = typer.Option(None, "--torque-cutoff", help="Parallel filter of τ and W [Hz]."),
     decimate: int = typer.Option(None, "--decimate", help="Keep every N-th filtered sample."),
@@ -32,17 +32,19 @@ def identify_recordings(
     measured_velocity: bool = typer.Option(False, "--measured-velocity", help="Use the recorded velocity."),
     locked: str = typer.Option(None, "--locked", help="Joints that must not move, separated by commas."),
     torques_of: str = typer.Option(
-        None, "--torques-of", help="Joints whose motors' torques are used; all that turn if absent."
+        None, "--torques-of", help="Joints whose motor torques are used; all moving motors if absent."
     ),
     reversals: float = typer.Option(
-        0.0, "--leave-out-reversals", help="Leave out motors slower than this share of their rms velocity, such as 0.2."
+        0.0,
+        "--leave-out-reversals",
+        help="Leave out velocity reversals: motors slower than this share of their RMS velocity, such as 0.2.",
     ),
     energy_window: float = typer.Option(
         None, "--energy-window", help="Mean duration of the windows of --method energy [s]."
     ),
-    start: float = typer.Option(None, "--start", help="Leave out what lies before [s from the first stamp]."),
-    stop: float = typer.Option(None, "--stop", help="Leave out what lies behind [s from the first stamp]."),
-    keep_rest: bool = typer.Option(False, "--keep-rest", help="Keep stretches in which no joint moves."),
+    start: float = typer.Option(None, "--start", help="Leave out samples before this time [s from the first stamp]."),
+    stop: float = typer.Option(None, "--stop", help="Leave out samples after this time [s from the first stamp]."),
+    keep_rest: bool = typer.Option(False, "--keep-rest", help="Keep segments in which no joint moves."),
     significance: float = typer.Option(
         15.0, "--significance", help="Threshold of the relative standard deviation [%]."
     ),

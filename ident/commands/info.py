@@ -16,11 +16,13 @@ def info(
     recording: Path = typer.Argument(help="Recording (.h5)."),
     robot: str = typer.Option(None, "--robot", help="Robot file in place of the recording's own."),
     wanted_rsd: float = typer.Option(
-        None, "--wanted-rsd", help="Tell how long this motion must last for this relative standard deviation [%]."
+        None,
+        "--wanted-rsd",
+        help="Estimate how long this motion must be recorded for this relative standard deviation [%].",
     ),
     as_json: bool = JSON,
 ) -> None:
-    """Show what a recording holds, how good its clocks and signals are, and how well its motion excites the arm.
+    """Show a recording's streams, clock and signal quality, and how well its motion excites the arm.
 
     Example: dynid info run.h5 --wanted-rsd 5
     """

@@ -13,13 +13,13 @@ app = typer.Typer()
 def merge_models(
     models: list[Path] = typer.Argument(help="result.json files of one arm, or the folders that hold them."),
     out: Path = typer.Option(Path("merged-model"), "-o", "--out", help="Folder for result.json and report.html."),
-    validate_with: Path = typer.Option(None, "--validate", help="Recording (.h5) that none of them has seen."),
+    validate_with: Path = typer.Option(None, "--validate", help="Held-out recording (.h5), used by none of them."),
     significance: float = typer.Option(
         15.0, "--significance", help="Threshold of the relative standard deviation [%]."
     ),
     as_json: bool = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there."),
 ) -> None:
-    """Merge models of one arm from several experiments, each weighed by its covariance, and tell whether they agree.
+    """Merge models of one arm from several experiments, each weighted by its covariance, and test whether they agree.
 
     Example: dynid merge arm-model wrist-model --validate val.h5 -o merged
     """

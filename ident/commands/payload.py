@@ -27,10 +27,8 @@ MASS = typer.Option(None, "--mass", help="Mass of the load [kg].")
 COM = typer.Option(None, "--com", help="Its centre of mass X,Y,Z in the tool frame [m].")
 INERTIA = typer.Option(None, "--inertia", help="Its inertia XX,XY,XZ,YY,YZ,ZZ about the centre of mass [kg·m²].")
 ROBOT = typer.Option(None, "--robot", help="Robot file in place of the free recording's own.")
-DELAY = typer.Option("auto", "--delay", help="Torque behind position: auto, or SECONDS.")
-UP_AND_DOWN = typer.Option(
-    False, "--up-and-down", help="From slow runs in which one joint at a time goes there and back."
-)
+DELAY = typer.Option("auto", "--delay", help="Delay of torque behind position: auto, or SECONDS.")
+UP_AND_DOWN = typer.Option(False, "--up-and-down", help="From slow passes of one joint at a time, up and down.")
 JSON = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there.")
 
 
@@ -88,8 +86,8 @@ def gains(
 
     if mass is None:
         raise UsageError(
-            "a loaded run without the load's mass says nothing of the gains: twice the gains with twice the masses fit "
-            "just as well",
+            "the gains are not identifiable without the load's mass: twice the gains with twice the masses fit equally "
+            "well",
             hint="weigh the load and add --mass KG",
         )
     known = _known_load(mass, com, inertia)
@@ -114,7 +112,7 @@ def print_payload(found: Payload) -> None:
     from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
     print(f"delay: {found.pair.delay_note}\n{FRAME_TEXT}")
-    for estimate, title in ((found.load, "Load"), (found.with_mass, "Load with what is known held fixed")):
+    for estimate, title in ((found.load, "Load"), (found.with_mass, "Load with the known parameters held fixed")):
         if estimate is None:
             continue
         print_table(
@@ -155,7 +153,17 @@ def print_gains(found: DriveGains) -> None:
     print(f"delay: {found.pair.delay_note}")
     print_table(
         f"\nDrive gains [{gain_unit(found.signal)}], joint side",
-        ("joint", "robot file", "identified", "σ", "RSD [%]", "change [%]", "angle [°]", "goes with", "correlation"),
+        (
+            "joint",
+            "robot file",
+            "identified",
+            "σ",
+            "RSD [%]",
+            "change [%]",
+            "angle [°]",
+            "confounded with",
+            "correlation",
+        ),
         [
             (
                 gain.joint,
@@ -172,7 +180,7 @@ def print_gains(found: DriveGains) -> None:
     )
     pair = found.pair
     print_table(
-        "\nBase parameters by these gains; σ contains that of the gains",
+        "\nBase parameters with these gains; σ includes that of the gains",
         ("name", "value", "σ", "unit"),
         [
             (

@@ -17,7 +17,7 @@ def print_result(result: Result) -> None:
     if result.merge is not None:
         _print_merge(result.merge)
     print_table(
-        f"\nBase parameters ({result.method}); σ corrected for residuals that are not white",
+        f"\nBase parameters ({result.method}); σ corrected for autocorrelated residuals",
         ("name", "value", "σ", "RSD [%]", "significant", "unit"),
         [
             (p.name, p.value, p.std, p.rsd_percent, "yes" if p.significant else "no", p.unit)
@@ -41,7 +41,8 @@ def print_result(result: Result) -> None:
         ],
     )
     print(
-        f"\ncondition {result.excitation.condition:.4g}, with scaled columns {result.excitation.scaled_condition:.4g}"
+        f"\ncondition number {result.excitation.condition:.4g}, "
+        f"column-normalised {result.excitation.scaled_condition:.4g}"
     )
     print(result.verdict)
     for warning in result.warnings:
@@ -57,19 +58,19 @@ def _print_merge(merge: Merge) -> None:
                 model.file,
                 model.method,
                 model.parameters,
-                "; ".join(dict.fromkeys(", ".join(part.locked) or "none" for part in model.experiments)),
-                "; ".join(dict.fromkeys(", ".join(part.torques_of) for part in model.experiments)),
+                "; ".join(dict.fromkeys(", ".join(experiment.locked) or "none" for experiment in model.experiments)),
+                "; ".join(dict.fromkeys(", ".join(experiment.torques_of) for experiment in model.experiments)),
             )
             for model in merge.models
         ],
     )
     if merge.consistency is not None and merge.consistency.contradictions:
         print_table(
-            "\nValues that the merged model contradicts",
-            ("parameter", "of", "value", "merged", "σ apart"),
+            "\nValues that differ significantly from the merged model",
+            ("parameter", "of", "value", "merged", "difference [σ]"),
             [
-                (one.parameter, one.file, one.value, one.merged, one.deviations)
-                for one in merge.consistency.contradictions
+                (value.parameter, value.file, value.value, value.merged, value.deviations)
+                for value in merge.consistency.contradictions
             ],
         )
 

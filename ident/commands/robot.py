@@ -6,7 +6,7 @@ import typer
 
 from ident.commands.options import JSON, ROBOT
 
-robot_app = typer.Typer(no_args_is_help=True, help="What a robot file says and what its arm can reveal.")
+robot_app = typer.Typer(no_args_is_help=True, help="Robot files: joints, limits, base parameters.")
 app = typer.Typer()
 app.add_typer(robot_app, name="robot")
 
@@ -60,6 +60,6 @@ def show(
         zip(base.names, (kind.replace("_", " ") for kind in base.kinds), expressions, strict=True),
     )
     print(f"\nwithout effect: {', '.join(base.no_effect) or 'none'}")
-    print(f"rank decided with a margin of {base.margin:.1e} between singular values")
+    print(f"rank margin: {base.margin:.1e} between singular values")
     for section, source in described.sources.items():
         print(f"source of {section}: {source}")

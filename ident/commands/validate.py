@@ -14,7 +14,7 @@ app = typer.Typer()
 @app.command("validate")
 def validate(
     result: Path = typer.Argument(help="result.json of an identification."),
-    recording: Path = typer.Argument(help="Recording (.h5) that it has not seen."),
+    recording: Path = typer.Argument(help="Held-out recording (.h5)."),
     as_json: bool = JSON,
 ) -> None:
     """Predict another recording's torques with a stored model.

@@ -1,1 +1,1 @@
-"""Design of excitation trajectories: motions that tell an arm's parameters apart within its limits."""
+"""Design of excitation trajectories: motions that make an arm's parameters identifiable within its limits."""

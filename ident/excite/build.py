@@ -1,4 +1,4 @@
-"""From a robot file and a user's choices to the optimisation problem."""
+"""The optimisation problem of a design, from a robot file and the options."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ from ident.regression.least_squares import EXCITATION_TOLERANCE
 POINTS_PER_WAVE = 20
 """Grid points of the design in the shortest period of a motion."""
 DEVIATION_FLOOR = 0.02
-"""A parameter smaller than this share of the largest of its kind counts as that large: near 0 an RSD says nothing."""
+"""Floor of a parameter's size, as a share of the largest of its kind: near 0 an RSD is meaningless."""
 _TRIALS = 5
-"""Random motions that show which columns a family can excite at all."""
+"""Random motions that decide which columns a family can excite."""
 
 
 def build_problem(robot_file: RobotFile, prior: Prior, choices: DesignChoices) -> Problem:
@@ -118,17 +118,17 @@ def excitable_columns(model: DynamicModel, family: Family, columns: Sequence[int
     """
     generator = np.random.default_rng(0)
     kernel = RegressorKernel(model, columns)
-    parts = []
+    factors = []
     for _ in range(_TRIALS):
         variables = family.random(generator)
         path = family.path(variables, family.grid(10 * len(columns)))
-        parts.append(motion_factor(kernel, path.position, path.velocity, path.acceleration))
-    stacked = np.concatenate(parts)
+        factors.append(motion_factor(kernel, path.position, path.velocity, path.acceleration))
+    stacked = np.concatenate(factors)
     longest = float(np.linalg.norm(stacked, axis=0).max(initial=0.0))
     kept = independent_columns(stacked, range(len(columns)), EXCITATION_TOLERANCE * longest)
     if not kept:
-        raise UsageError("the joints that move excite no parameter at all", where=model.name)
-    return tuple(columns[number] for number in kept)
+        raise UsageError("the joints that move excite no parameter", where=model.name)
+    return tuple(columns[i] for i in kept)
 
 
 def _wanted(model: DynamicModel, base: BaseParameters, choices: DesignChoices) -> tuple[int, ...]:
@@ -139,7 +139,7 @@ def _wanted(model: DynamicModel, base: BaseParameters, choices: DesignChoices) -
 
 
 def _sizes(base: BaseParameters, prior: Prior, columns: Sequence[int], choices: DesignChoices) -> FloatArray:
-    """What a deviation of each parameter is compared with."""
+    """Size of each parameter, which its standard deviation is compared with."""
     if choices.loaded:
         raise UsageError(
             "the criterion 'deviations' needs the parameters' values, which a payload does not have yet",
@@ -154,8 +154,8 @@ def _sizes(base: BaseParameters, prior: Prior, columns: Sequence[int], choices: 
     for column, value, kind in zip(base.columns, values, base.kinds, strict=True):
         largest = max(v for v, k in zip(values, base.kinds, strict=True) if k == kind)
         sizes[column] = max(value, DEVIATION_FLOOR * largest)
-    found = np.array([sizes[column] for column in columns])
-    return np.where(found > 0.0, found, 1.0)
+    wanted = np.array([sizes[column] for column in columns])
+    return np.where(wanted > 0.0, wanted, 1.0)
 
 
 def _moving(model: DynamicModel, names: tuple[str, ...] | None) -> tuple[int, ...]:
@@ -167,7 +167,7 @@ def _moving(model: DynamicModel, names: tuple[str, ...] | None) -> tuple[int, ..
             raise UsageError(
                 f"no joint is called '{name}'", where=model.name, hint=did_you_mean(name, model.joint_names) or known
             )
-    return tuple(number for number, name in enumerate(model.joint_names) if name in names)
+    return tuple(joint for joint, name in enumerate(model.joint_names) if name in names)
 
 
 def _waves(choices: DesignChoices) -> int:
@@ -179,10 +179,10 @@ def _check(choices: DesignChoices) -> None:
     for name, value in positive.items():
         if not 0.0 < value < np.inf:
             raise UsageError(f"--{name} {value:g} is not a positive number of seconds")
-    whole = {"harmonics": choices.harmonics, "periods": choices.periods}
-    for name, number in whole.items():
-        if number < 1:
-            raise UsageError(f"--{name} {number} is less than 1")
+    counts = {"harmonics": choices.harmonics, "periods": choices.periods}
+    for name, count in counts.items():
+        if count < 1:
+            raise UsageError(f"--{name} {count} is less than 1")
     if choices.points < 2:
         raise UsageError(f"--points {choices.points}: a motion needs at least two points")
     if not 0.0 <= choices.margin < 1.0:

@@ -1,4 +1,4 @@
-"""What a user can ask of an excitation design."""
+"""Options of an excitation design."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ CriterionName = Literal[
 
 
 DEFAULT_SECONDS = 20.0
-"""How long is searched where the user says nothing [s]."""
+"""Default duration of the search [s]."""
 
 DEFAULT_MARGIN = 0.1
-"""Share of every limit that is left: commands that come late make the path that is played faster than the design."""
+"""Share of every limit kept free: late commands make the played path faster than the designed one."""
 
 
 @dataclass(frozen=True)
 class DesignChoices:
-    """What is to be designed.
+    """Options of the design.
 
     Attributes:
         kind: form of the motion.
-        criterion: what it is good for.
+        criterion: that is minimised.
         harmonics: of a Fourier series, or number of sines of a sum of sines.
         points: of a point-to-point motion.
         period: of one repetition [s]; the duration of sums of sines and of point-to-point motions.
         periods: repetitions.
-        ramp: from rest to full pace [s].
+        ramp: from rest to full speed [s].
         moving: names of the joints that move; all where None. The others stay in the middle of their range.
         loaded: design for the ten parameters of the last link, which a payload changes, all others being known.
-        margin: share of every limit that is left.
-        self_collision: whether links that touch each other are looked for.
+        margin: share of every limit kept free.
+        self_collision: whether collisions between links are checked.
         moment_weights: W1, W2 of AUBO eq. 21.
     """
 

@@ -1,4 +1,4 @@
-"""What an excitation is designed for: a cost of a path, with its derivatives by the path."""
+"""Criteria of an excitation: a cost of a path, with its derivatives by the path."""
 
 from __future__ import annotations
 
@@ -95,9 +95,9 @@ class RegressorCriterion:
 
 
 class MotionSize:
-    """log J, J = 1/‖QᵀQ‖₂ with a row q, q̇, q̈ of all joints a sample in Q (UP6 eq. 12).
+    """log J, J = 1/‖QᵀQ‖₂ with a row q, q̇, q̈ of all joints per sample in Q (UP6 eq. 12).
 
-    It rewards large motion and nothing else: look at the condition number beside it.
+    It rewards large motion only; check the condition number as well.
     """
 
     def cost(self, path: Path) -> float:
@@ -105,7 +105,7 @@ class MotionSize:
         return float(-np.log(np.linalg.eigvalsh(self._gram(path))[-1]))
 
     def smooth_cost(self, path: Path, sharpness: float) -> tuple[float, FloatArray]:
-        """The same: the largest eigenvalue of these matrices stands alone."""
+        """The same: the largest eigenvalue of these matrices is simple."""
         stacked = self._stacked(path)
         values, vectors = np.linalg.eigh(self._gram(path))
         direction = vectors[:, -1]

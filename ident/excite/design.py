@@ -1,4 +1,4 @@
-"""The design of an excitation for an arm: from what the user wants to a motion that was checked densely."""
+"""Design of an excitation trajectory: search, then a check of the limits on a dense grid."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Design:
         motion: what is played, from rest to rest.
         family: of motions, which writes it to a trajectory file.
         variables: (size,) its variables.
-        cost: exp of the criterion along one repetition at full pace: a condition number where it is one.
-        condition: number of the base regressor there, columns scaled to unit length.
-        use: (m,) use of every limit along what is played, on the dense grid; at most 1.
-        limits: (m,) what each of them is.
-        found: how the search went.
+        cost: exp of the criterion along one repetition at full speed: a condition number where it is one.
+        condition: column-normalised condition number of the base regressor there.
+        use: (m,) utilisation of every limit along the played motion, on the dense grid; at most 1.
+        limits: (m,) their names.
+        search: its outcome.
     """
 
     motion: Motion
@@ -49,7 +49,7 @@ class Design:
     condition: float
     use: FloatArray
     limits: tuple[str, ...]
-    found: SearchResult
+    search: SearchResult
 
 
 def design(
@@ -58,7 +58,7 @@ def design(
     choices: DesignChoices,
     search_choices: SearchChoices,
     earlier: Motion | None = None,
-    progress: Callable[[SearchResult], None] = lambda found: None,
+    progress: Callable[[SearchResult], None] = lambda result: None,
 ) -> Design:
     """Design an excitation trajectory; Ctrl-C ends the search with the best so far.
 
@@ -70,32 +70,32 @@ def design(
         choices: what is wanted.
         search_choices: how long and how to search.
         earlier: a motion to start from.
-        progress: told whenever a start has finished a round.
+        progress: called after each round of a start.
 
     Raises:
-        UsageError: a choice is not possible, or no motion was found that keeps every limit; names the limit.
-        IdentificationError: the best motion passes a limit between the grid's points, however it is narrowed.
-        KeyboardInterrupt: Ctrl-C before any motion was found that keeps every limit.
+        UsageError: an option is not possible, or no feasible motion was found; names the limit.
+        IdentificationError: the best motion exceeds a limit between the grid's points, however it is narrowed.
+        KeyboardInterrupt: Ctrl-C before a feasible motion was found.
     """
-    problem = build_problem(robot_file, prior, choices)  # here first: what is wrong is said before processes start
+    problem = build_problem(robot_file, prior, choices)  # here first: errors are reported before processes start
     first = problem.family.encode(earlier) if earlier is not None else None
     alone = search_choices.processes <= 1
     make = (lambda: problem) if alone else partial(build_problem, robot_file, prior, choices)
-    found = search(make, search_choices, first, progress)
-    if found.best is None:
-        if found.least_use is None:
-            if found.interrupted:
+    searched = search(make, search_choices, first, progress)
+    if searched.best is None:
+        if searched.least_use is None:
+            if searched.interrupted:
                 raise KeyboardInterrupt
             raise UsageError("the time was too short for a single round", hint="give it more with --time")
         raise UsageError(
-            f"no motion was found that keeps every limit; the best one {_worst(problem, found.least_use.variables)}",
+            f"no feasible motion found; the best one {_worst(problem, searched.least_use.variables)}",
             where=robot_file.robot.name,
-            hint="look at the joints' limits and the robot file's 'workspace', or give it a longer period",
+            hint="check the joint limits and 'workspace' of the robot file, or give a longer --period",
         )
-    return _settled(problem, found, found.best.variables, search_choices.solver)
+    return _settled(problem, searched, searched.best.variables, search_choices.solver)
 
 
-def _settled(problem: Problem, found: SearchResult, variables: FloatArray, solver: Solver) -> Design:
+def _settled(problem: Problem, searched: SearchResult, variables: FloatArray, solver: Solver) -> Design:
     """Check the best candidate between the grid's points, and narrow its limits until it keeps them there."""
     family = problem.family
     dense = family.grid(DENSER * len(problem.time))
@@ -108,7 +108,7 @@ def _settled(problem: Problem, found: SearchResult, variables: FloatArray, solve
         variables = tighten(narrowed, variables, solver)
     else:
         raise IdentificationError(
-            "the best motion passes a limit between the points of the design's grid", hint="give a larger --margin"
+            "the best motion exceeds a limit between the points of the design grid", hint="give a larger --margin"
         )
     variables = family.begun_near_middle(variables)
     for _ in range(_RAMP_TRIES):
@@ -125,14 +125,14 @@ def _settled(problem: Problem, found: SearchResult, variables: FloatArray, solve
                 problem.condition(variables),
                 use,
                 problem.limits,
-                found,
+                searched,
             )
         family = family.with_longer_ramp(_RAMP_GROWTH)
-    raise IdentificationError("the way from rest to full pace passes a limit", hint="give a longer --ramp")
+    raise IdentificationError("the ramp from rest to full speed exceeds a limit", hint="give a longer --ramp")
 
 
 def _worst(problem: Problem, variables: FloatArray) -> str:
     uses = problem.use(variables)
     worst = int(np.argmax(uses))
     share = f"{100.0 * uses[worst]:.4g} % of the {problem.limits[worst]}"
-    return f"uses {share}, where the margin leaves {100.0 * problem.allowed:.3g} %"
+    return f"uses {share}; the margin allows {100.0 * problem.allowed:.3g} %"

@@ -1,7 +1,7 @@
-"""What a designed motion will give: condition, predicted error bars, and how much of each limit it uses.
+"""Forecast for a designed motion: condition number, predicted error bars, limit utilisation.
 
 The error bars are those of weighted least squares, (Σ_j Φ_jᵀΦ_j/σ_j²)⁻¹ (SR400 eq. 14 with the joints' weights of
-ROCR6 eq. 10-12), Φ_j the rows of the base regressor that joint j records and σ_j the noise that the prior tells of.
+ROCR6 eq. 10-12), Φ_j the rows of the base regressor that joint j records and σ_j the prior's torque noise.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from ident.signals.filters import no_filter
 from ident.signals.prepared import Segment
 
 MOST_SAMPLES = 400_000
-"""A longer motion is looked at on a coarser grid than that of its recording."""
+"""A longer motion is evaluated on a coarser grid than that of its recording."""
 
 TORQUE_GRID_RATE = 1000.0
-"""Torques are looked for on a grid of this many points a second [Hz], as the limits of the motion itself are."""
+"""Rate [Hz] of the grid for the largest torques, the same as for the limits of the motion."""
 
 
 @dataclass(frozen=True)
 class ParameterForecast:
-    """What can be expected of one base parameter.
+    """Expected precision of one base parameter.
 
     Attributes:
         name: as in the result.
-        expression: what it combines.
-        kind: what it is.
+        expression: the combination of standard parameters.
+        kind: inertial, friction, ….
         unit: of value and std.
         value: prior; None where nothing is known.
         std: predicted standard deviation; inf where the motion does not excite it.
@@ -60,14 +60,14 @@ class ParameterForecast:
 
 @dataclass(frozen=True)
 class Forecast:
-    """What the information of a motion lets expect.
+    """Expected precision of an identification with a motion.
 
     Attributes:
-        condition: of the base regressor, columns as they are.
-        scaled_condition: the same with columns of unit length.
+        condition: condition number of the base regressor.
+        scaled_condition: the same, column-normalised.
         log_det: natural logarithm of the determinant of the information matrix Σ_j Φ_jᵀΦ_j/σ_j² (all excited columns).
         unexcited: names of the base parameters that the motion does not excite.
-        parameters: one entry a base parameter.
+        parameters: one entry per base parameter.
     """
 
     condition: float
@@ -79,7 +79,7 @@ class Forecast:
 
 @dataclass(frozen=True)
 class JointUse:
-    """How far one joint goes; a use of 1 is all of a limit.
+    """Limit utilisation of one joint; 1 is the limit.
 
     Attributes:
         joint: its name.
@@ -107,15 +107,15 @@ class JointUse:
 
 @dataclass(frozen=True)
 class ExcitationFigures:
-    """Everything that is told of a designed motion.
+    """Duration, forecast and limit utilisation of a designed motion.
 
     Attributes:
         duration: of what is played [s].
         rate: at which it is recorded [Hz].
-        forecast: what its recording will tell.
-        joints: how far each joint goes.
-        worst_use: largest use of a limit of any joint.
-        worst_limit: which one, in words.
+        forecast: expected precision with its recording.
+        joints: limit utilisation of each joint.
+        worst_use: largest limit utilisation of any joint.
+        worst_limit: the name of that limit.
         worst_time: when [s].
         prior: where parameters and noise come from.
     """
@@ -164,19 +164,19 @@ def forecast(
     prior: Prior,
     active: Sequence[int] | None = None,
 ) -> Forecast:
-    """What rows of a regressor let expect, whatever their torque.
+    """Expected precision with rows of a regressor, whatever their torque.
 
     Args:
         base: their columns.
         model: of the arm.
-        reduction: the rows, and how many a second each joint has [Hz].
+        reduction: the rows, and their rate per joint [Hz].
         prior: of parameters and noise.
-        active: numbers of the base columns that count; those that the rows can tell apart where None.
+        active: numbers of the base columns that count; those that the rows make identifiable where None.
     """
     reduced, row_rate = reduction
     active = list(excited_columns(reduced) if active is None else active)
     plain = reduced.stacked()[:, active]
-    # A row stands for prior.rate/row_rate independent values of the noise.
+    # A row carries prior.rate/row_rate independent values of the noise.
     weighted = math.sqrt(prior.rate / row_rate) * reduced.stacked(1.0 / prior.noise)[:, active]
     lengths = np.linalg.norm(weighted, axis=0)
     std = np.full(base.count, np.inf)
@@ -231,41 +231,41 @@ def _motion_reduction(
 def _limit_use(
     model: DynamicModel, base: BaseParameters, motion: Motion, prior: Prior
 ) -> tuple[tuple[JointUse, ...], tuple[float, str, float]]:
-    """Every joint's use, and the largest: how much, of what, when [s]."""
+    """Limit utilisation of every joint, and the largest one: value, name, time [s]."""
     extremes = motion_extremes(motion)
     torque, torque_times = _largest_torques(model, base, motion, prior)
     joints = []
     uses: list[tuple[float, str, float]] = []
-    for number, limits in enumerate(model.limits):
+    for index, limits in enumerate(model.limits):
         low, high = limits.position
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        below, above = (middle - extremes.lowest[number]) / half, (extremes.highest[number] - middle) / half
-        known = None if torque is None else float(torque[number])
+        below, above = (middle - extremes.lowest[index]) / half, (extremes.highest[index] - middle) / half
+        known = None if torque is None else float(torque[index])
         entry = JointUse(
             joint=limits.name,
-            lowest=float(extremes.lowest[number]),
-            highest=float(extremes.highest[number]),
+            lowest=float(extremes.lowest[index]),
+            highest=float(extremes.highest[index]),
             position_use=float(max(below, above)),
-            velocity=float(extremes.velocity[number]),
-            velocity_use=float(extremes.velocity[number]) / limits.velocity,
-            acceleration=float(extremes.acceleration[number]),
-            acceleration_use=float(extremes.acceleration[number]) / limits.acceleration,
+            velocity=float(extremes.velocity[index]),
+            velocity_use=float(extremes.velocity[index]) / limits.velocity,
+            acceleration=float(extremes.acceleration[index]),
+            acceleration_use=float(extremes.acceleration[index]) / limits.acceleration,
             torque=known,
             torque_use=None if known is None or limits.torque is None else known / limits.torque,
         )
         joints.append(entry)
-        uses += _named_uses(entry, extremes, number, int(above >= below))
+        uses += _named_uses(entry, extremes, index, int(above >= below))
         if entry.torque_use is not None:
-            uses.append((entry.torque_use, f"torque of {entry.joint}", float(torque_times[number])))
+            uses.append((entry.torque_use, f"torque of {entry.joint}", float(torque_times[index])))
     return tuple(joints), max(uses)
 
 
-def _named_uses(entry: JointUse, extremes: Extremes, number: int, side: int) -> list[tuple[float, str, float]]:
-    """Uses of one joint with their names and times; `side` is 0 where its lower position is the nearer to its limit."""
+def _named_uses(entry: JointUse, extremes: Extremes, index: int, side: int) -> list[tuple[float, str, float]]:
+    """Limit utilisations of one joint with names and times; `side` is 0 where the lower position limit is nearer."""
     return [
-        (entry.position_use, f"position of {entry.joint}", float(extremes.times[side, number])),
-        (entry.velocity_use, f"velocity of {entry.joint}", float(extremes.times[2, number])),
-        (entry.acceleration_use, f"acceleration of {entry.joint}", float(extremes.times[3, number])),
+        (entry.position_use, f"position of {entry.joint}", float(extremes.times[side, index])),
+        (entry.velocity_use, f"velocity of {entry.joint}", float(extremes.times[2, index])),
+        (entry.acceleration_use, f"acceleration of {entry.joint}", float(extremes.times[3, index])),
     ]
 
 

@@ -1,6 +1,6 @@
-"""What an information matrix says of an excitation, as costs to be made small, with their derivatives.
+"""Optimality measures of an information matrix, as costs to minimise, with their derivatives.
 
-A measure takes A = ΦᵀΦ (b, b), Φ the base regressor along the motion, and gives a logarithm, so that all are of one
+A measure takes A = ΦᵀΦ (b, b), Φ the base regressor along the motion, and gives a logarithm; all are of similar
 size. λ are A's eigenvalues. Largest and smallest eigenvalue are smoothed by power means of order `sharpness`,
 Σλ^p ^ (1/p) and (Σλ^-p) ^ (-1/p), which tend to them from outside as p grows: the largest is over-, the smallest
 underestimated, so a condition number is never taken for better than it is.
@@ -22,7 +22,7 @@ _FLOOR = 1e-14
 
 
 def plain_condition(gram: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
-    """Log cond(Φ), columns as they are."""
+    """Log cond(Φ)."""
     values, vectors = _eigen(gram)
     largest, of_largest = _log_largest(values, sharpness)
     smallest, of_smallest = _log_smallest(values, sharpness)
@@ -30,7 +30,7 @@ def plain_condition(gram: FloatArray, sharpness: float) -> tuple[float, FloatArr
 
 
 def condition(gram: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
-    """Log cond(Φ), columns scaled to unit length: what the units of the parameters are does not matter."""
+    """Log cond(Φ), column-normalised: independent of the units of the parameters."""
     scaled, lengths = _unit_columns(gram)
     cost, gradient = plain_condition(scaled, sharpness)
     return cost, _through_scaling(gradient, scaled, lengths)
@@ -76,7 +76,7 @@ def deviations(scale: FloatArray) -> Measure:
 def moments_apart(
     first: tuple[int, ...], second: tuple[int, ...], weights: tuple[float, float] = (1.0, 1.0)
 ) -> Measure:
-    """log(W1·cond(Φ1) + W2·cond(Φ2)) of the columns of first and of second moments (AUBO eq. 21), columns scaled.
+    """log(W1·cond(Φ1) + W2·cond(Φ2)) of the columns of first and of second moments (AUBO eq. 21), column-normalised.
 
     Masses belong to the first moments, in whose base parameters they end.
     """
@@ -85,10 +85,10 @@ def moments_apart(
         total, gradient = 0.0, np.zeros_like(gram)
         for columns, weight in ((first, weights[0]), (second, weights[1])):
             if columns:
-                part = np.ix_(columns, columns)
-                cost, derivative = condition(gram[part], sharpness)
+                submatrix = np.ix_(columns, columns)
+                cost, derivative = condition(gram[submatrix], sharpness)
                 total += weight * np.exp(cost)
-                gradient[part] += weight * np.exp(cost) * derivative
+                gradient[submatrix] += weight * np.exp(cost) * derivative
         return float(np.log(total)), gradient / total
 
     return measure

@@ -1,4 +1,4 @@
-"""What the parts of an excitation design share: a path on a grid, and what families of motions and constraints do."""
+"""A motion on a grid of times, and the interfaces of motion families and constraints."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Path:
 class Family(Protocol):
     """Motions of one form, given by a vector x of `size` decision variables.
 
-    The variables are scaled so that each is of the order of 1 where the limits are used well.
+    The variables are scaled to the order of 1 at high limit utilisation.
     """
 
     @property
@@ -84,14 +84,14 @@ class Family(Protocol):
 
 
 class Constraint(Protocol):
-    """Something that a motion must keep; each value says how much of a limit is used, 1 being all of it."""
+    """A limit on the motion; each value is a limit utilisation, 1 at the limit."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """What each value is, for messages (`velocity of elbow`)."""
 
     def use(self, path: Path) -> FloatArray:
-        """(m,) largest use along the path, exactly on its grid; ≤ 1 is allowed."""
+        """(m,) largest utilisation along the path, exactly on its grid; ≤ 1 is allowed."""
 
     def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
         """A smooth upper bound (m,) of `use` and its derivatives (m, 3, n, N).

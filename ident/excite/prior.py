@@ -1,4 +1,4 @@
-"""What is known of an arm before its excitation is designed: its base parameters, roughly, and the torques' noise."""
+"""Prior knowledge for an excitation design: approximate base parameters and torque noise."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ident.result.schema import Result, read_result
 from ident.signals.options import filtered_rate
 
 ASSUMED_NOISE_SHARE = 0.01
-"""Torque noise of a joint of which nothing is known, as a share of its torque limit."""
+"""Assumed torque noise of a joint, as a share of its torque limit."""
 
 ASSUMED_NOISE = 1.0
 """The same [N·m or N] where the torque limit is unknown too."""
@@ -27,14 +27,14 @@ ASSUMED_NOISE = 1.0
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known before a recording.
+    """Knowledge before a recording.
 
     Attributes:
         parameters: (b,) base parameters; None where nothing is known.
         noise: (n,) standard deviation of each joint's torque noise [N·m or N].
         source: where both come from, in words.
-        rate: how many values of that noise a second are independent of each other [Hz]. Its density noise²/(rate/2) is
-            what falls into the band in which the model is fitted; the noise alone says nothing.
+        rate: independent noise values per second [Hz]. Its density noise²/(rate/2) is
+            what matters in the band in which the model is fitted.
     """
 
     parameters: FloatArray | None
@@ -85,20 +85,20 @@ _ASSUMPTION = f"{100 * ASSUMED_NOISE_SHARE:g} % of the torque limit ({ASSUMED_NO
 
 
 def assumed_noise(torque_limit: float | None) -> float:
-    """Torque noise [N·m or N] of a joint of which only the torque limit is known, or not even that."""
+    """Assumed torque noise [N·m or N] of a joint with this torque limit, None where unknown."""
     return ASSUMED_NOISE if torque_limit is None else ASSUMED_NOISE_SHARE * torque_limit
 
 
 def least_noise(joints: Sequence[JointLimits]) -> FloatArray:
-    """(n,) torque noise [N·m or N] below which none is believed: residuals of noise-free simulations are rounding."""
+    """(n,) lower bound of the torque noise [N·m or N]: residuals of noise-free simulations are rounding residue."""
     return np.array([1e-6 * assumed_noise(limits.torque) for limits in joints])
 
 
 def prior_of_result(result: Result, robot: Robot, base: BaseParameters, where: str) -> Prior:
     """Parameters and noise of an identification.
 
-    Its residuals are no white noise. They count for more by the ratio of corrected to classical standard deviations
-    (median over the parameters), so that white noise of this size would give the error bars that were found.
+    Its residuals are autocorrelated. They are scaled up by the ratio of corrected to classical standard deviations
+    (median over the parameters): white noise of this size gives the same error bars.
 
     Raises:
         UsageError: its base parameters are not those of this arm.

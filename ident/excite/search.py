@@ -1,4 +1,4 @@
-"""Many starts on all cores, the best of them kept: whatever ends the search, there is something to show for it."""
+"""Multistart search on all cores; it keeps the best candidate so far, however it ends."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class SearchChoices:
         seed: of the random starts; start k is the same whatever the number of processes.
         starts: how many; None for as many as `seconds` allow, which depends on the machine.
         seconds: after which the search ends with what it has; None for no limit.
-        workers: processes; one a core where None, none but this one where 1.
+        workers: processes; one per core where None, this one alone where 1.
         solver: of the local problems.
     """
 
@@ -52,14 +52,14 @@ class SearchChoices:
 
 @dataclass(frozen=True)
 class Candidate:
-    """What a start had reached after a round.
+    """State of a start after a round.
 
     Attributes:
         start: number of the start.
         finished: whether that was its last round.
         cost: the criterion, exactly (a logarithm).
-        condition: number of the base regressor, columns scaled.
-        use: the largest use of a limit on the problem's grid.
+        condition: column-normalised condition number of the base regressor.
+        use: the largest limit utilisation on the problem's grid.
         allowed: whether that is within the problem's margin.
         variables: (size,).
     """
@@ -75,7 +75,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What a search found.
+    """Outcome of a search.
 
     Attributes:
         best: the feasible candidate of the least cost; None where no start became feasible.
@@ -100,17 +100,17 @@ class _Ledger:
     least_use: Candidate | None = None
     finished: int = 0
 
-    def take(self, candidate: Candidate) -> None:
+    def add(self, candidate: Candidate) -> None:
         self.finished += candidate.finished
         if self.least_use is None or (candidate.use, candidate.start) < (self.least_use.use, self.least_use.start):
             self.least_use = candidate
-        # Ties go to the lower start, so that the order in which processes report does not matter.
+        # Ties go to the lower start, whatever the order in which processes report.
         if candidate.allowed and (
             self.best is None or (candidate.cost, candidate.start) < (self.best.cost, self.best.start)
         ):
             self.best = candidate
 
-    def found(self, *, interrupted: bool) -> SearchResult:
+    def result(self, *, interrupted: bool) -> SearchResult:
         return SearchResult(self.best, self.least_use, self.finished, self.clock.now() - self.begun, interrupted)
 
 
@@ -118,7 +118,7 @@ def search(
     make: Callable[[], Problem],
     choices: SearchChoices,
     first: FloatArray | None = None,
-    progress: Callable[[SearchResult], None] = lambda found: None,
+    progress: Callable[[SearchResult], None] = lambda result: None,
     clock: Clock = SYSTEM_CLOCK,
 ) -> SearchResult:
     """Search from `choices.starts` random starts, or for `choices.seconds`; Ctrl-C ends it with the best so far.
@@ -127,7 +127,7 @@ def search(
         make: builds the problem; called once in every process that searches, so it must be picklable for several.
         choices: see there. One of `starts` and `seconds` must be given.
         first: variables of start 0, in place of random ones.
-        progress: told whenever a start has finished a round.
+        progress: called after each round of a start.
         clock: the host's.
 
     Raises:
@@ -143,23 +143,23 @@ def search(
     interrupted = False
     try:
         for candidate in source:
-            ledger.take(candidate)
-            progress(ledger.found(interrupted=False))
+            ledger.add(candidate)
+            progress(ledger.result(interrupted=False))
     except KeyboardInterrupt:
         interrupted = True
     finally:
         source.close()
-    return ledger.found(interrupted=interrupted)
+    return ledger.result(interrupted=interrupted)
 
 
 def candidates(problem: Problem, choices: SearchChoices, start: int, first: FloatArray | None) -> Iterator[Candidate]:
-    """What start number `start` reaches, round by round."""
+    """The candidates of one start, round by round."""
     begin = first if start == 0 and first is not None else random_start(problem, [choices.seed, start])
-    for number, variables in enumerate(solve(problem, begin, choices.solver), start=1):
+    for finished_rounds, variables in enumerate(solve(problem, begin, choices.solver), start=1):
         use = float(problem.use(variables).max(initial=0.0))
         cost, condition = problem.cost(variables), problem.condition(variables)
         allowed = use <= problem.allowed + _ROUNDING
-        yield Candidate(start, number == len(ROUNDS), cost, condition, use, allowed, variables)
+        yield Candidate(start, finished_rounds == len(ROUNDS), cost, condition, use, allowed, variables)
 
 
 def random_start(problem: Problem, seed: Sequence[int], draws: int = DRAWS) -> FloatArray:
@@ -237,7 +237,7 @@ def _check_alive(processes: Sequence[BaseProcess]) -> None:
 def _work(
     make: Callable[[], Problem], choices: SearchChoices, first: FloatArray | None, counter: Any, results: Any
 ) -> None:
-    # Ctrl-C reaches the whole process group; the parent decides what becomes of what was found.
+    # Ctrl-C reaches the whole process group; the parent decides.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         problem = make()

@@ -66,9 +66,9 @@ def _round(problem: Problem, start: FloatArray, solver: Solver, step: Round) -> 
     """What a round reaches; within a shorter reach where it ends further outside the limits than it began."""
     before = max(problem.allowed, float(problem.use(start).max(initial=0.0)))
     for reach in REACHES:
-        found = _SOLVERS[solver](problem, start, step, reach)
-        if float(problem.use(found).max(initial=0.0)) <= before:
-            return found
+        minimum = _SOLVERS[solver](problem, start, step, reach)
+        if float(problem.use(minimum).max(initial=0.0)) <= before:
+            return minimum
     return start
 
 
@@ -111,10 +111,10 @@ def _slsqp(problem: Problem, start: FloatArray, step: Round, reach: float) -> Fl
     limits: Any = {"type": "ineq", "fun": slacks.values, "jac": slacks.derivatives}
     options: Any = {"maxiter": step.iterations, "ftol": step.tolerance}
     cost: Any = partial(_cost, problem, step)
-    found = minimize(
+    minimum = minimize(
         cost, start, jac=True, method="SLSQP", bounds=_bounds(start, reach), constraints=[limits], options=options
     )
-    return np.asarray(found.x) if np.all(np.isfinite(found.x)) else start
+    return np.asarray(minimum.x) if np.all(np.isfinite(minimum.x)) else start
 
 
 def _trust_constr(problem: Problem, start: FloatArray, step: Round, reach: float) -> FloatArray:
@@ -126,7 +126,7 @@ def _trust_constr(problem: Problem, start: FloatArray, step: Round, reach: float
     cost: Any = partial(_cost, problem, step)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="delta_grad == 0.0")  # where no limit is near, as it should be
-        found = minimize(
+        minimum = minimize(
             cost,
             start,
             jac=True,
@@ -136,7 +136,7 @@ def _trust_constr(problem: Problem, start: FloatArray, step: Round, reach: float
             constraints=[limits],
             options=options,
         )
-    return np.asarray(found.x) if np.all(np.isfinite(found.x)) else start
+    return np.asarray(minimum.x) if np.all(np.isfinite(minimum.x)) else start
 
 
 def _ipopt(problem: Problem, start: FloatArray, step: Round, reach: float) -> FloatArray:
@@ -145,7 +145,7 @@ def _ipopt(problem: Problem, start: FloatArray, step: Round, reach: float) -> Fl
     except ImportError as error:
         raise UsageError("cyipopt is not installed", hint="pip install cyipopt, or --solver slsqp") from error
     slacks = _Slacks(problem, step.limit_sharpness)
-    found = minimize_ipopt(
+    minimum = minimize_ipopt(
         partial(_cost, problem, step),
         start,
         jac=True,
@@ -154,7 +154,7 @@ def _ipopt(problem: Problem, start: FloatArray, step: Round, reach: float) -> Fl
         tol=step.tolerance,
         options={"max_iter": step.iterations, "print_level": 0, "hessian_approximation": "limited-memory"},
     )
-    return np.asarray(found.x) if np.all(np.isfinite(found.x)) else start
+    return np.asarray(minimum.x) if np.all(np.isfinite(minimum.x)) else start
 
 
 _SOLVERS: dict[Solver, Callable[[Problem, FloatArray, Round, float], FloatArray]] = {

@@ -1,4 +1,4 @@
-"""Is a recording long enough? What its motion lets expect of the parameters, and how much longer it would take."""
+"""Is a recording long enough? Expected error bars of its motion, and the time needed for a wanted precision."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ OWN_TORQUE = "a quick identification of this recording"
 """Source of parameters and noise where the recording holds torque."""
 
 REPEATED = 1.2
-"""From so many repetitions on the same errors come back, which more of the same motion does not average out."""
+"""From this many repetitions on, errors that repeat with the motion do not average out."""
 
 
 @dataclass(frozen=True)
 class Sufficiency:
-    """What a recorded motion lets expect.
+    """Expected error bars of a recorded motion.
 
     Attributes:
-        seconds: of the motion that counts [s].
+        seconds: duration of the motion used [s].
         source: where parameters and noise come from, in words.
         repetitions: how often the motion was repeated, on average; 1 where it was not, or where there is no torque.
         forecast: condition, log det, predicted error bars.
@@ -76,7 +76,7 @@ class TimesNeeded:
 
 
 def motion_sufficiency(motion: RecordedMotion, delay: float = 0.0) -> Sufficiency | None:
-    """What a recorded motion lets expect; None where nothing is known of parameters and noise.
+    """Expected error bars of a recorded motion; None without knowledge of parameters and noise.
 
     Both come from a quick identification of all of it, or from the robot file where no torque is known.
 
@@ -114,7 +114,7 @@ def _summary(motion: RecordedMotion, prior: Prior, repetitions: float = 1.0) -> 
 def _from_torque(motion: RecordedMotion) -> Sufficiency:
     """With the values of weighted least squares and its residuals as noise.
 
-    They are no white noise and count for more, by the ratio of jackknife to classical standard deviations (median).
+    They are autocorrelated and scaled up by the ratio of jackknife to classical standard deviations (median).
     """
     segments, parallel_filter = motion.prepared.segments, motion.prepared.parallel_filter
     active = excited_base_columns(motion.reduction, motion.base, [motion.prepared])
@@ -156,13 +156,13 @@ def _sentence(sufficiency: Sufficiency, wanted: float, entries: list[TimeNeeded]
     count = len(sufficiency.forecast.parameters)
     if all(parameter.rsd_percent is None for parameter in sufficiency.forecast.parameters):
         return (
-            "Without torque and without a prior no parameter's value is known, so no relative standard deviation can "
-            "be predicted."
+            "Without torque or a prior, parameter values are unknown and no relative standard deviation can be "
+            "predicted."
         )
     if not entries:
         return (
             f"None of {count} base parameters is significant (RSD below {SIGNIFICANT_RSD:g} %): "
-            "a more exciting motion would tell more, a longer recording of this one hardly."
+            "a longer recording will not help much; use a motion with more excitation."
         )
     longest = entries[0]
     significant = f"all {len(entries)} significant of {count} base parameters"
@@ -173,10 +173,8 @@ def _sentence(sufficiency: Sufficiency, wanted: float, entries: list[TimeNeeded]
         )
     text = (
         f"For an RSD of {wanted:g} % in {significant} this motion must be recorded for {math.ceil(longest.seconds)} s "
-        f"in place of {sufficiency.seconds:.1f} s; {longest.name} takes longest."
+        f"instead of {sufficiency.seconds:.1f} s; {longest.name} takes longest."
     )
     if sufficiency.repetitions >= REPEATED:
-        text += (
-            " That holds for noise: what comes back with every repetition, as ripple does, only another motion evens."
-        )
+        text += " This holds for noise; errors that repeat with the motion, such as ripple, need a different motion."
     return text

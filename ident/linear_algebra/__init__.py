@@ -1,1 +1,1 @@
-"""Matrices: triangular factors of data that stream by, and which columns are independent."""
+"""Triangular factors of streamed matrices, and independent columns."""

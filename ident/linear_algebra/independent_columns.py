@@ -1,4 +1,4 @@
-"""Which columns of a matrix are kept where some depend on others: those that come first in an order of preference."""
+"""Independent columns of a matrix, in an order of preference."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from drivers.streams import FloatArray
 
 
 def independent_columns(matrix: FloatArray, order: Iterable[int], tolerance: float) -> list[int]:
-    """Columns with a part of their own, each beside those kept before it.
+    """Columns that are linearly independent of those kept before them.
 
-    Gram-Schmidt, every column twice: after one pass a part along the kept columns is left, the larger the nearer they
-    are to dependent.
+    Gram-Schmidt, every column twice: one pass leaves a component along nearly
+    dependent columns.
 
     Args:
-        matrix: (m, n); whoever compares columns of several units scales them first.
-        order: numbers of the columns that may be kept, the preferred ones first.
-        tolerance: a column whose independent part is no longer than this depends on those kept before it.
+        matrix: (m, n); columns of different units must be normalised first.
+        order: indices of the candidate columns, the preferred ones first.
+        tolerance: length of the independent component up to which a column is dependent.
 
     Returns:
-        Numbers of the kept columns, in the given order.
+        Indices of the kept columns, in the given order.
     """
     basis = np.empty((matrix.shape[0], 0))
     kept: list[int] = []
-    for number in order:
-        column = matrix[:, number]
+    for index in order:
+        column = matrix[:, index]
         for _ in range(2):
             column = column - basis @ (basis.T @ column)
         length = float(np.linalg.norm(column))
         if length > tolerance:
             basis = np.column_stack([basis, column / length])
-            kept.append(number)
+            kept.append(index)
     return kept

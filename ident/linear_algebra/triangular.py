@@ -9,27 +9,27 @@ import numpy as np
 from drivers.streams import FloatArray
 
 GRAM_CONDITION_LIMIT = 1e4
-"""Up to this condition (columns scaled) the plain Gram matrix keeps enough digits."""
+"""Up to this condition (column-normalised) the plain Gram matrix keeps enough digits."""
 
 PRECONDITIONED_CONDITION_LIMIT = 1e8
 """Up to this condition a preconditioned Gram matrix does; above it, and for dependent columns, QR of stacked blocks."""
 
 PRECONDITIONER_FLOOR = 1e-9
-"""Singular values below this, columns scaled, are lifted to it: a preconditioner must be invertible."""
+"""Singular values of the column-normalised matrix below this are raised to it: a preconditioner must be invertible."""
 
 PRECONDITIONER_GROWTH = 1e3
-"""A preconditioned column may be this many times longer than the sampled rows let expect."""
+"""A preconditioned column may be this many times longer than the sampled rows predict."""
 
 
 class Accumulator(Protocol):
-    """Takes blocks (p, m) of a matrix's transposed rows and gives its triangular factor (p, p) at the end."""
+    """Accumulates blocks (p, m) of a matrix's transposed rows into its triangular factor (p, p)."""
 
     @property
     def rows(self) -> int:
-        """Rows taken so far."""
+        """Rows added so far."""
 
     def add(self, block: FloatArray) -> None:
-        """Take m more rows."""
+        """Add m more rows."""
 
     def factor(self) -> FloatArray:
         """R (p, p), upper triangular, of all rows so far."""
@@ -43,7 +43,7 @@ class GramAccumulator:
         self._gram = np.zeros((width, width))
 
     def add(self, block: FloatArray) -> None:
-        """Take m more rows, as a block (p, m)."""
+        """Add m more rows, as a block (p, m)."""
         self._gram += block @ block.T
         self.rows += block.shape[1]
 
@@ -85,17 +85,17 @@ class PreconditionedGram:
 
     @property
     def rows(self) -> int:
-        """Rows taken so far."""
+        """Rows added so far."""
         return self._gram.rows
 
     @property
     def sound(self) -> bool:
-        """Whether the sampled rows stand for all: no preconditioned column is much longer than they let expect."""
+        """Whether the sampled rows are representative: no preconditioned column is much longer than they predict."""
         expected = self._gram.rows / self._sampled_rows
         return bool(np.all(self._gram.lengths**2 <= PRECONDITIONER_GROWTH**2 * expected))
 
     def add(self, block: FloatArray) -> None:
-        """Take m more rows, as a block (p, m)."""
+        """Add m more rows, as a block (p, m)."""
         self._gram.add(self._preconditioner @ block)
 
     def factor(self) -> FloatArray:
@@ -114,7 +114,7 @@ class QrAccumulator:
         self._factor = np.zeros((width, width))
 
     def add(self, block: FloatArray) -> None:
-        """Take m more rows, as a block (p, m)."""
+        """Add m more rows, as a block (p, m)."""
         self._factor = triangular(np.vstack([self._factor, block.T]))
         self.rows += block.shape[1]
 
@@ -131,7 +131,7 @@ def triangular(matrix: FloatArray) -> FloatArray:
 
 
 def scaled_condition(factor: FloatArray) -> float:
-    """Condition number of a factor's columns scaled to unit length; inf where one of them is zero."""
+    """Column-normalised condition number of a factor; inf where one of them is zero."""
     lengths = np.linalg.norm(factor, axis=0)
     if factor.size == 0 or not np.all(lengths > 0):
         return float("inf")

@@ -26,7 +26,7 @@ from ident.model.regressor import RegressorKernel, motion_factor
 RANDOM_SEED = 20260101
 STATES_PER_PARAMETER = 6
 RANK_TOLERANCE = 1e-7
-"""Singular values below this part of the largest, columns scaled to unit length, count as zero."""
+"""Singular values of the column-normalised matrix below this share of the largest count as zero."""
 
 COEFFICIENT_TOLERANCE = 1e-9
 """Regrouping coefficients below this are rounding."""
@@ -196,7 +196,7 @@ def _greedy_columns(
     # The rods of a closed loop are regrouped on the links between base and tool, as SR400 Table 1 does.
     closed = model.transmission is not None and model.transmission.closed
     chain = main_chain(model.joints, model.active) if closed else range(len(model.joints))
-    preferred = [number for number in chain if number not in still]
+    preferred = [column for column in chain if column not in still]
     order = sorted(range(len(parameters)), key=lambda i: _preference(parameters[i], preferred))
     kept = independent_columns(scaled, order, RANK_TOLERANCE)
     if len(kept) != rank:

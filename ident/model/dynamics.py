@@ -76,7 +76,7 @@ class DynamicModel:
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints with a motor, in order."""
-        return tuple(self.joints[number].name for number in self.active)
+        return tuple(self.joints[index].name for index in self.active)
 
     @property
     def link_names(self) -> tuple[str, ...]:
@@ -119,17 +119,17 @@ class DynamicModel:
     def parameters(self) -> tuple[StandardParameter, ...]:
         """The standard parameters in column order."""
         inertial = [
-            StandardParameter(f"{symbol}{number + 1}", "inertial", number, symbol)
-            for number in range(len(self.joints))
+            StandardParameter(f"{symbol}{index + 1}", "inertial", index, symbol)
+            for index in range(len(self.joints))
             for symbol in INERTIAL
         ]
         coupled = (False,) * self.dof if self.transmission is None else self.transmission.coupled
         of_joints = []
         for kind, plain in KIND_SYMBOLS.items():
-            for number, several, present in zip(self.active, coupled, self.has(kind), strict=True):
+            for index, several, present in zip(self.active, coupled, self.has(kind), strict=True):
                 symbol = MOTOR_SYMBOLS.get(plain, plain) if several else plain
                 if present:
-                    of_joints.append(StandardParameter(f"{symbol}{number + 1}", kind, number, symbol))
+                    of_joints.append(StandardParameter(f"{symbol}{index + 1}", kind, index, symbol))
         return tuple(inertial + of_joints + self._pair_parameters())
 
     def _pair_parameters(self) -> list[StandardParameter]:
@@ -139,9 +139,9 @@ class DynamicModel:
         friction, inertia = self.transmission.pair_friction, self.transmission.pair_inertia
         present = {"motor_inertia": inertia, "viscous": friction, "coulomb": friction}
         return [
-            StandardParameter(f"{symbol}{number + 1}", "coupling", number, symbol)
+            StandardParameter(f"{symbol}{index + 1}", "coupling", index, symbol)
             for symbol, quantity in PAIR_SYMBOLS.items()
-            for motor, number in enumerate(self.active)
+            for motor, index in enumerate(self.active)
             if present[quantity][motor] and getattr(self, quantity)[motor]
         ]
 
@@ -208,10 +208,10 @@ def truth_vector(robot_file: RobotFile) -> FloatArray:
     if missing:
         raise RobotFileError(f"no true link for joint(s) {', '.join(missing)}", where=f"{robot.name}: truth.links")
     values = {}
-    for number, name in enumerate(model.link_names):
+    for index, name in enumerate(model.link_names):
         link = robot.truth.links[name]
         for symbol, value in zip(INERTIAL, link_parameters(link.mass, link.com, link.inertia), strict=True):
-            values[f"{symbol}{number + 1}"] = value
+            values[f"{symbol}{index + 1}"] = value
     for parameter in model.parameters:
         joint = robot.truth.joints.get(model.link_names[parameter.joint])
         if parameter.kind == "coupling":

@@ -65,8 +65,8 @@ class EnergyKernel:
         self._inertial: dict[int, list[tuple[int, str]]] = {}
         self._motors: list[tuple[int, JointColumn, float]] = []
         self._friction: list[tuple[int, JointColumn, float]] = []
-        for row, number in enumerate(self.columns):
-            parameter = parameters[number]
+        for row, index in enumerate(self.columns):
+            parameter = parameters[index]
             if parameter.kind == "inertial":
                 self._inertial.setdefault(parameter.joint, []).append((row, parameter.symbol))
                 continue
@@ -84,8 +84,8 @@ class EnergyKernel:
         """
         out = np.zeros((len(self.columns), position.shape[1]))
         for start in range(0, position.shape[1], CHUNK):
-            part = slice(start, start + CHUNK)
-            self._fill(position[:, part], velocity[:, part], out[:, part])
+            chunk = slice(start, start + CHUNK)
+            self._fill(position[:, chunk], velocity[:, chunk], out[:, chunk])
         return out
 
     def friction_power(self, velocity: FloatArray) -> FloatArray:
@@ -104,17 +104,17 @@ class EnergyKernel:
     def _fill(self, position: FloatArray, velocity: FloatArray, out: FloatArray) -> None:
         states: list[_LinkState] = []
         tree_position, tree_rate = self.model.tree_velocity(position, velocity)
-        for number, joint in enumerate(self.model.joints):
-            states.append(self._state(number, joint, tree_position[number], tree_rate[number], states))
-            if number in self._inertial:
-                of_link = _link_columns(states[number])
-                for row, symbol in self._inertial[number]:
+        for index, joint in enumerate(self.model.joints):
+            states.append(self._state(index, joint, tree_position[index], tree_rate[index], states))
+            if index in self._inertial:
+                of_link = _link_columns(states[index])
+                for row, symbol in self._inertial[index]:
                     out[row] = of_link[symbol]
         for row, column, sign in self._motors:
             out[row] = 0.5 * sign * combined(column.motion, velocity) ** 2
 
     def _state(
-        self, number: int, joint: Joint, position: FloatArray, velocity: FloatArray, states: Sequence[_LinkState]
+        self, index: int, joint: Joint, position: FloatArray, velocity: FloatArray, states: Sequence[_LinkState]
     ) -> _LinkState:
         count = len(position)
         offset = np.repeat(joint.translation[:, None], count, axis=1)
@@ -129,7 +129,7 @@ class EnergyKernel:
             angular, gravity = parent.angular, parent.gravity
             linear = parent.linear + _cross(angular, offset)
             height = parent.height + (gravity * offset).sum(axis=0)
-        constant, sine, cosine = self._turns[number]
+        constant, sine, cosine = self._turns[index]
         turn = constant[:, :, None] + sine[:, :, None] * np.sin(position) + cosine[:, :, None] * np.cos(position)
         angular, linear, gravity = (np.einsum("ijm,jm->im", turn, vector) for vector in (angular, linear, gravity))
         own = joint.axis[:, None] * velocity
@@ -184,7 +184,7 @@ def _cross(left: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def energy_base_parameters(model: DynamicModel) -> BaseParameters:
-    """Base parameters of the energy model: what differences of energy and friction losses can tell apart.
+    """Base parameters of the energy model: those identifiable from differences of energy and friction losses.
 
     In theory they are those of the dynamic model: a combination whose power q̇ᵀτ is zero at every state has no inertia,
     no gravity and no friction, so no torque either. Here the rank is decided from the energy regressor itself.

@@ -79,4 +79,4 @@ def _quantity(parameter: StandardParameter) -> Quantity:
 
 
 def _entries(values: FloatArray) -> tuple[tuple[int, float], ...]:
-    return tuple((int(number), float(values[number])) for number in np.flatnonzero(values))
+    return tuple((int(joint), float(values[joint])) for joint in np.flatnonzero(values))

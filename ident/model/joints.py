@@ -33,10 +33,10 @@ class Joint:
     axis: FloatArray
 
 
-def ancestors(joints: tuple[Joint, ...], number: int) -> tuple[int, ...]:
+def ancestors(joints: tuple[Joint, ...], index: int) -> tuple[int, ...]:
     """Numbers of the joints between the base and joint `number`, the nearest to the base first, itself left out."""
     chain: list[int] = []
-    parent = joints[number].parent
+    parent = joints[index].parent
     while parent != BASE_INDEX:
         chain.append(parent)
         parent = joints[parent].parent

@@ -1,4 +1,4 @@
-"""What a load on the last link does to the base parameters (SR400 .4.4: the relations above Table 4).
+"""Effect of a load on the last link on the base parameters (SR400 .4.4: the relations above Table 4).
 
 A rigid load adds its ten standard parameters to those of the link that carries it. Base parameters are linear in the
 standard ones, so they change by `effect @ load`; the columns of a loaded run's load are W·effect, and nothing but the
@@ -27,18 +27,18 @@ MASS = INERTIAL.index("M")
 FIRST_MOMENTS = tuple(INERTIAL.index(symbol) for symbol in ("MX", "MY", "MZ"))
 
 _KEEP_ORDER = ("M", "MX", "MY", "MZ", "ZZ", "XX", "XY", "XZ", "YZ", "YY")
-"""Which load parameters are kept first where only combinations of them can be told apart: the mass before all."""
+"""Which load parameters are kept first where only combinations of them are identifiable: the mass before all."""
 
 ROUNDED = 0.1
 """Principal moments may break the triangle inequality by this share: tables are rounded (SR400 Table 3 breaks it)."""
 
 INDEPENDENT = 1e-7
-"""A load column whose part independent of those before it is below this share of its length depends on them."""
+"""A load column is dependent when its component independent of those before it is below this share of its length."""
 
 
 @dataclass(frozen=True)
 class KnownLoad:
-    """What a user knows of the load, in the tool frame.
+    """Known parameters of the load, in the tool frame.
 
     Attributes:
         mass: [kg].
@@ -52,12 +52,12 @@ class KnownLoad:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.mass) and self.mass > 0):
-            raise UsageError(f"a load of {self.mass:g} kg is none", where="--mass", hint="weigh it; give kg")
+            raise UsageError(f"a load of {self.mass:g} kg is not possible", where="--mass", hint="weigh it; give kg")
         for option, values, count in (("--com", self.com, 3), ("--inertia", self.inertia, 6)):
             if values is not None and (len(values) != count or not np.all(np.isfinite(values))):
                 raise UsageError(f"{count} finite numbers are needed, separated by commas", where=option)
         if self.inertia is not None and self.com is None:
-            raise UsageError("--inertia without --com has no place", hint="give the centre of mass too")
+            raise UsageError("--inertia without --com has no reference point", hint="give the centre of mass too")
         if self.inertia is not None:
             xx, xy, xz, yy, yz, zz = self.inertia
             moments = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
@@ -84,7 +84,7 @@ class KnownLoad:
 
 @dataclass(frozen=True)
 class LoadColumns:
-    """Combinations of load parameters that an arm can reveal, and what they do to its base parameters.
+    """Identifiable combinations of load parameters, and their effect on the base parameters.
 
     Attributes:
         names: `M_L`, or `XXR_L` where others are regrouped on it.
@@ -108,8 +108,8 @@ class LoadColumns:
 def load_effect(model: DynamicModel, base: BaseParameters, robot: Robot) -> FloatArray:
     """(b, 10) change of the base parameters per standard load parameter in the tool frame."""
     columns = [
-        number
-        for number, parameter in enumerate(model.parameters)
+        column
+        for column, parameter in enumerate(model.parameters)
         if parameter.kind == "inertial" and parameter.joint == model.tool_link
     ]
     return np.asarray(base.projection[:, columns] @ moved_origin(np.array(robot.workspace.tool)))

@@ -1,4 +1,4 @@
-"""What messages call loops and lengths."""
+"""Names of loops and lengths in messages."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Tran
     if not robot.model.loops and not robot.model.coupling:
         return None
     where = f"{robot.name}: model.loops"
-    numbers = {joint.name: number for number, joint in enumerate(joints)}
+    numbers = {joint.name: index for index, joint in enumerate(joints)}
     active = tuple(numbers[name] for name in robot.joint_names)
     equations, right = _linear_equations(robot.model.loops, joints, numbers, where)
     general = [loop for loop in robot.model.loops if loop.passive is not None]
@@ -116,21 +116,21 @@ def _solved_equations(
     equations: FloatArray, right: FloatArray, joints: tuple[Joint, ...], active: tuple[int, ...], where: str
 ) -> tuple[FloatArray, FloatArray]:
     """G (n, a) and b (n,) from all equations E·q_tree = e, solved for the joints without a motor."""
-    passive = [number for number in range(len(joints)) if number not in active]
+    passive = [index for index in range(len(joints)) if index not in active]
     follow, offset = np.zeros((len(joints), len(active))), np.zeros(len(joints))
     follow[list(active), range(len(active))] = 1.0
     if not passive:
         return follow, offset
     of_passive = equations[:, passive]
     if np.linalg.svd(of_passive, compute_uv=False)[-1] < SINGULAR:
-        names = ", ".join(joints[number].name for number in passive)
+        names = ", ".join(joints[index].name for index in passive)
         raise RobotFileError(f"the equations do not determine the positions of {names}", where=where)
     solved = np.linalg.solve(of_passive, equations[:, list(active)])
     follow[passive] = _exact(np.asarray(-solved, dtype=np.float64))
     offset[passive] = np.linalg.solve(of_passive, right)
-    for number in passive:
-        if not joints[number].prismatic:
-            offset[number] = _principal(offset[number])
+    for index in passive:
+        if not joints[index].prismatic:
+            offset[index] = _principal(offset[index])
     return follow, offset
 
 
@@ -149,10 +149,10 @@ def _parallelogram_equations(
             "the same link",
             where=where,
         )
-    if any(joints[number].prismatic for number in (a, b, c, d)):
+    if any(joints[index].prismatic for index in (a, b, c, d)):
         raise RobotFileError(f"{text}: all four joints must be revolute", where=where)
     ends = loop_ends(loop, numbers)
-    if {number for number, _ in ends} != {b, d}:
+    if {index for index, _ in ends} != {b, d}:
         raise RobotFileError(
             f"{text}: one closing frame must have the antecedent {names[1]}, the other {names[3]}", where=where
         )
@@ -160,22 +160,22 @@ def _parallelogram_equations(
     frames = place_tree(joints, np.zeros(len(joints)))
     axis = frames[a][0] @ joints[a].axis
     signs = {}
-    for number in (a, b, c, d):
-        along = float(axis @ frames[number][0] @ joints[number].axis)
+    for index in (a, b, c, d):
+        along = float(axis @ frames[index][0] @ joints[index].axis)
         if abs(abs(along) - 1.0) > PARALLEL:
-            raise RobotFileError(f"{text}: the axis of {joints[number].name} is not parallel to the first", where=where)
-        signs[number] = math.copysign(1.0, along)
-    origin = {number: frames[number][1] for number in (a, b, c, d)}
-    tip = {number: _compose(frames[number], closing_points[number])[1] for number in (b, d)}
+            raise RobotFileError(f"{text}: the axis of {joints[index].name} is not parallel to the first", where=where)
+        signs[index] = math.copysign(1.0, along)
+    origin = {index: frames[index][1] for index in (a, b, c, d)}
+    tip = {index: _compose(frames[index], closing_points[index])[1] for index in (b, d)}
     sides = {a: origin[b] - origin[a], b: tip[b] - origin[b], c: origin[d] - origin[c], d: tip[d] - origin[d]}
     first = np.linalg.svd(axis[None, :])[2][1]
     second = np.cross(axis, first)
     angle = {}
-    for number, side in sides.items():
+    for index, side in sides.items():
         x, y = float(first @ side), float(second @ side)
         if math.hypot(x, y) < CLOSING_TOLERANCE:
-            raise RobotFileError(f"{text}: the side behind {joints[number].name} has no length", where=where)
-        angle[number] = math.atan2(y, x)
+            raise RobotFileError(f"{text}: the side behind {joints[index].name} has no length", where=where)
+        angle[index] = math.atan2(y, x)
     equations = []
     for near, far, opposite in ((a, b, c), (c, d, a)):
         row = np.zeros(len(joints))
@@ -198,7 +198,7 @@ def _check_closed(
     apart = turned = 0.0
     for position in positions.T:
         frames = [*place_tree(joints, position), (np.eye(3), np.zeros(3))]  # the base's is number BASE_INDEX
-        (one, other) = (_compose(frames[number], placement) for number, placement in loop_ends(loop, numbers))
+        (one, other) = (_compose(frames[index], placement) for index, placement in loop_ends(loop, numbers))
         apart = max(apart, float(np.linalg.norm(one[1] - other[1])))
         turned = max(turned, float(np.linalg.norm(np.cross(one[0][:, 2], other[0][:, 2]))))
     if apart > CLOSING_TOLERANCE:
@@ -232,7 +232,7 @@ def main_chain(joints: tuple[Joint, ...], active: tuple[int, ...]) -> tuple[int,
 
     Of several such links it is the first one behind an `active` joint, else the first.
     """
-    chains = [(*ancestors(joints, number), number) for number in range(len(joints))]
+    chains = [(*ancestors(joints, index), index) for index in range(len(joints))]
     return max(chains, key=lambda chain: (len(chain), chain[-1] in active))
 
 
@@ -256,6 +256,6 @@ def _principal(angle: float) -> float:
 
 
 def _exact(matrix: FloatArray) -> FloatArray:
-    """Whole numbers without the rounding of the solution."""
+    """Integers without the rounding of the solution."""
     nearest = np.round(matrix)
     return np.where(np.abs(matrix - nearest) < 1e-12, nearest, matrix)

@@ -16,7 +16,7 @@ Z_AXIS = np.array([0.0, 0.0, 1.0])
 
 def mdh_joints(rows: Sequence[MdhRow]) -> tuple[Joint, ...]:
     """Joints of a modified-DH table; the axis of joint j is frame j's z axis, positions start at `theta0` or `r`."""
-    numbers = {BASE: -1} | {row.joint: number for number, row in enumerate(rows)}
+    numbers = {BASE: -1} | {row.joint: index for index, row in enumerate(rows)}
     joints = []
     for row in rows:
         rotation, translation = mdh_placement(row)

@@ -66,9 +66,9 @@ class Recursion:
         self._turns = [rotation_coefficients(joint) for joint in joints]
         self.frames = []
         self._stacks = []
-        for number, joint in enumerate(joints):
+        for index, joint in enumerate(joints):
             # One stack a link: ω, α, a, then the angular and the linear part of every joint axis below it.
-            below = len(chains[number])
+            below = len(chains[index])
             stack = np.zeros((3, 3 + 2 * below, chunk))
             self._stacks.append(stack)
             axes = [
@@ -95,16 +95,16 @@ class Recursion:
     def run(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> None:
         """Update every frame's motion for (n, m) joint motions."""
         count = position.shape[1]
-        for number, joint in enumerate(self._joints):
-            self._carry(number, joint, position[number], count)
-            rotation = self._rotation(number, joint, position[number], count)
-            stack = self._stacks[number]
+        for index, joint in enumerate(self._joints):
+            self._carry(index, joint, position[index], count)
+            rotation = self._rotation(index, joint, position[index], count)
+            stack = self._stacks[index]
             width = stack.shape[1]
             for row in range(3):
                 combine(rotation[row], self._carried[:, :width, :count], count, stack[row, :, :count], self._term)
-            self._add_own_motion(number, joint, velocity[number], acceleration[number], count)
+            self._add_own_motion(index, joint, velocity[index], acceleration[index], count)
 
-    def _carry(self, number: int, joint: Joint, position: FloatArray, count: int) -> None:
+    def _carry(self, index: int, joint: Joint, position: FloatArray, count: int) -> None:
         """Move the parent's quantities to this joint's origin, still in the parent's axes."""
         carried = self._carried[..., :count]
         if joint.parent == BASE_INDEX:
@@ -143,9 +143,9 @@ class Recursion:
         along = [constant[i] + direction[i] * position if direction[i] != 0.0 else float(constant[i]) for i in range(3)]
         return (along[0], along[1], along[2])
 
-    def _rotation(self, number: int, joint: Joint, position: FloatArray, count: int) -> list[Direction]:
+    def _rotation(self, index: int, joint: Joint, position: FloatArray, count: int) -> list[Direction]:
         """Rows of the rotation from the parent's axes to the joint's, entries as numbers where they are constant."""
-        constant, sine, cosine = self._turns[number]
+        constant, sine, cosine = self._turns[index]
         if not joint.prismatic:
             np.sin(position, out=self._sine[:count])
             np.cos(position, out=self._cosine[:count])
@@ -167,9 +167,9 @@ class Recursion:
         return rows
 
     def _add_own_motion(
-        self, number: int, joint: Joint, velocity: FloatArray, acceleration: FloatArray, count: int
+        self, index: int, joint: Joint, velocity: FloatArray, acceleration: FloatArray, count: int
     ) -> None:
-        frame = self.frames[number]
+        frame = self.frames[index]
         omega, alpha, linear = (
             frame.angular_velocity[:, :count],
             frame.angular_acceleration[:, :count],

@@ -1,4 +1,4 @@
-"""Standard parameters: their names, kinds and order (the order is told in `ident.model.dynamics`)."""
+"""Standard parameters: names, symbols and kinds (for their order see `ident.model.dynamics`)."""
 
 from __future__ import annotations
 

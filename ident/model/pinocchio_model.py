@@ -24,15 +24,15 @@ def pinocchio_model(model: DynamicModel, inertial: FloatArray | None = None) -> 
     result = pin.Model()
     result.name = model.name
     limits_of = dict(zip(model.active, model.limits, strict=True))
-    for number, joint in enumerate(model.joints):
+    for index, joint in enumerate(model.joints):
         kind = pin.JointModelPrismaticUnaligned if joint.prismatic else pin.JointModelRevoluteUnaligned
         parent = 0 if joint.parent == BASE_INDEX else joint.parent + 1
         placement = pin.SE3(joint.rotation, joint.translation)
         identifier = result.addJoint(parent, kind(joint.axis), placement, joint.name)
-        if number in limits_of:
-            result.lowerPositionLimit[number], result.upperPositionLimit[number] = limits_of[number].position
+        if index in limits_of:
+            result.lowerPositionLimit[index], result.upperPositionLimit[index] = limits_of[index].position
         if inertial is not None:
-            values = inertial[10 * number : 10 * number + 10]
+            values = inertial[10 * index : 10 * index + 10]
             dynamic = np.array([values[INERTIAL.index(symbol)] for symbol in PINOCCHIO_ORDER])
             result.inertias[identifier] = pin.Inertia.FromDynamicParameters(dynamic)
     result.gravity.linear = model.gravity
@@ -61,10 +61,10 @@ def pinocchio_regressor(
         if shares is not None:
             ordered = (shares if shares.ndim == 2 else shares[..., sample]) @ ordered
         dense[:, : 10 * links, sample] = ordered
-    for number, parameter in enumerate(parameters):
+    for index, parameter in enumerate(parameters):
         if parameter.kind != "inertial":
             column = joint_column(model, parameter)
             signal = column_signal(model, column, velocity, acceleration)
             for motor, factor in column.rows:
-                dense[motor, number] = factor * signal
+                dense[motor, index] = factor * signal
     return dense

@@ -175,7 +175,7 @@ class RegressorKernel:
         self.chunk = chunk
         position_of = {column: position for position, column in enumerate(self.columns)}
         links = range(len(model.joints))
-        self._chains = tuple(ancestors(model.joints, number) for number in links)
+        self._chains = tuple(ancestors(model.joints, index) for index in links)
         selected = [[c for c in range(10 * link, 10 * link + 10) if c in position_of] for link in links]
         axes = [_motor_axes(model, (*self._chains[link], link)) for link in links]
         of_joints = {c: joint_column(model, parameters[c]) for c in self.columns if parameters[c].kind != "inertial"}
@@ -268,28 +268,28 @@ class RegressorKernel:
         """The combination of the joints' axes, valid until the next call."""
         if len(axes) == 1 and axes[0][1] == 1.0:
             return motion.axes[axes[0][0]]
-        parts: list[FloatArray | float] = []
-        for number in range(6):
-            component, total = number % 3, self._axis[number]
+        components: list[FloatArray | float] = []
+        for row in range(6):
+            component, total = row % 3, self._axis[row]
             constant, varies = 0.0, False
             for index, share in axes:
                 axis = motion.axes[index]
-                value = (axis.angular if number < 3 else axis.linear)[component]
+                value = (axis.angular if row < 3 else axis.linear)[component]
                 factor = share if isinstance(share, float) else self.shares[share]
                 if isinstance(value, float) and isinstance(factor, float):
                     constant += factor * value
                     continue
                 if isinstance(value, float) and value == 0.0:
                     continue
-                part = self._part if varies else total
-                np.multiply(value if isinstance(value, float) else value[:count], factor, out=part[:count])
+                chunk = self._part if varies else total
+                np.multiply(value if isinstance(value, float) else value[:count], factor, out=chunk[:count])
                 if varies:
-                    total[:count] += part[:count]
+                    total[:count] += chunk[:count]
                 varies = True
             if varies and constant != 0.0:
                 total[:count] += constant
-            parts.append(total if varies else constant)
-        return AxisMotion((parts[0], parts[1], parts[2]), (parts[3], parts[4], parts[5]))
+            components.append(total if varies else constant)
+        return AxisMotion((components[0], components[1], components[2]), (components[3], components[4], components[5]))
 
     def _body_rows(self, motion: FrameMotion, block: _LinkBlock, count: int) -> None:
         """Moment (3, inertias) and force (3, moments + mass) that unit parameters of this link cause in its frame."""
@@ -342,9 +342,9 @@ def regressor(
         return full if columns is None else full[:, list(columns)]
     kernel = RegressorKernel(model, columns)
     dense = np.zeros((model.dof, len(kernel.columns), count))
-    for part, packed in evaluate_in_chunks(kernel, position, velocity, acceleration):
+    for chunk, packed in evaluate_in_chunks(kernel, position, velocity, acceleration):
         for joint, rows in enumerate(kernel.joint_rows):
-            dense[joint, list(rows.columns), part] = packed[rows.rows]
+            dense[joint, list(rows.columns), chunk] = packed[rows.rows]
     return dense
 
 
@@ -359,9 +359,9 @@ def model_torque(
     """Torque (n, N) [N·m] of parameters (p,) on the standard `columns` (all where None) along a motion (n, N)."""
     kernel = RegressorKernel(model, columns)
     torque = np.empty_like(position)
-    for part, packed in evaluate_in_chunks(kernel, position, velocity, acceleration):
+    for chunk, packed in evaluate_in_chunks(kernel, position, velocity, acceleration):
         for joint, rows in enumerate(kernel.joint_rows):
-            torque[joint, part] = parameters[list(rows.columns)] @ packed[rows.rows]
+            torque[joint, chunk] = parameters[list(rows.columns)] @ packed[rows.rows]
     return torque
 
 
@@ -385,7 +385,7 @@ def evaluate_in_chunks(
     count = position.shape[1]
     buffer = np.empty((kernel.row_count, min(count, kernel.chunk)))
     for start in range(0, count, kernel.chunk):
-        part = slice(start, min(start + kernel.chunk, count))
-        packed = buffer[:, : part.stop - part.start]
-        kernel.evaluate(position[:, part], velocity[:, part], acceleration[:, part], packed)
-        yield part, packed
+        chunk = slice(start, min(start + kernel.chunk, count))
+        packed = buffer[:, : chunk.stop - chunk.start]
+        kernel.evaluate(position[:, chunk], velocity[:, chunk], acceleration[:, chunk], packed)
+        yield chunk, packed

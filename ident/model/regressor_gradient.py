@@ -179,10 +179,10 @@ def _row_value(kernel: RegressorKernel, link: int, index: int, kinds: Sequence[i
 def _stacked(motions: Sequence[AxisMotion], count: int) -> _Spatial:
     """Axes as arrays (J, 3, m)."""
     axes = _Spatial(np.empty((len(motions), 3, count)), np.empty((len(motions), 3, count)))
-    for number, axis in enumerate(motions):
+    for index, axis in enumerate(motions):
         for component in range(3):
-            for part, value in ((axes.angular, axis.angular[component]), (axes.linear, axis.linear[component])):
-                part[number, component] = value if isinstance(value, float) else value[:count]
+            for target, value in ((axes.angular, axis.angular[component]), (axes.linear, axis.linear[component])):
+                target[index, component] = value if isinstance(value, float) else value[:count]
     return axes
 
 

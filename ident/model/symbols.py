@@ -51,13 +51,13 @@ def symbolic_expressions(robot_file: RobotFile, model: DynamicModel, base: BaseP
         return base.expressions
     parameters = model.parameters
     products = {power: _products(tuple(lengths), power) for power in (0, 1, 2)}
-    count = ARMS_BESIDE + max(len(found) for found in products.values())
+    count = ARMS_BESIDE + max(map(len, products.values()))
     arms = list(_arms_with_other_lengths(robot_file, model, base, count))
     if len(arms) < count:
         return base.expressions
     tables = {
-        power: np.array([[product.value(values) for product in found] for values, _ in arms])
-        for power, found in products.items()
+        power: np.array([[product.value(values) for product in of_power] for values, _ in arms])
+        for power, of_power in products.items()
     }
     projections = np.array([projection for _, projection in arms])
     expressions = []
@@ -82,7 +82,7 @@ def _arms_with_other_lengths(
     """Lengths and projections of arms that keep the same columns; fewer than `count` where some cannot be built."""
     content = yaml.load(robot_file.text, Loader=UniqueKeyLoader)
     generator = np.random.default_rng(0)
-    found = []
+    arms = []
     for _ in range(count):
         factors = generator.uniform(*_SPREAD, len(robot_file.robot.model.lengths))
         lengths = {
@@ -96,8 +96,8 @@ def _arms_with_other_lengths(
         except DynidError:  # a loop whose sides are named in part only does not close with other lengths
             break
         if changed.columns == base.columns:
-            found.append((lengths, changed.projection))
-    return found
+            arms.append((lengths, changed.projection))
+    return arms
 
 
 def _power(parameter: StandardParameter) -> int:
@@ -112,16 +112,16 @@ def _products(names: Sequence[str], power: int) -> list[_Product]:
             for a, b in permutations(names, 2)
         ]
         return [_Product("", lambda lengths: 1.0), *ratios]
-    found = []
+    products = []
     for chosen in combinations_with_replacement(names, power):
         text = f"{chosen[0]}²" if len(chosen) == 2 and chosen[0] == chosen[1] else "·".join(chosen)
-        found.append(
+        products.append(
             _Product(
                 text,
                 lambda lengths, chosen=chosen: float(np.prod([lengths[name] for name in chosen])),  # type: ignore[misc]
             )
         )
-    return found
+    return products
 
 
 def _formula(values: FloatArray, table: FloatArray, products: Sequence[_Product]) -> tuple[str, str] | None:

@@ -127,13 +127,13 @@ def _motion_subspace(joint: Any, name: str, where: str) -> Any:
     return np.asarray(data.S).reshape(6)
 
 
-RIGHT_ANGLE_TOLERANCE = 1e-5  # [rad]; `1.5708` stands for π/2 in many URDFs
+RIGHT_ANGLE_TOLERANCE = 1e-5  # [rad]; many URDFs write π/2 as `1.5708`
 
 
 def _without_rounding(values: Any) -> Any:
     """Entries within 1e-11 of 0 or ±1 made exact, and a matrix of right angles that was written `1.5708` too.
 
-    Left as it is, such dust would make parameters look identifiable that are not, and it costs products in the kernel.
+    Such rounding residue would make unidentifiable parameters look identifiable, and it costs products in the kernel.
     """
     exact = np.array(values, dtype=np.float64)
     nearest = np.clip(np.round(exact), -1, 1)

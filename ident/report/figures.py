@@ -25,7 +25,7 @@ KIND_STYLES: dict[str, tuple[str, str, str]] = {
     "offset": ("offset", "#7C828A", "cross"),
     "coupling": ("coupled joint", "#E69F00", "triangle-down"),
 }
-"""Words, colour and marker of each kind: after Okabe and Ito, told apart by colour-blind readers too."""
+"""Label, colour and marker of each kind: palette of Okabe and Ito, distinguishable by colour-blind readers."""
 
 LEFT, RIGHT, TOP, BOTTOM = 64, 16, 54, 48
 
@@ -78,25 +78,25 @@ def base_layout(height: int, **more: Any) -> dict[str, Any]:
 
 
 def row_domains(rows: int, height: int, gap: int) -> list[tuple[float, float]]:
-    """Lower and upper end, as parts of the plot's height, of `rows` panels from top to bottom with `gap` px between."""
+    """Lower and upper end, relative to the plot's height, of `rows` panels from top to bottom with `gap` px between."""
     inner = height - TOP - BOTTOM
     panel = (inner - gap * (rows - 1)) / rows
     tops = [inner - row * (panel + gap) for row in range(rows)]
     return [(max(0.0, (top - panel) / inner), min(1.0, top / inner)) for top in tops]
 
 
-def axis_name(letter: str, number: int) -> str:
+def axis_name(letter: str, index: int) -> str:
     """Key of an axis in the layout, numbered from 1: `xaxis`, `xaxis2` and so on."""
-    return f"{letter}axis{number if number > 1 else ''}"
+    return f"{letter}axis{index if index > 1 else ''}"
 
 
-def axis_ref(letter: str, number: int) -> str:
+def axis_ref(letter: str, index: int) -> str:
     """How a trace names an axis, numbered from 1: `x`, `x2` and so on."""
-    return f"{letter}{number if number > 1 else ''}"
+    return f"{letter}{index if index > 1 else ''}"
 
 
 def note(text: str, x: float, y: float, **more: Any) -> dict[str, Any]:
-    """A line of text in parts of the plot's width and height; `text` may hold plotly's markup."""
+    """A line of text, placed relative to the plot's width and height; `text` may hold plotly's markup."""
     return {
         "text": text, "x": x, "y": y, "xref": "paper", "yref": "paper", "xanchor": "left", "yanchor": "bottom",
         "showarrow": False, "align": "left", **more,
@@ -111,20 +111,20 @@ def vertical_line(x: float, **line: Any) -> dict[str, Any]:
 def kind_markers(
     entries: Sequence[tuple[BaseParameterResult, float]], hover: str, error: Mapping[str, Any] | None = None
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """One row a base parameter, its number as a marker in the style of its kind: traces, and the axis of the names."""
+    """One row per base parameter, its value as a marker in the style of its kind: traces, and the axis of the names."""
     data: list[dict[str, Any]] = []
     names: list[str] = []
     for kind, (words, colour, symbol) in KIND_STYLES.items():
-        part = [(plain(parameter.name), value) for parameter, value in entries if parameter.kind == kind]
-        if part:
-            names += [name for name, _ in part]
+        entries_of_kind = [(plain(parameter.name), value) for parameter, value in entries if parameter.kind == kind]
+        if entries_of_kind:
+            names += [name for name, _ in entries_of_kind]
             data.append(
                 {
                     "type": "scatter",
                     "mode": "markers",
                     "name": words,
-                    "x": [value for _, value in part],
-                    "y": [name for name, _ in part],
+                    "x": [value for _, value in entries_of_kind],
+                    "y": [name for name, _ in entries_of_kind],
                     "marker": {"color": colour, "symbol": symbol, "size": 8},
                     "hovertemplate": hover,
                 }

@@ -1,4 +1,4 @@
-"""How the templates of a page are filled, and how the page comes into one file that needs nothing else."""
+"""Rendering of the page templates into one self-contained HTML file."""
 
 from __future__ import annotations
 

@@ -1,13 +1,13 @@
-"""Numbers as people read them: sensible digits, a dash where there is none."""
+"""Numbers as text: significant digits, a dash for a missing value."""
 
 from __future__ import annotations
 
 import math
 
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+
 DASH = "–"
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-COVERAGE = 2.0
-"""Error bars are this many standard deviations wide on either side (95.4 % of a normal distribution)."""
 MOST_DECIMALS = 9
 
 
@@ -29,17 +29,17 @@ def percent(ratio: float | None, digits: int = 3) -> str:
 
 
 def whole(value: float | None) -> str:
-    """A whole number with its thousands apart."""
+    """An integer with its thousands apart."""
     return DASH if value is None or not math.isfinite(value) else f"{value:,.0f}".replace(",", "\u202f")
 
 
 def with_error(value: float | None, std: float | None) -> str:
-    """A value ± `COVERAGE` standard deviations, cut at the second digit of the error."""
+    """A value ± half its 95 % interval, cut at the second digit of the error."""
     if value is None or not math.isfinite(value):
         return DASH
     if std is None or not math.isfinite(std) or std <= 0:
         return f"{number(value)} ± {DASH}"
-    half = COVERAGE * std
+    half = WITHIN_95_PERCENT * std
     exponent = _split(max(abs(value), half), 4)[1]
     if not -3 <= exponent < 5:
         scale = 10.0**exponent

@@ -1,4 +1,4 @@
-"""The page: its sections in order, rendered into one file that needs nothing else."""
+"""The report page: its sections in order, rendered into one self-contained file."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SECTIONS: tuple[Callable[[ReportData], ReportSection | None], ...] = (
     data_quality.section,
     provenance.section,
 )
-"""In the order of the page; a section that has nothing to say for this result returns None."""
+"""In the order of the page; a section that does not apply to this result returns None."""
 
 
 def write_report(
@@ -64,6 +64,8 @@ def render_report(data: ReportData) -> str:
     from markupsafe import Markup
 
     environment = page_templates()
-    sections = [found for make in SECTIONS if (found := make(data)) is not None]
-    rendered = [(part, Markup(environment.get_template(part.template).render(part.context))) for part in sections]
+    sections = [section for make in SECTIONS if (section := make(data)) is not None]
+    rendered = [
+        (section, Markup(environment.get_template(section.template).render(section.context))) for section in sections
+    ]
     return environment.get_template("page.html.j2").render(result=data.result, sections=rendered)

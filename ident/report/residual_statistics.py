@@ -1,4 +1,4 @@
-"""What residuals look like, joint by joint: the numbers behind the plots (AUBO .3.2, figures 5, 7 and 8)."""
+"""Statistics of the residuals per joint: autocorrelation, histogram, moments (AUBO .3.2, figures 5, 7 and 8)."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class JointResidual:
-    """Residuals of one joint, over the samples that count.
+    """Residuals of one joint, over the samples used.
 
     Attributes:
-        velocity, residual: (N,) [rad/s or m/s], [N·m], stretches one after the other.
+        velocity, residual: (N,) [rad/s or m/s], [N·m], segments one after the other.
         mean, std: [N·m]; nan without samples.
         autocorrelation: (L,) at lags 0 … L − 1.
         band: half width of the 95 % band of white residuals.
-        outside: part of the autocorrelations from lag 1 on that lie outside of the band.
+        outside: share of the autocorrelations from lag 1 on outside the band.
         density: (50,) histogram of residual / std, as a density.
-        beyond_three: part of the samples further than 3 std from the mean (0.27 % of a normal distribution).
+        beyond_three: share of the samples further than 3 std from the mean (0.27 % of a normal distribution).
         excess_kurtosis: 0 for a normal distribution.
     """
 
@@ -47,16 +47,16 @@ class JointResidual:
 
 def joint_residual(series: Sequence[TorqueSeries], joint: int, lags: int) -> JointResidual:
     """Describe the residual of joint number `joint`; `lags` autocorrelations, never across a gap."""
-    used = [part.used for part in series]
-    velocity = _joined([part.velocity[joint, mask] for part, mask in zip(series, used, strict=True)])
-    parts = [part.measured[joint] - part.predicted[joint] for part in series]
-    residual = _joined([part[mask] for part, mask in zip(parts, used, strict=True)])
+    used = [segment.used for segment in series]
+    velocity = _joined([segment.velocity[joint, mask] for segment, mask in zip(series, used, strict=True)])
+    segments = [segment.measured[joint] - segment.predicted[joint] for segment in series]
+    residual = _joined([segment[mask] for segment, mask in zip(segments, used, strict=True)])
     samples = len(residual)
     mean = float(residual.mean()) if samples else float("nan")
     std = float(residual.std()) if samples else float("nan")
     if abs(mean) < ROUNDING * std:
         mean = 0.0
-    centred = [np.where(mask, part - mean, 0.0) for part, mask in zip(parts, used, strict=True)]
+    centred = [np.where(mask, segment - mean, 0.0) for segment, mask in zip(segments, used, strict=True)]
     correlation = _autocorrelation(centred, min(lags, max(1, samples - 1))) if samples and std > 0 else np.empty(0)
     band = WITHIN_95_PERCENT / np.sqrt(samples) if samples else float("nan")
     scaled = (residual - mean) / std if samples and std > 0 else np.empty(0)
@@ -76,15 +76,15 @@ def joint_residual(series: Sequence[TorqueSeries], joint: int, lags: int) -> Joi
     )
 
 
-def _joined(parts: Sequence[FloatArray]) -> FloatArray:
-    return np.concatenate(parts) if parts else np.empty(0)
+def _joined(segments: Sequence[FloatArray]) -> FloatArray:
+    return np.concatenate(segments) if segments else np.empty(0)
 
 
 def _autocorrelation(centred: Sequence[FloatArray], lags: int) -> FloatArray:
-    """Sums of products at lags 0 … lags − 1 within each stretch, added up, relative to lag 0."""
+    """Sums of products at lags 0 … lags − 1 within each segment, added up, relative to lag 0."""
     total = np.zeros(lags)
-    for part in centred:
-        size = 1 << (2 * max(len(part), lags) - 1).bit_length()
-        spectrum = np.fft.rfft(part, size)
+    for segment in centred:
+        size = 1 << (2 * max(len(segment), lags) - 1).bit_length()
+        spectrum = np.fft.rfft(segment, size)
         total += np.fft.irfft(np.abs(spectrum) ** 2, size)[:lags]
     return np.asarray(total / total[0])

@@ -1,4 +1,4 @@
-"""What a section of the report is: a template, and the context that it is rendered with."""
+"""A section of the report: a template and the context it is rendered with."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class TruthTable:
 
     def __post_init__(self) -> None:
         if len(self.names) != len(self.values) or len(set(self.names)) != len(self.names):
-            raise ValueError(f"{len(self.names)} names, {len(self.values)} values: one value a name, each name once")
+            raise ValueError(f"{len(self.names)} names, {len(self.values)} values: one value per name, each name once")
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class ReportData:
 
     Attributes:
         result: what was identified.
-        fit: torques of the identification data, one series a contiguous stretch.
+        fit: torques of the identification data, one series per gap-free segment.
         validation: torques of the held-out data; empty where nothing was held out.
         truth: true parameters, for simulated arms only.
     """
@@ -51,7 +51,7 @@ class ReportData:
             if not series.measured.shape == series.predicted.shape == series.velocity.shape == shape:
                 raise ValueError(f"torques and velocities of a series must have the shape {shape}")
             if series.used.shape != series.time.shape:
-                raise ValueError("`used` needs one entry a sample")
+                raise ValueError("`used` needs one entry per sample")
 
 
 @dataclass(frozen=True)

@@ -32,11 +32,11 @@ PANEL, GAP = 150, 30
 
 def torque_figure(anchor: str, joints: Sequence[str], series: Sequence[TorqueSeries], fit: Fit | None) -> Figure | None:
     """One panel a joint; None where there is no sample to show."""
-    series = [part for part in series if len(part.time)]
+    series = [segment for segment in series if len(segment.time)]
     if not series or not joints:
         return None
     timeline = lay_out(series)
-    times = [part.time + offset for part, offset in zip(series, timeline.offsets, strict=True)]
+    times = [segment.time + offset for segment, offset in zip(series, timeline.offsets, strict=True)]
     height = TOP + BOTTOM + PANEL * len(joints) + GAP * (len(joints) - 1)
     domains = row_domains(len(joints), height, GAP)
     points = points_per_trace(len(joints))
@@ -48,11 +48,13 @@ def torque_figure(anchor: str, joints: Sequence[str], series: Sequence[TorqueSer
     for joint, (name, domain) in enumerate(zip(joints, domains, strict=True)):
         axes[axis_name("y", joint + 1)] = {"title": {"text": "N·m"}, "domain": list(domain), "anchor": "x", "nticks": 5}
         notes.append(note(f"<b>{plain(name)}</b>{_figures(fit, joint)}", 0, domain[1]))
-        residuals = [np.where(part.used, part.measured[joint] - part.predicted[joint], np.nan) for part in series]
+        residuals = [
+            np.where(segment.used, segment.measured[joint] - segment.predicted[joint], np.nan) for segment in series
+        ]
         lines = (
             ("residual", 3, residuals, RESIDUAL, 1.0),
-            ("measured", 1, [part.measured[joint] for part in series], MEASURED, 2.0),
-            ("predicted", 2, [part.predicted[joint] for part in series], PREDICTED, 1.2),
+            ("measured", 1, [segment.measured[joint] for segment in series], MEASURED, 2.0),
+            ("predicted", 2, [segment.predicted[joint] for segment in series], PREDICTED, 1.2),
         )
         for label, rank, values, colour, width in lines:
             x, y = broken_line(times, values, points)
@@ -84,19 +86,19 @@ def _figures(fit: Fit | None, joint: int) -> str:
 
 
 def _caption(series: Sequence[TorqueSeries], points: int, borders: int) -> str:
-    samples = sum(len(part.time) for part in series)
-    text = [f"{whole(samples)} filtered samples in {len(series)} contiguous stretch{'es' if len(series) > 1 else ''}."]
+    samples = sum(len(segment.time) for segment in series)
+    text = [f"{whole(samples)} filtered samples in {len(series)} gap-free segment{'s' if len(series) > 1 else ''}."]
     if samples > points:
         text.append(
-            f"Each line is drawn with about {whole(points)} points: of every interval its smallest and its largest "
-            "value, so that no peak is lost."
+            f"Each line is decimated to about {whole(points)} points, the smallest and the largest value of every "
+            "interval, which keeps all peaks."
         )
-    if not all(bool(part.used.all()) for part in series):
-        text.append("Samples that do not count (the arm at rest, the ends of a stretch) have no residual.")
+    if not all(bool(segment.used.all()) for segment in series):
+        text.append("Samples not used (the arm at rest, the ends of a segment) have no residual.")
     if borders:
         text.append(
-            "Dotted: here begins a stretch that does not follow in time (another recording, or a pause of more than a "
-            "minute); it is set beside the one before."
+            "Dotted: start of a segment that does not follow in time (another recording, or a pause of more than a "
+            "minute)."
         )
     text.append("Time counts from the first sample shown. Drag to zoom, double-click to reset.")
     return " ".join(text)

@@ -22,10 +22,10 @@ PAGE_POINTS = 200_000
 """All torque traces of a page together, which keeps the file of an arm with many joints small."""
 
 LONGEST_PAUSE = 60.0
-"""Stretches further apart than this [s] are set side by side."""
+"""Segments further apart than this [s] are drawn side by side."""
 
 SIDE_BY_SIDE = 0.02
-"""Room between stretches that are set side by side, as a part of all their length."""
+"""Space between segments drawn side by side, relative to their total length."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Timeline:
 
     Attributes:
         offsets: (S,) to be added to the series' own time [s]; the first sample is shown at 0.
-        borders: shown times [s] at which a stretch begins that does not follow the one before.
+        borders: shown times [s] at which a segment begins that does not follow the one before.
     """
 
     offsets: tuple[float, ...]
@@ -42,20 +42,20 @@ class Timeline:
 
 
 def lay_out(series: Sequence[TorqueSeries]) -> Timeline:
-    """Keep short gaps as they are; set side by side what another recording or a long pause has torn apart."""
-    length = sum(float(part.time[-1] - part.time[0]) for part in series if len(part.time))
+    """Keep short gaps as they are; draw side by side what another recording or a long pause separates."""
+    length = sum(float(segment.time[-1] - segment.time[0]) for segment in series if len(segment.time))
     offsets, borders = [], []
     offset, end = 0.0, None
-    for part in series:
-        if len(part.time):
-            start = float(part.time[0])
+    for segment in series:
+        if len(segment.time):
+            start = float(segment.time[0])
             if end is None:
                 offset = -start
             elif not 0.0 <= start + offset - end <= LONGEST_PAUSE:
                 border = end + SIDE_BY_SIDE * length
                 offset = border - start
                 borders.append(border)
-            end = float(part.time[-1]) + offset
+            end = float(segment.time[-1]) + offset
         offsets.append(offset)
     return Timeline(tuple(offsets), tuple(borders))
 
@@ -86,19 +86,19 @@ def envelope_indices(values: FloatArray, points: int) -> npt.NDArray[np.int64]:
 def broken_line(
     times: Sequence[FloatArray], values: Sequence[FloatArray], points: int
 ) -> tuple[FloatArray, FloatArray]:
-    """One trace (x, y) of several stretches, each cut down to its share of `points`, with nan between them."""
-    total = sum(len(part) for part in values)
+    """One trace (x, y) of several segments, each cut down to its share of `points`, with nan between them."""
+    total = sum(len(segment) for segment in values)
     x: list[FloatArray] = []
     y: list[FloatArray] = []
-    for time, part in zip(times, values, strict=True):
-        if not len(part):
+    for time, segment in zip(times, values, strict=True):
+        if not len(segment):
             continue
         if x:
             x.append(time[:1])
             y.append(np.array([np.nan]))
-        kept = envelope_indices(part, points if total <= points else points * len(part) // total)
+        kept = envelope_indices(segment, points if total <= points else points * len(segment) // total)
         x.append(time[kept])
-        y.append(part[kept])
+        y.append(segment[kept])
     return (np.concatenate(x), np.concatenate(y)) if x else (np.empty(0), np.empty(0))
 
 

@@ -1,1 +1,1 @@
-"""What an identification leaves behind: result.json and the model in it."""
+"""The result of an identification: result.json and the model in it."""

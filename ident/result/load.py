@@ -1,4 +1,4 @@
-"""The model and the experiments behind a result.json: its robot file, its columns, what its recordings could show."""
+"""The dynamic model, experiments and estimate stored in a result.json, rebuilt and checked."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ AGAIN = "identify again"
 
 @dataclass(frozen=True)
 class StoredModel:
-    """What the parameters of a result are parameters of.
+    """The dynamic model that a result's parameters belong to.
 
     Attributes:
         robot_file: stored beside them.
         model: with the columns that were identified.
-        experiments: what the recordings could show.
+        experiments: what the recordings make identifiable.
         base: the base parameters of these experiments together.
     """
 
@@ -59,7 +59,7 @@ def stored_model(result: Result) -> StoredModel:
         offset=tuple(options.offset),
         smoothing=options.smoothing,
     )
-    experiments = tuple(_experiment(model, stored, number) for number, stored in enumerate(result.experiments))
+    experiments = tuple(_experiment(model, stored, index) for index, stored in enumerate(result.experiments))
     experiments = experiments or (whole_arm(model),)
     base = experiment_base(model, experiments)
     if {parameter.name for parameter in result.base_parameters} != set(base.names):
@@ -81,7 +81,7 @@ def stored_estimate(result: Result, base: BaseParameters) -> Estimate:
     if len(set(stored.parameters)) != count or any(values.get(name) is None for name in stored.parameters):
         raise ResultFileError("names parameters that have no value", where="estimate.parameters", hint=AGAIN)
     active = tuple(base.names.index(name) for name in stored.parameters)
-    others = [base.names[number] for number in range(base.count) if number not in active]
+    others = [base.names[column] for column in range(base.count) if column not in active]
     root, covariance = _square(stored.root, count, "root"), _square(stored.covariance, count, "covariance")
     if not np.all(np.isfinite(root)) or not np.all(np.diag(root) != 0.0) or np.any(np.tril(root, -1)):
         raise ResultFileError("is no triangular factor", where="estimate.root", hint=AGAIN)
@@ -111,8 +111,8 @@ def _square(rows: list[list[float | None]] | list[list[float]], size: int, name:
     return np.array([[np.inf if value is None else value for value in row] for row in rows], dtype=np.float64)
 
 
-def _experiment(model: DynamicModel, stored: ExperimentResult, number: int) -> Experiment:
-    where = f"experiments.{number}"
+def _experiment(model: DynamicModel, stored: ExperimentResult, index: int) -> Experiment:
+    where = f"experiments.{index}"
     names = model.joint_names
     unknown = [name for name in (*stored.locked, *stored.torques_of) if name not in names]
     if unknown:

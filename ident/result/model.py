@@ -1,4 +1,4 @@
-"""An identified arm that answers: torque, gravity, friction, inertia matrix, accelerations, and its own uncertainty.
+"""The identified dynamic model: torque, gravity, friction, inertia matrix, forward dynamics, and its uncertainty.
 
 Torques are those at the joints with a motor, as a recording's `torque` has them: they give power with q̇. Where motors
 are coupled, motor torques are R⁻ᵀ times these, R = `Model.coupling` (SR400 eq. 6).
@@ -69,7 +69,7 @@ class Model:
             kind: which of its parameters.
 
         Raises:
-            ModelError: the recordings showed a part of the arm only.
+            ModelError: the recordings identify only some of the base parameters.
             ResultFileError: parts of the result do not belong together.
         """
         self.result: Result = result
@@ -84,7 +84,7 @@ class Model:
         else:
             values = [0.0 if entry.essential_value is None else entry.essential_value for entry in ordered]
         self._values: FloatArray = np.array(values, dtype=np.float64)
-        self._missing = [int(number) for number in np.flatnonzero(np.isnan(self._values))]
+        self._missing = [int(index) for index in np.flatnonzero(np.isnan(self._values))]
         self._dynamics = InverseDynamics(self._stored.model, base, np.nan_to_num(self._values))
 
     @staticmethod
@@ -93,9 +93,9 @@ class Model:
             return
         texts = "; ".join(describe(stored.model, experiment) for experiment in stored.experiments)
         raise ModelError(
-            f"the recordings showed a part of the arm only ({texts}), which gives no model of the whole arm",
+            f"the recordings identify only some of the base parameters ({texts}), not the whole arm",
             where=stored.robot_file.robot.name,
-            hint="merge it with a result of an experiment that shows the rest; validate() works on such a part",
+            hint="merge it with an experiment that identifies the rest; validate() works with a partial model",
         )
 
     @property
@@ -227,7 +227,7 @@ class Model:
 
         Raises:
             DataError: shapes differ, or a value is not finite.
-            ModelError: the inertia matrix is not positive definite there, so that accelerations have no meaning; or a
+            ModelError: the inertia matrix is not positive definite there, which leaves accelerations undefined; or a
                 parameter without a value acts on this motion.
         """
         (position, velocity, torque), single = samples(self.joint_names, q=q, dq=dq, tau=tau)
@@ -276,13 +276,13 @@ class Model:
         sure, root, unsure = self._deviations
         deviations = np.empty_like(motion[0])
         for start in range(0, deviations.shape[1], CHUNK):
-            part = slice(start, start + CHUNK)
-            columns = self._columns(*(signal[:, part] for signal in motion))
+            chunk = slice(start, start + CHUNK)
+            columns = self._columns(*(signal[:, chunk] for signal in motion))
             self._require(columns)
-            deviations[:, part] = np.linalg.norm(np.swapaxes(columns[:, sure], 1, 2) @ root, axis=-1)
+            deviations[:, chunk] = np.linalg.norm(np.swapaxes(columns[:, sure], 1, 2) @ root, axis=-1)
             if len(unsure):
                 acting = np.any(np.abs(columns[:, unsure]) > ROUNDING, axis=1)
-                deviations[:, part] = np.where(acting, np.inf, deviations[:, part])
+                deviations[:, chunk] = np.where(acting, np.inf, deviations[:, chunk])
         return outward(deviations, single=single)
 
     def __repr__(self) -> str:
@@ -321,7 +321,7 @@ class Model:
 
     def _require(self, columns: FloatArray, kinds: tuple[str, ...] = ()) -> None:
         """Refuse a motion that needs a parameter without a value: columns (n, b, N) that act on it."""
-        wanted = [number for number in self._missing if not kinds or self._base.kinds[number] in kinds]
+        wanted = [index for index in self._missing if not kinds or self._base.kinds[index] in kinds]
         needed = [self._base.names[i] for i in wanted if np.any(np.abs(columns[:, i]) > ROUNDING)]
         if needed:
             raise ModelError(
@@ -339,7 +339,7 @@ class Model:
             )
             raise ModelError(
                 f"the inertia matrix is not positive definite (smallest eigenvalue {smallest[bad[0]]:.3g} kg·m² at "
-                f"{place}), so that accelerations have no meaning",
+                f"{place}), which leaves accelerations undefined",
                 where=f"{self.name}, {self.kind} model",
                 hint="record a longer or stronger motion, or leave out motor inertia where the torque sensors sit "
                 "behind the gears",
@@ -351,8 +351,8 @@ class Model:
         active, covariance = self._covariance()
         known = np.isfinite(np.diag(covariance))
         powers, axes = np.linalg.eigh(covariance[np.ix_(known, known)])
-        sure = [number for number, there in zip(active, known, strict=True) if there]
-        return sure, axes * np.sqrt(np.clip(powers, 0.0, None)), [number for number in active if number not in sure]
+        sure = [index for index, there in zip(active, known, strict=True) if there]
+        return sure, axes * np.sqrt(np.clip(powers, 0.0, None)), [index for index in active if index not in sure]
 
     def _covariance(self) -> tuple[tuple[int, ...], FloatArray]:
         """Base parameters that were estimated, and their covariance."""
@@ -374,7 +374,7 @@ def _pruned_covariance(estimate: Estimate, kept: tuple[int, ...]) -> FloatArray:
     order = [*np.flatnonzero(~known), *np.flatnonzero(known)]
     left = len(order) - int(known.sum())
     root = triangular(estimate.root[:, order])[left:, left:]
-    places = [estimate.active.index(number) for number in kept]
+    places = [estimate.active.index(column) for column in kept]
     sure = [int(place) for place in np.flatnonzero(known)]
     columns = [sure.index(place) for place in places if known[place]]
     gain = np.linalg.lstsq(root[:, columns], root, rcond=None)[0]
@@ -401,7 +401,7 @@ def load_model(path: str | PathLike[str], parameters: Parameters = "full") -> Mo
     Raises:
         ResultFileError: no such file, or it is no result.
         UsageError: there are no such parameters in it.
-        ModelError: the recordings showed a part of the arm only.
+        ModelError: the recordings identify only some of the base parameters.
 
     Example:
         >>> import dynid, tempfile

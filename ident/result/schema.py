@@ -43,7 +43,7 @@ class _Part(BaseModel):
 
 
 class BaseParameterResult(_Part):
-    """One base parameter; the standard deviations are corrected for residuals that are not white."""
+    """One base parameter; the standard deviations are corrected for autocorrelated residuals."""
 
     name: str
     expression: str
@@ -53,7 +53,7 @@ class BaseParameterResult(_Part):
     value: Number = Field(description="of the full model; null where the recording does not excite it")
     std: Number
     rsd_percent: Number
-    classical_std: Number = Field(description="residuals taken as white, SR400 eq. 14")
+    classical_std: Number = Field(description="for white residuals, SR400 eq. 14")
     significant: bool = Field(description="relative standard deviation below the threshold")
     essential_value: Number = Field(description="of the essential model; null where the parameter was left out")
     essential_std: Number
@@ -81,7 +81,7 @@ class DriveGainResult(_Part):
 
 
 class Fit(_Part):
-    """Errors of the filtered torques; lists have one entry a joint [N·m]."""
+    """Errors of the filtered torques; lists have one entry per joint [N·m]."""
 
     relative_error: Number
     joint_relative_error: list[Number]
@@ -103,24 +103,24 @@ class Essential(_Part):
 
 
 class Residuals(_Part):
-    """What the residuals look like."""
+    """Statistics of the residuals."""
 
     rows: int = Field(description="equations: torques of single joints, or energies of the whole arm")
     effective_rows: Number
-    joint_std: list[Number] = Field(description="standard deviation a joint, of the filtered torque [N·m]")
-    autocorrelation: list[Number] = Field(description="at lag one, a joint")
-    block_length: int = Field(description="samples a block of the jackknife, after filtering")
+    joint_std: list[Number] = Field(description="standard deviation per joint, of the filtered torque [N·m]")
+    autocorrelation: list[Number] = Field(description="at lag one, per joint")
+    block_length: int = Field(description="samples per block of the jackknife, after filtering")
     blocks: int = Field(description="number of its blocks")
     repetitions: float = Field(description="how often the motion was repeated, on average")
     correction: str = Field(description="how the standard deviations were corrected")
 
 
 class Excitation(_Part):
-    """What the recording could reveal."""
+    """How well the recordings excite the parameters."""
 
-    condition: Number = Field(description="of W, columns as they are")
-    scaled_condition: Number = Field(description="of W, columns of unit length")
-    singular_values: list[float] = Field(description="of W with columns of unit length, falling")
+    condition: Number = Field(description="of W, columns not normalised")
+    scaled_condition: Number = Field(description="of W, column-normalised")
+    singular_values: list[float] = Field(description="of the column-normalised W, falling")
     unexcited: list[str] = Field(description="base parameters that the recording does not excite")
 
 
@@ -133,9 +133,9 @@ class ProcessingStep(_Part):
 
 
 class ExperimentResult(_Part):
-    """What the recordings could show: joints that were locked, motors whose torques were used."""
+    """What the recordings make identifiable: joints that were locked, motors whose torques were used."""
 
-    locked: dict[str, list[float]] = Field(description="positions at which a joint stood still, a pose each [rad or m]")
+    locked: dict[str, list[float]] = Field(description="positions of a joint at rest, one per pose [rad or m]")
     torques_of: list[str]
 
 
@@ -144,8 +144,8 @@ class EstimateResult(_Part):
 
     parameters: list[str] = Field(description="names of the estimated base parameters, a of them")
     root: list[list[float]] = Field(description="(a, a) upper triangular; its square is the inverse covariance")
-    covariance: list[list[Number]] = Field(description="(a, a) corrected for residuals that are not white")
-    taken_up: dict[str, list[float]] = Field(description="share of a parameter without a value in each estimated one")
+    covariance: list[list[Number]] = Field(description="(a, a) corrected for autocorrelated residuals")
+    taken_up: dict[str, list[float]] = Field(description="how an unexcited parameter is absorbed by each estimated one")
     blocks: int = Field(description="of the jackknife behind the covariance")
 
 
@@ -156,11 +156,13 @@ class MergedModel(_Part):
     method: str
     experiments: list[ExperimentResult]
     parameters: int = Field(description="number of estimated base parameters")
-    variance_ratio: float = Field(description="mean variance, corrected for residuals that are not white over white")
+    variance_ratio: float = Field(
+        description="mean variance corrected for autocorrelated residuals, over that for white ones"
+    )
 
 
 class Contradiction(_Part):
-    """A value that is further from the merged one than chance explains."""
+    """A value that differs significantly from the merged one."""
 
     file: str
     parameter: str
@@ -173,8 +175,8 @@ class Consistency(_Part):
     """Whether the merged models agree on what they share, as a chi-square test."""
 
     statistic: float
-    freedom: int = Field(description="number of combinations that more than one model tells")
-    p_value: float = Field(description="how often chance alone gives a larger statistic")
+    freedom: int = Field(description="number of combinations that more than one model identifies")
+    p_value: float = Field(description="probability of a larger statistic if the models agree")
     agree: bool
     text: str
     contradictions: list[Contradiction]
@@ -188,7 +190,7 @@ class Merge(_Part):
 
 
 class RecordingUse(_Part):
-    """A recording that took part."""
+    """A recording used in the identification or the validation."""
 
     file: str
     sha256: str
@@ -196,7 +198,7 @@ class RecordingUse(_Part):
     window: tuple[float, float] = Field(description="[s], from the recording's first stamp")
     samples: int
     rate_hz: float
-    events: list[str] = Field(description="what the recording says of itself: repairs, gaps, assumptions")
+    events: list[str] = Field(description="of the recording: repairs, gaps, assumptions")
     torques_of: list[str] = Field(default=[], description="motors whose torques were used")
 
 
@@ -209,7 +211,7 @@ class DelayFigures(_Part):
 
 
 class ModelOptions(_Part):
-    """What the model's columns were."""
+    """Which columns the model has."""
 
     motor_inertia: list[bool]
     viscous: list[bool]
@@ -219,7 +221,7 @@ class ModelOptions(_Part):
 
 
 class Result(_Part):
-    """All that an identification found out."""
+    """The outcome of an identification."""
 
     dynid_schema: Literal[1] = 1
     kind: Literal["result"] = "result"
@@ -282,7 +284,7 @@ def replace_file(path: Path, text: str) -> None:
 def result_json(result: Result) -> str:
     """The JSON text, strict: null stands for what is not a number."""
     text = json.dumps(result.model_dump(mode="json"), ensure_ascii=False, indent=1, allow_nan=False)
-    return _NUMBERS.sub(lambda found: re.sub(r"\s+", " ", found[0]), text)
+    return _NUMBERS.sub(lambda match: re.sub(r"\s+", " ", match[0]), text)
 
 
 def read_result(path: Path) -> Result:
@@ -309,7 +311,7 @@ def read_result(path: Path) -> Result:
         return Result.model_validate(content)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"])
+        key = ".".join(str(key) for key in first["loc"])
         raise ResultFileError(f"{first['msg']}", where=f"{where}: {key}", hint="identify again") from error
 
 

@@ -1,4 +1,4 @@
-"""Tables as values: columns with units that print, show in a notebook, and become a data frame."""
+"""Tables with units: printed, shown in a notebook, or converted to a data frame."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Cell = str | float | int | bool | None
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a table: a cell a row; None where a row has no value. `unit` is empty where there is none."""
+    """One column of a table: a cell per row; None where a row has no value. `unit` is empty where there is none."""
 
     name: str
     cells: tuple[Cell, ...]
@@ -66,7 +66,7 @@ class Table:
         return len(self.columns[0].cells)
 
     def __iter__(self) -> Iterator[Mapping[str, Cell]]:
-        return (self._row(number) for number in range(len(self)))
+        return (self._row(row) for row in range(len(self)))
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A column as an array: of numbers (NaN where a cell is empty), or of texts.
@@ -106,8 +106,8 @@ class Table:
         frame.attrs["units"] = {column.name: column.unit for column in others if column.unit}
         return frame
 
-    def _row(self, number: int) -> dict[str, Cell]:
-        return {column.name: column.cells[number] for column in self.columns}
+    def _row(self, row: int) -> dict[str, Cell]:
+        return {column.name: column.cells[row] for column in self.columns}
 
     def __str__(self) -> str:
         texts = [[column.heading, *map(cell_text, column.cells)] for column in self.columns]
@@ -128,21 +128,21 @@ class Table:
         rows = "".join(
             "<tr>"
             + "".join(
-                f'<td style="text-align: {side}">{escape(cell_text(column.cells[number]))}</td>'
+                f'<td style="text-align: {side}">{escape(cell_text(column.cells[row]))}</td>'
                 for column, side in zip(self.columns, align, strict=True)
             )
             + "</tr>"
-            for number in range(len(self))
+            for row in range(len(self))
         )
         caption = f"<caption>{escape(self.title)}</caption>"
         return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
 
 def table_of_rows(title: str, headings: Sequence[tuple[str, str]], rows: Sequence[Sequence[Cell]]) -> Table:
-    """A table from rows; `headings` are a name and a unit a column."""
+    """A table from rows; `headings` are a name and a unit per column."""
     cells = list(zip(*rows, strict=True)) if rows else [()] * len(headings)
     return Table(
-        title, tuple(Column(name, tuple(part), unit) for (name, unit), part in zip(headings, cells, strict=True))
+        title, tuple(Column(name, tuple(values), unit) for (name, unit), values in zip(headings, cells, strict=True))
     )
 
 

@@ -1,1 +1,1 @@
-"""A task a file: what a user asks for in one call, from Python or from the command line."""
+"""The tasks of a user, one call each, from Python and from the command line."""

@@ -1,4 +1,4 @@
-"""What an arm's robot file alone tells of its dynamics."""
+"""The base parameters of an arm, from its robot file."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ def base_parameters(robot: str | Path | RobotFile) -> Table:
         robot: built-in name, robot file, URDF, or what `load_robot` gave.
 
     Returns:
-        A row a parameter: name, kind, joint, unit (kg·m², kg·m, …) and its expression.
+        One row per parameter: name, kind, joint, unit (kg·m², kg·m, …) and its expression.
 
     Raises:
         RobotFileError: no such robot, or its geometry cannot be used.
-        IdentificationError: their number cannot be decided.
+        IdentificationError: the rank cannot be decided.
 
     Example:
         >>> import dynid

@@ -1,4 +1,4 @@
-"""Design an excitation trajectory in one call, look at it, keep it."""
+"""Design, show and save an excitation trajectory in one call each."""
 
 from __future__ import annotations
 
@@ -78,17 +78,17 @@ class ExcitationTrajectory:
             time: (N,) from the start [s].
         """
         stamps = np.atleast_1d(np.asarray(time, dtype=np.float64))
-        position, velocity, acceleration = (np.ascontiguousarray(part.T) for part in self.motion.evaluate(stamps))
+        position, velocity, acceleration = (np.ascontiguousarray(signal.T) for signal in self.motion.evaluate(stamps))
         return position, velocity, acceleration
 
     @cached_property
     def figures(self) -> ExcitationFigures:
-        """Condition number, predicted error bars, and how much of each limit is used."""
+        """Condition number, predicted error bars, and limit utilisation."""
         return excitation_figures(self.robot_file, self.motion, self._prior)
 
     @property
     def limits(self) -> Table:
-        """How much of each joint's limits is used [%]."""
+        """Limit utilisation of each joint [%]."""
         headings = [("joint", ""), *((name, "%") for name in ("position", "velocity", "acceleration", "torque"))]
         rows = [
             (
@@ -104,7 +104,7 @@ class ExcitationTrajectory:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the design could not know, such as the floor."""
+        """Missing information, such as the height of the floor."""
         warning = surroundings_warning(self.robot_file, self.motion)
         return () if warning is None else (warning,)
 
@@ -172,22 +172,22 @@ def design_excitation(
         points: of a point-to-point motion.
         period: of one repetition [s].
         periods: repetitions.
-        ramp: from rest to full pace, and back [s].
+        ramp: from rest to full speed, and back [s].
         seed: of the random starts.
-        time: search so long [s]; 20 s without `starts`.
-        starts: search from so many starts, whatever the machine's speed.
-        loaded: design for the last link, which a payload changes.
+        time: duration of the search [s]; 20 s without `starts`.
+        starts: number of starts; the result does not depend on the machine's speed.
+        loaded: design for identifying a payload: the parameters of the last link.
         joints: names of the joints that move; the others rest.
-        prior: result.json that tells parameters and noise.
-        margin: share of every limit that is not used.
+        prior: result.json with prior parameters and noise.
+        margin: share of every limit kept free.
         self_collision: keep links apart.
         solver: "slsqp", "trust-constr" or "ipopt".
         earlier: a trajectory to improve.
-        workers: processes; one per core where None, none but this one where 1.
+        workers: processes; one per core where None, this one alone where 1.
 
     Raises:
-        UsageError: an option that is not possible, or no motion keeps every limit; names the limit.
-        IdentificationError: the best motion passes a limit between the grid's points.
+        UsageError: an option is not possible, or no feasible motion was designed; names the limit.
+        IdentificationError: the best motion exceeds a limit between the grid's points.
 
     Example:
         >>> import dynid
@@ -219,8 +219,7 @@ def design_excitation(
         solver=solver,
         workers=workers,
     )
-    begun_from = None if earlier is None else earlier.motion
-    return designed_trajectory(robot_file, known, choices, search, begun_from)
+    return designed_trajectory(robot_file, known, choices, search, None if earlier is None else earlier.motion)
 
 
 def designed_trajectory(
@@ -229,14 +228,16 @@ def designed_trajectory(
     choices: DesignChoices,
     search: SearchChoices,
     earlier: Motion | None = None,
-    progress: Callable[[SearchResult], None] = lambda found: None,
+    progress: Callable[[SearchResult], None] = lambda result: None,
 ) -> ExcitationTrajectory:
     """`design_excitation` with everything read and checked; `progress` is told after each round of a start."""
-    found = design(robot_file, prior, choices, search, earlier, progress)
-    figures = excitation_figures(robot_file, found.motion, prior)
-    text = trajectory_text(robot_file.robot, found, figures, choices)
-    summary = design_summary(found, figures, choices)
-    trajectory = ExcitationTrajectory(robot_file, text, found.motion, prior, summary, design_notes(found, choices))
+    designed = design(robot_file, prior, choices, search, earlier, progress)
+    figures = excitation_figures(robot_file, designed.motion, prior)
+    text = trajectory_text(robot_file.robot, designed, figures, choices)
+    summary = design_summary(designed, figures, choices)
+    trajectory = ExcitationTrajectory(
+        robot_file, text, designed.motion, prior, summary, design_notes(designed, choices)
+    )
     trajectory.__dict__["figures"] = figures  # known already; the property would compute them again
     return trajectory
 
@@ -249,7 +250,7 @@ def load_trajectory(path: str | PathLike[str], robot: str | Path | RobotFile) ->
         robot: built-in name, robot file, URDF, or what `load_robot` gave.
 
     Raises:
-        UsageError: names file and key, what was found and what is allowed.
+        UsageError: names file and key, the value and what is allowed.
 
     Example:
         >>> import dynid, tempfile, pathlib
@@ -298,25 +299,27 @@ def check_search(seconds: float | None, starts: int | None) -> None:
         raise UsageError(f"--starts {starts} is less than 1")
 
 
-def design_summary(found: Design, figures: ExcitationFigures, choices: DesignChoices) -> str:
+def design_summary(designed: Design, figures: ExcitationFigures, choices: DesignChoices) -> str:
     """The figures of a design in one line."""
     forecast = figures.forecast
-    use, limit = max([(figures.worst_use, figures.worst_limit), *zip(found.use.tolist(), found.limits, strict=True)])
+    use, limit = max(
+        [(figures.worst_use, figures.worst_limit), *zip(designed.use.tolist(), designed.limits, strict=True)]
+    )
     return (
-        f"{choices.kind} of {figures.duration:.4g} s, {choices.criterion} {found.cost:.4g} along one repetition; "
-        f"as played: condition {forecast.condition:.4g}, with scaled columns {forecast.scaled_condition:.4g}, "
-        f"largest use of a limit {100 * use:.3g} % ({limit})"
+        f"{choices.kind} of {figures.duration:.4g} s, {choices.criterion} {designed.cost:.4g} along one repetition; "
+        f"as played: condition number {forecast.condition:.4g}, column-normalised {forecast.scaled_condition:.4g}, "
+        f"largest limit utilisation {100 * use:.3g} % ({limit})"
     )
 
 
-def trajectory_text(robot: Robot, found: Design, figures: ExcitationFigures, choices: DesignChoices) -> str:
+def trajectory_text(robot: Robot, designed: Design, figures: ExcitationFigures, choices: DesignChoices) -> str:
     """The file's text, read back and checked as `dynid record` will do it.
 
     Raises:
         IdentificationError: it would be refused.
     """
-    comment = f"designed by dynid excite: {design_summary(found, figures, choices)}"
-    text = dump_trajectory(found.family.trajectory(found.variables, robot.name, comment))
+    comment = f"designed by dynid excite: {design_summary(designed, figures, choices)}"
+    text = dump_trajectory(designed.family.trajectory(designed.variables, robot.name, comment))
     try:
         parse_trajectory(text, robot, where="the designed trajectory", folder=None)
     except UsageError as error:
@@ -324,21 +327,21 @@ def trajectory_text(robot: Robot, found: Design, figures: ExcitationFigures, cho
     return text
 
 
-def search_words(found: Design) -> str:
-    """How the search went."""
-    state = found.found
+def search_words(designed: Design) -> str:
+    """The outcome of the search in one line."""
+    state = designed.search
     ended = ", ended by Ctrl-C" if state.interrupted else ""
     return f"{state.finished} starts finished in {state.seconds:.1f} s{ended}"
 
 
-def design_notes(found: Design, choices: DesignChoices) -> list[tuple[str, str]]:
-    """What the page tells of the design."""
+def design_notes(designed: Design, choices: DesignChoices) -> list[tuple[str, str]]:
+    """Options and outcome of the design, for the page."""
     return [
         ("Kind", choices.kind),
-        ("Criterion", f"{choices.criterion}: {found.cost:.4g} along one repetition at full pace"),
+        ("Criterion", f"{choices.criterion}: {designed.cost:.4g} along one repetition at full speed"),
         ("Designed for", "the last link, which a payload changes" if choices.loaded else "all base parameters"),
         ("Joints that move", ", ".join(choices.moving) if choices.moving else "all"),
         ("Margin", f"{100 * choices.margin:g} % of every limit"),
-        ("Self-collision", "looked for" if choices.self_collision else "not looked for"),
-        ("Search", search_words(found)),
+        ("Self-collision", "checked" if choices.self_collision else "not checked"),
+        ("Search", search_words(designed)),
     ]

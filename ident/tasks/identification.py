@@ -1,4 +1,4 @@
-"""Identify in one call: recordings in, a result that shows, saves and answers for itself out."""
+"""Identify a dynamic model in one call; the result shows and saves itself."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ident.tasks.runs import Runs, recordings_of
 
 
 class IdentificationResult:
-    """What an identification or a merge found; shows itself in a notebook, and is saved as the command saves it.
+    """Result of an identification or a merge; shows itself in a notebook, and is saved as the command saves it.
 
     Attributes:
         result: all of it, as `result.json` holds it.
@@ -57,17 +57,17 @@ class IdentificationResult:
 
     @property
     def verdict(self) -> str:
-        """How far to trust the model, in a few sentences."""
+        """How far the model can be trusted, in a few sentences."""
         return self.result.verdict
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to read before using it."""
+        """Warnings of the checks."""
         return tuple(self.result.warnings)
 
     @property
     def fit(self) -> Fit | None:
-        """Errors on the identification data: `relative_error` (a ratio), `rmse` a joint [N·m], …; None of a merge."""
+        """Errors on the identification data: `relative_error` (a ratio), `rmse` per joint [N·m], …; None of a merge."""
         return self.result.fit
 
     @property
@@ -136,7 +136,7 @@ class IdentificationResult:
         """The model of all base parameters; `load_model(…, parameters="essential")` gives the other one.
 
         Raises:
-            ModelError: the recordings showed a part of the arm only.
+            ModelError: the recordings identify only some of the base parameters.
         """
         return Model(self.result)
 
@@ -224,17 +224,18 @@ def identify(
         filter: of the parallel filter: "butterworth" or "chebyshev".
         measured_velocity: use the recorded velocity.
         locked: names of joints that must not move.
-        torques_of: names of the joints whose motors' torques are used; all that turn where empty.
-        leave_out_reversals: leave out motors slower than this share of their rms velocity, such as 0.2.
+        torques_of: names of the joints whose motors' torques are used; all moving motors where empty.
+        leave_out_reversals: leave out velocity reversals: motors slower than this share
+            of their RMS velocity, such as 0.2.
         energy_window: mean duration of the windows of the method "energy" [s].
-        start: leave out what lies before [s from the first stamp].
-        stop: leave out what lies behind [s from the first stamp].
+        start: leave out samples before this time [s from the first stamp].
+        stop: leave out samples after this time [s from the first stamp].
         keep_rest: keep segments in which no joint moves.
         significance: threshold of the relative standard deviation [%].
-        progress: told each step before it begins.
+        progress: called with the name of each step before it begins.
 
     Raises:
-        InputError: whatever is wrong with the recordings or the options, and where.
+        InputError: invalid recordings or options; names the place.
         IdentificationError: there is no solution.
 
     Example:
@@ -268,8 +269,10 @@ def identify(
         significance=significance,
     )
     recordings, held_out = recordings_of(runs), recordings_of(validation)
-    found = identify_recordings(recordings, held_out, choices, None if robot is None else load_robot(robot), progress)
-    return IdentificationResult(summarise(found, recordings, held_out), found.fit_series, found.validation_series)
+    robot_file = None if robot is None else load_robot(robot)
+    identification = identify_recordings(recordings, held_out, choices, robot_file, progress)
+    result = summarise(identification, recordings, held_out)
+    return IdentificationResult(result, identification.fit_series, identification.validation_series)
 
 
 def identify_choices(
@@ -296,7 +299,7 @@ def identify_choices(
     keep_rest: bool,
     significance: float,
 ) -> IdentifyChoices:
-    """The options of `identify`, checked, as the pipeline takes them.
+    """The options of `identify`, checked, for the pipeline.
 
     Raises:
         UsageError: a method or friction model that does not exist, or a number out of its range.
@@ -359,14 +362,14 @@ def load_result(path: str | PathLike[str]) -> IdentificationResult:
 
 
 def error_table(title: str, joints: Sequence[str], fits: dict[str, Fit | None]) -> Table:
-    """Errors a joint of one or several fits, by what they are called."""
+    """Errors per joint of one or several fits, by their names."""
     headings = [("joint", "")]
     columns: list[list[Cell]] = [list(joints)]
-    parts = (("rmse", "N·m"), ("low_speed_rmse", "N·m"), ("high_speed_rmse", "N·m"), ("relative_error", "%"))
+    quantities = (("rmse", "N·m"), ("low_speed_rmse", "N·m"), ("high_speed_rmse", "N·m"), ("relative_error", "%"))
     for name, fit in fits.items():
-        for part, unit in parts:
-            headings.append((f"{name}_{part}", unit))
-            field = "joint_relative_error" if part == "relative_error" else part
+        for quantity, unit in quantities:
+            headings.append((f"{name}_{quantity}", unit))
+            field = "joint_relative_error" if quantity == "relative_error" else quantity
             cells = [None] * len(joints) if fit is None else getattr(fit, field)
             factor = 100.0 if unit == "%" else 1.0
             columns.append([None if cell is None else factor * cell for cell in cells])

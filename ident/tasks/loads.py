@@ -1,4 +1,4 @@
-"""What a run without and a run with a load tell: the load, or the drives' gains."""
+"""Payload, or drive gains, from a run without and a run with a load."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ Vector = Sequence[float] | FloatArray
 
 @dataclass(frozen=True)
 class IdentifiedPayload:
-    """The load on an arm's tool, in the tool frame; σ hold noise and the drive gains' uncertainty.
+    """The load on an arm's tool, in the tool frame; σ includes noise and the drive gains' uncertainty.
 
     Attributes:
-        found: all of the estimate.
+        estimate: all of its figures.
 
     Example:
         >>> import dynid
@@ -49,34 +49,34 @@ class IdentifiedPayload:
         'kg'
     """
 
-    found: Payload
+    estimate: Payload
 
     @property
     def mass(self) -> float:
-        """Identified mass without knowledge of the load [kg]; NaN where the motions do not show it."""
-        return float(self.found.load.standard[MASS])
+        """Mass identified without knowledge of the load [kg]; NaN where it is not identifiable."""
+        return float(self.estimate.load.standard[MASS])
 
     @property
     def mass_std(self) -> float:
         """Its standard deviation σ [kg]."""
-        return float(np.sqrt(self.found.load.standard_covariance[MASS, MASS]))
+        return float(np.sqrt(self.estimate.load.standard_covariance[MASS, MASS]))
 
     @property
     def com(self) -> FloatArray | None:
-        """Centre of mass (3,) [m], with what is known held fixed; None where the motions do not show it."""
-        centre = (self.found.with_mass or self.found.load).centre
+        """Centre of mass (3,) [m], with known parameters held fixed; None where it is not identifiable."""
+        centre = (self.estimate.with_mass or self.estimate.load).centre
         return None if centre is None else centre[0]
 
     @property
     def com_std(self) -> FloatArray | None:
         """Its standard deviations σ (3,) [m]."""
-        centre = (self.found.with_mass or self.found.load).centre
+        centre = (self.estimate.with_mass or self.estimate.load).centre
         return None if centre is None else centre[1]
 
     @property
     def parameters(self) -> Table:
-        """The identifiable combinations of the load's ten parameters, with what is known held fixed."""
-        rows = load_parameters(self.found.with_mass or self.found.load)
+        """The identifiable combinations of the load's ten parameters, with known ones held fixed."""
+        rows = load_parameters(self.estimate.with_mass or self.estimate.load)
         headings = [(name, "") for name in ("name", "value", "std", "noise_std", "gain_std", "unit", "expression")]
         return table_of_rows("Load", headings, [tuple(getattr(row, name) for name, _ in headings) for row in rows])
 
@@ -84,22 +84,22 @@ class IdentifiedPayload:
     def changes(self) -> Table:
         """Base parameters that a load changes: without it, predicted and identified with it (SR400 Table 4)."""
         names = ("name", "free", "free_std", "predicted", "loaded", "loaded_std", "unit")
-        rows = [tuple(getattr(row, name) for name in names) for row in base_changes(self.found)]
+        rows = [tuple(getattr(row, name) for name in names) for row in base_changes(self.estimate)]
         return table_of_rows("Base parameters that a load changes", [(name, "") for name in names], rows)
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """The hypothesis tests in words: does a load, and does the known one, explain what changed?"""
-        return tuple(payload_sentences(self.found))
+        return tuple(payload_sentences(self.estimate))
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to read first."""
-        return self.found.warnings
+        """Warnings of the checks."""
+        return self.estimate.warnings
 
     def to_json(self) -> str:
         """What `dynid payload --json` prints."""
-        return json_text(payload_result(self.found).model_dump())
+        return json_text(payload_result(self.estimate).model_dump())
 
     def __str__(self) -> str:
         warnings = [f"warning: {warning}" for warning in self.warnings]
@@ -114,50 +114,49 @@ class IdentifiedGains:
     """Gains of all drives, joint side, sign included; torque = gain · signal.
 
     Attributes:
-        found: all of the estimate.
+        estimate: all of its figures.
 
     Example:
         >>> import dynid
         >>> dynid.IdentifiedGains.gains.__doc__.split(";")[0]
-        "A row a joint: the robot file's gain, the identified one with its σ [N·m/A or N·m/V]"
+        "One row per joint: the robot file's gain, the identified one with its σ [N·m/A or N·m/V]"
     """
 
-    found: DriveGains | SlowGains
+    estimate: DriveGains | SlowGains
 
     @property
     def values(self) -> FloatArray:
-        """Gains (n,) [N·m/A or N·m/V]; NaN where one cannot be told."""
-        return self.found.values
+        """Gains (n,) [N·m/A or N·m/V]; NaN where one is not identifiable."""
+        return self.estimate.values
 
     @property
     def std(self) -> FloatArray:
         """Their standard deviations σ (n,), in the same unit."""
-        return np.array([gain.std for gain in self.found.gains])
+        return np.array([gain.std for gain in self.estimate.gains])
 
     @property
     def gains(self) -> Table:
-        """A row a joint: the robot file's gain, the identified one with its σ [N·m/A or N·m/V]; relative σ [%]."""
-        unit = gain_unit(self.found.signal)
+        """One row per joint: the robot file's gain, the identified one with its σ [N·m/A or N·m/V]; relative σ [%]."""
+        unit = gain_unit(self.estimate.signal)
         headings = [("joint", ""), ("file_gain", unit), ("gain", unit), ("std", unit), ("rsd", "%")]
-        rows = [(gain.joint, gain.file_gain, gain.gain, gain.std, gain.relative_std) for gain in self.found.gains]
+        rows = [(gain.joint, gain.file_gain, gain.gain, gain.std, gain.relative_std) for gain in self.estimate.gains]
         return table_of_rows("Drive gains", headings, rows)
 
     @property
     def robot_file_text(self) -> str:
         """The robot file's section `drives` with these gains."""
-        return drives_text(self.found)
+        return drives_text(self.estimate)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to read first."""
-        return self.found.warnings
+        """Warnings of the checks."""
+        return self.estimate.warnings
 
     def to_json(self) -> str:
         """What `dynid gains --json` prints."""
-        found = self.found
-        return json_text(
-            (gains_result(found) if isinstance(found, DriveGains) else slow_gains_result(found)).model_dump()
-        )
+        estimate = self.estimate
+        result = gains_result(estimate) if isinstance(estimate, DriveGains) else slow_gains_result(estimate)
+        return json_text(result.model_dump())
 
     def __str__(self) -> str:
         return "\n".join([str(self.gains), *(f"warning: {warning}" for warning in self.warnings)])
@@ -188,8 +187,8 @@ def payload(
         delay: of the torque behind the position [s]; searched where None.
 
     Raises:
-        UsageError: com or inertia without a mass, or numbers of no body.
-        DataError: different arms, no torque, no load parameter that the motions could show.
+        UsageError: com or inertia without a mass, or an impossible body.
+        DataError: different arms, no torque, no identifiable load parameter.
         IdentificationError: there is no solution.
 
     Example:
@@ -221,15 +220,15 @@ def drive_gains(
     Args:
         free: recording without the load, or its path.
         loaded: recording of the same arm with it.
-        mass: of the load [kg]; without it nothing tells twice the gains from twice the masses.
+        mass: of the load [kg]; without it the gains are not identifiable.
         com: its centre of mass x, y, z in the tool frame [m].
         inertia: xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²].
         robot: in place of the free recording's own robot file.
         delay: of the torque behind the position [s]; searched where None.
-        up_and_down: the runs are slow, one joint at a time goes there and back.
+        up_and_down: the runs are slow passes of one joint at a time, up and down.
 
     Raises:
-        UsageError: numbers of no body.
+        UsageError: an impossible body.
         DataError: different arms, or no motor signal.
         IdentificationError: there is no solution.
 
@@ -249,7 +248,7 @@ def drive_gains(
 
 def _known_load(mass: float, com: Vector | None, inertia: Vector | None) -> KnownLoad:
     try:
-        parts = [None if part is None else tuple(float(value) for value in part) for part in (com, inertia)]
-        return KnownLoad(float(mass), *parts)
+        vectors = [None if given is None else tuple(float(value) for value in given) for given in (com, inertia)]
+        return KnownLoad(float(mass), *vectors)
     except (TypeError, ValueError) as error:
         raise UsageError("mass, com and inertia are numbers: kg, three of m, six of kg·m²") from error

@@ -1,4 +1,4 @@
-"""Recordings as a task takes them: one or several, read already or by path."""
+"""Recordings as arguments of a task: one or several, read already or by path."""
 
 from __future__ import annotations
 

@@ -26,11 +26,11 @@ Identified = IdentificationResult | Model | str | PathLike[str]
 
 @dataclass(frozen=True)
 class Validation:
-    """Errors of a model on a recording that it has not seen; filters and delay as at its identification.
+    """Errors of a model on a held-out recording; filters and delay as at its identification.
 
     Attributes:
         joints: names (n,).
-        full: errors of all base parameters: `relative_error` (a ratio), `rmse` a joint [N·m], …
+        full: errors of all base parameters: `relative_error` (a ratio), `rmse` per joint [N·m], …
         essential: the same of the significant ones.
 
     Example:
@@ -62,10 +62,10 @@ def validate(identified: Identified, run: Run) -> Validation:
 
     Args:
         identified: a result, a model, or the folder or file of one.
-        run: a recording that it has not seen, or its path.
+        run: a held-out recording, or its path.
 
     Raises:
-        DataError: the recording lacks what is needed, or shows a motion of which the model says nothing.
+        DataError: the recording lacks signals, or its motion is outside what the model covers.
         ResultFileError: the result's parts do not belong together.
 
     Example:
@@ -75,18 +75,18 @@ def validate(identified: Identified, run: Run) -> Validation:
         True
     """
     result = _result(identified)
-    found = revalidate(result, recording_of(run))
-    return Validation(tuple(result.joints), fit_result(found.full), fit_result(found.essential))
+    fits = revalidate(result, recording_of(run))
+    return Validation(tuple(result.joints), fit_result(fits.full), fit_result(fits.essential))
 
 
 def merge(
     results: Sequence[Identified], *, validation: Run | None = None, significance: float = SIGNIFICANT_RSD
 ) -> IdentificationResult:
-    """One model from several experiments on one arm, each weighed by its covariance (SR400 .4.3 point 7).
+    """One model from several experiments on one arm, each weighted by its covariance (SR400 .4.3 point 7).
 
     Args:
         results: results, models, or the folders or files of them.
-        validation: a recording that none of them has seen.
+        validation: a held-out recording, used by none of them.
         significance: threshold of the relative standard deviation [%].
 
     Raises:
@@ -96,14 +96,16 @@ def merge(
 
     Example:
         >>> import dynid
-        >>> parts = [dynid.identify(dynid.simulate("ur5e", duration=10.0, seed=seed)) for seed in (1, 2)]
-        >>> merged = dynid.merge(parts)
+        >>> results = [dynid.identify(dynid.simulate("ur5e", duration=10.0, seed=seed)) for seed in (1, 2)]
+        >>> merged = dynid.merge(results)
         >>> merged.result.merge.consistency.agree in (True, False)
         True
     """
     if not 0 < significance <= 100:
         raise UsageError(f"significance {significance:g} is not a percentage", hint="the papers use 15")
-    named = [(_label(identified, number), _result(identified)) for number, identified in enumerate(results, start=1)]
+    named = [
+        (_label(identified, position), _result(identified)) for position, identified in enumerate(results, start=1)
+    ]
     held_out = None if validation is None else recording_of(validation)
     merged, validated = merge_results(named, held_out, significance)
     return IdentificationResult(merged, (), validated.series if validated is not None else ())
@@ -125,10 +127,10 @@ def compare(
         robot: in place of the recording's own robot file.
 
     Returns:
-        A row a method: relative errors of fit and validation [%], then the validation's RMSE of each joint [N·m].
+        One row per method: relative errors of fit and validation [%], then the validation's RMSE of each joint [N·m].
 
     Raises:
-        InputError: whatever is wrong with the recordings or the methods.
+        InputError: invalid recordings or methods.
         IdentificationError: a method has no solution.
 
     Example:
@@ -164,6 +166,6 @@ def _result(identified: Identified) -> Result:
     return read_result(result_path(identified))
 
 
-def _label(identified: Identified, number: int) -> str:
+def _label(identified: Identified, position: int) -> str:
     given = isinstance(identified, (IdentificationResult, Model))
-    return f"result {number}" if given else str(result_path(identified))  # type: ignore[arg-type]
+    return f"result {position}" if given else str(result_path(identified))  # type: ignore[arg-type]

@@ -281,5 +281,5 @@ def test_a_model_of_a_part_of_the_arm_is_refused():
         robot_file, time=stream.time, position=position, torque=stream.channels["torque"].values
     )
     result = dynid.identify(locked)
-    with pytest.raises(dynid.ModelError, match="a part of the arm only"):
+    with pytest.raises(dynid.ModelError, match="only some of the base parameters"):
         _ = result.model

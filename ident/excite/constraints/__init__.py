@@ -1,1 +1,1 @@
-"""What a designed motion must keep: limits of joints and torques, floor, obstacles, self-collision."""
+"""Constraints of a designed motion: limits of joints and torques, floor, obstacles, self-collision."""

@@ -96,10 +96,10 @@ def tube_capsules(model: DynamicModel, rows: Sequence[MdhRow] | None, workspace:
     """
     capsules = []
     radii = [workspace.radius_of(joint.name) for joint in model.joints]
-    for number, joint in enumerate(model.joints):
+    for index, joint in enumerate(model.joints):
         radius = workspace.radius_of(BASE) if joint.parent == BASE_INDEX else radii[joint.parent]
-        travel = _travel(model, number)
-        corners = _corners(joint, rows[number] if rows is not None else None, travel[0])
+        travel = _travel(model, index)
+        corners = _corners(joint, rows[index] if rows is not None else None, travel[0])
         kept = [corners[0]]
         for corner in corners[1:]:
             if np.linalg.norm(corner - kept[-1]) > _SAME_POINT:
@@ -107,7 +107,7 @@ def tube_capsules(model: DynamicModel, rows: Sequence[MdhRow] | None, workspace:
                 kept.append(corner)
         if joint.prismatic:
             back = joint.axis * (travel[0] - travel[1])
-            capsules.append(Capsule(number, np.zeros(3), back, radii[number]))
+            capsules.append(Capsule(index, np.zeros(3), back, radii[index]))
     if any(workspace.tool):
         capsules.append(_tool_tube(model.tool_link, model.joints[model.tool_link].name, workspace))
     present = {capsule.link for capsule in capsules}
@@ -121,10 +121,10 @@ def _tool_tube(link: int, name: str, workspace: Workspace) -> Capsule:
     return Capsule(link, np.zeros(3), np.array(workspace.tool), workspace.radius_of(name))
 
 
-def _travel(model: DynamicModel, number: int) -> tuple[float, float]:
+def _travel(model: DynamicModel, index: int) -> tuple[float, float]:
     """The ends of a prismatic joint's travel [m], first the one nearer to the link that carries it; 0 if revolute."""
-    joint = model.joints[number]
-    ends = model.limits[model.active.index(number)].position if number in model.active else (0.0, 0.0)
+    joint = model.joints[index]
+    ends = model.limits[model.active.index(index)].position if index in model.active else (0.0, 0.0)
     if not (joint.prismatic and np.all(np.isfinite(ends))):
         return (0.0, 0.0)
     way = joint.rotation @ joint.axis

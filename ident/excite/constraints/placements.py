@@ -1,4 +1,4 @@
-"""Where an arm's links are along a path, and how points on them move with the joints."""
+"""Placements of the links along a path, and the Jacobians of points on them."""
 
 from __future__ import annotations
 
@@ -42,19 +42,19 @@ def place(joints: tuple[Joint, ...], position: FloatArray) -> Placements:
     origin = np.zeros((len(joints) + 1, 3, count))
     screw = np.zeros((len(joints), 6, count))
     rotation[BASE_INDEX] = np.eye(3)[:, :, None]
-    for number, (joint, q) in enumerate(zip(joints, position, strict=True)):
+    for index, (joint, q) in enumerate(zip(joints, position, strict=True)):
         before = rotation[joint.parent]
         local = joint.translation[:, None] + (np.outer(joint.rotation @ joint.axis, q) if joint.prismatic else 0.0)
-        origin[number] = origin[joint.parent] + np.einsum("ijt,jt->it", before, np.broadcast_to(local, (3, count)))
+        origin[index] = origin[joint.parent] + np.einsum("ijt,jt->it", before, np.broadcast_to(local, (3, count)))
         start = np.einsum("ijt,jk->ikt", before, joint.rotation)
         axis = np.einsum("ijt,j->it", start, joint.axis)
         if joint.prismatic:
-            rotation[number] = start
-            screw[number, 3:] = axis
+            rotation[index] = start
+            screw[index, 3:] = axis
         else:
-            rotation[number] = np.einsum("ijt,jkt->ikt", start, _turn(joint.axis, q))
-            screw[number, :3] = axis
-            screw[number, 3:] = np.cross(origin[number], axis, axis=0)
+            rotation[index] = np.einsum("ijt,jkt->ikt", start, _turn(joint.axis, q))
+            screw[index, :3] = axis
+            screw[index, 3:] = np.cross(origin[index], axis, axis=0)
     return Placements(rotation, origin, screw)
 
 
@@ -81,8 +81,8 @@ def _turn(axis: FloatArray, angle: FloatArray) -> FloatArray:
 def moved_by(joints: tuple[Joint, ...]) -> FloatArray:
     """(n + 1, n): 1 where a joint (column) moves a link (row), else 0; the last row, zero, is the base's."""
     moves = np.zeros((len(joints) + 1, len(joints)))
-    for number in range(len(joints)):
-        moves[number, [*ancestors(joints, number), number]] = 1.0
+    for index in range(len(joints)):
+        moves[index, [*ancestors(joints, index), index]] = 1.0
     return moves
 
 

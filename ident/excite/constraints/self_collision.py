@@ -23,7 +23,7 @@ ALWAYS_CLOSE = 0.95
 """Links that are close in at least this share of random configurations are so by construction."""
 
 CLOSE = 0.02
-"""Links nearer than this [m] are close: with capsules for housings, no motion could be told to keep them apart."""
+"""Links nearer than this [m] by construction are not checked: their capsules cannot be kept apart."""
 
 _CONFIGURATIONS = 500
 
@@ -94,8 +94,8 @@ class _PairDistances:
         """Distances (K, N) [m] of all pairs of capsules, negative where they overlap, and their segments' nearest."""
         starts = placements.points(self._geometry.links, self._geometry.starts)
         ends = placements.points(self._geometry.links, self._geometry.ends)
-        found = nearest_points(starts[self.first], ends[self.first], starts[self.second], ends[self.second])
-        return found.distance - self._radii, found
+        nearest = nearest_points(starts[self.first], ends[self.first], starts[self.second], ends[self.second])
+        return nearest.distance - self._radii, nearest
 
     def smallest(self, placements: Placements) -> FloatArray:
         """(m, N) [m] of each pair of links."""
@@ -132,7 +132,7 @@ class SelfCollision:
     def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
         """Smooth upper bound (m,) and its derivatives (m, 3, n, N): ∂d/∂q = nᵀ(J_1 − J_2) at the nearest points."""
         placements = place_arm(self._model, path.position)
-        distance, found = self._distances.nearest(placements)
+        distance, nearest = self._distances.nearest(placements)
         used = 1.0 - distance / DISTANCE_SCALE
         starts = self._distances.starts
         bounds = np.empty(len(starts) - 1)
@@ -142,9 +142,9 @@ class SelfCollision:
             weights[start:end] = flat.reshape(used[start:end].shape)
         gradient = np.zeros((len(bounds), 3, *path.position.shape))
         if len(bounds):
-            force = found.normal * (-weights / DISTANCE_SCALE)[:, None]
+            force = nearest.normal * (-weights / DISTANCE_SCALE)[:, None]
             # The normal goes through both nearest points: its moment is the same at either.
-            of_pairs = np.add.reduceat(wrench(found.first, force), starts[:-1], axis=0)
+            of_pairs = np.add.reduceat(wrench(nearest.first, force), starts[:-1], axis=0)
             turned = np.einsum("jat,mat->mjt", placements.screw, of_pairs)
             of_tree = self._distances.relative[:, :, None] * turned
             gradient[:, 0] = self._model.active_gradient(path.position, of_tree)

@@ -1,4 +1,4 @@
-"""What a design cannot know unless the robot file says it: what stands around the arm."""
+"""Warning where the robot file describes no surroundings of the arm."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ class _UnusableShapeError(Exception):
 
 
 def urdf_capsules(robot_file: RobotFile) -> dict[int, list[Capsule]]:
-    """Capsules around the collision shapes of every link that has shapes, all of which can be used, by link number.
+    """Capsules around the collision shapes of every link that has shapes, all of which can be used, by link index.
 
     Links that are fixed to each other count as one; if one shape of theirs cannot be used, none is.
 
@@ -39,21 +39,21 @@ def urdf_capsules(robot_file: RobotFile) -> dict[int, list[Capsule]]:
         names = urdf_order(xml, (*names, *robot.passive_names), robot.model.locked, where)
     model = urdf_model(xml, names, robot.model.locked, where)
     folders = _folders(robot_file)
-    found: dict[int, list[Capsule]] = {}
+    capsules_of: dict[int, list[Capsule]] = {}
     unusable: set[int] = set()
-    for link in ElementTree.fromstring(xml).findall("link"):
-        name = link.get("name", "")
+    for element in ElementTree.fromstring(xml).findall("link"):
+        name = element.get("name", "")
         if not model.existBodyName(name):
             continue
         frame = model.frames[model.getBodyId(name)]
         parent = frame.parentJoint
-        number = BASE_INDEX if parent == UNIVERSE else names.index(model.names[parent])
-        for collision in link.findall("collision"):
+        link = BASE_INDEX if parent == UNIVERSE else names.index(model.names[parent])
+        for collision in element.findall("collision"):
             try:
-                found.setdefault(number, []).extend(_capsules(number, collision, frame.placement, folders))
+                capsules_of.setdefault(link, []).extend(_capsules(link, collision, frame.placement, folders))
             except _UnusableShapeError:
-                unusable.add(number)
-    return {number: capsules for number, capsules in found.items() if number not in unusable and capsules}
+                unusable.add(link)
+    return {link: capsules for link, capsules in capsules_of.items() if link not in unusable and capsules}
 
 
 def _folders(robot_file: RobotFile) -> tuple[Path, ...]:

@@ -75,6 +75,6 @@ class _ConstraintWithin:
 def _moved(path: Path, limits: Sequence[JointLimits]) -> tuple[Path, np.ndarray]:
     """The path with its positions moved into the limits, and which (n, N) were."""
     low, high = (np.array(limit)[:, None] for limit in zip(*(joint.position for joint in limits), strict=True))
-    # A solver that went astray asks about no numbers; velocities that are none tell it so.
+    # A diverging solver asks for NaN positions; NaN velocities are the answer.
     position = np.clip(np.where(np.isfinite(path.position), path.position, low), low, high)
     return Path(path.time, position, path.velocity, path.acceleration), position != path.position

@@ -88,11 +88,11 @@ class WorkspaceLimits:
             limits.append(_Limit("smallest height of the arm", links, lambda p: _above(p.points(links, points), up)))
             limits.append(_Limit("largest height of the arm", links, lambda p: _above(p.points(links, points), down)))
         _refuse_inescapable(model, geometry, moving, workspace)
-        for number, keep_out in enumerate(workspace.keep_out):
+        for index, keep_out in enumerate(workspace.keep_out):
             if keep_out.half_space is not None:
-                limits.append(_half_space(geometry, moving, keep_out.half_space, f"half-space keep_out[{number}]"))
+                limits.append(_half_space(geometry, moving, keep_out.half_space, f"half-space keep_out[{index}]"))
             elif keep_out.box is not None:
-                limits.append(_box(geometry, moving, keep_out.box, f"box keep_out[{number}]"))
+                limits.append(_box(geometry, moving, keep_out.box, f"box keep_out[{index}]"))
         self._limits = tuple(limit for limit in limits if len(limit.links))
 
     @property
@@ -105,8 +105,8 @@ class WorkspaceLimits:
         nearest = np.full(len(self._limits), np.inf)
         for start in range(0, path.time.size, SAMPLES_AT_ONCE):
             placements = place_arm(self._model, path.position[:, start : start + SAMPLES_AT_ONCE])
-            found = [float(limit.distances(placements).value.min()) for limit in self._limits]
-            nearest = np.minimum(nearest, found)
+            distances = [float(limit.distances(placements).value.min()) for limit in self._limits]
+            nearest = np.minimum(nearest, distances)
         return 1.0 - nearest / DISTANCE_SCALE
 
     def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
@@ -147,18 +147,18 @@ def _refuse_inescapable(model: DynamicModel, geometry: ArmGeometry, moving: Inde
     for places in (geometry.starts[moving], geometry.ends[moving]):
         points = at_zero.points(links, places)
         still = _reach(model, links, places) <= _STILL
-        for number, keep_out in enumerate(workspace.keep_out):
+        for index, keep_out in enumerate(workspace.keep_out):
             if keep_out.half_space is not None:
-                found = _above(points, keep_out.half_space)
+                distances = _above(points, keep_out.half_space)
             elif keep_out.box is not None:
-                found = box_distances(points, points, keep_out.box)
-            inside = np.flatnonzero(still & (found.value[:, 0] - radii < 0.0))
+                distances = box_distances(points, points, keep_out.box)
+            inside = np.flatnonzero(still & (distances.value[:, 0] - radii < 0.0))
             if len(inside):
                 name = model.joints[links[inside[0]]].name
                 raise RobotFileError(
                     f"the link of joint '{name}' begins in a point that no joint moves, and with its radius of "
                     f"{radii[inside[0]]:g} m it is inside already: no motion is possible",
-                    where=f"{model.name}: workspace.keep_out[{number}]",
+                    where=f"{model.name}: workspace.keep_out[{index}]",
                     hint="move the limit, or correct workspace.link_radius",
                 )
 
@@ -191,8 +191,8 @@ def _half_space(geometry: ArmGeometry, moving: IndexArray, half_space: HalfSpace
     radii = np.tile(geometry.radii[moving], 2)[:, None]
 
     def distances(placements: Placements) -> Distances:
-        found = _above(placements.points(links, places), half_space)
-        return Distances(found.value - radii, found.point, found.gradient)
+        distances = _above(placements.points(links, places), half_space)
+        return Distances(distances.value - radii, distances.point, distances.gradient)
 
     return _Limit(name, links, distances)
 
@@ -202,8 +202,8 @@ def _box(geometry: ArmGeometry, moving: IndexArray, box: Box, name: str) -> _Lim
 
     def distances(placements: Placements) -> Distances:
         start = placements.points(links, geometry.starts[moving])
-        found = box_distances(start, placements.points(links, geometry.ends[moving]), box)
-        return Distances(found.value - radii, found.point, found.gradient)
+        distances = box_distances(start, placements.points(links, geometry.ends[moving]), box)
+        return Distances(distances.value - radii, distances.point, distances.gradient)
 
     return _Limit(name, links, distances)
 
@@ -233,12 +233,14 @@ def box_distances(start: FloatArray, end: FloatArray, box: Box) -> Distances:
     value_after, point_after, after, rising = at(high)
     between = (falling < 0.0) & (rising > 0.0)
     change = np.where(between, rising - falling, 1.0)
-    part = np.where(between, -falling / change, np.where(falling >= 0.0, 0.0, 1.0))
+    fraction = np.where(between, -falling / change, np.where(falling >= 0.0, 0.0, 1.0))
     # Where the two slopes meet: halving alone would leave the error of the last step.
     to_kink = np.clip((value - value_after + rising * (high - low)) / change, 0.0, high - low)
-    to_end = part == 1.0
+    to_end = fraction == 1.0
     value = np.where(to_end, value_after, value + np.where(between, falling * to_kink, 0.0))
-    return Distances(value, np.where(to_end[:, None], point_after, point), before + part[:, None] * (after - before))
+    return Distances(
+        value, np.where(to_end[:, None], point_after, point), before + fraction[:, None] * (after - before)
+    )
 
 
 def _to_box(offset: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -125,24 +125,24 @@ class _Family:
         sine = self.joints.whole(coefficients[:, 1 : 1 + self.harmonics], 0.0)
         return offset, sine, self.joints.whole(coefficients[:, 1 + self.harmonics :], 0.0)
 
-    def _encoded(self, found: FourierSeries | FourierQuintic) -> FloatArray:
-        if not abs(found.period - self.period) <= _TOLERANCE * self.period:
+    def _encoded(self, earlier: FourierSeries | FourierQuintic) -> FloatArray:
+        if not abs(earlier.period - self.period) <= _TOLERANCE * self.period:
             raise UsageError(
-                f"the earlier motion has a period of {found.period:g} s, not {self.period:g} s",
-                hint=f"--period {found.period:g}",
+                f"the earlier motion has a period of {earlier.period:g} s, not {self.period:g} s",
+                hint=f"--period {earlier.period:g}",
             )
-        number = found.sine.shape[1]
-        if number > self.harmonics:
+        count = earlier.sine.shape[1]
+        if count > self.harmonics:
             raise UsageError(
-                f"the earlier motion has {number} harmonics, more than {self.harmonics}", hint=f"--harmonics {number}"
+                f"the earlier motion has {count} harmonics, more than {self.harmonics}", hint=f"--harmonics {count}"
             )
-        travel = (np.abs(found.sine) + np.abs(found.cosine)).sum(axis=1) * self.period
-        self.joints.check_same(len(found.offset), found.offset, travel)
+        travel = (np.abs(earlier.sine) + np.abs(earlier.cosine)).sum(axis=1) * self.period
+        self.joints.check_same(len(earlier.offset), earlier.offset, travel)
         rows = self.joints.rows
-        missing = np.zeros((len(rows), self.harmonics - number))
-        parts = [found.offset[rows, None] - self.joints.middle[:, None]]
-        parts += [found.sine[rows], missing, found.cosine[rows], missing]
-        return np.asarray((np.concatenate(parts, axis=1) / self._scale).ravel())
+        missing = np.zeros((len(rows), self.harmonics - count))
+        terms = [earlier.offset[rows, None] - self.joints.middle[:, None]]
+        terms += [earlier.sine[rows], missing, earlier.cosine[rows], missing]
+        return np.asarray((np.concatenate(terms, axis=1) / self._scale).ravel())
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,10 +197,10 @@ class FourierFamily(_Family):
         Raises:
             UsageError: another kind of motion, period or set of joints, or more harmonics.
         """
-        found = unwrapped(motion)
-        if not isinstance(found, FourierSeries):
+        earlier = unwrapped(motion)
+        if not isinstance(earlier, FourierSeries):
             raise UsageError("the earlier motion is no Fourier series", hint="--kind must be that of the file")
-        return self._encoded(found)
+        return self._encoded(earlier)
 
     def begun_near_middle(self, variables: FloatArray) -> FloatArray:
         """The x of the series from another moment on; nearest by the time that the slowest joint needs."""

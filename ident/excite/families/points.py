@@ -27,7 +27,7 @@ _FITTINGS = 30
 class _Moves:
     """Where each time (N,) is: in which move, how far, and the polynomial with its derivatives by u there."""
 
-    number: np.typing.NDArray[np.intp]
+    index: np.typing.NDArray[np.intp]
     u: FloatArray
     length: FloatArray  # of that move [s]
     shape: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
@@ -108,7 +108,7 @@ class PointsFamily:
         of_moving = gradient[..., self.joints.rows, :]
 
         inside = np.zeros((self.points - 1, time.size))
-        inside[moves.number, np.arange(time.size)] = 1.0
+        inside[moves.index, np.arange(time.size)] = 1.0
         # ∂/∂way; the start of a move adds to the position alone.
         by_way = sum(
             (of_moving[..., order, :, :] * factor) @ inside.T
@@ -117,7 +117,7 @@ class PointsFamily:
         by_start = of_moving[..., 0, :, :] @ inside.T  # (..., m, P − 1)
 
         # ∂/∂ of a move's own time and of when it begins, each summed over joints.
-        way = ways[moves.number].T
+        way = ways[moves.index].T
         in_time = [
             -way * p1 * u / length,
             -way * (p2 * u + p1) / length**2,
@@ -182,9 +182,9 @@ class PointsFamily:
         """
         if not isinstance(motion, PointToPoint):
             raise UsageError("the earlier motion has no points", hint="--kind must be that of the file")
-        number, joints = motion.points.shape
-        if number != self.points:
-            raise UsageError(f"the earlier motion has {number} points, not {self.points}", hint=f"--points {number}")
+        index, joints = motion.points.shape
+        if index != self.points:
+            raise UsageError(f"the earlier motion has {index} points, not {self.points}", hint=f"--points {index}")
         self.joints.check_same(joints, motion.points[0], np.abs(motion.points - motion.points[0]).max(axis=0))
         points = motion.points[:, self.joints.rows]
         outside = np.argwhere(np.abs(points - self.joints.middle) > self._half * (1.0 + 1e-9))
@@ -241,9 +241,9 @@ class PointsFamily:
 
     def _moves(self, durations: FloatArray, time: FloatArray) -> _Moves:
         starts = np.concatenate([[0.0], np.cumsum(durations + self.dwell)])
-        number = np.clip(np.searchsorted(starts, time, side="right") - 1, 0, len(durations) - 1)
-        length = durations[number]
-        u = np.clip((time - starts[number]) / length, 0.0, 1.0)
+        index = np.clip(np.searchsorted(starts, time, side="right") - 1, 0, len(durations) - 1)
+        length = durations[index]
+        u = np.clip((time - starts[index]) / length, 0.0, 1.0)
         v = 1.0 - u
         # At u = 1 the third derivative jumps from 60 to 0, the value of the rest that follows.
         shape = (
@@ -252,7 +252,7 @@ class PointsFamily:
             60.0 * u * v * (v - u),
             np.where(u < 1.0, 60.0 * (1.0 - 6.0 * u * v), 0.0),
         )
-        return _Moves(number, u, length, shape)
+        return _Moves(index, u, length, shape)
 
     def _uses(self, points: FloatArray) -> FloatArray:
         """Use (m,) of each joint's tightest limit by points (P, m), of its range at most one turn."""

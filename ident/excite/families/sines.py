@@ -72,8 +72,8 @@ class SinesFamily:
 
     def grid(self, count: int) -> FloatArray:
         """Times (N,) [s], `count` of them within `duration`, and as dense before and after, where the ramps are."""
-        number = int(np.ceil(max(count, 2) * (1.0 + self.ramp / self.duration)))
-        return np.linspace(-0.5 * self.ramp, self.duration + 0.5 * self.ramp, number)
+        total = int(np.ceil(max(count, 2) * (1.0 + self.ramp / self.duration)))
+        return np.linspace(-0.5 * self.ramp, self.duration + 0.5 * self.ramp, total)
 
     def path(self, variables: FloatArray, time: FloatArray) -> Path:
         """The sums at full pace; before 0 and after `duration` they go on."""
@@ -90,12 +90,12 @@ class SinesFamily:
         of_moving = gradient[..., self.joints.rows, :]
         shape = (*gradient.shape[:-3], -1)
         slope = amplitude * 0.5 * (self._band[1] - self._band[0]) * np.cos(self._split(variables)[2])
-        parts = [
+        terms = [
             of_moving[..., 0, :, :].sum(axis=-1) * self.joints.half,
             (np.einsum("...cmt,cmkt->...mk", of_moving, by_amplitude) * self._scale).reshape(shape),
             (np.einsum("...cmt,cmkt->...mk", of_moving, by_frequency) * slope).reshape(shape),
         ]
-        return np.concatenate(parts, axis=-1)
+        return np.concatenate(terms, axis=-1)
 
     def random(self, generator: np.random.Generator) -> FloatArray:
         """A random x within the limits (`MovingJoints.fitted`); the frequencies spread over the band."""
@@ -135,26 +135,26 @@ class SinesFamily:
         Raises:
             UsageError: another kind of motion, duration or set of joints, more sines, or a frequency out of the band.
         """
-        found = unwrapped(motion)
-        if not isinstance(found, SumOfSines):
+        earlier = unwrapped(motion)
+        if not isinstance(earlier, SumOfSines):
             raise UsageError("the earlier motion is no sum of sines", hint="--kind must be that of the file")
-        if not abs(found.duration - self.duration) <= _TOLERANCE * self.duration:
+        if not abs(earlier.duration - self.duration) <= _TOLERANCE * self.duration:
             raise UsageError(
-                f"the earlier motion lasts {found.duration:g} s at full pace, not {self.duration:g} s",
-                hint=f"--period {found.duration:g}",
+                f"the earlier motion lasts {earlier.duration:g} s at full pace, not {self.duration:g} s",
+                hint=f"--period {earlier.duration:g}",
             )
-        number = found.amplitude.shape[1]
-        if number > self.sines:
+        count = earlier.amplitude.shape[1]
+        if count > self.sines:
             raise UsageError(
-                f"the earlier motion has {number} sines, more than {self.sines}", hint=f"--harmonics {number}"
+                f"the earlier motion has {count} sines, more than {self.sines}", hint=f"--harmonics {count}"
             )
-        self.joints.check_same(len(found.offset), found.offset, np.abs(found.amplitude).sum(axis=1))
+        self.joints.check_same(len(earlier.offset), earlier.offset, np.abs(earlier.amplitude).sum(axis=1))
         rows = self.joints.rows
         low, high = self._band
         # A negative frequency is the positive one with the opposite amplitude; one of 0, or of amplitude 0, is nothing.
-        sign = np.sign(found.frequency[rows])
-        amplitude = sign * found.amplitude[rows]
-        frequency = np.where(amplitude == 0.0, 0.5 * (low + high), np.abs(found.frequency[rows]))
+        sign = np.sign(earlier.frequency[rows])
+        amplitude = sign * earlier.amplitude[rows]
+        frequency = np.where(amplitude == 0.0, 0.5 * (low + high), np.abs(earlier.frequency[rows]))
         share = (frequency - 0.5 * (low + high)) / (0.5 * (high - low))
         if np.any(np.abs(share) > 1.0 + _TOLERANCE):
             worst = frequency.flat[int(np.argmax(np.abs(share)))]
@@ -162,9 +162,9 @@ class SinesFamily:
                 f"the earlier motion has a frequency of {worst:.5g} rad/s; the band is {low:.5g} to {high:.5g} rad/s",
                 hint="more --harmonics widen the band",
             )
-        missing = np.zeros((len(rows), self.sines - number))
+        missing = np.zeros((len(rows), self.sines - count))
         padded = [np.concatenate([values, missing], axis=1) for values in (amplitude, share)]
-        return self._joined(found.offset[rows], *padded)
+        return self._joined(earlier.offset[rows], *padded)
 
     def begun_near_middle(self, variables: FloatArray) -> FloatArray:
         """Unchanged: its path is not closed."""

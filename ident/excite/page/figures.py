@@ -121,10 +121,10 @@ def joints_figure(joints: Sequence[JointLimits], prismatic: Sequence[bool], show
             **({"matches": "x"} if column else {}),
         }
         for row, (limits, domain) in enumerate(zip(joints, rows, strict=True)):
-            number = column * len(joints) + row + 1
-            x, y = axis_ref("x", column + 1), axis_ref("y", number)
+            index = column * len(joints) + row + 1
+            x, y = axis_ref("x", column + 1), axis_ref("y", index)
             unit = _unit(quantity, prismatic[row])
-            axes[axis_name("y", number)] = {"domain": list(domain), "anchor": x, "nticks": 4, "zeroline": False}
+            axes[axis_name("y", index)] = {"domain": list(domain), "anchor": x, "nticks": 4, "zeroline": False}
             data.append(
                 {
                     "type": "scatter", "mode": "lines", "name": plain(f"{quantity} of {limits.name}"),
@@ -188,9 +188,9 @@ def tool_figure(robot_file: RobotFile, shown: Shown) -> Figure:
     data: list[dict[str, Any]] = []
     shapes, notes = [], []
     domains = row_domains(len(panels), height, GAP)
-    for number, ((label, values, limits), domain) in enumerate(zip(panels, domains, strict=True), 1):
-        y = axis_ref("y", number)
-        axes[axis_name("y", number)] = {"domain": list(domain), "anchor": "x", "nticks": 5, "zeroline": False}
+    for index, ((label, values, limits), domain) in enumerate(zip(panels, domains, strict=True), 1):
+        y = axis_ref("y", index)
+        axes[axis_name("y", index)] = {"domain": list(domain), "anchor": "x", "nticks": 5, "zeroline": False}
         data.append(
             {
                 "type": "scatter", "mode": "lines", "name": label, "x": packed(shown.path.time), "y": packed(values),
@@ -256,12 +256,12 @@ def _arm_line(joints: tuple[Joint, ...], origins: FloatArray, tool: FloatArray) 
     """x, y, z of the pieces from each joint's parent to the joint, then to the tool; null between branches."""
     points: list[FloatArray | None] = []
     last: int | None = None
-    for number, joint in enumerate(joints):
+    for index, joint in enumerate(joints):
         if joint.parent != last:
             points += [None] if points else []
             points.append(origins[joint.parent] if joint.parent != BASE_INDEX else origins[-1])
-        points.append(origins[number])
-        last = number
+        points.append(origins[index])
+        last = index
     points.append(tool)
     return {
         name: [None if point is None else round(float(point[axis]), 4) for point in points]
@@ -278,9 +278,9 @@ def _bounds(origins: FloatArray, path: FloatArray) -> tuple[FloatArray, FloatArr
 
 
 def _scene(low: FloatArray, high: FloatArray) -> dict[str, Any]:
-    def axis(number: int) -> dict[str, Any]:
+    def axis(index: int) -> dict[str, Any]:
         return {
-            "title": {"text": f"{'xyz'[number]} [m]"}, "range": [float(low[number]), float(high[number])],
+            "title": {"text": f"{'xyz'[index]} [m]"}, "range": [float(low[index]), float(high[index])],
             "gridcolor": _GRID_COLOUR, "zerolinecolor": _GRID_COLOUR, "showbackground": False, "nticks": 6,
         }  # fmt: skip
 
@@ -307,7 +307,7 @@ def _slider(times: FloatArray) -> dict[str, Any]:
         "active": 0, "x": 0.2, "len": 0.78, "y": 0, "yanchor": "top", "pad": {"t": 20},
         "currentvalue": {"prefix": "time [s]: ", "font": {"size": 12}}, "ticklen": 3, "font": {"size": 10},
         "steps": [
-            {"label": f"{time:.2f}", "method": "animate", "args": [[str(number)], show]}
-            for number, time in enumerate(times)
+            {"label": f"{time:.2f}", "method": "animate", "args": [[str(index)], show]}
+            for index, time in enumerate(times)
         ],
     }  # fmt: skip

@@ -1,4 +1,4 @@
-"""The page of a designed excitation: one HTML file that needs nothing else."""
+"""The page of a designed excitation: one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def write_page(
         motion: what is played.
         prior: parameters for the torques.
         figures: of the motion.
-        notes: what it was designed for and how, as pairs of a name and a text.
+        notes: options and outcome of the design, as pairs of a name and a text.
 
     Raises:
         UsageError: the file cannot be written.
@@ -49,7 +49,7 @@ def render_page(
     """The page as text."""
     model = build_model(robot_file)
     shown = shown_part(robot_file, motion, prior)
-    prismatic = [model.joints[number].prismatic for number in model.active]
+    prismatic = [model.joints[joint].prismatic for joint in model.active]
     return (
         page_templates("ident.excite.page")
         .get_template("excitation_page.html.j2")
@@ -76,10 +76,10 @@ def _tiles(figures: ExcitationFigures) -> list[Tile]:
     count = len(forecast.parameters)
     return [
         Tile("Duration", f"{number(figures.duration, 4)} s", "from rest to rest"),
-        Tile("Scaled condition", number(forecast.scaled_condition, 3), "columns of unit length"),
-        Tile("Condition", number(forecast.condition, 3), "columns as they are, so it depends on units"),
+        Tile("Column-normalised condition", number(forecast.scaled_condition, 3), "independent of units"),
+        Tile("Condition", number(forecast.condition, 3), "depends on units"),
         Tile("log det", number(forecast.log_det, 4), "of the information matrix"),
-        Tile("Largest use of a limit", percent(figures.worst_use), _worst(figures)),
+        Tile("Largest limit utilisation", percent(figures.worst_use), _worst(figures)),
         Tile("Significant", str(significant) if known else number_text.DASH, _significance(known, count)),
     ]
 

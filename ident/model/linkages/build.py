@@ -33,7 +33,7 @@ START_AWAY = 0.5
 """How far [rad or m] a joint may lie from the start that the file gives once the loops close."""
 
 RANK = 1e-8
-"""Singular values of the closing equations' derivatives below this part of the largest count as zero."""
+"""Singular values of the closing equations' derivatives below this share of the largest count as zero."""
 
 DEAD_POINT = 1e-3
 """The smallest singular value of J_p over its largest at which the joints without a motor no longer follow."""
@@ -76,7 +76,7 @@ def build_closed_loops(
     )
     for loop, chain in zip(loops, chains, strict=True):
         _check_within(loop, chain, names, where)
-    passive = tuple(number for number in range(len(joints)) if number not in motors.active)
+    passive = tuple(index for index in range(len(joints)) if index not in motors.active)
     count = sum(chain.rows for chain in chains) + len(linear[1])
     raw = LoopEquations(motors.active, passive, chains, *linear, np.eye(count), 1.0)
     wanted = _wanted_start(robot, loops, names)
@@ -108,7 +108,7 @@ def build_closed_loops(
 
 
 def _check_within(loop: Loop, chain: ClosingChain, names: tuple[str, ...], where: str) -> None:
-    inside = [names[number] for number in chain.joints]
+    inside = [names[index] for index in chain.joints]
     for name in loop.passive or {}:
         if name not in inside:
             raise RobotFileError(
@@ -142,11 +142,11 @@ def _closed_start(equations: LoopEquations, wanted: FloatArray, names: tuple[str
             hint="check the lengths and angles in 'model' and 'closing', 'at', and the start values in 'passive'",
         )
     away = start - wanted
-    for number in passive:
-        if abs(away[number]) > START_AWAY and any(number in chain.joints for chain in equations.chains):
+    for index in passive:
+        if abs(away[index]) > START_AWAY and any(index in chain.joints for chain in equations.chains):
             raise RobotFileError(
-                f"the loop of {names[number]} closes only {abs(away[number]):.3g} rad or m away from the start that "
-                f"'passive' gives: at {names[number]} = {start[number]:.4g}, in place of {wanted[number]:.4g} "
+                f"the loop of {names[index]} closes only {abs(away[index]):.3g} rad or m away from the start that "
+                f"'passive' gives: at {names[index]} = {start[index]:.4g}, in place of {wanted[index]:.4g} "
                 f"({_at(equations, start, names)})",
                 where=where,
                 hint="give the start of the assembly that is meant more exactly",
@@ -165,9 +165,9 @@ def _nearest_closing(equations: LoopEquations, wanted: FloatArray) -> FloatArray
         step = np.linalg.solve(square + lift, jacobian.T @ residual)
         trial = tree.copy()
         trial[passive] -= step
-        found, derivatives = _all_rows(equations, trial)
-        if float(found @ found) < float(residual @ residual):
-            tree, residual, jacobian, damping = trial, found, derivatives, 0.2 * damping
+        trial_residual, derivatives = _all_rows(equations, trial)
+        if float(trial_residual @ trial_residual) < float(residual @ residual):
+            tree, residual, jacobian, damping = trial, trial_residual, derivatives, 0.2 * damping
         elif np.max(np.abs(step)) < 1e-14 or damping > 1e12:
             break
         else:
@@ -203,7 +203,7 @@ def _worst(equations: LoopEquations, tree: FloatArray) -> str | None:
 def _independent(raw: LoopEquations, start: FloatArray, names: tuple[str, ...], where: str) -> LoopEquations:
     """The equations with as many independent rows as joints follow."""
     passive = list(raw.passive)
-    following = ", ".join(names[number] for number in passive)
+    following = ", ".join(names[index] for index in passive)
     jacobian = raw.at(start[:, None]).full[..., 0]
     rank = _rank(jacobian)
     elsewhere = start[:, None] + np.random.default_rng(0).uniform(-1.0, 1.0, (len(start), 1))
@@ -234,10 +234,10 @@ def _check_travel(
     robot: Robot, equations: LoopEquations, start: FloatArray, names: tuple[str, ...], where: str
 ) -> None:
     for limits in robot.joints:
-        number = names.index(limits.name)
-        ends = (*limits.position, start[number])
+        index = names.index(limits.name)
+        ends = (*limits.position, start[index])
         travel = max(ends) - min(ends)
-        if travel > LONGEST_WAY and any(number in chain.joints for chain in equations.chains):
+        if travel > LONGEST_WAY and any(index in chain.joints for chain in equations.chains):
             raise RobotFileError(
                 f"joint {limits.name} may move by {travel:.3g} rad or m; a loop is followed over {LONGEST_WAY:g} "
                 "at most",
@@ -328,7 +328,7 @@ def _refused(
 
 
 def _dead_point(equations: LoopEquations, tree: FloatArray, names: tuple[str, ...], where: str) -> RobotFileError:
-    following = ", ".join(names[number] for number in equations.passive)
+    following = ", ".join(names[index] for index in equations.passive)
     return RobotFileError(
         f"a dead point lies within the position limits, at {_at(equations, tree, names)}: there {following} do not "
         "follow the motors, and behind it the loop can fold to either side",
@@ -339,5 +339,5 @@ def _dead_point(equations: LoopEquations, tree: FloatArray, names: tuple[str, ..
 
 def _at(equations: LoopEquations, tree: FloatArray, names: tuple[str, ...]) -> str:
     """The joints with a motor that move a loop, as in `a = 0.3, c = 1.2`."""
-    moving = [number for number in equations.active if any(number in chain.joints for chain in equations.chains)]
-    return ", ".join(f"{names[number]} = {tree[number]:.4g}" for number in moving) or "no motor moves it"
+    moving = [index for index in equations.active if any(index in chain.joints for chain in equations.chains)]
+    return ", ".join(f"{names[index]} = {tree[index]:.4g}" for index in moving) or "no motor moves it"

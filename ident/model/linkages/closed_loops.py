@@ -150,13 +150,13 @@ class ClosedLoops(Transmission):
         if not np.all(np.isfinite(position)):
             raise ValueError("positions must be finite")
         passive = list(self.equations.passive)
-        number = self._nearest(position)
-        away = position - self.known[list(self.active)][:, number]
-        guess = self.known[passive][:, number] + np.einsum("paN,aN->pN", self._known_follow[:, :, number], away)
+        index = self._nearest(position)
+        away = position - self.known[list(self.active)][:, index]
+        guess = self.known[passive][:, index] + np.einsum("paN,aN->pN", self._known_follow[:, :, index], away)
         tree, closes = self.equations.newton(position, guess)
         missed = np.flatnonzero(~closes)
         if missed.size:
-            followed = self.equations.followed(self.known[:, number[missed]], position[:, missed])
+            followed = self.equations.followed(self.known[:, index[missed]], position[:, missed])
             short = np.flatnonzero(followed.reached < 1.0)
             if short.size:
                 raise self._open(position[:, missed[short[0]]])
@@ -170,9 +170,9 @@ class ClosedLoops(Transmission):
         return np.asarray(self._tree_of_known.query(position[list(self._moving)].T)[1])
 
     def _open(self, position: FloatArray) -> DataError:
-        moving = [(self.names[self.active[number]], position[number]) for number in self._moving]
+        moving = [(self.names[self.active[index]], position[index]) for index in self._moving]
         return DataError(
-            f"the loop of {', '.join(self.names[number] for number in self.equations.passive)} does not close at "
+            f"the loop of {', '.join(self.names[index] for index in self.equations.passive)} does not close at "
             + ", ".join(f"{name} = {value:.6g}" for name, value in moving),
             hint="is that position within the arm's limits, and does the robot file have the arm's lengths?",
         )
@@ -182,7 +182,7 @@ class ClosedLoops(Transmission):
         """The active joints that a loop or an equation depends on, by their place among the active ones."""
         within = {joint for chain in self.equations.chains for joint in chain.joints}
         within |= {int(joint) for joint in np.flatnonzero(self.equations.linear.any(axis=0))}
-        return tuple(number for number, joint in enumerate(self.active) if joint in within)
+        return tuple(index for index, joint in enumerate(self.active) if joint in within)
 
     @cached_property
     def _tree_of_known(self) -> Any:

@@ -88,14 +88,14 @@ class ClosingChain:
         origin = np.broadcast_to(self.before[1], (count, 3))
         turning = np.zeros((len(self.links), 3, count))
         sliding, origins = np.zeros_like(turning), np.zeros_like(turning)
-        for number, link in enumerate(self.links):
+        for index, link in enumerate(self.links):
             travel = link.sign * position[link.joint]
             axis = _times(rotation, link.sign * link.axis)
             if link.prismatic:
-                sliding[number] = axis.T
+                sliding[index] = axis.T
                 origin = origin + link.sign * travel[:, None] * axis
             else:
-                turning[number], origins[number] = axis.T, origin.T
+                turning[index], origins[index] = axis.T, origin.T
                 sine, versine = np.sin(travel)[:, None, None], 1.0 - np.cos(travel)[:, None, None]
                 rotation = rotation + _times(rotation, link.cross) * sine + _times(rotation, link.square) * versine
             origin = origin + _times(rotation, link.after[1])
@@ -184,8 +184,8 @@ def closing_chain(
     before = _inverse(first_end)
     between = before
     for sign, numbers in ((-1.0, back), (1.0, out)):
-        for number in numbers:
-            joint = joints[number]
+        for index in numbers:
+            joint = joints[index]
             own = (joint.rotation, joint.translation)
             if sign > 0:
                 between = _compose(between, own)
@@ -193,7 +193,7 @@ def closing_chain(
                 links[-1] = _followed(links[-1], between)
             else:
                 before = between
-            links.append(Link(number, sign, joint.axis, joint.prismatic, (np.eye(3), np.zeros(3))))
+            links.append(Link(index, sign, joint.axis, joint.prismatic, (np.eye(3), np.zeros(3))))
             between = _inverse(own) if sign < 0 else (np.eye(3), np.zeros(3))
     between = _compose(between, second_end)
     if links:
@@ -222,12 +222,12 @@ def _followed(link: Link, after: Placement) -> Link:
     return Link(link.joint, link.sign, link.axis, link.prismatic, after)
 
 
-def _to_base(joints: tuple[Joint, ...], number: int) -> list[int]:
+def _to_base(joints: tuple[Joint, ...], index: int) -> list[int]:
     """The joint and those before it, the base's last."""
     chain = []
-    while number != BASE_INDEX:
-        chain.append(number)
-        number = joints[number].parent
+    while index != BASE_INDEX:
+        chain.append(index)
+        index = joints[index].parent
     return chain
 
 

@@ -78,8 +78,8 @@ class LoopEquations:
     def at(self, tree: FloatArray) -> Closing:
         """The equations at tree positions (n, N)."""
         states = [chain.at(tree) for chain in self.chains]
-        parts = [state.residual() for state in states]
-        residual = np.concatenate([*parts, self.linear @ tree - self.right[:, None]])
+        derivatives = [state.residual() for state in states]
+        residual = np.concatenate([*derivatives, self.linear @ tree - self.right[:, None]])
         jacobian = self.assembled([state.jacobian() for state in states], self.linear)
         return Closing(self, states, residual, jacobian, self.reduced(jacobian))
 
@@ -128,22 +128,22 @@ class LoopEquations:
             share = np.minimum(done[running] + step[running], 1.0)
             position = np.where(share == 1.0, target[:, running], begun[:, running] + share * travel[:, running])
             moved = np.einsum("paN,aN->pN", self.at(here).follow(), position - here[active])
-            found, closes = self.newton(position, here[passive] + moved)
+            solution, closes = self.newton(position, here[passive] + moved)
             good = running[closes]
-            tree[:, good], done[good] = found[:, closes], share[closes]
+            tree[:, good], done[good] = solution[:, closes], share[closes]
             step[good] = np.minimum(2.0 * step[good], longest[good])
             step[running[~closes]] *= 0.5
             running = running[(done[running] < 1.0) & (step[running] * length[running] > SHORTEST)]
         return Followed(tree, done)
 
-    def assembled(self, parts: Sequence[FloatArray], linear: FloatArray) -> FloatArray:
+    def assembled(self, derivatives: Sequence[FloatArray], linear: FloatArray) -> FloatArray:
         """(r, n, N) from every chain's rows (rows, K, N) and the linear equations' (l, n)."""
-        count = parts[0].shape[-1]
-        total = np.zeros((sum(part.shape[0] for part in parts) + len(linear), linear.shape[1], count))
+        count = derivatives[0].shape[-1]
+        total = np.zeros((sum(derivative.shape[0] for derivative in derivatives) + len(linear), linear.shape[1], count))
         start = 0
-        for chain, part in zip(self.chains, parts, strict=True):
-            total[start : start + len(part), list(chain.joints)] = part
-            start += len(part)
+        for chain, derivative in zip(self.chains, derivatives, strict=True):
+            total[start : start + len(derivative), list(chain.joints)] = derivative
+            start += len(derivative)
         total[start:] = linear[:, :, None]
         return total
 
@@ -184,11 +184,11 @@ class Closing:
         """J_p⁻¹·right for right (p, m, N); no numbers where J_p is singular."""
         stacked, sides = self._of_passive(), right.transpose(2, 0, 1)
         try:
-            found = np.linalg.solve(stacked, sides)
+            solution = np.linalg.solve(stacked, sides)
         except np.linalg.LinAlgError:
             regular = np.where((np.linalg.det(stacked) == 0.0)[:, None, None], np.nan, stacked)
-            found = np.linalg.solve(regular, sides)
-        return np.asarray(found.transpose(1, 2, 0), dtype=np.float64)
+            solution = np.linalg.solve(regular, sides)
+        return np.asarray(solution.transpose(1, 2, 0), dtype=np.float64)
 
     def signs(self) -> FloatArray:
         """(N,) signs of det J_p."""
@@ -201,6 +201,6 @@ class Closing:
     def _of_passive(self) -> FloatArray:
         return self.jacobian[:, list(self.equations.passive)].transpose(2, 0, 1)
 
-    def _reduced(self, parts: Sequence[FloatArray]) -> FloatArray:
+    def _reduced(self, derivatives: Sequence[FloatArray]) -> FloatArray:
         equations = self.equations
-        return equations.reduced(equations.assembled(parts, np.zeros_like(equations.linear)))
+        return equations.reduced(equations.assembled(derivatives, np.zeros_like(equations.linear)))

@@ -1,4 +1,4 @@
-"""What the data were, and what was done to them."""
+"""Quality of the recordings, and their preprocessing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ def section(data: ReportData) -> ReportSection:
     result = data.result
     context = {
         "recordings": result.recordings,
-        "stretches": {"identification": len(data.fit), "validation": len(data.validation)},
+        "segments": {"identification": len(data.fit), "validation": len(data.validation)},
         "steps": result.preprocessing,
         "delay": result.delay,
         "gains": result.drive_gains,

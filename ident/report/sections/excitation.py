@@ -1,4 +1,4 @@
-"""What the motion could reveal of the parameters."""
+"""How well the motion excites the parameters."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ PANEL = 260
 
 
 def section(data: ReportData) -> ReportSection:
-    """Condition numbers, singular values, parameters that the motion left out."""
+    """Condition numbers, singular values, parameters without excitation."""
     result = data.result
     excitation = result.excitation
     context = {
         "tiles": [
-            Tile("Condition of W", number(excitation.condition, 3), "columns as they are, so it depends on units"),
-            Tile("Scaled condition", number(excitation.scaled_condition, 3), "columns of unit length"),
+            Tile("Condition of W", number(excitation.condition, 3), "depends on units"),
+            Tile("Column-normalised condition", number(excitation.scaled_condition, 3), "columns of unit length"),
             Tile("Not excited", str(len(excitation.unexcited)), f"of {len(result.base_parameters)} base parameters"),
-            Tile("Rank margin", number(result.rank_margin, 3), "last singular value that counts / first that does not"),
+            Tile("Rank margin", number(result.rank_margin, 3), "smallest singular value kept / largest dropped"),
         ],
         "unexcited": excitation.unexcited,
         "figure": _figure(result),
@@ -57,7 +57,7 @@ def _figure(result: Result) -> Figure | None:
         },
     )
     caption = (
-        "Singular values of W with columns of unit length: the largest over the smallest is the scaled condition. A "
-        "sharp fall at the end belongs to combinations of parameters that this motion hardly tells apart."
+        "Singular values of the column-normalised W; their largest ratio is the condition number. A "
+        "sharp drop at the end shows combinations of parameters that this motion makes poorly identifiable."
     )
     return Figure("singular-values-plot", height, data, layout, caption)

@@ -1,4 +1,4 @@
-"""The models that a merged one was made of, and whether they agree."""
+"""The merged models, and whether they agree."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from ident.report.section import ReportData, ReportSection
 
 
 def section(data: ReportData) -> ReportSection | None:
-    """Models, test of their consistency, values that contradict; None where nothing was merged."""
+    """Models, test of their consistency, values that differ significantly; None where nothing was merged."""
     merge = data.result.merge
     if merge is None:
         return None

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures import (
     BOTTOM,
     KIND_STYLES,
@@ -23,11 +24,10 @@ from ident.report.section import ReportData, ReportSection
 from ident.result.schema import BaseParameterResult, Result
 
 ROW = 15
-TWO_SIGMA = 2.0
 
 
 def section(data: ReportData) -> ReportSection:
-    """Base parameters, how sure they are, friction of each joint, standard parameters where there are any."""
+    """Base parameters with their error bars, friction of each joint, standard parameters where there are any."""
     result = data.result
     context = {
         "parameters": result.base_parameters,
@@ -60,7 +60,7 @@ def _figure(result: Result) -> Figure | None:
     if not shown:
         return None
     data, names = kind_markers(shown, "%{y}: |value| = %{x:.3g} σ<extra></extra>")
-    lines = [(TWO_SIGMA, "2 σ", REFERENCE)]
+    lines = [(WITHIN_95_PERCENT, "95 %", REFERENCE)]
     threshold = _threshold(result)
     if threshold is not None:
         lines.append((100.0 / threshold, "significant", RESIDUAL))
@@ -81,8 +81,8 @@ def _figure(result: Result) -> Figure | None:
     )
     significance = "" if threshold is None else f", and the threshold of significance (RSD {number(threshold, 3)} %)"
     caption = (
-        "How many standard deviations each value is away from 0, on a logarithmic scale. Dashed: 2 σ, below which a "
-        f"value cannot be told from 0{significance}."
+        f"Distance of each value from 0 in standard deviations, on a logarithmic scale. Dashed: {WITHIN_95_PERCENT} σ, "
+        f"below which the 95 % interval contains 0{significance}."
     )
     return Figure("parameters-plot", height, data, layout, caption)
 
@@ -101,5 +101,5 @@ def _standard(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _cell(value: Any) -> str:
     if isinstance(value, list | tuple):
-        return ", ".join(_cell(part) for part in value)
+        return ", ".join(_cell(element) for element in value)
     return setting(value) if value is None or isinstance(value, float | int | str | bool) else str(value)

@@ -1,4 +1,4 @@
-"""Residuals of the fit, and what they say of the assumptions behind least squares (AUBO .3.2)."""
+"""Residuals of the fit, and the assumptions of least squares (AUBO .3.2)."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def section(data: ReportData) -> ReportSection:
     """Residual against velocity, autocorrelation and histogram of each joint."""
     result = data.result
     lags = int(np.clip(1.3 * result.residuals.block_length, FEWEST_LAGS, MOST_LAGS)) + 1
-    found = [joint_residual(data.fit, joint, lags) for joint in range(len(result.joints))]
-    shown = any(len(joint.residual) for joint in found)
+    residuals = [joint_residual(data.fit, joint, lags) for joint in range(len(result.joints))]
+    shown = any(len(joint.residual) for joint in residuals)
     context = {
-        "figure": _figure(result.joints, found, _step(data)) if shown else None,
+        "figure": _figure(result.joints, residuals, _step(data)) if shown else None,
         "rows": [
-            {"joint": name, "found": joint, "lag_one": next(iter(joint.autocorrelation[1:2]), None)}
-            for name, joint in zip(result.joints, found, strict=True)
+            {"joint": name, "residual": joint, "lag_one": next(iter(joint.autocorrelation[1:2]), None)}
+            for name, joint in zip(result.joints, residuals, strict=True)
         ],
         "residuals": result.residuals,
         "block_seconds": result.residuals.block_length * _step(data),
@@ -53,11 +53,11 @@ def section(data: ReportData) -> ReportSection:
 
 def _step(data: ReportData) -> float:
     """Median sampling interval of the filtered torques [s]."""
-    steps = [np.diff(part.time) for part in data.fit if len(part.time) > 1]
+    steps = [np.diff(series.time) for series in data.fit if len(series.time) > 1]
     return float(np.median(np.concatenate(steps))) if steps else 1.0
 
 
-def _figure(joints: Sequence[str], found: Sequence[JointResidual], step: float) -> Figure:
+def _figure(joints: Sequence[str], residuals: Sequence[JointResidual], step: float) -> Figure:
     rows = len(joints)
     height = TOP + BOTTOM + PANEL * rows + GAP * (rows - 1)
     domains = row_domains(rows, height, GAP)
@@ -65,7 +65,7 @@ def _figure(joints: Sequence[str], found: Sequence[JointResidual], step: float) 
     axes: dict[str, Any] = {}
     notes = []
     points = min(SCATTER_POINTS, PAGE_SCATTER_POINTS // rows)
-    for row, (name, joint, domain) in enumerate(zip(joints, found, domains, strict=True)):
+    for row, (name, joint, domain) in enumerate(zip(joints, residuals, domains, strict=True)):
         titles = ("velocity [rad/s]", "lag [s]", "residual / σ") if row == rows - 1 else ("", "", "")
         sides = ("N·m", "", "")
         for column, (across, title, side) in enumerate(zip(COLUMNS, titles, sides, strict=True)):
@@ -77,11 +77,11 @@ def _figure(joints: Sequence[str], found: Sequence[JointResidual], step: float) 
         data += _scatter(joint, 3 * row + 1, points)
         data += _correlogram(joint, 3 * row + 2, step)
         data += _histogram(joint, 3 * row + 3)
-    largest = max(len(joint.residual) for joint in found)
+    largest = max(len(joint.residual) for joint in residuals)
     sampled = f" (a random {whole(points)} of {whole(largest)} samples)" if largest > points else ""
     caption = (
         f"Left: residual against the joint's velocity{sampled}. Middle: autocorrelation; the dashed band, ±1.96/√N, "
-        f"holds 95 % of the values if the residuals are white; the first lag is one filtered sample, "
+        f"contains 95 % of the values if the residuals are white; the first lag is one filtered sample, "
         f"{number(1e3 * step, 3)} ms. Right: histogram of residual / σ and the normal distribution."
     )
     layout = base_layout(height, annotations=notes, showlegend=False, **axes)

@@ -41,11 +41,11 @@ def _tiles(result: Result) -> list[Tile]:
         if result.fit
         else Tile("Models merged", str(len(result.merge.models)) if result.merge else DASH),
         Tile("Base parameters", str(len(result.base_parameters)), f"{significant} significant"),
-        Tile("Condition of W", number(result.condition, 3), "columns as they are"),
+        Tile("Condition of W", number(result.condition, 3), "not normalised"),
         Tile(
             "Equations",
             whole(result.residuals.rows),
-            f"worth {whole(result.residuals.effective_rows)} independent ones",
+            f"{whole(result.residuals.effective_rows)} effective independent",
         ),
     ]
 

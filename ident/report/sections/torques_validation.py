@@ -9,7 +9,7 @@ from ident.report.torque_figure import torque_figure
 def section(data: ReportData) -> ReportSection:
     """Measured against predicted torque of the held-out data."""
     result = data.result
-    source = result.validation_source or "data that took no part in the identification"
+    source = result.validation_source or "held-out data"
     context = {
         "intro": f"Held out: {source}. These are the errors to believe." if data.validation else "",
         "figure": torque_figure("torques-validation-plot", result.joints, data.validation, result.validation),

@@ -61,9 +61,9 @@ def _tiles(rows: list[Comparison]) -> list[Tile]:
     rms = math.sqrt(sum(ratio**2 for ratio in ratios) / len(ratios))
     return [
         Tile(
-            "Inside the 95 % interval", f"{inside} of {len(ratios)}", f"{percent(inside / len(ratios))}; 95 % is honest"
+            "Inside the 95 % interval", f"{inside} of {len(ratios)}", f"{percent(inside / len(ratios))}; 95 % expected"
         ),
-        Tile("RMS of error / σ", number(rms, 3), "1 is honest; above, the error bars are too short"),
+        Tile("RMS of error / σ", number(rms, 3), "1 expected; above, the error bars are too short"),
         Tile("Largest |error| / σ", number(max(map(abs, ratios)), 3)),
     ]
 
@@ -81,4 +81,4 @@ def _figure(rows: list[Comparison]) -> Figure | None:
         yaxis=names,
         shapes=[vertical_line(0.0, color=REFERENCE, width=1.5)],
     )
-    return Figure("truth-plot", height, data, layout, "An interval that crosses the line at 0 holds the truth.")
+    return Figure("truth-plot", height, data, layout, "An interval that crosses the line at 0 contains the true value.")

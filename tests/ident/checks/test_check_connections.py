@@ -143,7 +143,7 @@ def test_wrong_keys_are_refused_with_the_connections_name(three_joint, drivers):
 def test_the_command_prints_the_budget(monkeypatch, capsys):
     status, out, _ = run(monkeypatch, capsys, "check", "ur5e")
     assert status == 0
-    assert "connection canopen: its bus (1000 kbit/s) is 95.9 % full at 400 Hz" in out
+    assert "connection canopen: bus load 95.9 % (1000 kbit/s) at 400 Hz" in out
     assert "6 × TPDO2 (8 bytes)" in out
     status, out, _ = run(monkeypatch, capsys, "check", "ur5e", "--json")
     budget = json.loads(out)["budgets"]["canopen"]
@@ -161,7 +161,7 @@ def test_connecting_tells_who_answers_and_what_contradicts_the_file(three_joint,
     assert bench.streams[0].rate_hz == pytest.approx(200.0, rel=1e-9)
     assert "warning: a little dusty" in bench.notices
     told = "\n".join(bench.warnings)
-    assert "stream joints: comes at 200 Hz, but 300 Hz is stated" in told
+    assert "stream joints: arrives at 200 Hz instead of the nominal 300 Hz" in told
     assert "position of j2: 3.5 rad passes 3 rad" in told
     assert "drive gain of j3: 4 N·m/A in 'drives', but the rated torque over the rated current is 10 N·m/A" in told
     assert "gain of j1" not in told
@@ -205,7 +205,7 @@ def test_nobody_there_is_an_error_and_everything_is_closed(three_joint, drivers)
 def test_a_source_that_says_nothing_is_an_error(three_joint, drivers, monkeypatch, clock):
     begun = clock.now()
     monkeypatch.setattr(Bench, "read", lambda self, timeout: clock.sleep(timeout) or ())
-    with pytest.raises(ConnectionFailedError, match=r"connection bench: it is open, but no sample came within 5 s"):
+    with pytest.raises(ConnectionFailedError, match=r"connection bench: it is open, but no sample arrived within 5 s"):
         check_connections(with_connections(three_joint, BENCH), None, clock=clock)
     assert clock.now() - begun == pytest.approx(FIRST_SAMPLE_LIMIT, abs=0.05)
 

@@ -49,7 +49,7 @@ def test_it_designs_writes_and_prints(monkeypatch, capsys, folder):
         monkeypatch, capsys, "excite", "arm.yaml", "-o", "t.yaml", "--page", "t.html", "--periods", "2", *QUICK
     )
     assert status == 0
-    assert "Use of the limits" in out
+    assert "Limit utilisation" in out
     assert "as played: condition" in out
     robot = load_robot(folder / "arm.yaml").robot
     written = load_trajectory(folder / "t.yaml", robot)  # checks limits and rest
@@ -164,7 +164,7 @@ REFUSED = [
     (["arm.yaml", "--from", "there.yaml"], ["there.yaml"]),
     (["arm.yaml", "--prior", "bad.json"], ["bad.json", "not JSON"]),
     # One joint: a search that finds nothing goes through all its iterations.
-    (["high.yaml", *SINGLE], ["no motion was found", "workspace"]),
+    (["high.yaml", *SINGLE], ["no feasible motion found", "workspace"]),
     (["boxed.yaml", *QUICK], ["keep_out"]),
 ]
 

@@ -112,16 +112,6 @@ def test_a_process_that_dies_is_noticed():
         search(maker(fault="die"), SearchChoices(starts=2, workers=2))
 
 
-def test_a_population_is_priced_with_what_it_exceeds():
-    problem = toy_problem()
-    population = np.array([OPTIMUM, [0.5, 1.2], [0.0, 0.0]])
-    costs = problem.costs(population)
-    assert costs.shape == (3,)
-    assert costs[0] == pytest.approx(problem.cost(population[0]))
-    assert costs[1] > problem.cost(population[1]) + 10.0
-    assert costs[2] == problem.cost(population[2])
-
-
 def test_a_search_needs_an_end():
     with pytest.raises(ValueError, match="time limit"):
         search(maker(), SearchChoices(starts=None))

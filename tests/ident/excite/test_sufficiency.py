@@ -83,7 +83,7 @@ def test_time_grows_with_the_square_of_what_is_wanted(three_joint):
     longest = fine.parameters[0]
     assert longest.name in fine.sentence
     assert f"{int(np.ceil(longest.seconds))} s" in fine.sentence
-    assert "another motion" in fine.sentence  # two repetitions
+    assert "a different motion" in fine.sentence  # two repetitions
     enough = times_needed(found, SIGNIFICANT_RSD)
     assert "enough" in enough.sentence
 
@@ -96,7 +96,7 @@ def test_without_values_nothing_can_be_told(three_joint):
     assert np.all(deviations(found) > 0)
     times = times_needed(found, 5.0)
     assert times.parameters == ()
-    assert "no parameter's value is known" in times.sentence
+    assert "parameter values are unknown" in times.sentence
 
 
 def test_nothing_significant_is_said(three_joint):

@@ -92,8 +92,8 @@ def test_regrouped_combinations_are_marked(three_joint):
 @pytest.mark.parametrize(
     ("mass", "com", "inertia", "said"),
     [
-        (0.0, None, None, "none"),
-        (float("nan"), None, None, "none"),
+        (0.0, None, None, "not possible"),
+        (float("nan"), None, None, "not possible"),
         (1.0, (0.0, 0.0), None, "3 finite"),
         (1.0, (0.0, 0.0, float("inf")), None, "3 finite"),
         (1.0, None, INERTIA, "--com"),

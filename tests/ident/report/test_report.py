@@ -277,7 +277,7 @@ def test_no_validation() -> None:
 def test_no_series_at_all() -> None:
     bare = page(fit=(), validation=(series(samples=0),))
     assert not {"torques-fit-plot", "torques-validation-plot", "residuals-plot"} & set(bare.figures)
-    assert "no sample of the identification data" in bare.words
+    assert "no samples of the identification data" in bare.words
 
 
 def test_long_series_are_thinned_to_their_envelope() -> None:
@@ -293,7 +293,7 @@ def test_long_series_are_thinned_to_their_envelope() -> None:
         shown = values(thinned.traces(figure, "measured")[1]["y"])
         assert np.nanmax(shown) == 99.0
         assert np.nanmin(shown) == -77.0
-    assert thinned.words.count("no peak is lost") == 2
+    assert thinned.words.count("keeps all peaks") == 2
     assert len(text.encode()) < 8e6
 
 
@@ -302,7 +302,7 @@ def test_short_series_are_shown_as_they_are(usual: Page) -> None:
         values(usual.traces("torques-validation-plot", "measured")[0]["y"]),
         series(seed=1).measured[0].astype(np.float32),
     )
-    assert "no peak is lost" not in usual.words
+    assert "keeps all peaks" not in usual.words
 
 
 def test_no_line_across_a_gap(usual: Page) -> None:
@@ -311,7 +311,7 @@ def test_no_line_across_a_gap(usual: Page) -> None:
         time, torque = values(trace["x"]), values(trace["y"])
         assert np.flatnonzero(np.isnan(torque)).tolist() == [300]
         np.testing.assert_allclose(time[[299, 301]], [2.99, 3.5], rtol=1e-6)
-    assert "2 contiguous stretches" in usual.words
+    assert "2 gap-free segments" in usual.words
 
 
 def test_no_residual_where_samples_do_not_count() -> None:
@@ -321,7 +321,7 @@ def test_no_residual_where_samples_do_not_count() -> None:
     residual = values(shown.traces("torques-fit-plot", "residual")[0]["y"])
     assert np.isnan(residual[100:150]).all()
     assert np.isfinite(residual).sum() == 250
-    assert "Samples that do not count" in shown.words
+    assert "Samples not used" in shown.words
 
 
 def test_truth_section() -> None:
@@ -329,7 +329,7 @@ def test_truth_section() -> None:
     told = page(truth=truth)
     assert "truth" in told.ids()
     assert "1 of 1" in told.words  # XX2R has no estimate, Fv1 no truth
-    assert "belong to no base parameter of this result: unknown" in told.words
+    assert "without a base parameter in this result: unknown" in told.words
     assert told.figures["truth-plot"]["data"][0]["x"] == [pytest.approx(1.0)]
     far = page(truth=TruthTable(("ZZ1R",), np.array([1.5])))
     assert "0 of 1" in far.words

@@ -27,8 +27,8 @@ def series(start: float = 0.0, samples: int = 300, *, rate: float = 100.0, seed:
 
 
 @given(st.lists(st.tuples(st.floats(-1e9, 1e9), st.integers(0, 50)), max_size=6))
-def test_shown_time_only_grows(stretches: list[tuple[float, int]]) -> None:
-    parts = [series(start, samples) for start, samples in stretches]
+def test_shown_time_only_grows(segments: list[tuple[float, int]]) -> None:
+    parts = [series(start, samples) for start, samples in segments]
     timeline = lay_out(parts)
     shown = [part.time + offset for part, offset in zip(parts, timeline.offsets, strict=True) if len(part.time)]
     if not shown:
@@ -64,7 +64,7 @@ def test_residuals_white_and_not() -> None:
     assert joint_residual([part], 0, 40).outside == 1.0
 
 
-def test_autocorrelation_is_the_textbook_one_within_stretches() -> None:
+def test_autocorrelation_is_the_textbook_one_within_segments() -> None:
     parts = [series(samples=200), series(5.0, 150, seed=3)]
     parts[0].used[50:60] = False
     found = joint_residual(parts, 1, 20)
@@ -84,10 +84,10 @@ def test_numbers_keep_their_digits(value: float, digits: int) -> None:
     ("value", "std", "text"),
     [
         (1.23456, 0.00105, "1.2346 ± 0.0021"),
-        (-12.3, 2.0, "−12.3 ± 4.0"),
-        (1234.4, 30.0, "1234 ± 60"),
+        (-12.3, 2.0, "−12.3 ± 3.9"),
+        (1234.4, 30.0, "1234 ± 59"),
         (2.5e-5, 1e-6, "(2.50 ± 0.20)·10⁻⁵"),
-        (0.0, 0.5, "0.0 ± 1.0"),
+        (0.0, 0.5, "0.00 ± 0.98"),
         (None, 1.0, "–"),
         (1.0, None, "1.000 ± –"),
         (float("nan"), 1.0, "–"),
