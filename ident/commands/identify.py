@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import JSON
+from ident.commands.options import DELAY, JSON, SIGNIFICANCE
 
 app = typer.Typer()
 
@@ -23,7 +23,7 @@ def identify_recordings(
     offset: bool = typer.Option(None, "--offset/--no-offset", help="A constant torque per joint."),
     motor_inertia: bool = typer.Option(None, "--motor-inertia/--no-motor-inertia", help="Columns for motor inertia."),
     smoothing: float = typer.Option(None, "--smoothing", help="ε [rad/s] of tanh(q̇/ε) in place of sign(q̇)."),
-    delay: str = typer.Option("auto", "--delay", help="Delay of torque behind position: auto, or SECONDS."),
+    delay: str = DELAY,
     position_cutoff: float = typer.Option(None, "--position-cutoff", help="Low-pass of the positions [Hz]."),
     torque_cutoff: float = typer.Option(None, "--torque-cutoff", help="Parallel filter of τ and W [Hz]."),
     decimate: int = typer.Option(None, "--decimate", help="Keep every N-th filtered sample."),
@@ -45,9 +45,7 @@ def identify_recordings(
     start: float = typer.Option(None, "--start", help="Leave out samples before this time [s from the first stamp]."),
     stop: float = typer.Option(None, "--stop", help="Leave out samples after this time [s from the first stamp]."),
     keep_rest: bool = typer.Option(False, "--keep-rest", help="Keep segments in which no joint moves."),
-    significance: float = typer.Option(
-        15.0, "--significance", help="Threshold of the relative standard deviation [%]."
-    ),
+    significance: float = SIGNIFICANCE,
     as_json: bool = JSON,
 ) -> None:
     """Identify the dynamic model, validate it on held-out data, write result.json and report.html.
@@ -55,52 +53,45 @@ def identify_recordings(
     Example: dynid identify run.h5 --validate val.h5 -o model
     """
     from daq.commands.console import progress_line
-    from daq.recording.reader import read_recording
-    from daq.robot.loader import load_robot
-    from ident.commands.option_text import delay_option, joints_option
+    from ident.commands.options import delay_option, joints_option
     from ident.commands.print_result import print_result
-    from ident.identify.identify import identify
-    from ident.identify.summary import summarise
-    from ident.report import write_report
-    from ident.result.schema import check_folder, result_json, write_result
-    from ident.tasks.identification import identify_choices
+    from ident.result.schema import check_folder
+    from ident.tasks.identification import identify
 
     folder = out if out is not None else Path(f"{recordings[0].stem}-model")
     check_folder(folder)
-    choices = identify_choices(
-        method=method,
-        split=split,
-        friction=friction,
-        offset=offset,
-        motor_inertia=motor_inertia,
-        smoothing=smoothing,
-        delay=delay_option(delay),
-        position_cutoff=position_cutoff,
-        torque_cutoff=torque_cutoff,
-        decimate=decimate,
-        position_decimate=position_decimate,
-        filter=filter_kind,
-        measured_velocity=measured_velocity,
-        locked=joints_option(locked, "--locked") or (),
-        torques_of=joints_option(torques_of, "--torques-of") or (),
-        leave_out_reversals=reversals,
-        energy_window=energy_window,
-        start=start,
-        stop=stop,
-        keep_rest=keep_rest,
-        significance=significance,
-    )
-    read = [read_recording(path) for path in recordings]
-    held_out = [read_recording(path) for path in validate_with]
     with progress_line(quiet=as_json) as progress:
-        found = identify(read, held_out, choices, load_robot(robot) if robot else None, progress)
+        result = identify(
+            recordings,
+            validation=validate_with,
+            robot=robot,
+            method=method,  # type: ignore[arg-type]  # the task checks it
+            split=split,
+            friction=friction,  # type: ignore[arg-type]
+            offset=offset,
+            motor_inertia=motor_inertia,
+            smoothing=smoothing,
+            delay=delay_option(delay),
+            position_cutoff=position_cutoff,
+            torque_cutoff=torque_cutoff,
+            decimate=decimate,
+            position_decimate=position_decimate,
+            filter=filter_kind,  # type: ignore[arg-type]
+            measured_velocity=measured_velocity,
+            locked=joints_option(locked, "--locked") or (),
+            torques_of=joints_option(torques_of, "--torques-of") or (),
+            leave_out_reversals=reversals,
+            energy_window=energy_window,
+            start=start,
+            stop=stop,
+            keep_rest=keep_rest,
+            significance=significance,
+            progress=progress,
+        )
         progress("report")
-        result = summarise(found, read, held_out)
-        folder.mkdir(parents=True, exist_ok=True)
-        write_result(folder / "result.json", result)
-        write_report(folder / "report.html", result, found.fit_series, found.validation_series)
+        result.save(folder)
     if as_json:
-        print(result_json(result))
+        print(result.to_json())
         return
-    print_result(result)
+    print_result(result.result)
     print(f"\n{folder / 'result.json'}\n{folder / 'report.html'}")

@@ -1,10 +1,12 @@
-"""The command `merge`."""
+"""The command `dynid merge`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import typer
+
+from ident.commands.options import JSON, SIGNIFICANCE
 
 app = typer.Typer()
 
@@ -14,40 +16,30 @@ def merge_models(
     models: list[Path] = typer.Argument(help="result.json files of one arm, or the folders that hold them."),
     out: Path = typer.Option(Path("merged-model"), "-o", "--out", help="Folder for result.json and report.html."),
     validate_with: Path = typer.Option(None, "--validate", help="Held-out recording (.h5), used by none of them."),
-    significance: float = typer.Option(
-        15.0, "--significance", help="Threshold of the relative standard deviation [%]."
-    ),
-    as_json: bool = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there."),
+    significance: float = SIGNIFICANCE,
+    as_json: bool = JSON,
 ) -> None:
     """Merge models of one arm from several experiments, each weighted by its covariance, and test whether they agree.
 
     Example: dynid merge arm-model wrist-model --validate val.h5 -o merged
     """
     from daq.commands.console import progress_line
-    from daq.recording.reader import read_recording
     from drivers.errors import UsageError
     from ident.commands.print_result import print_result
-    from ident.experiments.merged_result import merge_results
-    from ident.report import write_report
-    from ident.result.schema import check_folder, read_result, result_json, write_result
+    from ident.result.model import result_path
+    from ident.result.schema import check_folder
+    from ident.tasks.validation import merge
 
-    if not 0 < significance <= 100:
-        raise UsageError(f"--significance {significance:g} is not a percentage", hint="the papers use 15")
     check_folder(out)
-    paths = [path / "result.json" if path.is_dir() else path for path in models]
-    if out / "result.json" in paths:
+    if out / "result.json" in map(result_path, models):
         raise UsageError(f"--out {out} holds one of the models to be merged", hint="name another folder")
-    results = [(str(path), read_result(path)) for path in paths]
-    held_out = read_recording(validate_with) if validate_with is not None else None
     with progress_line(quiet=as_json) as progress:
         progress("merging")
-        merged, validated = merge_results(results, held_out, significance)
+        merged = merge(models, validation=validate_with, significance=significance)
         progress("report")
-        out.mkdir(parents=True, exist_ok=True)
-        write_result(out / "result.json", merged)
-        write_report(out / "report.html", merged, (), validated.series if validated is not None else ())
+        merged.save(out)
     if as_json:
-        print(result_json(merged))
+        print(merged.to_json())
         return
-    print_result(merged)
+    print_result(merged.result)
     print(f"\n{out / 'result.json'}\n{out / 'report.html'}")

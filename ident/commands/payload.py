@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import typer
 
+from ident.commands.options import DELAY, JSON
+
 if TYPE_CHECKING:
-    from daq.recording.recording import Recording
-    from daq.robot.loader import RobotFile
     from ident.experiments.drive_gains import DriveGains
     from ident.experiments.payload import Payload
     from ident.experiments.up_and_down import SlowGains
-    from ident.model.load import KnownLoad
-
-Known = TypeVar("Known")
-Found = TypeVar("Found")
 
 app = typer.Typer()
 
@@ -27,13 +22,11 @@ MASS = typer.Option(None, "--mass", help="Mass of the load [kg].")
 COM = typer.Option(None, "--com", help="Its centre of mass X,Y,Z in the tool frame [m].")
 INERTIA = typer.Option(None, "--inertia", help="Its inertia XX,XY,XZ,YY,YZ,ZZ about the centre of mass [kg·m²].")
 ROBOT = typer.Option(None, "--robot", help="Robot file in place of the free recording's own.")
-DELAY = typer.Option("auto", "--delay", help="Delay of torque behind position: auto, or SECONDS.")
 UP_AND_DOWN = typer.Option(False, "--up-and-down", help="From slow passes of one joint at a time, up and down.")
-JSON = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there.")
 
 
 @app.command("payload")
-def payload(
+def identify_load(
     free: Path = FREE,
     loaded: Path = LOADED,
     mass: float = MASS,
@@ -47,23 +40,24 @@ def payload(
 
     Example: dynid payload free.h5 loaded.h5 --mass 2.8
     """
-    from daq.commands.console import print_json
-    from drivers.errors import UsageError
-    from ident.experiments.payload import identify_payload
-    from ident.experiments.payload_summary import payload_result
+    from daq.commands.console import progress_line
+    from ident.commands.options import delay_option, numbers_option
+    from ident.tasks.loads import payload
 
-    if mass is None and (com is not None or inertia is not None):
-        raise UsageError("--com and --inertia describe a load whose mass is missing", hint="add --mass KG")
-    known = None if mass is None else _known_load(mass, com, inertia)
-    found = _identified("payload", identify_payload, (free, loaded), known, robot, delay, quiet=as_json)
+    com_values, inertia_values = numbers_option(com, "--com"), numbers_option(inertia, "--inertia")
+    with progress_line(quiet=as_json) as progress:
+        progress("payload")
+        load = payload(
+            free, loaded, mass=mass, com=com_values, inertia=inertia_values, robot=robot, delay=delay_option(delay)
+        )
     if as_json:
-        print_json(payload_result(found).model_dump())
+        print(load.to_json())
     else:
-        print_payload(found)
+        print_payload(load.estimate)
 
 
 @app.command("gains")
-def gains(
+def identify_drive_gains(
     free: Path = FREE,
     loaded: Path = LOADED,
     mass: float = MASS,
@@ -78,11 +72,11 @@ def gains(
 
     Example: dynid gains free.h5 loaded.h5 --mass 2.8
     """
-    from daq.commands.console import print_json
+    from daq.commands.console import progress_line
     from drivers.errors import UsageError
-    from ident.experiments.drive_gains import identify_gains
-    from ident.experiments.payload_summary import gains_result, slow_gains_result
-    from ident.experiments.up_and_down import identify_slow_gains
+    from ident.commands.options import delay_option, numbers_option
+    from ident.experiments.drive_gains import DriveGains
+    from ident.tasks.loads import drive_gains
 
     if mass is None:
         raise UsageError(
@@ -90,29 +84,35 @@ def gains(
             "well",
             hint="weigh the load and add --mass KG",
         )
-    known = _known_load(mass, com, inertia)
-    if up_and_down:
-        slow = _identified("gains", identify_slow_gains, (free, loaded), known, robot, delay, quiet=as_json)
-        if as_json:
-            print_json(slow_gains_result(slow).model_dump())
-        else:
-            print_slow_gains(slow)
-        return
-    found = _identified("gains", identify_gains, (free, loaded), known, robot, delay, quiet=as_json)
+    com_values, inertia_values = numbers_option(com, "--com"), numbers_option(inertia, "--inertia")
+    with progress_line(quiet=as_json) as progress:
+        progress("gains")
+        identified = drive_gains(
+            free,
+            loaded,
+            mass=mass,
+            com=com_values,
+            inertia=inertia_values,
+            robot=robot,
+            delay=delay_option(delay),
+            up_and_down=up_and_down,
+        )
     if as_json:
-        print_json(gains_result(found).model_dump())
+        print(identified.to_json())
+    elif isinstance(identified.estimate, DriveGains):
+        print_gains(identified.estimate)
     else:
-        print_gains(found)
+        print_slow_gains(identified.estimate)
 
 
-def print_payload(found: Payload) -> None:
+def print_payload(payload: Payload) -> None:
     """The load as a person reads it at the terminal."""
     from daq.commands.console import print_table
     from ident.experiments.payload_summary import FRAME_TEXT, base_changes, load_parameters, payload_sentences
     from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
-    print(f"delay: {found.pair.delay_note}\n{FRAME_TEXT}")
-    for estimate, title in ((found.load, "Load"), (found.with_mass, "Load with the known parameters held fixed")):
+    print(f"delay: {payload.pair.delay_note}\n{FRAME_TEXT}")
+    for estimate, title in ((payload.load, "Load"), (payload.with_mass, "Load with the known parameters held fixed")):
         if estimate is None:
             continue
         print_table(
@@ -135,24 +135,24 @@ def print_payload(found: Payload) -> None:
         ("name", "free", "σ", "free plus load", "identified loaded", "σ", "unit"),
         [
             (row.name, row.free, row.free_std, row.predicted, row.loaded, row.loaded_std, row.unit)
-            for row in base_changes(found)
+            for row in base_changes(payload)
         ],
     )
     print()
-    for sentence in payload_sentences(found):
+    for sentence in payload_sentences(payload):
         print(sentence)
-    for warning in found.warnings:
+    for warning in payload.warnings:
         print(f"warning: {warning}")
 
 
-def print_gains(found: DriveGains) -> None:
+def print_gains(gains: DriveGains) -> None:
     """The gains as a person reads them at the terminal."""
     from daq.commands.console import print_table
     from ident.experiments.payload_summary import base_unit, drives_text, gain_unit
 
-    print(f"delay: {found.pair.delay_note}")
+    print(f"delay: {gains.pair.delay_note}")
     print_table(
-        f"\nDrive gains [{gain_unit(found.signal)}], joint side",
+        f"\nDrive gains [{gain_unit(gains.signal)}], joint side",
         (
             "joint",
             "robot file",
@@ -175,37 +175,37 @@ def print_gains(found: DriveGains) -> None:
                 gain.angle,
                 *gain.confused_with,
             )
-            for gain in found.gains
+            for gain in gains.gains
         ],
     )
-    pair = found.pair
+    pair = gains.pair
     print_table(
         "\nBase parameters with these gains; σ includes that of the gains",
         ("name", "value", "σ", "unit"),
         [
             (
                 pair.base.names[i],
-                float(found.parameters[i]),
-                float(found.parameter_std[i]),
+                float(gains.parameters[i]),
+                float(gains.parameter_std[i]),
                 base_unit(pair.model, pair.base.columns[i]),
             )
-            for i in found.active
+            for i in gains.active
         ],
     )
-    print(f"\nsingular values: condition {found.condition:.3g}, null vector {found.gap:.3g} times below the next")
-    print(f"\nfor the robot file:\n{drives_text(found)}")
-    for warning in found.warnings:
+    print(f"\nsingular values: condition {gains.condition:.3g}, null vector {gains.gap:.3g} times below the next")
+    print(f"\nfor the robot file:\n{drives_text(gains)}")
+    for warning in gains.warnings:
         print(f"warning: {warning}")
 
 
-def print_slow_gains(found: SlowGains) -> None:
+def print_slow_gains(gains: SlowGains) -> None:
     """Gains from slow up-and-down runs as a person reads them at the terminal."""
     from daq.commands.console import print_table
     from ident.experiments.payload_summary import drives_text, gain_unit
     from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
     print_table(
-        f"\nDrive gains [{gain_unit(found.signal)}], joint side, by half sums of slow runs up and down",
+        f"\nDrive gains [{gain_unit(gains.signal)}], joint side, by half sums of slow runs up and down",
         ("joint", "robot file", "identified", "σ", "RSD [%]", "change [%]", "poses", "positions", "speed [rad/s]"),
         [
             (
@@ -219,60 +219,20 @@ def print_slow_gains(found: SlowGains) -> None:
                 gain.bins,
                 gain.speed,
             )
-            for gain in found.gains
+            for gain in gains.gains
         ],
     )
     print_table(
         "\nFriction at that speed [N·m], by half differences and these gains",
         ("joint", "free", "loaded"),
-        [(gain.joint, gain.free_friction, gain.loaded_friction) for gain in found.gains],
+        [(gain.joint, gain.free_friction, gain.loaded_friction) for gain in gains.gains],
     )
-    if found.known.com is None:
+    if gains.known.com is None:
         centre = ", ".join(
-            f"{value / found.known.mass:.4g} ± {WITHIN_95_PERCENT * std / found.known.mass:.1g}"
-            for value, std in zip(found.moments, found.moments_std, strict=True)
+            f"{value / gains.known.mass:.4g} ± {WITHIN_95_PERCENT * std / gains.known.mass:.1g}"
+            for value, std in zip(gains.moments, gains.moments_std, strict=True)
         )
-        print(f"\ncentre of mass [m]: {centre}; null vector {found.gap:.3g} times below the next")
-    print(f"\nfor the robot file:\n{drives_text(found)}")
-    for warning in found.warnings:
+        print(f"\ncentre of mass [m]: {centre}; null vector {gains.gap:.3g} times below the next")
+    print(f"\nfor the robot file:\n{drives_text(gains)}")
+    for warning in gains.warnings:
         print(f"warning: {warning}")
-
-
-def _identified(
-    what: str,
-    identify: Callable[[Recording, Recording, Known, RobotFile | None, float | None], Found],
-    runs: tuple[Path, Path],
-    known: Known,
-    robot: str | None,
-    delay: str,
-    *,
-    quiet: bool,
-) -> Found:
-    """What `identify` finds in the free and the loaded run."""
-    from daq.commands.console import progress_line
-    from daq.recording.reader import read_recording
-    from daq.robot.loader import load_robot
-    from ident.commands.option_text import delay_option
-
-    free, loaded = (read_recording(path) for path in runs)
-    robot_file = load_robot(robot) if robot else None
-    with progress_line(quiet=quiet) as progress:
-        progress(what)
-        return identify(free, loaded, known, robot_file, delay_option(delay))
-
-
-def _known_load(mass: float, com: str | None, inertia: str | None) -> KnownLoad:
-    from ident.model.load import KnownLoad
-
-    return KnownLoad(mass, _numbers(com, "--com"), _numbers(inertia, "--inertia"))
-
-
-def _numbers(text: str | None, option: str) -> tuple[float, ...] | None:
-    from drivers.errors import UsageError
-
-    if text is None:
-        return None
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise UsageError(f"'{text}' are not numbers separated by commas", where=option) from None

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from daq.commands.console import print_table
-from ident.assessment.validation import FitFigures
-from ident.result.schema import Merge, Result
+from ident.result.schema import Fit, Merge, Result
 
 
 def print_result(result: Result) -> None:
@@ -75,22 +74,22 @@ def _print_merge(merge: Merge) -> None:
         )
 
 
-def print_fit(joints: Sequence[str], figures: FitFigures) -> None:
+def print_fit(title: str, joints: Sequence[str], fit: Fit) -> None:
     """Errors of each joint."""
+    error = "–" if fit.relative_error is None else f"{100.0 * fit.relative_error:.2f} %"
+    print(f"{title}: relative error {error} over {fit.samples} filtered samples")
     print_table(
         "",
         ("joint", "RMSE", "at low speed", "at high speed", "largest", "relative [%]"),
-        [
-            (
-                joint,
-                float(figures.rmse[i]),
-                float(figures.low_speed_rmse[i]),
-                float(figures.high_speed_rmse[i]),
-                float(figures.max_error[i]),
-                _percent(float(figures.joint_relative_error[i])),
-            )
-            for i, joint in enumerate(joints)
-        ],
+        zip(
+            joints,
+            fit.rmse,
+            fit.low_speed_rmse,
+            fit.high_speed_rmse,
+            fit.max_error,
+            map(_percent, fit.joint_relative_error),
+            strict=True,
+        ),
     )
 
 

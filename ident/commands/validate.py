@@ -12,8 +12,8 @@ app = typer.Typer()
 
 
 @app.command("validate")
-def validate(
-    result: Path = typer.Argument(help="result.json of an identification."),
+def validate_model(
+    result: Path = typer.Argument(help="Folder that identify wrote, or its result.json."),
     recording: Path = typer.Argument(help="Held-out recording (.h5)."),
     as_json: bool = JSON,
 ) -> None:
@@ -21,23 +21,15 @@ def validate(
 
     Example: dynid validate model/result.json val.h5
     """
-    from dataclasses import asdict
-
     from daq.commands.console import print_json
-    from daq.recording.reader import read_recording
     from ident.commands.print_result import print_fit
-    from ident.identify.revalidate import revalidate
-    from ident.result.schema import read_result
+    from ident.tasks.validation import validate
 
-    stored = read_result(result)
-    figures = revalidate(stored, read_recording(recording))
+    validation = validate(result, recording)
+    fits = {"full": validation.full, "essential": validation.essential}
     if as_json:
-        lists = {
-            name: {key: getattr(value, "tolist", lambda value=value: value)() for key, value in asdict(part).items()}
-            for name, part in (("full", figures.full), ("essential", figures.essential))
-        }
-        print_json({"result": str(result), "recording": str(recording), "joints": stored.joints, **lists})
+        figures = {name: fit.model_dump() for name, fit in fits.items()}
+        print_json({"result": str(result), "recording": str(recording), "joints": list(validation.joints), **figures})
         return
-    for name, part in (("full", figures.full), ("essential", figures.essential)):
-        print(f"{name} model: relative error {part.relative_error * 100:.2f} % over {part.samples} filtered samples")
-        print_fit(stored.joints, part)
+    for name, fit in fits.items():
+        print_fit(f"{name} model", validation.joints, fit)

@@ -32,6 +32,7 @@ class Design:
     """A designed excitation.
 
     Attributes:
+        choices: its options.
         motion: what is played, from rest to rest.
         family: of motions, which writes it to a trajectory file.
         variables: (size,) its variables.
@@ -42,6 +43,7 @@ class Design:
         search: its outcome.
     """
 
+    choices: DesignChoices
     motion: Motion
     family: Family
     variables: FloatArray
@@ -92,10 +94,12 @@ def design(
             where=robot_file.robot.name,
             hint="check the joint limits and 'workspace' of the robot file, or give a longer --period",
         )
-    return _settled(problem, searched, searched.best.variables, search_choices.solver)
+    return _settled(problem, choices, searched, searched.best.variables, search_choices.solver)
 
 
-def _settled(problem: Problem, searched: SearchResult, variables: FloatArray, solver: Solver) -> Design:
+def _settled(
+    problem: Problem, choices: DesignChoices, searched: SearchResult, variables: FloatArray, solver: Solver
+) -> Design:
     """Check the best candidate between the grid's points, and narrow its limits until it keeps them there."""
     family = problem.family
     dense = family.grid(DENSER * len(problem.time))
@@ -118,6 +122,7 @@ def _settled(problem: Problem, searched: SearchResult, variables: FloatArray, so
         use = problem.use_along(Path(time, *motion.evaluate(time)))
         if use.max(initial=0.0) <= 1.0:
             return Design(
+                choices,
                 motion,
                 family,
                 variables,

@@ -38,7 +38,7 @@ class ExcitationTrajectory:
         robot_file: the arm.
         text: of the trajectory file.
         motion: what is played.
-        summary: how it was designed, in one line; empty of a trajectory that was read.
+        design: its options and figures; None of a trajectory that was read.
 
     Example:
         >>> import dynid
@@ -49,17 +49,11 @@ class ExcitationTrajectory:
     """
 
     def __init__(
-        self,
-        robot_file: RobotFile,
-        text: str,
-        motion: Motion,
-        prior: Prior,
-        summary: str = "",
-        notes: Sequence[tuple[str, str]] = (),
+        self, robot_file: RobotFile, text: str, motion: Motion, prior: Prior, design: Design | None = None
     ) -> None:
         """Hold a checked trajectory."""
-        self.robot_file, self.text, self.motion, self.summary = robot_file, text, motion, summary
-        self._prior, self._notes = prior, tuple(notes)
+        self.robot_file, self.text, self.motion, self.design = robot_file, text, motion, design
+        self._prior = prior
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -85,6 +79,11 @@ class ExcitationTrajectory:
     def figures(self) -> ExcitationFigures:
         """Condition number, predicted error bars, and limit utilisation."""
         return excitation_figures(self.robot_file, self.motion, self._prior)
+
+    @property
+    def summary(self) -> str:
+        """Options and figures of the design in one line; empty of a trajectory that was read."""
+        return "" if self.design is None else design_summary(self.design, self.figures)
 
     @property
     def limits(self) -> Table:
@@ -125,7 +124,8 @@ class ExcitationTrajectory:
         Raises:
             UsageError: it cannot be written.
         """
-        write_page(Path(path), self.robot_file, self.motion, self._prior, self.figures, self._notes)
+        notes = [] if self.design is None else design_notes(self.design)
+        write_page(Path(path), self.robot_file, self.motion, self._prior, self.figures, notes)
 
     def __repr__(self) -> str:
         return f"<dynid.ExcitationTrajectory of {self.robot_file.robot.name}, {self.duration:.4g} s>"
@@ -158,6 +158,7 @@ def design_excitation(
     solver: Solver = "slsqp",
     earlier: ExcitationTrajectory | None = None,
     workers: int | None = None,
+    progress: Callable[[SearchResult], None] = lambda result: None,
 ) -> ExcitationTrajectory:
     """Design an excitation trajectory within the arm's limits; Ctrl-C ends the search with the best so far.
 
@@ -184,6 +185,7 @@ def design_excitation(
         solver: "slsqp", "trust-constr" or "ipopt".
         earlier: a trajectory to improve.
         workers: processes; one per core where None, this one alone where 1.
+        progress: called after each round of a start.
 
     Raises:
         UsageError: an option is not possible, or no feasible motion was designed; names the limit.
@@ -219,25 +221,10 @@ def design_excitation(
         solver=solver,
         workers=workers,
     )
-    return designed_trajectory(robot_file, known, choices, search, None if earlier is None else earlier.motion)
-
-
-def designed_trajectory(
-    robot_file: RobotFile,
-    prior: Prior,
-    choices: DesignChoices,
-    search: SearchChoices,
-    earlier: Motion | None = None,
-    progress: Callable[[SearchResult], None] = lambda result: None,
-) -> ExcitationTrajectory:
-    """`design_excitation` with everything read and checked; `progress` is told after each round of a start."""
-    designed = design(robot_file, prior, choices, search, earlier, progress)
-    figures = excitation_figures(robot_file, designed.motion, prior)
-    text = trajectory_text(robot_file.robot, designed, figures, choices)
-    summary = design_summary(designed, figures, choices)
-    trajectory = ExcitationTrajectory(
-        robot_file, text, designed.motion, prior, summary, design_notes(designed, choices)
-    )
+    designed = design(robot_file, known, choices, search, None if earlier is None else earlier.motion, progress)
+    figures = excitation_figures(robot_file, designed.motion, known)
+    text = trajectory_text(robot_file.robot, designed, figures)
+    trajectory = ExcitationTrajectory(robot_file, text, designed.motion, known, designed)
     trajectory.__dict__["figures"] = figures  # known already; the property would compute them again
     return trajectory
 
@@ -299,9 +286,9 @@ def check_search(seconds: float | None, starts: int | None) -> None:
         raise UsageError(f"--starts {starts} is less than 1")
 
 
-def design_summary(designed: Design, figures: ExcitationFigures, choices: DesignChoices) -> str:
+def design_summary(designed: Design, figures: ExcitationFigures) -> str:
     """The figures of a design in one line."""
-    forecast = figures.forecast
+    choices, forecast = designed.choices, figures.forecast
     use, limit = max(
         [(figures.worst_use, figures.worst_limit), *zip(designed.use.tolist(), designed.limits, strict=True)]
     )
@@ -312,13 +299,13 @@ def design_summary(designed: Design, figures: ExcitationFigures, choices: Design
     )
 
 
-def trajectory_text(robot: Robot, designed: Design, figures: ExcitationFigures, choices: DesignChoices) -> str:
+def trajectory_text(robot: Robot, designed: Design, figures: ExcitationFigures) -> str:
     """The file's text, read back and checked as `dynid record` will do it.
 
     Raises:
         IdentificationError: it would be refused.
     """
-    comment = f"designed by dynid excite: {design_summary(designed, figures, choices)}"
+    comment = f"designed by dynid excite: {design_summary(designed, figures)}"
     text = dump_trajectory(designed.family.trajectory(designed.variables, robot.name, comment))
     try:
         parse_trajectory(text, robot, where="the designed trajectory", folder=None)
@@ -334,8 +321,9 @@ def search_words(designed: Design) -> str:
     return f"{state.finished} starts finished in {state.seconds:.1f} s{ended}"
 
 
-def design_notes(designed: Design, choices: DesignChoices) -> list[tuple[str, str]]:
+def design_notes(designed: Design) -> list[tuple[str, str]]:
     """Options and outcome of the design, for the page."""
+    choices = designed.choices
     return [
         ("Kind", choices.kind),
         ("Criterion", f"{choices.criterion}: {designed.cost:.4g} along one repetition at full speed"),

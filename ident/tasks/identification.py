@@ -245,81 +245,21 @@ def identify(
         >>> result.validation.relative_error < 0.2
         True
     """
-    choices = identify_choices(
-        method=method,
-        split=split,
-        friction=friction,
-        offset=offset,
-        motor_inertia=motor_inertia,
-        smoothing=smoothing,
-        delay=delay,
-        position_cutoff=position_cutoff,
-        torque_cutoff=torque_cutoff,
-        decimate=decimate,
-        position_decimate=position_decimate,
-        filter=filter,
-        measured_velocity=measured_velocity,
-        locked=_names(locked, "locked"),
-        torques_of=_names(torques_of, "torques_of"),
-        leave_out_reversals=leave_out_reversals,
-        energy_window=energy_window,
-        start=start,
-        stop=stop,
-        keep_rest=keep_rest,
-        significance=significance,
-    )
-    recordings, held_out = recordings_of(runs), recordings_of(validation)
-    robot_file = None if robot is None else load_robot(robot)
-    identification = identify_recordings(recordings, held_out, choices, robot_file, progress)
-    result = summarise(identification, recordings, held_out)
-    return IdentificationResult(result, identification.fit_series, identification.validation_series)
-
-
-def identify_choices(
-    *,
-    method: str,
-    split: float | None,
-    friction: str | None,
-    offset: bool | None,
-    motor_inertia: bool | None,
-    smoothing: float | None,
-    delay: float | None,
-    position_cutoff: float | None,
-    torque_cutoff: float | None,
-    decimate: int | None,
-    position_decimate: int,
-    filter: str,
-    measured_velocity: bool,
-    locked: Sequence[str],
-    torques_of: Sequence[str],
-    leave_out_reversals: float,
-    energy_window: float | None,
-    start: float | None,
-    stop: float | None,
-    keep_rest: bool,
-    significance: float,
-) -> IdentifyChoices:
-    """The options of `identify`, checked, for the pipeline.
-
-    Raises:
-        UsageError: a method or friction model that does not exist, or a number out of its range.
-    """
     *others, last = get_args(Method)
     if method not in (*others, last):
         raise UsageError(f"no method is called '{method}'", hint=f"{', '.join(others)} or {last}")
     if friction is not None and friction not in get_args(FrictionModel):
         raise UsageError(f"no friction model is called '{friction}'", hint="none, viscous, coulomb or coulomb-viscous")
-    if not 0 < significance <= 100:
-        raise UsageError(f"--significance {significance:g} is not a percentage", hint="the papers use 15")
-    return IdentifyChoices(
-        method=method,  # type: ignore[arg-type]  # checked above
-        model=ModelChoices(friction, offset, motor_inertia, smoothing),  # type: ignore[arg-type]  # checked above
+    check_significance(significance)
+    choices = IdentifyChoices(
+        method=method,
+        model=ModelChoices(friction, offset, motor_inertia, smoothing),
         preprocess=PreprocessChoices(
             position_cutoff=position_cutoff,
             torque_cutoff=torque_cutoff,
             decimate=decimate,
             position_decimate=position_decimate,
-            filter_kind=filter,  # type: ignore[arg-type]  # PreprocessChoices checks it
+            filter_kind=filter,
             delay=delay or 0.0,
             measured_velocity=measured_velocity,
             start=start,
@@ -330,9 +270,24 @@ def identify_choices(
         split=split,
         significant_rsd=significance,
         energy_window=energy_window,
-        experiment=ExperimentChoices(tuple(locked), tuple(torques_of)),
+        experiment=ExperimentChoices(_names(locked, "locked"), _names(torques_of, "torques_of")),
         reversals=leave_out_reversals,
     )
+    recordings, held_out = recordings_of(runs), recordings_of(validation)
+    robot_file = None if robot is None else load_robot(robot)
+    identification = identify_recordings(recordings, held_out, choices, robot_file, progress)
+    result = summarise(identification, recordings, held_out)
+    return IdentificationResult(result, identification.fit_series, identification.validation_series)
+
+
+def check_significance(percent: float) -> None:
+    """Refuse a threshold of significance out of range.
+
+    Raises:
+        UsageError: it is not above 0 and at most 100 %.
+    """
+    if not 0 < percent <= 100:
+        raise UsageError(f"--significance {percent:g} is not a percentage", hint="the papers use 15")
 
 
 def _names(given: Sequence[str], option: str) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from ident.regression.pruning import SIGNIFICANT_RSD
 from ident.result.model import Model, result_path
 from ident.result.schema import Fit, Result, read_result
 from ident.result.tables import Cell, Table, table_of_rows
-from ident.tasks.identification import IdentificationResult, error_table, identify
+from ident.tasks.identification import IdentificationResult, check_significance, error_table, identify
 from ident.tasks.runs import Run, Runs, recording_of, recordings_of
 
 Identified = IdentificationResult | Model | str | PathLike[str]
@@ -101,8 +101,7 @@ def merge(
         >>> merged.result.merge.consistency.agree in (True, False)
         True
     """
-    if not 0 < significance <= 100:
-        raise UsageError(f"significance {significance:g} is not a percentage", hint="the papers use 15")
+    check_significance(significance)
     named = [
         (_label(identified, position), _result(identified)) for position, identified in enumerate(results, start=1)
     ]

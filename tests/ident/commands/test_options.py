@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import UsageError
-from ident.commands.option_text import delay_option, joints_option
+from ident.commands.options import delay_option, joints_option
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
