@@ -14,8 +14,10 @@ from ident.excite.choices import DesignChoices
 from ident.excite.constraints.constraints import constraints_of
 from ident.excite.constraints.within_limits import constraints_within_limits, criterion_within_limits
 from ident.excite.criteria import Criterion, MotionSize, RegressorCriterion
-from ident.excite.families.families import FourierFamily, FourierQuinticFamily, PointsFamily, SinesFamily
+from ident.excite.families.fourier import FourierFamily, FourierQuinticFamily
 from ident.excite.families.moving_joints import middle_of_range
+from ident.excite.families.points import PointsFamily
+from ident.excite.families.sines import SinesFamily
 from ident.excite.measures import (
     Measure,
     condition,

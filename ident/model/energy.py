@@ -24,6 +24,7 @@ import numpy as np
 
 from drivers.streams import FloatArray
 from ident.linear_algebra.triangular import triangular
+from ident.linear_algebra.vectors import cross
 from ident.model.base_parameters import RANDOM_SEED, BaseParameters, ModelKey, base_parameters_of, random_states
 from ident.model.dynamics import DynamicModel
 from ident.model.joint_columns import JointColumn, combined, joint_column
@@ -127,7 +128,7 @@ class EnergyKernel:
         else:
             parent = states[joint.parent]
             angular, gravity = parent.angular, parent.gravity
-            linear = parent.linear + _cross(angular, offset)
+            linear = parent.linear + cross(angular, offset)
             height = parent.height + (gravity * offset).sum(axis=0)
         constant, sine, cosine = self._turns[index]
         turn = constant[:, :, None] + sine[:, :, None] * np.sin(position) + cosine[:, :, None] * np.cos(position)
@@ -158,7 +159,7 @@ def _power_sign(model: DynamicModel, column: JointColumn) -> float:
 def _link_columns(state: _LinkState) -> dict[str, FloatArray]:
     """Energy (m,) of each unit parameter of a link, by symbol."""
     x, y, z = state.angular
-    moment = _cross(state.linear, state.angular) - state.gravity
+    moment = cross(state.linear, state.angular) - state.gravity
     return {
         "XX": 0.5 * x * x,
         "XY": x * y,
@@ -171,16 +172,6 @@ def _link_columns(state: _LinkState) -> dict[str, FloatArray]:
         "MZ": moment[2],
         "M": 0.5 * (state.linear**2).sum(axis=0) - state.height,
     }
-
-
-def _cross(left: FloatArray, right: FloatArray) -> FloatArray:
-    return np.stack(
-        [
-            left[1] * right[2] - left[2] * right[1],
-            left[2] * right[0] - left[0] * right[2],
-            left[0] * right[1] - left[1] * right[0],
-        ]
-    )
 
 
 def energy_base_parameters(model: DynamicModel) -> BaseParameters:

@@ -18,7 +18,7 @@ class Joint:
 
     Attributes:
         name: as in the robot file.
-        parent: number of the joint whose link carries this one; `BASE_INDEX` for the base.
+        parent: index of the joint whose link carries this one; `BASE_INDEX` for the base.
         prismatic: translation along the axis instead of rotation about it.
         rotation: (3, 3) of the joint frame in its parent's at position zero.
         translation: (3,) [m] of its origin in its parent's frame at position zero.
@@ -34,7 +34,7 @@ class Joint:
 
 
 def ancestors(joints: tuple[Joint, ...], index: int) -> tuple[int, ...]:
-    """Numbers of the joints between the base and joint `number`, the nearest to the base first, itself left out."""
+    """Indices of the joints between the base and joint `index`, the nearest to the base first, itself left out."""
     chain: list[int] = []
     parent = joints[index].parent
     while parent != BASE_INDEX:

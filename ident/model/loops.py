@@ -22,6 +22,7 @@ from daq.robot.loops import BASE, ClosingFrame, Loop, coupling_matrix
 from daq.robot.schema import MdhRow, Robot
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
+from ident.linear_algebra.vectors import axis_rotation
 from ident.model.joints import BASE_INDEX, Joint, Placement, ancestors
 from ident.model.loop_text import length, loop_name
 from ident.model.mdh import mdh_placement
@@ -222,7 +223,7 @@ def place_tree(joints: tuple[Joint, ...], position: FloatArray) -> list[Placemen
         if joint.prismatic:
             own = (joint.rotation, joint.translation + joint.rotation @ joint.axis * value)
         else:
-            own = (joint.rotation @ _turn(joint.axis, float(value)), joint.translation)
+            own = (joint.rotation @ axis_rotation(joint.axis, value), joint.translation)
         frames.append(own if joint.parent == BASE_INDEX else _compose(frames[joint.parent], own))
     return frames
 
@@ -242,12 +243,6 @@ def _placement(frame: ClosingFrame) -> Placement:
 
 def _compose(outer: Placement, inner: Placement) -> Placement:
     return outer[0] @ inner[0], outer[1] + outer[0] @ inner[1]
-
-
-def _turn(axis: FloatArray, angle: float) -> FloatArray:
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)
 
 
 def _principal(angle: float) -> float:

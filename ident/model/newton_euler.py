@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.streams import FloatArray
+from ident.linear_algebra.vectors import cross_matrix
 from ident.model.joints import BASE_INDEX, Joint
 
 Direction = tuple["FloatArray | float", "FloatArray | float", "FloatArray | float"]
@@ -211,7 +212,5 @@ def rotation_coefficients(joint: Joint) -> tuple[FloatArray, FloatArray, FloatAr
     to_joint = joint.rotation.T
     if joint.prismatic:
         return to_joint, np.zeros((3, 3)), np.zeros((3, 3))
-    x, y, z = joint.axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     along = np.outer(joint.axis, joint.axis)
-    return along @ to_joint, -cross @ to_joint, (np.eye(3) - along) @ to_joint
+    return along @ to_joint, -cross_matrix(joint.axis) @ to_joint, (np.eye(3) - along) @ to_joint

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.streams import FloatArray
+from ident.linear_algebra.vectors import cross
 from ident.model.joint_columns import combined
 from ident.model.newton_euler import AxisMotion
 from ident.model.regressor import RegressorKernel
@@ -47,13 +48,13 @@ class _Spatial:
     def cross(self, other: _Spatial) -> _Spatial:
         """The cross product of motion vectors."""
         return _Spatial(
-            _cross(self.angular, other.angular), _cross(self.angular, other.linear) + _cross(self.linear, other.angular)
+            cross(self.angular, other.angular), cross(self.angular, other.linear) + cross(self.linear, other.angular)
         )
 
     def cross_dual(self, dual: _Spatial) -> _Spatial:
         """The dual d with d·t = dual·(self × t) for every motion vector t."""
         return _Spatial(
-            _cross(dual.angular, self.angular) + _cross(dual.linear, self.linear), _cross(dual.linear, self.angular)
+            cross(dual.angular, self.angular) + cross(dual.linear, self.linear), cross(dual.linear, self.angular)
         )
 
     def dot(self, other: _Spatial) -> FloatArray:
@@ -142,9 +143,9 @@ def _link_gradient(
     shares = axes.times(rates)
     before = shares.sums() - shares
     velocity = shares.total()
-    of_velocity = _Spatial(of_omega + _cross(velocity.linear, of_a), _cross(of_a, omega))
+    of_velocity = _Spatial(of_omega + cross(velocity.linear, of_a), cross(of_a, omega))
     of_acceleration = _Spatial(of_alpha, of_a)
-    spatial = _Spatial(alpha, a - _cross(omega, velocity.linear))
+    spatial = _Spatial(alpha, a - cross(omega, velocity.linear))
 
     carried = before.cross(axes)
     own = axes.times(rate_changes) + carried.times(rates)
@@ -191,8 +192,8 @@ def _axis_gradient(
 ) -> _Spatial:
     """Derivatives by the axes (J, 3, m) of the weighted sum of a link's rows, see `_body_gradient`."""
     inertia, h, mass = weights[:, :6], weights[:, 6:9], weights[:, 9:10]
-    of_w = _symmetric(inertia, alpha) + _cross(omega, inertia_omega) + _cross(h, a)
-    of_v = mass * a + _cross(alpha, h) + _cross(omega, _cross(omega, h))
+    of_w = _symmetric(inertia, alpha) + cross(omega, inertia_omega) + cross(h, a)
+    of_v = mass * a + cross(alpha, h) + cross(omega, cross(omega, h))
     return _Spatial(of_w, of_v)
 
 
@@ -208,11 +209,11 @@ def _body_gradient(
     inertia, h, mass = weights[:, :6], weights[:, 6:9], weights[:, 9:10]
     w, v = axes.angular, axes.linear
     inertia_omega = _symmetric(inertia, omega)
-    of_alpha = _symmetric(inertia, w) + _cross(h, v)
-    of_a = mass * v + _cross(w, h)
+    of_alpha = _symmetric(inertia, w) + cross(h, v)
+    of_a = mass * v + cross(w, h)
     of_omega = (
-        _cross(inertia_omega, w)
-        + _symmetric(inertia, _cross(w, omega))
+        cross(inertia_omega, w)
+        + _symmetric(inertia, cross(w, omega))
         + v * _dot(omega, h)[..., None, :]
         + h * _dot(v, omega)[..., None, :]
         - 2.0 * omega * _dot(v, h)[..., None, :]
@@ -230,16 +231,6 @@ def _symmetric(inertia: FloatArray, vector: FloatArray) -> FloatArray:
         np.multiply(inertia[:, entries[0]], vector[..., 0, :], out=out)
         for component in (1, 2):
             out += np.multiply(inertia[:, entries[component]], vector[..., component, :], out=term)
-    return product
-
-
-def _cross(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Cross product of (…, 3, m) arrays; np.cross takes three times as long on short ones."""
-    product = np.empty(np.broadcast_shapes(left.shape, right.shape))
-    for component, (first, second) in enumerate(((1, 2), (2, 0), (0, 1))):
-        out = product[..., component, :]
-        np.multiply(left[..., first, :], right[..., second, :], out=out)
-        out -= left[..., second, :] * right[..., first, :]
     return product
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.streams import FloatArray
+from ident.linear_algebra.vectors import axis_rotation
 from ident.model.dynamics import DynamicModel
 from ident.model.joints import BASE_INDEX, Joint, ancestors
 
@@ -52,7 +53,7 @@ def place(joints: tuple[Joint, ...], position: FloatArray) -> Placements:
             rotation[index] = start
             screw[index, 3:] = axis
         else:
-            rotation[index] = np.einsum("ijt,jkt->ikt", start, _turn(joint.axis, q))
+            rotation[index] = np.einsum("ijt,jkt->ikt", start, axis_rotation(joint.axis, q))
             screw[index, :3] = axis
             screw[index, 3:] = np.cross(origin[index], axis, axis=0)
     return Placements(rotation, origin, screw)
@@ -66,16 +67,6 @@ def place_arm(model: DynamicModel, position: FloatArray) -> Placements:
 def tool_point(model: DynamicModel, placements: Placements, tool: Sequence[float]) -> FloatArray:
     """Where the tool point, given in the last joint's frame (3,) [m], is along a path: (3, N) [m] in the base frame."""
     return np.asarray(placements.points(np.array([model.tool_link]), np.array([tool]))[0])
-
-
-def _turn(axis: FloatArray, angle: FloatArray) -> FloatArray:
-    """Rotations (3, 3, N) about a unit vector (3,) by angles (N,) [rad], by Rodrigues' formula."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    square = cross @ cross
-    return np.asarray(
-        np.eye(3)[:, :, None] + cross[:, :, None] * np.sin(angle) + square[:, :, None] * (1.0 - np.cos(angle))
-    )
 
 
 def moved_by(joints: tuple[Joint, ...]) -> FloatArray:

@@ -9,6 +9,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from daq.robot.loader import RobotFile
 from drivers.streams import FloatArray
@@ -70,10 +71,10 @@ def _folders(robot_file: RobotFile) -> tuple[Path, ...]:
 
 def _capsules(link: int, collision: Any, frame: Any, folders: tuple[Path, ...]) -> Iterator[Capsule]:
     origin = collision.find("origin")
-    shift, turns = np.zeros(3), np.zeros(3)
+    shift, angles = np.zeros(3), np.zeros(3)
     if origin is not None:
-        shift, turns = _numbers(origin.get("xyz", "0 0 0"), 3), _numbers(origin.get("rpy", "0 0 0"), 3)
-    rotation = np.asarray(frame.rotation) @ _roll_pitch_yaw(turns)
+        shift, angles = _numbers(origin.get("xyz", "0 0 0"), 3), _numbers(origin.get("rpy", "0 0 0"), 3)
+    rotation = np.asarray(frame.rotation) @ Rotation.from_euler("xyz", angles).as_matrix()
     centre = np.asarray(frame.rotation) @ shift + np.asarray(frame.translation)
     geometry = collision.find("geometry")
     shape = next(iter(geometry), None) if geometry is not None else None
@@ -109,14 +110,6 @@ def _positive(text: str, count: int) -> FloatArray:
     if not np.all(values > 0):
         raise _UnusableShapeError(f"not above 0: {text}")
     return values
-
-
-def _roll_pitch_yaw(angles: FloatArray) -> FloatArray:
-    (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
-    roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-    yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    return np.asarray(yaw @ pitch @ roll)
 
 
 def _mesh_vertices(filename: str, folders: tuple[Path, ...]) -> FloatArray:

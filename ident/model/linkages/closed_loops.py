@@ -74,12 +74,6 @@ class ClosedLoops(Transmission):
         tree, closes = self.equations.newton(position, last.position[passive] + moved)
         return self._motion(tree if np.all(closes) else self._solved(position), velocity, acceleration)
 
-    def follow_rate(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """Ġ (n, a, N) at active positions and velocities (a, N): q̈_tree = G·q̈ + Ġ·q̇."""
-        closing = self.equations.at(self._solved(position))
-        follow = self._follow(closing)
-        return self._bent(closing, closing.second(_applied(follow, velocity)), follow)
-
     def active_gradient(self, position: FloatArray, gradient: FloatArray) -> FloatArray:
         """As in `Transmission`."""
         follow = self._follow(self.equations.at(self._solved(position)))

@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from drivers.streams import FloatArray
+from ident.linear_algebra.vectors import cross, cross_matrix
 from ident.model.joints import BASE_INDEX, Joint, Placement
 
 POSITION_ROWS = 3
@@ -46,8 +47,7 @@ class Link:
     @cached_property
     def cross(self) -> FloatArray:
         """[axis]× (3, 3)."""
-        x, y, z = self.axis
-        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        return cross_matrix(self.axis)
 
     @cached_property
     def square(self) -> FloatArray:
@@ -201,16 +201,6 @@ def closing_chain(
     else:
         before = between
     return ClosingChain(name, spherical, before, tuple(links))
-
-
-def cross(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Cross product of (…, 3, N) arrays."""
-    product = np.empty(np.broadcast(left, right).shape)
-    for component, (first, second) in enumerate(((1, 2), (2, 0), (0, 1))):
-        product[..., component, :] = (
-            left[..., first, :] * right[..., second, :] - left[..., second, :] * right[..., first, :]
-        )
-    return product
 
 
 def _times(rotation: FloatArray, right: FloatArray) -> FloatArray:

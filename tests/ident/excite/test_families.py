@@ -13,7 +13,9 @@ from daq.motion.trajectory_file import dump_trajectory, parse_trajectory
 from daq.robot.loader import load_robot
 from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
-from ident.excite.families.families import FourierFamily, FourierQuinticFamily, PointsFamily, SinesFamily
+from ident.excite.families.fourier import FourierFamily, FourierQuinticFamily
+from ident.excite.families.points import PointsFamily
+from ident.excite.families.sines import SinesFamily
 
 ROBOT = load_robot("ur5e").robot
 LIMITS = ROBOT.joints

@@ -79,11 +79,9 @@ def test_velocities_and_accelerations_are_the_positions_derivatives(make: Callab
 @pytest.mark.parametrize("make", ARMS)
 def test_g_and_its_rate_are_derivatives(make: Callable[[], RobotFile]) -> None:
     model = build_model(make())
-    loops = loops_of(model)
     position, velocity, acceleration = random_states(model, 10, seed=4)
     position *= 0.9
     motion = model.tree_motion(position, velocity, acceleration)
-    rate = loops.follow_rate(position, velocity)
     step = 1e-6
     for joint in range(model.dof):
         ends = [position.copy() for _ in range(2)]
@@ -92,9 +90,9 @@ def test_g_and_its_rate_are_derivatives(make: Callable[[], RobotFile]) -> None:
         difference = (model.tree_position(ends[1]) - model.tree_position(ends[0])) / (2 * step)
         np.testing.assert_allclose(motion.follow[:, joint], difference, atol=1e-8)
     before, after = (model.tree_motion(position + t * velocity, velocity, velocity).follow for t in (-step, step))
-    np.testing.assert_allclose(rate, (after - before) / (2 * step), atol=1e-6 * (1.0 + np.abs(rate).max()))
+    rate = (after - before) / (2 * step)
     expected = np.einsum("naN,aN->nN", motion.follow, acceleration) + np.einsum("naN,aN->nN", rate, velocity)
-    np.testing.assert_allclose(motion.acceleration, expected, atol=1e-10 * (1.0 + np.abs(expected).max()))
+    np.testing.assert_allclose(motion.acceleration, expected, atol=1e-6 * (1.0 + np.abs(expected).max()))
 
 
 def test_a_parallelogram_by_its_closing_frames_is_the_linear_one() -> None:
@@ -108,7 +106,6 @@ def test_a_parallelogram_by_its_closing_frames_is_the_linear_one() -> None:
     np.testing.assert_allclose(
         found.follow, np.broadcast_to(expected.follow[..., None], found.follow.shape), atol=1e-11
     )
-    np.testing.assert_allclose(loops_of(general).follow_rate(*motion[:2]), 0.0, atol=1e-9)
     assert not loops_of(general).varies.any()
     of_linear = regressor(linear, *motion)
     np.testing.assert_allclose(regressor(general, *motion), of_linear, atol=1e-9 * np.abs(of_linear).max())
