@@ -20,7 +20,7 @@ from daq.motion.trajectories import RestToRest
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from ident.assessment.recorded_motion import recorded_motion
-from ident.excite.figures import excitation_figures
+from ident.excite.forecast import excitation_figures
 from ident.excite.prior import Prior, find_prior
 from ident.excite.sufficiency import motion_sufficiency
 from ident.identify.identification import IdentifyChoices

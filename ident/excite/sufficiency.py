@@ -11,7 +11,7 @@ import numpy as np
 from drivers.errors import DynidError, UsageError
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recorded_motion import RecordedMotion
-from ident.excite.figures import Forecast, forecast
+from ident.excite.forecast import Forecast, forecast
 from ident.excite.prior import Prior, find_prior, least_noise
 from ident.regression.comparison import compare_torques
 from ident.regression.jackknife import FilteredRun, block_jackknife

@@ -13,8 +13,8 @@ from ident.assessment.validation import FitFigures, fit_figures
 from ident.identify.played_motion import played_window
 from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
 from ident.regression.observability import predictable_torques
-from ident.result.load import stored_model
 from ident.result.schema import Result
+from ident.result.stored_model import stored_model
 from ident.signals.joint_signals import read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare

@@ -23,8 +23,8 @@ from ident.model.regressor import CHUNK, regressor
 from ident.regression.estimate import Estimate
 from ident.regression.observability import describe
 from ident.result.arrays import outward, samples
-from ident.result.load import StoredModel, stored_estimate, stored_model
 from ident.result.schema import Result, read_result
+from ident.result.stored_model import StoredModel, stored_estimate, stored_model
 from ident.result.tables import Table, table_of_rows
 
 Parameters = Literal["consistent", "full", "essential"]

@@ -22,7 +22,7 @@ from drivers.streams import FloatArray
 from ident.excite.choices import DEFAULT_SECONDS, CriterionName, DesignChoices, Kind
 from ident.excite.constraints.surroundings import surroundings_warning
 from ident.excite.design import Design, design
-from ident.excite.figures import ExcitationFigures, excitation_figures
+from ident.excite.forecast import ExcitationFigures, excitation_figures
 from ident.excite.page.page import write_page
 from ident.excite.prior import Prior, find_prior
 from ident.excite.search import SearchChoices, SearchResult

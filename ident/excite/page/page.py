@@ -7,8 +7,8 @@ from pathlib import Path
 
 from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
-from ident.excite.figures import ExcitationFigures
-from ident.excite.page.figures import arm_figure, joints_figure, shown_part, tool_figure
+from ident.excite.forecast import ExcitationFigures
+from ident.excite.page.plots import arm_figure, joints_figure, shown_part, tool_figure
 from ident.excite.prior import Prior
 from ident.model.dynamics import build_model
 from ident.regression.pruning import SIGNIFICANT_RSD

@@ -12,9 +12,9 @@ from html_page import Page
 from daq.motion.trajectories import RestToRest
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.errors import UsageError
-from ident.excite.figures import excitation_figures
-from ident.excite.page.figures import FRAMES, arm_figure, shown_part
+from ident.excite.forecast import excitation_figures
 from ident.excite.page.page import render_page, write_page
+from ident.excite.page.plots import FRAMES, arm_figure, shown_part
 from ident.excite.prior import Prior, find_prior
 from ident.model.dynamics import build_model
 from ident.model.pinocchio_model import pinocchio_model

@@ -9,8 +9,8 @@ import pytest
 
 from daq.motion.trajectories import RestToRest, motion_extremes
 from drivers.streams import FloatArray
-from ident.excite import figures as module
-from ident.excite.figures import excitation_figures
+from ident.excite import forecast as module
+from ident.excite.forecast import excitation_figures
 from ident.excite.prior import find_prior
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics import build_model
