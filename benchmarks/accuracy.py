@@ -12,7 +12,7 @@ from benchmarks.arm import PERIOD, arm, true_parameters
 from drivers.streams import FloatArray
 from ident.linear_algebra.triangular import GRAM_CONDITION_LIMIT, GramAccumulator
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel, evaluate_in_chunks, regressor
 from ident.regression.least_squares import ordinary_least_squares
 from ident.regression.observation_matrix import JointFactor, Reduction, estimate_condition, reduce_segments

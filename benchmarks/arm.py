@@ -12,10 +12,11 @@ import numpy as np
 
 from daq.robot.loader import load_robot
 from drivers.streams import FloatArray
-from ident.model.dynamics import DynamicModel, build_model, truth_vector
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.parameters import INERTIAL
 from ident.model.pinocchio_model import PINOCCHIO_ORDER
 from ident.model.regressor import model_torque
+from ident.model.true_parameters import truth_vector
 from ident.signals.prepared import Segment
 from sim_drivers.synthetic.motion import random_fourier_motion
 

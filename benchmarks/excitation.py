@@ -29,7 +29,7 @@ from ident.excite.prior import Prior
 from ident.excite.problem import Problem
 from ident.excite.search import SearchChoices
 from ident.excite.solve import ROUNDS, solve
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.parameters import INERTIAL
 from ident.model.pinocchio_model import PINOCCHIO_ORDER
 

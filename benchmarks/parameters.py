@@ -13,7 +13,7 @@ from benchmarks.timing import medians
 from drivers.streams import FloatArray
 from ident.model import base_parameters as base_module
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel, model_torque
 from ident.regression.least_squares import ordinary_least_squares
 from ident.regression.observation_matrix import Reduction, reduce_segments

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from drivers.streams import FloatArray
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.pinocchio_model import pinocchio_model
 
 Motion = tuple[FloatArray, FloatArray, FloatArray]

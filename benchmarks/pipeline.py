@@ -6,7 +6,7 @@ from benchmarks.timing import medians
 from daq.robot.loader import load_robot
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 

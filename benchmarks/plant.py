@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.agreement import DisagreementError
 from benchmarks.timing import medians
 from daq.robot.loader import load_robot
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from sim_drivers.plant.plant import Plant
 from sim_drivers.synthetic.motion import random_fourier_motion
 

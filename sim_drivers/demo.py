@@ -24,7 +24,8 @@ from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
+from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.velocity_reversals import ADVISED_SHARE
 from ident.report import TruthTable, write_report

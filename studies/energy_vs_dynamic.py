@@ -33,8 +33,9 @@ from drivers.errors import IdentificationError
 from drivers.streams import FloatArray
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
+from ident.model.true_parameters import truth_vector
 from ident.regression.least_squares import Method
 from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.synthetic.measurement import simulate_recording

@@ -23,7 +23,7 @@ from ident.experiments.payload import identify_payload
 from ident.experiments.payload_summary import payload_sentences
 from ident.experiments.run_pair import LOADED, widened
 from ident.linear_algebra.triangular import triangular
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad, load_effect
 from sim_drivers.plant.altered_arm import with_gains, with_load
 from sim_drivers.synthetic.measurement import simulate_recording

@@ -15,7 +15,7 @@ import numpy as np
 
 from daq.robot.loader import load_robot
 from ident.experiments.payload import Payload, identify_payload
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording

@@ -29,8 +29,9 @@ from daq.robot.loader import RobotFile, load_robot
 from drivers.streams import FloatArray
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.parameters import INERTIAL, link_parameters
+from ident.model.true_parameters import truth_vector
 from ident.regression.gain_uncertainty import gain_sensitivity, relative_gain_std
 from sim_drivers.plant.altered_arm import with_gains, with_load
 from sim_drivers.synthetic.measurement import simulate_recording

@@ -27,7 +27,8 @@ import yaml
 from daq.robot.loader import load_robot
 from daq.session.realtime import may_have_realtime
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
+from ident.model.true_parameters import truth_vector
 from ident.result.schema import BaseParameterResult, read_result
 
 WIRES = ("rtde", "canopen", "can")

@@ -23,7 +23,7 @@ from ident.excite.prior import find_prior
 from ident.excite.search import SearchChoices
 from ident.linear_algebra.triangular import scaled_condition
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel, motion_factor
 
 DURATION = 10.0

@@ -29,9 +29,10 @@ from drivers.errors import DynidError
 from drivers.streams import FloatArray
 from ident.experiments.drive_gains import identify_gains
 from ident.experiments.up_and_down import identify_slow_gains
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad
 from ident.model.regressor import model_torque
+from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.altered_arm import with_gains, with_load
 from sim_drivers.synthetic.measurement import simulate_recording
 

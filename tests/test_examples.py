@@ -58,7 +58,7 @@ def test_links_lead_somewhere(page):
 def test_the_robot_file_of_the_docs_is_valid():
     from daq.robot.loader import parse_robot
     from ident.model.base_parameters import base_parameters
-    from ident.model.dynamics import build_model
+    from ident.model.dynamic_model import build_model
 
     text = (REPOSITORY / "docs" / "robot-file.md").read_text(encoding="utf-8")
     block = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.streams import FloatArray
 from ident.model.base_parameters import BaseParameters, random_states
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel, regressor
 from ident.regression.least_squares import LeastSquares, excited_columns, ordinary_least_squares
 from ident.regression.observation_matrix import Reduction, only_torques, reduce_segments, stack_reductions

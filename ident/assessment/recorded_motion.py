@@ -12,7 +12,7 @@ from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from drivers.errors import DataError, DynidError, RobotFileError, UsageError
 from ident.model.base_parameters import BaseParameters, base_parameters
-from ident.model.dynamics import DynamicModel, build_model
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel
 from ident.regression.observation_matrix import Reduction, reduce_segments
 from ident.signals.joint_signals import JointPositions, JointSignals, joint_positions, read_joint_signals

@@ -14,7 +14,7 @@ from drivers.base import DRIVERS_GROUP
 from drivers.bus_budget import TIGHT_SHARE, Budget
 from drivers.errors import UsageError
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 
 
 def check_robot(robot_file: RobotFile) -> list[str]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from daq.robot.loader import RobotFile
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.symbols import symbolic_expressions
 
 

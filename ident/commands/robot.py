@@ -23,7 +23,7 @@ def show(
     from daq.robot.loader import load_robot
     from ident.checks.robot_description import description, inertial_count
     from ident.model.base_parameters import base_parameters
-    from ident.model.dynamics import build_model
+    from ident.model.dynamic_model import build_model
     from ident.model.symbols import symbolic_expressions
 
     robot_file = load_robot(robot)

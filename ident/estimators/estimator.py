@@ -23,7 +23,7 @@ from ident.estimators.energy_windows import (
 )
 from ident.estimators.power import PowerSamples
 from ident.model.base_parameters import BaseParameters
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.energy import EnergyKernel, energy_base_parameters
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun, block_jackknife

@@ -33,7 +33,7 @@ from ident.excite.prior import Prior
 from ident.excite.problem import Problem
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.model.base_parameters import BaseParameters, base_parameters
-from ident.model.dynamics import DynamicModel, build_model
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.parameters import INERTIAL
 from ident.model.regressor import RegressorKernel, motion_factor
 from ident.regression.least_squares import EXCITATION_TOLERANCE

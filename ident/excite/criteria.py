@@ -11,7 +11,7 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.excite.measures import Measure
 from ident.excite.path import Path
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel
 from ident.model.regressor_gradient import pull_back_regressor
 

@@ -18,7 +18,7 @@ from drivers.streams import FloatArray
 from ident.excite.prior import Prior, recording_rate
 from ident.linear_algebra.triangular import scaled_condition
 from ident.model.base_parameters import BaseParameters, base_parameters
-from ident.model.dynamics import DynamicModel, build_model
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.parameters import Kind
 from ident.model.regressor import RegressorKernel, model_torque
 from ident.regression.least_squares import excited_columns

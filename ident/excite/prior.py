@@ -14,7 +14,8 @@ from drivers.errors import ResultFileError, UsageError
 from drivers.streams import FloatArray
 from ident.identify.revalidate import stored_choices
 from ident.model.base_parameters import BaseParameters, base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
+from ident.model.true_parameters import truth_vector
 from ident.result.schema import Result, read_result
 from ident.signals.options import filtered_rate
 

@@ -23,7 +23,7 @@ from ident.identify.summary import (
     parameter_results,
 )
 from ident.model.base_parameters import BaseParameters, base_parameters
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.regression.estimate import Estimate
 from ident.regression.pruning import SIGNIFICANT_RSD, Pruned, prune
 from ident.result.schema import (

@@ -27,7 +27,7 @@ from ident.experiments.schema import (
     UnchangedResult,
 )
 from ident.experiments.up_and_down import SlowGains
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.load import FIRST_MOMENTS, KnownLoad, LoadColumns
 from ident.model.parameters import INERTIAL
 from ident.regression.hypothesis_tests import LEVEL, WITHIN_95_PERCENT, SignificanceTest

@@ -21,7 +21,7 @@ from ident.assessment.delay import search_delay
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recorded_motion import unclosed_warnings
 from ident.model.base_parameters import BaseParameters, base_parameters
-from ident.model.dynamics import DynamicModel, build_model
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel
 from ident.regression.autocorrelation import residual_autocorrelation
 from ident.regression.comparison import TorqueSeries, compare_torques

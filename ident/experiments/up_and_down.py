@@ -29,7 +29,7 @@ from ident.experiments.slow_passes import Sweep, passes_of, sweeps_of
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.linear_algebra.triangular import triangular
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import DynamicModel, build_model
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.load import FIRST_MOMENTS, KnownLoad, load_effect
 from ident.model.parameters import INERTIAL
 from ident.model.regressor import regressor

@@ -13,7 +13,7 @@ from drivers.streams import FloatArray
 from ident.assessment.delay import DelaySearch
 from ident.assessment.validation import FitFigures
 from ident.model.base_parameters import BaseParameters
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.regression.comparison import TorqueSeries
 from ident.regression.estimate import Estimate, estimate_of
 from ident.regression.jackknife import CorrectedCovariance

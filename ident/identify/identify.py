@@ -18,7 +18,7 @@ from ident.identify.data_split import split_data
 from ident.identify.identification import Identification, IdentifyChoices, PreparedRun, apply_model_choices
 from ident.identify.preparation import Progress, compare_run, prepare_data
 from ident.model.base_parameters import BaseParameters
-from ident.model.dynamics import DynamicModel, build_model
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
 from ident.regression.jackknife import FilteredRun

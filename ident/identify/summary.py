@@ -17,7 +17,7 @@ from drivers.streams import FloatArray
 from ident.assessment.validation import FitFigures
 from ident.identify.identification import Identification, PreparedRun
 from ident.model.base_parameters import BaseParameters
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import Kind
 from ident.regression.estimate import Estimate
 from ident.regression.least_squares import LeastSquares

@@ -17,7 +17,7 @@ import numpy as np
 from drivers.errors import IdentificationError
 from drivers.streams import FloatArray
 from ident.linear_algebra.independent_columns import independent_columns
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import joint_column
 from ident.model.loops import main_chain
 from ident.model.parameters import Kind, StandardParameter

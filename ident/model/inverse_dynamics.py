@@ -17,7 +17,7 @@ import numpy as np
 
 from drivers.streams import FloatArray
 from ident.model.base_parameters import BaseParameters
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
 from ident.model.parameters import INERTIAL
 from ident.model.pinocchio_model import pinocchio_model

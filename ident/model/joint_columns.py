@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.streams import FloatArray
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import PAIR_SYMBOLS, Quantity, StandardParameter
 
 

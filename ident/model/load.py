@@ -20,7 +20,7 @@ from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.model.base_parameters import BaseParameters
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import INERTIAL, link_parameters
 
 MASS = INERTIAL.index("M")

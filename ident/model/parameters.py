@@ -1,4 +1,4 @@
-"""Standard parameters: names, symbols and kinds (for their order see `ident.model.dynamics`)."""
+"""Standard parameters: names, symbols and kinds (for their order see `ident.model.dynamic_model`)."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from drivers.streams import FloatArray
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import column_signal, joint_column
 from ident.model.joints import BASE_INDEX
 from ident.model.parameters import INERTIAL

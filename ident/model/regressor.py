@@ -27,7 +27,7 @@ import numpy as np
 
 from drivers.streams import FloatArray
 from ident.linear_algebra.triangular import QrAccumulator
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
 from ident.model.joints import ancestors
 from ident.model.newton_euler import AxisMotion, Direction, FrameMotion, Recursion, combine, scaled

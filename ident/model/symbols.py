@@ -20,7 +20,7 @@ from drivers.errors import DynidError
 from drivers.streams import FloatArray
 from drivers.yaml_file import UniqueKeyLoader
 from ident.model.base_parameters import BaseParameters, base_parameters
-from ident.model.dynamics import DynamicModel, build_model
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.parameters import StandardParameter
 
 ARMS_BESIDE = 10

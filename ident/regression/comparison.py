@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.streams import FloatArray
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import model_torque
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment

@@ -27,7 +27,7 @@ from ident.model.base_parameters import (
     base_parameters_of,
     random_states,
 )
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel, evaluate_in_chunks
 
 STILL = 1e-3

@@ -9,7 +9,7 @@ import numpy as np
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.errors import ResultFileError
 from ident.model.base_parameters import BaseParameters
-from ident.model.dynamics import DynamicModel, build_model
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.regression.estimate import Estimate
 from ident.regression.observability import Experiment, experiment_base, whole_arm
 from ident.result.schema import ExperimentResult, Result

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from daq.robot.loader import RobotFile, load_robot
 from ident.model import base_parameters as numeric
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.symbols import symbolic_expressions
 from ident.result.schema import UNITS
 from ident.result.tables import Table, table_of_rows

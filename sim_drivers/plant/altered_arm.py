@@ -13,7 +13,7 @@ import numpy as np
 from daq.robot.loader import RobotFile
 from daq.robot.schema import TruthLink
 from drivers.errors import RobotFileError
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 
 
 def with_load(robot_file: RobotFile, mass: float, com: Sequence[float], inertia: Sequence[float]) -> RobotFile:

@@ -6,7 +6,7 @@ import numpy as np
 
 from daq.robot.schema import Robot, TruthJoint
 from drivers.streams import FloatArray
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 
 WIDTH = 0.01
 """Width [rad/s] of the smoothed sign: the joint has no bristle, its motor's holds it at rest."""

@@ -19,7 +19,8 @@ from daq.robot.loops import coupling_matrix
 from daq.robot.schema import TruthJoint
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
+from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.control import Braking, ComputedTorque, JointController, Pid, Target, independent_inertia
 from sim_drivers.plant.friction import SimulatedFriction, bristle_stiffness, friction_parameters, steepest_slope
 from sim_drivers.plant.pair_friction import PairFriction

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.streams import FloatArray
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.pinocchio_model import pinocchio_model
 from ident.model.transmission import LinearTransmission, Transmission, TreeMotion
 

@@ -11,8 +11,9 @@ from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream, s
 from daq.robot.loader import RobotFile
 from daq.robot.loops import coupling_matrix
 from drivers.streams import UNITS, FloatArray
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
+from ident.model.true_parameters import truth_vector
 
 
 def simulate_recording(

@@ -8,7 +8,7 @@ from daq.motion.trajectories import FourierSeries
 from drivers.streams import FloatArray
 from ident.linear_algebra.triangular import scaled_condition
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel, motion_factor
 
 CANDIDATES = 30

@@ -12,8 +12,9 @@ from true_results import true_result
 import dynid
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from ident.model.base_parameters import base_parameters, random_states
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
+from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.rigid_body import rigid_arm
 
 TREES = ("ur5e", "ur10e", "panda", "rocr6", "up6", "aubo_i5")

@@ -11,7 +11,7 @@ from daq.robot.loader import RobotFile, parse_robot
 from daq.robot.schema import JointLimits
 from drivers.streams import FloatArray
 from ident.linear_algebra.triangular import triangular
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.joints import Joint
 from ident.model.regressor import model_torque
 from ident.regression.observation_matrix import JointFactor, Reduction

@@ -9,10 +9,11 @@ import pytest
 
 from daq.robot.loader import RobotFile, load_robot
 from ident.model.base_parameters import BaseParameters, base_parameters
-from ident.model.dynamics import DynamicModel, build_model, truth_vector
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.parameters import link_parameters
 from ident.model.regressor import regressor
 from ident.model.symbols import symbolic_expressions
+from ident.model.true_parameters import truth_vector
 
 NO_EFFECT = ("XX1", "XY1", "XZ1", "YY1", "YZ1", "MX1", "MY1", "MZ1", "M1", "MZ2", "MZ7")
 

@@ -9,7 +9,7 @@ from daq.robot.loader import load_robot
 from ident.experiments.drive_gains import identify_gains
 from ident.experiments.payload import identify_payload
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad, load_columns, load_effect
 from sim_drivers.plant.altered_arm import with_gains, with_load
 from sim_drivers.synthetic.measurement import simulate_recording

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import load_robot
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
+from ident.model.true_parameters import truth_vector
 
 pytestmark = pytest.mark.realdata
 

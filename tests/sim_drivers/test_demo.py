@@ -13,7 +13,8 @@ from daq.recording.reader import read_recording
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import load_robot
 from drivers.errors import ConnectionFailedError, RobotFileError, UsageError, WorkError
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
+from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.schema import read_result
 from sim_drivers.demo import print_demo, run_demo

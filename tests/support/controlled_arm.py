@@ -6,7 +6,7 @@ import numpy as np
 
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from sim_drivers.plant.plant import Plant, PlantSettings
 from sim_drivers.synthetic.motion import random_fourier_motion
 

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad
 from sim_drivers.plant.altered_arm import with_gains, with_load
 from sim_drivers.synthetic.measurement import simulate_recording

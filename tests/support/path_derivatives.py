@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ident.excite.path import Path
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 
 STEP = 1e-6
 

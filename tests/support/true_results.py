@@ -10,7 +10,8 @@ from daq.robot.loader import RobotFile
 from drivers.streams import FloatArray
 from ident.identify.summary import gain_results, model_options
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
+from ident.model.true_parameters import truth_vector
 from ident.result.schema import (
     UNITS,
     BaseParameterResult,

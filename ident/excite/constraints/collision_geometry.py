@@ -22,7 +22,7 @@ from drivers.streams import FloatArray
 from ident.excite.constraints.capsules import Capsule
 from ident.excite.constraints.placements import IndexArray
 from ident.excite.constraints.urdf_shapes import urdf_capsules
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.joints import BASE_INDEX, Joint
 
 DISTANCE_SCALE = 0.1

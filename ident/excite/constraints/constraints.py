@@ -14,7 +14,7 @@ from ident.excite.constraints.torque_limits import TorqueLimits
 from ident.excite.constraints.workspace import WorkspaceLimits
 from ident.excite.path import Constraint
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 
 
 def constraints_of(

@@ -16,7 +16,7 @@ from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.constraints.workspace import SAMPLES_AT_ONCE
 from ident.excite.path import Path
 from ident.model.base_parameters import random_states
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.joints import BASE_INDEX
 
 ALWAYS_CLOSE = 0.95

@@ -7,7 +7,7 @@ import numpy as np
 from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
 from ident.excite.constraints.placements import place_arm, tool_point
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 
 _SAMPLES = 2000
 

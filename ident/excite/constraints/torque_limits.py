@@ -9,7 +9,7 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.path import Path
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import CHUNK, RegressorKernel, model_torque
 from ident.model.regressor_gradient import pull_back_regressor
 

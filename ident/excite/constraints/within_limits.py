@@ -16,7 +16,7 @@ from drivers.streams import FloatArray
 from ident.excite.constraints.joint_limits import JointMotionLimits
 from ident.excite.criteria import Criterion
 from ident.excite.path import Constraint, Path
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 
 
 def criterion_within_limits(model: DynamicModel, criterion: Criterion) -> Criterion:

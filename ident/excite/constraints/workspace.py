@@ -23,7 +23,7 @@ from ident.excite.constraints.placements import IndexArray, Placements, moved_by
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.path import Path
 from ident.model.base_parameters import random_states
-from ident.model.dynamics import DynamicModel
+from ident.model.dynamic_model import DynamicModel
 from ident.model.joints import BASE_INDEX
 
 SAMPLES_AT_ONCE = 2000

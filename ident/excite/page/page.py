@@ -10,7 +10,7 @@ from daq.robot.loader import RobotFile
 from ident.excite.forecast import ExcitationFigures
 from ident.excite.page.plots import arm_figure, joints_figure, shown_part, tool_figure
 from ident.excite.prior import Prior
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.regression.pruning import SIGNIFICANT_RSD
 from ident.report import number_text
 from ident.report.figures import KIND_STYLES

@@ -18,7 +18,7 @@ from ident.excite.constraints.placements import place_arm, tool_point
 from ident.excite.path import Path
 from ident.excite.prior import Prior
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.joints import BASE_INDEX, Joint
 from ident.model.regressor import model_torque
 from ident.report.figures import (

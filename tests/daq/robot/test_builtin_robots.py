@@ -9,8 +9,9 @@ import pytest
 
 from daq.robot.loader import RobotFile, builtin_robots, load_robot
 from daq.robot.schema import TruthLink
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
+from ident.model.true_parameters import truth_vector
 
 UR_JOINTS = (
     "shoulder_pan_joint",

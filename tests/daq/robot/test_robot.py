@@ -105,7 +105,7 @@ def test_a_relative_urdf_starts_at_the_folder_of_the_robot_file(
 
 
 def test_meshes_of_a_urdf_need_not_exist(tmp_path: Path) -> None:
-    from ident.model.dynamics import build_model
+    from ident.model.dynamic_model import build_model
 
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "arm.urdf").write_text(URDF, encoding="utf-8")

@@ -9,8 +9,9 @@ import pytest
 
 from ident.assessment.delay import LONGEST, search_delay
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
+from ident.model.true_parameters import truth_vector
 from ident.signals.filters import butterworth, chebyshev_decimation, no_filter
 
 

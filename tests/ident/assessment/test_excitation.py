@@ -10,7 +10,7 @@ import pytest
 from daq.recording.recording import JOINTS_STREAM
 from ident.assessment.excitation import ExcitationReached, excitation_reached
 from ident.assessment.recorded_motion import recorded_motion
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 

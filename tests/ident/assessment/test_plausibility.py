@@ -12,8 +12,9 @@ from ident.assessment.plausibility import indefinite_share, inertia_matrices, si
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters, random_states
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
+from ident.model.true_parameters import truth_vector
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 

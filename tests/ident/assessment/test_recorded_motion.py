@@ -14,7 +14,7 @@ from ident.assessment.excitation import excitation_reached
 from ident.assessment.recorded_motion import recorded_motion
 from ident.checks.recording_check import recording_info
 from ident.excite.sufficiency import OWN_TORQUE, motion_sufficiency
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.regression.observation_matrix import reduce_segments
 from ident.signals.pipeline import prepare
 from sim_drivers.synthetic.measurement import simulate_recording

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from drivers.errors import DataError
 from ident.assessment.validation import LOW_SPEED, fit_figures
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
+from ident.model.true_parameters import truth_vector
 from ident.regression.comparison import TorqueSeries, compare_torques
 from ident.signals.filters import butterworth, no_filter
 

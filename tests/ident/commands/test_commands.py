@@ -13,7 +13,7 @@ import pytest
 from daq.recording.writer import write_recording
 from daq.robot.loader import load_robot
 from dynid import command
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 

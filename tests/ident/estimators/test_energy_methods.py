@@ -33,8 +33,9 @@ from ident.identify.identify import identify
 from ident.identify.revalidate import revalidate
 from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.energy import EnergyKernel
+from ident.model.true_parameters import truth_vector
 from ident.regression.comparison import compare_torques
 from ident.regression.jackknife import FilteredRun
 from ident.regression.least_squares import excited_columns, ordinary_least_squares

@@ -16,7 +16,7 @@ from ident.excite.measures import condition
 from ident.excite.path import Path
 from ident.excite.prior import find_prior
 from ident.excite.search import SearchChoices
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 
 
 @pytest.fixture(scope="module")

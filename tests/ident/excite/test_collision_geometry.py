@@ -11,7 +11,7 @@ import pytest
 from daq.robot.loader import load_robot, parse_robot
 from ident.excite.constraints.capsules import box_capsules, enclosing_capsule
 from ident.excite.constraints.collision_geometry import arm_geometry
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 
 ARM = """
 name: arm

@@ -9,7 +9,8 @@ from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import UsageError
 from ident.excite.constraints.constraints import constraints_of
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
+from ident.model.true_parameters import truth_vector
 
 ONE_JOINT = """
 name: one

@@ -43,7 +43,7 @@ def test_derivatives_by_the_path_equal_finite_differences(random_tree, measure, 
 
 
 def test_cost_is_the_condition_of_the_stacked_weighted_regressor(ur_like):
-    from ident.model.dynamics import build_model
+    from ident.model.dynamic_model import build_model
 
     model = build_model(ur_like)
     base = base_parameters(model)
@@ -56,7 +56,7 @@ def test_cost_is_the_condition_of_the_stacked_weighted_regressor(ur_like):
 
 
 def test_deviations_are_those_of_least_squares(ur_like):
-    from ident.model.dynamics import build_model
+    from ident.model.dynamic_model import build_model
 
     model = build_model(ur_like)
     base = base_parameters(model)

@@ -13,7 +13,7 @@ from ident.excite import forecast as module
 from ident.excite.forecast import excitation_figures
 from ident.excite.prior import find_prior
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque, regressor
 from sim_drivers.synthetic.motion import random_fourier_motion
 

@@ -16,7 +16,7 @@ from ident.excite.forecast import excitation_figures
 from ident.excite.page.page import render_page, write_page
 from ident.excite.page.plots import FRAMES, arm_figure, shown_part
 from ident.excite.prior import Prior, find_prior
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
 from sim_drivers.synthetic.motion import random_fourier_motion
 

@@ -13,7 +13,7 @@ from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometr
 from ident.excite.constraints.self_collision import SelfCollision, link_pairs
 from ident.excite.path import Path
 from ident.model.base_parameters import random_states
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
 
 URDF = """<robot name="crab">

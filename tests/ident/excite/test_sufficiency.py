@@ -17,7 +17,7 @@ from drivers.errors import UsageError
 from dynid import command
 from ident.assessment.recorded_motion import recorded_motion
 from ident.excite.sufficiency import OWN_TORQUE, Sufficiency, check_wanted_rsd, motion_sufficiency, times_needed
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.regression.pruning import SIGNIFICANT_RSD
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion

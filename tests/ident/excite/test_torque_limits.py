@@ -12,8 +12,9 @@ from daq.robot.schema import JointLimits
 from ident.excite.constraints import torque_limits
 from ident.excite.constraints.torque_limits import TorqueLimits
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_regressor
+from ident.model.true_parameters import truth_vector
 
 
 def with_torque(model, limits):

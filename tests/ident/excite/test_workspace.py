@@ -12,7 +12,7 @@ from drivers.errors import RobotFileError
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry, tube_capsules
 from ident.excite.constraints.workspace import WorkspaceLimits, box_distances
 from ident.excite.path import Path
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 
 # Shoulder at 0.3 m; upper arm and forearm of 0.4 m each in the vertical plane through the first axis.
 ARM = """

@@ -15,8 +15,9 @@ from drivers.errors import DataError
 from ident.experiments.drive_gains import identify_gains
 from ident.experiments.payload_summary import drives_text, gains_result
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad
+from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.altered_arm import with_gains, with_load
 from sim_drivers.synthetic.measurement import simulate_recording
 

@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 
 from daq.robot.loader import load_robot
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 

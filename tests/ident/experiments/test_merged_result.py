@@ -18,7 +18,8 @@ from ident.identify.identify import identify
 from ident.identify.revalidate import revalidate
 from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
+from ident.model.true_parameters import truth_vector
 from ident.regression.observability import ExperimentChoices
 from ident.report.page import render_report
 from ident.report.section import ReportData

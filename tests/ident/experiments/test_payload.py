@@ -12,7 +12,7 @@ from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import DataError, UsageError
 from ident.experiments.payload import identify_payload
 from ident.experiments.payload_summary import payload_result, payload_sentences
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad
 from ident.model.parameters import INERTIAL
 from ident.regression.hypothesis_tests import chi_square_test

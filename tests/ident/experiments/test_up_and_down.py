@@ -25,9 +25,10 @@ from ident.experiments.drive_gains import identify_gains
 from ident.experiments.payload_summary import drives_text, slow_gains_result
 from ident.experiments.slow_passes import BINS, passes_of, sweeps_of
 from ident.experiments.up_and_down import SlowGains, identify_slow_gains
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad
 from ident.model.regressor import model_torque
+from ident.model.true_parameters import truth_vector
 from ident.signals.prepared import Segment
 from sim_drivers.plant.altered_arm import with_gains, with_load
 from sim_drivers.synthetic.measurement import simulate_recording

@@ -15,7 +15,8 @@ from ident.assessment.validation import HELD_OUT_SHARE
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import apply_model_choices, identify
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
+from ident.model.true_parameters import truth_vector
 from ident.regression.observability import ExperimentChoices
 from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.synthetic.measurement import simulate_recording

@@ -12,7 +12,7 @@ from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.revalidate import revalidate
 from ident.identify.summary import summarise
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.result.schema import read_result, result_json
 from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.synthetic.measurement import simulate_recording

@@ -7,7 +7,7 @@ import pytest
 
 from daq.robot.loader import load_robot
 from ident.model.base_parameters import base_parameters, random_states
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.regressor import regressor
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from daq.robot.loader import builtin_robots, load_robot
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.energy import EnergyKernel, energy_base_parameters, motor_velocity
 from ident.model.pinocchio_model import pinocchio_model
 from ident.model.regressor import regressor

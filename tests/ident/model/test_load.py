@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import UsageError
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad, load_columns, load_effect, moved_origin
 from ident.model.parameters import INERTIAL, link_parameters
+from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.altered_arm import with_load
 
 MASS, COM, INERTIA = 2.8, (0.03, -0.02, 0.08), (0.01, 0.001, 0.0, 0.012, 0.0, 0.009)

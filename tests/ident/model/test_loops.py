@@ -14,7 +14,7 @@ from drivers.errors import RobotFileError
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.plausibility import inertia_matrices
 from ident.model.base_parameters import base_parameters, random_states
-from ident.model.dynamics import DynamicModel, build_model
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.loops import loop_ends, main_chain, place_tree
 from ident.model.pinocchio_model import pinocchio_model, pinocchio_regressor
 from ident.model.regressor import RegressorKernel, model_torque, regressor
@@ -240,7 +240,7 @@ def test_the_gradient_is_that_of_finite_differences(random_tree: Callable[..., D
 
 def test_the_inertia_matrix_is_the_tree_s_between_the_active_joints() -> None:
     pin = pytest.importorskip("pinocchio")
-    from ident.model.dynamics import truth_vector
+    from ident.model.true_parameters import truth_vector
 
     sr400 = load_robot("sr400")
     model, base = build_model(sr400), base_parameters(build_model(sr400))

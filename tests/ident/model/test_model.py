@@ -11,10 +11,11 @@ import pytest
 from daq.robot.loader import parse_robot
 from drivers.errors import RobotFileError
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.joints import Joint
 from ident.model.parameters import INERTIAL, link_parameters
 from ident.model.pinocchio_model import pinocchio_model
+from ident.model.true_parameters import truth_vector
 
 
 def test_column_order_is_as_documented(ur_like):

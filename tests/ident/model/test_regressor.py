@@ -44,7 +44,7 @@ def test_regressor_times_parameters_is_inverse_dynamics(random_tree, seed):
 
 
 def test_few_samples_go_through_pinocchio_and_agree(ur_like):
-    from ident.model.dynamics import build_model
+    from ident.model.dynamic_model import build_model
 
     model = build_model(ur_like)
     q, dq, ddq = motion(6, PINOCCHIO_BELOW, 1)

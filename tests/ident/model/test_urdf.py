@@ -7,7 +7,7 @@ import pytest
 
 from daq.robot.loader import parse_robot
 from drivers.errors import RobotFileError
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.regressor import regressor
 
 URDF = """<robot name="two_fingers">

@@ -14,8 +14,9 @@ from daq.robot.loader import RobotFile, parse_robot
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import DynamicModel, build_model, truth_vector
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel, regressor
+from ident.model.true_parameters import truth_vector
 from ident.regression.comparison import TorqueSeries, compare_torques
 from ident.regression.jackknife import (
     FEWEST_BLOCKS,

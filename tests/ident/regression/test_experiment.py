@@ -10,7 +10,7 @@ import pytest
 from daq.robot.loader import load_robot
 from drivers.errors import DataError, UsageError
 from ident.model.base_parameters import base_parameters, random_states
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.regressor import regressor
 from ident.regression.observability import (
     RIGHT_ANGLE,

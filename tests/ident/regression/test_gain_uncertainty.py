@@ -11,7 +11,7 @@ from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import UsageError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.regression.gain_uncertainty import gain_sensitivity, relative_gain_std
 from ident.regression.least_squares import ordinary_least_squares, weighted_least_squares
 from sim_drivers.synthetic.measurement import simulate_recording

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from drivers.errors import IdentificationError
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel, regressor
+from ident.model.true_parameters import truth_vector
 from ident.regression.least_squares import excited_columns, ordinary_least_squares, weighted_least_squares
 from ident.regression.observation_matrix import only_torques, reduce_segments
 from ident.signals.filters import no_filter

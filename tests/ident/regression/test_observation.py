@@ -10,9 +10,10 @@ from scipy.signal import sosfiltfilt
 
 from ident.linear_algebra.triangular import GRAM_CONDITION_LIMIT
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_regressor
 from ident.model.regressor import RegressorKernel, regressor
+from ident.model.true_parameters import truth_vector
 from ident.regression.observation_matrix import estimate_condition, filtered_samples, reduce_segments, stack_reductions
 from ident.signals.filters import ZeroPhaseFilter, butterworth, chebyshev_decimation, no_filter
 from ident.signals.pipeline import Segment

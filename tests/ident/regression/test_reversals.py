@@ -11,8 +11,9 @@ from drivers.errors import UsageError
 from ident.assessment.delay import search_delay
 from ident.identify.identification import IdentifyChoices
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel, regressor
+from ident.model.true_parameters import truth_vector
 from ident.regression.observation_matrix import filtered_samples, reduce_segments
 from ident.regression.velocity_reversals import reversal_mask, without_reversals
 from ident.signals.filters import butterworth, no_filter

@@ -17,7 +17,7 @@ from drivers.errors import ResultFileError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.summary import judgement, summarise
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.result.schema import UNITS, file_sha256, read_result, result_json, write_result
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion

@@ -16,7 +16,7 @@ from daq.robot.loader import load_robot
 from drivers.canopen402.settings import parse_settings
 from drivers.canopen402.target_path import TargetPath
 from drivers.streams import FloatArray
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from sim_drivers.canopen.network import DriveNetwork
 from sim_drivers.plant.plant import Plant
 from sim_drivers.synthetic.motion import random_fourier_motion

@@ -7,8 +7,8 @@ import pytest
 
 from daq.robot.loader import load_robot
 from drivers.errors import RobotFileError
-from ident.model.dynamics import truth_vector
 from ident.model.parameters import link_parameters
+from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.altered_arm import with_gains, with_load
 
 COM, INERTIA = (0.03, -0.02, 0.08), (0.01, 0.001, 0.0, 0.012, 0.0, 0.009)

@@ -10,8 +10,9 @@ import pytest
 
 from daq.robot.loader import builtin_robots, load_robot, parse_robot
 from drivers.errors import RobotFileError
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
+from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.plant import Plant, PlantSettings
 from sim_drivers.synthetic.motion import random_fourier_motion
 

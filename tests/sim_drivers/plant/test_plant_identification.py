@@ -10,7 +10,8 @@ from daq.robot.loader import load_robot
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
+from ident.model.true_parameters import truth_vector
 from sim_drivers.synthetic.motion import CANDIDATES
 
 

@@ -14,9 +14,10 @@ from daq.robot.loops import coupling_matrix
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
 from ident.model.regressor import model_torque
+from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.plant import Plant, PlantSettings
 from sim_drivers.plant.rigid_body import rigid_arm
 

@@ -10,8 +10,9 @@ from daq.recording.recording import JOINTS_STREAM
 from daq.recording.writer import write_recording
 from daq.robot.loader import builtin_robots, load_robot, parse_robot
 from drivers.errors import RobotFileError
-from ident.model.dynamics import build_model, truth_vector
+from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
+from ident.model.true_parameters import truth_vector
 from ident.signals.joint_signals import read_joint_signals
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion

@@ -10,7 +10,7 @@ import pytest
 from daq.robot.loader import builtin_robots, load_robot
 from ident.linear_algebra.triangular import scaled_condition
 from ident.model.base_parameters import base_parameters
-from ident.model.dynamics import build_model
+from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel, motion_factor
 from sim_drivers.synthetic.motion import LIMIT_SHARE, random_fourier_motion
 

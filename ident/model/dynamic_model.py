@@ -19,7 +19,6 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from daq.robot.schema import JointLimits, Robot
-from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
 from ident.model.joints import Joint
 from ident.model.loops import build_transmission, main_chain
@@ -28,11 +27,9 @@ from ident.model.parameters import (
     INERTIAL,
     KIND_SYMBOLS,
     MOTOR_SYMBOLS,
-    PAIR_FIELDS,
     PAIR_SYMBOLS,
     Kind,
     StandardParameter,
-    link_parameters,
 )
 from ident.model.transmission import Transmission, TreeMotion
 from ident.model.urdf import urdf_joints, urdf_order
@@ -194,31 +191,3 @@ def _friction(robot: Robot, column: Literal["viscous", "coulomb", "offset"]) -> 
         exception = getattr(friction.joints[name], column) if name in friction.joints else None
         present.append(of_arm if exception is None else exception)
     return tuple(present)
-
-
-def truth_vector(robot_file: RobotFile) -> FloatArray:
-    """True standard parameters (p,) of a simulated arm, in column order.
-
-    Raises:
-        RobotFileError: the file's truth names no link for some joint.
-    """
-    robot = robot_file.robot
-    model = build_model(robot_file)
-    missing = [name for name in model.link_names if name not in robot.truth.links]
-    if missing:
-        raise RobotFileError(f"no true link for joint(s) {', '.join(missing)}", where=f"{robot.name}: truth.links")
-    values = {}
-    for index, name in enumerate(model.link_names):
-        link = robot.truth.links[name]
-        for symbol, value in zip(INERTIAL, link_parameters(link.mass, link.com, link.inertia), strict=True):
-            values[f"{symbol}{index + 1}"] = value
-    for parameter in model.parameters:
-        joint = robot.truth.joints.get(model.link_names[parameter.joint])
-        if parameter.kind == "coupling":
-            field = PAIR_FIELDS[parameter.symbol]
-        elif parameter.kind != "inertial":
-            field = parameter.kind
-        else:
-            continue
-        values[parameter.name] = getattr(joint, field) if joint is not None else 0.0
-    return np.array([values[parameter.name] for parameter in model.parameters])
