@@ -6,7 +6,7 @@ here, so that the methods' own errors show; what uncertain gains do is in `sr400
 python studies/energy_vs_dynamic.py [seeds [which tables, as 13]]. With 3 seeds about a quarter of an hour. Tables:
 
 1. Links 5 and 6 from the wrist's motion, the other joints locked, as the paper validates them (.4.4): each model's
-   values with two standard deviations, beside the truth, of the base parameters that are left with these joints locked.
+   values ± the 95 % interval, beside the truth, of the base parameters that are left with these joints locked.
 2. The whole arm, by the number of moves, and by a Fourier motion of five harmonics as a contrast: the error of the
    identified model's torque along another motion, known exactly, ‖Y·(π̂ − π)‖/‖Y·π‖; the condition number; how many
    parameters are essential (15 %); the share of 95 % intervals that hold the truth.
@@ -104,7 +104,7 @@ def compare_parameters(arm: RobotFile, seed: int = 0, moves: int = WRIST_MOVES) 
     truth = models[0].base.projection @ truth_vector(arm)
     print(f"{'':8}{'truth':>9}" + "".join(f"{found.solution.method:>20}" for found in models))
     for i, name in enumerate(models[0].base.names):
-        figures = (f"{found.solution.parameters[i]:11.4f} ± {2 * found.std[i]:.4f}" for found in models)
+        figures = (f"{found.solution.parameters[i]:11.4f} ± {INTERVAL * found.std[i]:.4f}" for found in models)
         print(f"{name:8}{truth[i]:9.4f}" + "".join(f"{text:>20}" for text in figures))
     return models
 
@@ -176,7 +176,7 @@ def main(seeds: int = 3, tables: str = "123") -> None:
     arms = {"unloaded": free, "with the load": with_paper_load(free)}
     for label, arm in arms.items():
         if "1" in tables:
-            print(f"\n{label}, wrist in motion, {WRIST_MOVES} moves: value ± two standard deviations")
+            print(f"\n{label}, wrist in motion, {WRIST_MOVES} moves: value ± 95 %")
             compare_parameters(arm)
     for label, arm in arms.items():
         if "2" in tables:

@@ -6,8 +6,8 @@ simulated drives' gains are drawn around Table 2's by its uncertainties; the ide
 is Table 3's. About half a minute. Printed:
 
 1. The gains drawn.
-2. A line for each of the 56 parameters: truth; X̂ of the free arm and 2σ, first by noise alone, then with the gains'
-   uncertainty; Z_L = X̂ + load by the regrouping; X̂_L of the loaded arm and 2σ likewise; how far X̂_L and Z_L are apart
+2. A line for each of the 56 parameters: truth; X̂ of the free arm and half its 95 % interval, first by noise alone,
+   then with the gains' uncertainty; Z_L = X̂ + load by the regrouping; X̂_L of the loaded arm likewise; how far X̂_L and Z_L are apart
    in standard deviations of both. `p` marks what is pruned (15 %) from the free, `l` from the loaded arm's essential
    model. Behind the bar the paper's own X̂, Z_L and X̂_L, where it prints them.
 3. The essential parameters' number, the errors on the data and on another motion (cross-validation), and how many
@@ -140,8 +140,8 @@ def print_table(table: Table) -> None:
     ))  # fmt: skip
     for i, name in enumerate(free.base.names):
         x, x_l = free.solution.parameters[i], loaded.solution.parameters[i]
-        values = (table.truth[i], x, 2 * free.std[i], 2 * table.std[i], table.predicted[i])
-        values += (x_l, 2 * loaded.std[i], 2 * table.loaded_std[i])
+        values = (table.truth[i], x, INTERVAL * free.std[i], INTERVAL * table.std[i], table.predicted[i])
+        values += (x_l, INTERVAL * loaded.std[i], INTERVAL * table.loaded_std[i])
         pruned = "" if i in free.pruned.solution.active else "p"
         pruned += "" if i in loaded.pruned.solution.active else "l"
         printed = "".join("       " if value is None else f"{value:7g}" for value in PAPER.get(name, (None,) * 3))

@@ -123,10 +123,10 @@ def compare(seeds: int, moves: int) -> Comparison:
 def main(seeds: int = 5, moves: int = 24) -> Comparison:
     """Print the tables."""
     found = compare(seeds, moves)
-    print(f"{ROBOT}, seed 0, {moves} + {moves} moves against {2 * moves}: value ± two standard deviations")
+    print(f"{ROBOT}, seed 0, {moves} + {moves} moves against {2 * moves}: value ± 95 %")
     print(f"{'':6}{'truth':>9}" + "".join(f"{way:>20}" for way in WAYS))
     for i, name in enumerate(found.names):
-        cells = (f"{found.values[way, 0, i]:.3f} ± {2 * found.std[way, 0, i]:.3f}" for way in range(len(WAYS)))
+        cells = (f"{found.values[way, 0, i]:.3f} ± {1.96 * found.std[way, 0, i]:.3f}" for way in range(len(WAYS)))
         print(f"{name:6}{found.truth[i]:9.3f}" + "".join(f"{cell:>20}" for cell in cells))
     error = found.values - found.truth
     inside = np.abs(error) < 1.96 * found.std
