@@ -7,7 +7,7 @@ is Table 3's. About half a minute. Printed:
 
 1. The gains drawn.
 2. A line for each of the 56 parameters: truth; X̂ of the free arm and half its 95 % interval, first by noise alone,
-   then with the gains' uncertainty; Z_L = X̂ + load by the regrouping; X̂_L of the loaded arm likewise; how far X̂_L and Z_L are apart
+   then with the gains' uncertainty; Z_L = X̂ + load by the regrouping; X̂_L of the loaded arm likewise; X̂_L − Z_L
    in standard deviations of both. `p` marks what is pruned (15 %) from the free, `l` from the loaded arm's essential
    model. Behind the bar the paper's own X̂, Z_L and X̂_L, where it prints them.
 3. The essential parameters' number, the errors on the data and on another motion (cross-validation), and how many

@@ -43,13 +43,13 @@ def check(
             print_budget(connection, budget)
         for finding in findings:
             print(f"  warning: {finding}")
-    found = check_connections(robot_file, wire, host, SYSTEM_CLOCK) if connect else []
+    connections = check_connections(robot_file, wire, host, SYSTEM_CLOCK) if connect else []
     if not as_json:
-        for answered in found:
-            print_connection(answered)
+        for checked in connections:
+            print_connection(checked)
         return
     content = {"robot": name, "ok": True, "warnings": findings, **description(robot_file)}
     content["budgets"] = {connection: budget_object(budget) for connection, budget in budgets.items()}
     if connect:
-        content["connections"] = [asdict(answered) for answered in found]
+        content["connections"] = [asdict(checked) for checked in connections]
     print_json(content)

@@ -32,8 +32,8 @@ def info(
     from ident.checks.recording_check import info_object, print_info, recording_info
 
     read = read_recording(recording)
-    found = recording_info(read, load_robot(robot) if robot else read.robot(), wanted_rsd)
+    checked = recording_info(read, load_robot(robot) if robot else read.robot(), wanted_rsd)
     if as_json:
-        print_json(info_object(found, str(recording)))
+        print_json(info_object(checked, str(recording)))
     else:
-        print_info(found, str(recording))
+        print_info(checked, str(recording))

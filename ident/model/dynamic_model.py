@@ -1,4 +1,4 @@
-"""The dynamic model of an arm: its joints, gravity, and which parameters it has.
+"""The dynamic model of an arm: joints, gravity, standard parameters and their order.
 
 Column order, everywhere: ten inertial parameters a link, links in the order of the robot file's joints,
 

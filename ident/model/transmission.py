@@ -1,4 +1,4 @@
-"""How the joints of the tree follow the joints with a motor, and the motors the joints (SR400 eq. 1-6)."""
+"""Transmission between motors, joints with a motor, and all joints of the tree (SR400 eq. 1-6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The shape of an arm as capsules, for distances to itself and to what stands around it.
+"""The shape of an arm as capsules, for self-collision and obstacle distances.
 
 A capsule is a straight segment with a radius. It has a distance that is smooth wherever it matters and cheap for many
 samples at once, so every shape is replaced by capsules that enclose it: what is free of the capsules is free of the

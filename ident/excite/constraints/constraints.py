@@ -1,4 +1,4 @@
-"""Which constraints an excitation of a given arm must keep."""
+"""All constraints of an excitation, from the robot file."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Criteria and constraints of arms whose loops close within the position limits only.
+"""Criteria and constraints clipped to the position limits, for arms with general loops.
 
-A solver tries motions far outside of the limits before it comes to rest within them, and there a loop may not close at
-all. So what needs the whole arm is looked at with every position moved to the nearest one within its limits. For
-motions that keep the limits, which is all that a design returns, this changes nothing.
+A solver tries motions far outside the limits before it converges, and there a loop may not close. Criteria and
+constraints of the whole arm are therefore evaluated with every position clipped to its limits. For feasible motions,
+the only ones that a design returns, this changes nothing.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which joints a family of motions moves, how far and how fast they may, and where the others stay."""
+"""The moving joints of a motion family with their ranges and speeds, and the rest positions of the others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the general loops of a robot file to `ClosedLoops`: where they close, on which branch, and what is refused.
+"""Build `ClosedLoops` from the general loops of a robot file: start, branch, and checks within the position limits.
 
 The start that the file gives is corrected until the loops close. From there the branch is followed to random positions
 and corners of the joint limits, and from one to another of them: it must close everywhere, pass no dead point, and come

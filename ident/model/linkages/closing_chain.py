@@ -1,4 +1,4 @@
-"""One closed loop as a serial chain: from one closing frame back to where its two sides part, and out to the other.
+"""One closed loop as a serial chain from one closing frame through the common ancestor to the other.
 
 Seen from the first closing frame, the joints of its own side count backwards, those of the other side forwards. The
 opened joint is closed where the second frame's origin e lies in the first one's, and, for a revolute joint, its z axis

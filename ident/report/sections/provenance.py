@@ -1,4 +1,4 @@
-"""From what, by what and with which options the result was made."""
+"""Provenance of the result: recordings, versions, options, robot file."""
 
 from __future__ import annotations
 

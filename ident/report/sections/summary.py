@@ -1,4 +1,4 @@
-"""How good the model is, in words and in a few numbers."""
+"""Verdict, warnings and key figures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Estimates against the truth, where the arm is a simulated one."""
+"""Estimates against the true parameters of a simulated arm."""
 
 from __future__ import annotations
 
