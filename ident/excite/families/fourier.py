@@ -77,7 +77,7 @@ class _Family:
         return np.linspace(0.0, self.period, max(count, 2), endpoint=False)
 
     def path(self, variables: FloatArray, time: FloatArray) -> Path:
-        """One period at full pace, or any times of its continuation."""
+        """One period at full speed, or any times of its continuation."""
         moved = self._coefficients(variables) @ self._at(time)
         return self.joints.path(time, *moved)
 
@@ -155,8 +155,8 @@ class FourierFamily(_Family):
         harmonics: order H of the series.
         moving: numbers of the joints that move, rising.
         rest: (n,) where the others stay [rad or m].
-        periods: how many are played at full pace.
-        ramp: from rest to full pace [s]; it changes the pace alone, so that the path is that of the series.
+        periods: how many are played at full speed.
+        ramp: from rest to full speed [s]; it changes the pace alone, so that the path is that of the series.
 
     Raises:
         UsageError: no joint moves, or a number is not positive.

@@ -32,11 +32,11 @@ class SinesFamily:
 
     Attributes:
         limits: of all n joints.
-        duration: at full pace [s].
+        duration: at full speed [s].
         sines: of each joint.
         moving: numbers of the joints that move, rising.
         rest: (n,) where the others stay [rad or m].
-        ramp: from rest to full pace [s].
+        ramp: from rest to full speed [s].
         band: lowest and highest angular frequency [rad/s]; half a wave to `sines` waves in `duration` where None.
 
     Raises:
@@ -76,7 +76,7 @@ class SinesFamily:
         return np.linspace(-0.5 * self.ramp, self.duration + 0.5 * self.ramp, total)
 
     def path(self, variables: FloatArray, time: FloatArray) -> Path:
-        """The sums at full pace; before 0 and after `duration` they go on."""
+        """The sums at full speed; before 0 and after `duration` they go on."""
         return self.joints.path(time, *SumOfSines(self.duration, *self._values(variables)).evaluate(time))
 
     def pull_back(self, variables: FloatArray, time: FloatArray, gradient: FloatArray) -> FloatArray:
@@ -140,7 +140,7 @@ class SinesFamily:
             raise UsageError("the earlier motion is no sum of sines", hint="--kind must be that of the file")
         if not abs(earlier.duration - self.duration) <= _TOLERANCE * self.duration:
             raise UsageError(
-                f"the earlier motion lasts {earlier.duration:g} s at full pace, not {self.duration:g} s",
+                f"the earlier motion lasts {earlier.duration:g} s at full speed, not {self.duration:g} s",
                 hint=f"--period {earlier.duration:g}",
             )
         count = earlier.amplitude.shape[1]

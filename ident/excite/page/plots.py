@@ -38,7 +38,7 @@ from ident.report.figures import (
 from ident.report.traces import packed
 
 POINTS = 1200
-"""Points a line."""
+"""Points per line."""
 
 FRAMES = 100
 """Frames of the animation at most."""
@@ -101,7 +101,7 @@ def _path(motion: Motion, end: float, count: int) -> Path:
 
 
 def joints_figure(joints: Sequence[JointLimits], prismatic: Sequence[bool], shown: Shown) -> Figure:
-    """Position, velocity and torque of every joint with their limits: a row a joint, a column a quantity."""
+    """Position, velocity and torque of every joint with their limits: a row per joint, a column per quantity."""
     columns: list[tuple[str, FloatArray]] = [("position", shown.path.position), ("velocity", shown.path.velocity)]
     if shown.torque is not None:
         columns.append(("torque", shown.torque))
