@@ -49,7 +49,7 @@ def payload_sentences(payload: Payload) -> list[str]:
             f"mass: identified without it, {mass:.4g} ± {WITHIN_95_PERCENT * noise:.2g} kg {verdict} the known "
             f"{known.mass:g} kg ({_test_text(payload.mass_test)})"
         )
-        if not payload.mass_test.passed and abs(mass - known.mass) < 2 * np.hypot(noise, gains):
+        if not payload.mass_test.passed and abs(mass - known.mass) < WITHIN_95_PERCENT * np.hypot(noise, gains):
             text += (
                 f"; the drive gains' standard deviations in the robot file add ± {WITHIN_95_PERCENT * gains:.2g} kg, "
                 "which covers the difference"

@@ -1,7 +1,7 @@
 """`dynid record` on CAN against `dynid sim`, each in its own process: what only processes and sockets can show.
 
 In real time, hence with limits that no stall of this computer reaches; what happens when, and what every row says, is
-tested in simulated time (tests/drivers/test_canopen402_recording.py).
+tested in simulated time (tests/drivers/canopen402/test_recording.py).
 """
 
 from __future__ import annotations

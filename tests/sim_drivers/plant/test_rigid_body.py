@@ -11,8 +11,9 @@ from loop_arms import four_bar_arm
 
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from daq.robot.schema import JointLimits
-from ident.model.dynamics import DynamicModel, build_model, truth_vector
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.joints import Joint
+from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.rigid_body import RigidArm, rigid_arm
 
 
