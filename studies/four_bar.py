@@ -1,4 +1,4 @@
-"""An arm with a four-bar linkage, from its robot file to its parameters: `python examples/four_bar.py 30`.
+"""An arm with a four-bar linkage, from its robot file to its parameters: `python studies/four_bar.py 30`.
 
 Prints how exactly the loop closes over the whole range of the crank, what that costs, and what identifications find on
 30 s of a motion designed for this arm, against the truth: followed exactly, torques with white noise, four times; and
@@ -35,7 +35,7 @@ from sim_drivers.plant.plant import Plant
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
-ARM = Path(__file__).with_name("four_bar.yaml")
+ARM = Path(__file__).parents[1] / "examples" / "four_bar.yaml"
 RATE = 500.0
 SAMPLES = 4096
 
