@@ -11,6 +11,7 @@ from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
 from drivers.errors import DataError
+from drivers.gains import DriveGain, joint_torque
 from drivers.streams import FloatArray
 
 
@@ -126,8 +127,8 @@ def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[F
         raw = _joint_values(stream, signal, robot, recording)
         unknown = [drive.joint for drive in drives if drive.gain is None]
         if raw is not None and not unknown:
-            gains = np.array([drive.gain for drive in drives], dtype=np.float64)
-            return raw * gains, f"{signal} times the robot file's gains"
+            drive_gains = [DriveGain(drive.gain, drive.gain_std, drive.signal) for drive in drives]
+            return joint_torque(raw, drive_gains), f"{signal} times the robot file's gains"  # the motors' where coupled
         if recorded is None and raw is not None:
             raise DataError(
                 f"records {signal}, but the gain of {', '.join(unknown)} is unknown",

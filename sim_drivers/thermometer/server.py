@@ -208,7 +208,7 @@ def simulated_thermometer(connection: Mapping[str, object], joints: Sequence[str
     Raises:
         UsageError: the connection's keys are wrong, or its pattern does not match what is sent.
     """
-    settings = parse_settings({key: value for key, value in connection.items() if key != "with"}, joints)
+    settings = parse_settings(connection, joints)
     simulated = SimulatedThermometer(
         tuple(_by_joint(settings, joints)), settings.rate, settings.baudrate, unit=settings.unit
     )
@@ -244,7 +244,7 @@ def serve_thermometer(
             where the port should appear.
     """
     joints = plant.robot.joint_names
-    settings = parse_settings({key: value for key, value in connection.items() if key != "with"}, joints)
+    settings = parse_settings(connection, joints)
     columns = [joints.index(joint) for joint in _by_joint(settings, joints).values()]
     simulated = simulated_thermometer(connection, joints)
     if line_end is None:
