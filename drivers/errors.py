@@ -69,7 +69,14 @@ class UsageError(InputError):
 
 
 class RobotFileError(InputError):
-    """A robot file, or the URDF that it names, cannot be used."""
+    """A robot file, or the URDF that it names, cannot be used.
+
+    Attributes:
+        problems: an error about each thing that is wrong with the file, this one included; empty where only one was
+            looked for.
+    """
+
+    problems: tuple[RobotFileError, ...] = ()
 
 
 class RecordingError(InputError):

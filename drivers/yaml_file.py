@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from drivers.closest import did_you_mean
 from drivers.errors import InputError
 
 Schema = TypeVar("Schema", bound=BaseModel)
+Refusal = TypeVar("Refusal", bound=InputError)
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
@@ -45,9 +47,17 @@ class UniqueKeyLoader(yaml.SafeLoader):
             ) from error
 
 
+class SeveralProblems(ValueError):  # noqa: N818  # what a validator of a section raises to tell all that it found
+    """Several things that are wrong with one section."""
+
+    def __init__(self, messages: Iterable[str]) -> None:
+        self.messages = tuple(messages)
+        super().__init__("; ".join(self.messages))
+
+
 @dataclass(frozen=True)
 class YamlProblem:
-    """What a validation found first.
+    """One thing that is wrong with a file.
 
     Attributes:
         key_path: as in `joints[0].velocity`; empty for the file as a whole.
@@ -95,52 +105,81 @@ def validated(content: Mapping[Any, Any], schema: type[Schema], *, where: str, r
     try:
         return schema.model_validate(content)
     except ValidationError as error:
-        problem = first_problem(error, schema)
-        place = f"{where}: {problem.key_path}" if problem.key_path else where
-        raise refusal(problem.message, where=place, hint=problem.hint) from error
+        raise first_of(schema_problems(error, schema), where=where, refusal=refusal) from error
 
 
-def first_problem(error: ValidationError, root: type[BaseModel]) -> YamlProblem:
-    """The problem to tell first, in the words of the file whose top level is `root`.
+def first_of(problems: Sequence[YamlProblem], *, where: str, refusal: type[Refusal]) -> Refusal:
+    """The error about the first of several problems; its hint counts the others."""
+    first = problems[0]
+    more = f"{len(problems) - 1} more problem(s) in this file" if len(problems) > 1 else ""
+    return refusal(
+        first.message,
+        where=f"{where}: {first.key_path}" if first.key_path else where,
+        hint="; ".join(part for part in (first.hint, more) if part),
+    )
 
-    An unknown key goes before the rest: it is mostly the misspelling of one that is then missing.
+
+def schema_problems(error: ValidationError, root: type[BaseModel]) -> tuple[YamlProblem, ...]:
+    """Everything that a validation found, in the words of the file whose top level is `root`.
+
+    Unknown keys go before the rest: one is mostly the misspelling of a key that is then missing.
     """
-    problems = error.errors(include_url=False)
-    first = next((problem for problem in problems if problem["type"] == "extra_forbidden"), problems[0])
-    location = tuple(part for part in first["loc"] if not str(part).startswith("function-"))
-    key_path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
-    kind = first["type"]
-    hint = f"{len(problems) - 1} more problem(s) in this file" if len(problems) > 1 else ""
+    found = sorted(error.errors(include_url=False), key=lambda problem: problem["type"] != "extra_forbidden")
+    # pydantic calls a list too short when its entries are wrong.
+    within = {problem["loc"][:depth] for problem in found for depth in range(len(problem["loc"]))}
+    kept = [problem for problem in found if not (problem["type"] == "too_short" and problem["loc"] in within)]
+    return tuple(told for problem in kept for told in _told(problem, root))
+
+
+def _told(problem: ErrorDetails, root: type[BaseModel]) -> list[YamlProblem]:
+    location = tuple(part for part in problem["loc"] if not str(part).startswith("function-"))
+    kind, place = problem["type"], key_path(location)
     if kind == "extra_forbidden":
-        allowed = _allowed_keys(root, location[:-1])
+        allowed = tuple(section.model_fields) if (section := _section_at(root, location[:-1])) is not None else ()
         message = "unknown key" + (f"; allowed here: {', '.join(allowed)}" if allowed else "")
-        hint = did_you_mean(str(location[-1]), allowed) or hint
-    elif kind == "missing":
+        return [YamlProblem(place, message, did_you_mean(str(location[-1]), allowed))]
+    if kind == "value_error":
+        error = problem["ctx"]["error"]
+        messages = error.messages if isinstance(error, SeveralProblems) else (str(error),)
+        return [YamlProblem(place, message, "") for message in messages]
+    if kind == "missing":
         message = "this entry of the list is missing" if isinstance(location[-1], int) else "this key is missing"
-    elif kind == "value_error":
-        message = str(first["ctx"]["error"])
     else:
-        message = f"found {describe(first['input'])}, but {first['msg'].removeprefix('Input ')}"
+        message = f"found {describe(problem['input'])}, but {problem['msg'].removeprefix('Input ')}"
         message = message.replace("but should", "but it should").replace("but Keys", "but keys")
-    return YamlProblem(key_path, message, hint)
+    return [YamlProblem(place, message, meaning(root, location))]
 
 
-def _allowed_keys(root: type[BaseModel], location: tuple[int | str, ...]) -> tuple[str, ...]:
-    """Keys that the section at `location` accepts."""
+def key_path(location: Sequence[int | str]) -> str:
+    """`joints[0].velocity` of ("joints", 0, "velocity")."""
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
+
+
+def meaning(root: type[BaseModel], location: Sequence[int | str]) -> str:
+    """What the key at `location` means and its unit, from the description of its field; empty where there is none."""
+    names = [index for index, part in enumerate(location) if isinstance(part, str)]
+    if not names:
+        return ""
+    section = _section_at(root, location[: names[-1]])
+    field = section.model_fields.get(str(location[names[-1]])) if section is not None else None
+    return (field.description or "") if field is not None else ""
+
+
+def _section_at(root: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel] | None:
+    """The section that stands at `location`."""
     annotation: Any = root
     for part in location:
         section = _section_of(annotation)
         if section is None:
-            return ()
+            return None
         if annotation is section:
             field = section.model_fields.get(str(part))
             if field is None:
-                return ()
+                return None
             annotation = field.annotation
         else:  # the part is an index of a list or a name in a mapping of such sections
             annotation = section
-    section = _section_of(annotation)
-    return tuple(section.model_fields) if section is not None else ()
+    return _section_of(annotation)
 
 
 def _section_of(annotation: Any) -> type[BaseModel] | None:

@@ -58,7 +58,7 @@ def record_command(
     robot_file = load_robot(robot)
     played = load_trajectory(trajectory, robot_file.robot) if trajectory is not None else None
     clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
-    driver, rate = load_driver(robot_file.robot, wire, host, robot_file.folder, clock)
+    driver, rate = load_driver(robot_file.robot, wire, host, robot_file.folder, clock, robot_file.where)
     warnings = session_warnings(robot_file, wire)
     require_writable(out, overwrite=force)
     require_room(out)

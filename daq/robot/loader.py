@@ -10,10 +10,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from daq.robot.loops import BASE as BASE
 from daq.robot.schema import Robot
-from daq.robot.urdf_robot import robot_text_of_urdf, urdf_prismatic_joints
+from daq.robot.urdf_robot import assumed_of_urdf, read_urdf_arm, robot_text_of_urdf, urdf_prismatic_joints
+from daq.robot.validation import validated_robot
 from drivers.closest import did_you_mean
 from drivers.errors import RobotFileError
-from drivers.yaml_file import read_mapping, validated
+from drivers.yaml_file import read_mapping
 
 
 class RobotFile(BaseModel):
@@ -31,8 +32,10 @@ class RobotFile(BaseModel):
 
     robot: Robot
     text: str = Field(description="the YAML as it was read")
+    where: str = Field(description="what error messages call the file: its path, or the built-in robot's name")
     folder: Path | None = Field(description="what relative paths resolve against; None for a text without a place")
     urdf_text: str | None = Field(default=None, description="the URDF's XML, where the model names one")
+    assumed: tuple[str, ...] = Field(default=(), description="what was assumed where a URDF was read as a robot")
 
     @property
     def prismatic_joints(self) -> frozenset[str]:
@@ -56,8 +59,9 @@ def builtin_robots() -> tuple[str, ...]:
 def load_robot(name_or_path: str | Path | RobotFile) -> RobotFile:
     """Read a built-in robot by name, or a robot file or URDF by path (a name that exists as a file is a path).
 
-    Of a URDF every movable joint is taken, in the tree's order, with the limits that it states; its drives have no
-    gains, so that recordings need torque. Write a robot file for anything else (`docs/robot-file.md`).
+    Of a URDF every movable joint is taken, in the tree's order, with the limits that it states, and its tool link; its
+    drives have no gains, so that recordings need torque. `assumed` says what was put in place of what is missing.
+    Write a robot file for anything else: `dynid robot new` (`docs/robot-file.md`).
 
     A robot that was read already is given back, so that whatever takes a robot takes its name, its file or itself.
 
@@ -79,19 +83,30 @@ def load_robot(name_or_path: str | Path | RobotFile) -> RobotFile:
     path = Path(given)
     urdf = path.suffix.lower() in {".urdf", ".xml"}
     if urdf or path.suffix.lower() in {".yaml", ".yml"} or path.is_file():
-        if not path.is_file():
-            raise RobotFileError("no such file", where=given, hint=_known_robots(given))
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise RobotFileError(f"cannot be read: {error}", where=given) from error
+        text = read_robot_text(path)
+        assumed: tuple[str, ...] = ()
         if urdf:
-            text = robot_text_of_urdf(text, path.name, where=given)
-        return parse_robot(text, where=given, folder=path.resolve().parent)
+            arm = read_urdf_arm(text, path.name, where=given)
+            text, assumed = robot_text_of_urdf(arm, path.name, where=given), assumed_of_urdf(arm)
+        return parse_robot(text, where=given, folder=path.resolve().parent).model_copy(update={"assumed": assumed})
     if given not in builtin_robots():
         raise RobotFileError(f"no built-in robot and no file is called '{given}'", hint=_known_robots(given))
     text = files("daq.robot.builtin").joinpath(f"{given}.yaml").read_text(encoding="utf-8")
     return parse_robot(text, where=f"built-in {given}", folder=None)
+
+
+def read_robot_text(path: Path) -> str:
+    """The text of a robot file or URDF.
+
+    Raises:
+        RobotFileError: no such file, or it is no UTF-8 text.
+    """
+    if not path.is_file():
+        raise RobotFileError("no such file", where=str(path), hint=_known_robots(str(path)))
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RobotFileError(f"cannot be read: {error}", where=str(path)) from error
 
 
 def _known_robots(given: str) -> str:
@@ -113,7 +128,7 @@ def parse_robot(text: str, *, where: str, folder: Path | None, urdf_text: str | 
     robot = _robot(text, where)
     if robot.model.urdf is not None and urdf_text is None:
         urdf_text = _read_urdf(robot.model.urdf, folder, where)
-    return RobotFile(robot=robot, text=text, folder=folder, urdf_text=urdf_text)
+    return RobotFile(robot=robot, text=text, where=where, folder=folder, urdf_text=urdf_text)
 
 
 # Reading the YAML takes 15 ms, and a recording is asked for its robot several times.
@@ -121,7 +136,7 @@ def parse_robot(text: str, *, where: str, folder: Path | None, urdf_text: str | 
 def _robot(text: str, where: str) -> Robot:
     hint = "see a built-in one: dynid robot show ur5e --yaml"
     content = read_mapping(text, kind="a robot file", where=where, refusal=RobotFileError, hint=hint)
-    return validated(content, Robot, where=where, refusal=RobotFileError)
+    return validated_robot(content, where)
 
 
 def _read_urdf(urdf: str, folder: Path | None, where: str) -> str:

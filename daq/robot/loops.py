@@ -13,6 +13,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from daq.robot.magnitudes import TableAngle
 from daq.robot.section import Angle, Finite, Section
 
 BASE = "base"
@@ -26,11 +27,11 @@ class ClosingFrame(Section):
     """A frame that is fixed on a link, in the notation of an `mdh` row (SR400 .2: two frames on each opened joint)."""
 
     antecedent: str = Field(description="joint behind which the link lies; of loops with `passive` also 'base'")
-    gamma: Angle = Field(default=0.0, description="[rad]")
+    gamma: TableAngle = Field(default=0.0, description="[rad]")
     b: Finite = Field(default=0.0, description="[m]")
-    alpha: Angle = Field(default=0.0, description="[rad]")
+    alpha: TableAngle = Field(default=0.0, description="[rad]")
     d: Finite = Field(default=0.0, description="[m]")
-    theta0: Angle = Field(default=0.0, description="[rad]")
+    theta0: TableAngle = Field(default=0.0, description="[rad]")
     r: Finite = Field(default=0.0, description="[m]")
 
 

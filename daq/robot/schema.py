@@ -5,6 +5,7 @@ Units: m, rad, s, kg, N·m, A, °C. Angles of the geometry may be written as mul
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -12,8 +13,14 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from daq.robot.lengths import with_lengths
 from daq.robot.loops import BASE as BASE
 from daq.robot.loops import Loop, check_coupling, check_drives, check_pairs, passive_joints
+from daq.robot.magnitudes import PositionLimit, TableAngle, VelocityLimit
+from daq.robot.references import OF_JOINTS, JointNames, name_problems, row_problems
 from daq.robot.section import Angle, Finite, NonNegative, NotTruthValue, Positive, Section, Vector3
 from daq.robot.workspace import Workspace
+from drivers.yaml_file import SeveralProblems
+
+ASSUMED_ACCELERATION = 10.0
+"""Acceleration limit of a joint whose limit the file does not state [rad/s² or m/s²]."""
 
 
 class MdhRow(Section):
@@ -26,11 +33,11 @@ class MdhRow(Section):
     joint: str
     antecedent: str = Field(default=BASE, description="name of the antecedent joint, or 'base'")
     type: Literal["revolute", "prismatic"] = "revolute"
-    gamma: Angle = Field(default=0.0, description="[rad], non-zero only where a tree branches")
+    gamma: TableAngle = Field(default=0.0, description="[rad], non-zero only where a tree branches")
     b: Finite = Field(default=0.0, description="[m], non-zero only where a tree branches")
-    alpha: Angle = Field(description="[rad]")
+    alpha: TableAngle = Field(description="[rad]")
     d: Finite = Field(description="[m]")
-    theta0: Angle = Field(default=0.0, description="[rad], added to the joint position")
+    theta0: TableAngle = Field(default=0.0, description="[rad], added to the joint position")
     r: Finite = Field(description="[m]")
 
 
@@ -60,7 +67,10 @@ class ModelSection(Section):
         if (self.urdf is None) == (self.mdh is None):
             raise ValueError("give exactly one of 'urdf' and 'mdh'")
         if self.mdh is not None:
-            _check_mdh(self.mdh)
+            if not self.mdh:
+                raise ValueError("'mdh' has no rows")
+            if found := row_problems([(row.joint, row.antecedent) for row in self.mdh]):
+                raise SeveralProblems(found)
             if self.locked:
                 raise ValueError("'locked' works with 'urdf' only; leave the joint out of 'mdh' instead")
         if max(abs(component) for component in self.gravity) > 30:
@@ -68,30 +78,13 @@ class ModelSection(Section):
         return self
 
 
-def _check_mdh(rows: tuple[MdhRow, ...]) -> None:
-    if not rows:
-        raise ValueError("'mdh' has no rows")
-    known = {BASE}
-    for row in rows:
-        if row.joint in known:
-            raise ValueError(
-                f"'mdh' names joint '{row.joint}' twice" if row.joint != BASE else "a joint is named 'base'"
-            )
-        if row.antecedent not in known:
-            allowed = ", ".join(sorted(known))
-            raise ValueError(
-                f"joint '{row.joint}' has antecedent '{row.antecedent}', but before it come only: {allowed}"
-            )
-        known.add(row.joint)
-
-
 class JointLimits(Section):
     """A joint's limits; the torque and temperature limits may be unknown."""
 
     name: str
-    position: tuple[Finite, Finite] = Field(description="[rad or m]")
-    velocity: Positive = Field(description="[rad/s or m/s]")
-    acceleration: Positive = Field(default=10.0, description="[rad/s² or m/s²]")
+    position: tuple[PositionLimit, PositionLimit] = Field(description="[rad or m]")
+    velocity: VelocityLimit = Field(description="[rad/s or m/s]")
+    acceleration: Positive = Field(default=ASSUMED_ACCELERATION, description="[rad/s² or m/s²]")
     torque: Positive | None = Field(default=None, description="[N·m or N]")
     temperature: Finite | None = Field(default=None, description="[°C]")
 
@@ -222,54 +215,39 @@ class Robot(Section):
     drives: tuple[Drive, ...] = ()
     friction: Friction = Field(default_factory=Friction)
     workspace: Workspace = Field(default_factory=Workspace)
+    poses: dict[str, tuple[Angle, ...]] = Field(
+        default_factory=dict, description="name → positions of all joints [rad or m], to compare with the pendant"
+    )
     truth: Truth = Field(default_factory=Truth)
     connections: dict[str, Connection] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        names = self.joint_names
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"'joints' names '{name}' twice")
         passive = self.passive_names
-        if self.model.mdh is not None:
-            rows = tuple(row.joint for row in self.model.mdh if row.joint not in passive)
-            for name in passive:
-                if name not in (row.joint for row in self.model.mdh):
-                    raise ValueError(f"'model.loops' names joint '{name}', but 'model.mdh' has no such row")
-            if rows != names:
-                expected, found = ", ".join(rows), ", ".join(names)
-                raise ValueError(
-                    f"'joints' must name the joints of 'model.mdh' in its order: {expected}; found: {found}"
-                )
-        driven = [drive.joint for drive in self.drives]
+        driven = tuple(drive.joint for drive in self.drives)
+        if found := name_problems(self._names(passive, driven)):
+            raise SeveralProblems(found)
         check_drives(driven, passive)
-        check_coupling(self.model.coupling, names, passive)
+        check_coupling(self.model.coupling, self.joint_names, passive)
         paired = [drive.joint for drive in self.drives if drive.pair_inertia]
         paired += [name for name, friction in self.friction.joints.items() if friction.pair is not None]
         check_pairs(paired, self.model.coupling)
-        for name in driven:
-            if driven.count(name) > 1:
-                raise ValueError(f"'drives' names '{name}' twice")
-        for section, keys in (
-            ("drives", driven),
-            ("friction.joints", self.friction.joints),
-            ("truth.joints", self.truth.joints),
-            ("truth.thermal.copper_loss", self.truth.thermal.copper_loss),
-            ("truth.noise.torque_std", self.truth.noise.torque_std),
-            ("truth.noise.ripple_amplitude", self.truth.noise.ripple_amplitude),
-        ):
-            for key in keys:
-                if key not in names:
-                    raise ValueError(f"'{section}' names joint '{key}', but 'joints' has only: {', '.join(names)}")
-        links = (*names, *passive)
-        for key in self.truth.links:
-            if key not in links:
-                raise ValueError(f"'truth.links' names joint '{key}', but 'joints' has only: {', '.join(links)}")
-        for section, key in self.workspace.named_links():
-            if key not in (BASE, *links):
-                raise ValueError(f"'{section}' names '{key}', but there are only: {', '.join((BASE, *links))}")
         return self
+
+    def _names(self, passive: tuple[str, ...], driven: tuple[str, ...]) -> JointNames:
+        whole: Any = self
+        return JointNames(
+            joints=self.joint_names,
+            rows=None if self.model.mdh is None else tuple(row.joint for row in self.model.mdh),
+            passive=passive,
+            driven=driven,
+            keys=tuple((".".join(path), tuple(reduce(getattr, path, whole))) for path in OF_JOINTS),
+            link_keys=(
+                ("truth.links", tuple(self.truth.links)),
+                *((section, (key,)) for section, key in self.workspace.named_links()),
+            ),
+            poses=tuple((name, len(pose)) for name, pose in self.poses.items()),
+        )
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -1,18 +1,65 @@
-"""What a URDF says of its joints, read without a kinematics library."""
+"""What a URDF says of an arm's joints, limits and tool, read without a kinematics library."""
 
 from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
 from pathlib import PurePath
 
+import numpy as np
 import yaml
 
 from drivers.errors import RobotFileError
+from drivers.streams import FloatArray
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 UNLIMITED = 2 * math.pi
 """Position limit of a continuous joint [rad]: a turn to either side."""
+TOOL_LINKS = ("tool0", "tcp", "tool", "flange", "ee")
+"""Words in the names of links that a tool is mounted on, the most telling first (ROS-Industrial, REP 199: `tool0`)."""
+ROUNDING = 1e-9
+"""[m or rad] what sines and cosines of right angles leave."""
+
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """A movable joint; limits that the URDF does not state, or states as 0, are None.
+
+    Attributes:
+        name: of the joint.
+        kind: revolute, continuous or prismatic.
+        position: lower and upper limit [rad or m]; of a continuous joint one turn to either side.
+        velocity: [rad/s or m/s].
+        torque: [N·m or N].
+    """
+
+    name: str
+    kind: str
+    position: tuple[float, float] | None
+    velocity: float | None
+    torque: float | None
+
+
+@dataclass(frozen=True)
+class UrdfArm:
+    """The joints of a URDF and where its tool is mounted.
+
+    Attributes:
+        name: of the robot.
+        joints: those that move by themselves, parents before children.
+        mimicking: names of those that copy another joint (`<mimic>`: a gripper's second finger).
+        tool_link: name of the link at which the arm ends.
+        tool: (3,) its origin [m] in the frame of the last joint.
+        tool_rotation: (3,) its axes there, as a rotation vector [rad].
+    """
+
+    name: str
+    joints: tuple[UrdfJoint, ...]
+    mimicking: tuple[str, ...]
+    tool_link: str
+    tool: tuple[float, ...]
+    tool_rotation: tuple[float, ...]
 
 
 def urdf_prismatic_joints(xml: str) -> frozenset[str]:
@@ -24,16 +71,23 @@ def urdf_prismatic_joints(xml: str) -> frozenset[str]:
     return frozenset(joint.get("name", "") for joint in root.iter("joint") if joint.get("type") == "prismatic")
 
 
-def robot_text_of_urdf(xml: str, file_name: str, where: str) -> str:
-    """The text of a robot file for a URDF: its movable joints, parents before children, with their limits.
+def read_urdf_arm(xml: str, file_name: str, where: str) -> UrdfArm:
+    """The joints of a URDF.
+
+    Args:
+        xml: the URDF.
+        file_name: names the robot where the URDF doesn't.
+        where: the file, for messages.
 
     Raises:
-        RobotFileError: no XML, no movable joint, or a joint without limits.
+        RobotFileError: no URDF, no movable joint, or something in it that is not a number.
     """
     try:
         root = ElementTree.fromstring(xml)
     except ElementTree.ParseError as error:
         raise RobotFileError(f"is not a URDF: {error}", where=where) from error
+    if "www.ros.org/wiki/xacro" in xml and any("xacro}" in element.tag for element in root.iter()):
+        raise RobotFileError("is a xacro file, not a URDF", where=where, hint="convert it: xacro FILE > arm.urdf")
     joints = [joint for joint in root.findall("joint") if joint.find("child") is not None]
     by_child = {_link(joint, "child"): joint for joint in joints}
 
@@ -44,14 +98,60 @@ def robot_text_of_urdf(xml: str, file_name: str, where: str) -> str:
         return steps
 
     movable = [joint for joint in sorted(joints, key=depth) if joint.get("type") in MOVABLE]
-    if not movable:
+    mimicking = [joint for joint in movable if joint.find("mimic") is not None]
+    driven = [joint for joint in movable if joint.find("mimic") is None]
+    if not driven:
         raise RobotFileError("has no movable joint", where=where)
+    tool_link, tool, tool_rotation = _tool(_link(driven[-1], "child"), joints, where)
+    return UrdfArm(
+        name=root.get("name") or PurePath(file_name).stem,
+        joints=tuple(_joint(joint, where) for joint in driven),
+        mimicking=tuple(joint.get("name", "") for joint in mimicking),
+        tool_link=tool_link,
+        tool=tool,
+        tool_rotation=tool_rotation,
+    )
+
+
+def robot_text_of_urdf(arm: UrdfArm, file_name: str, where: str) -> str:
+    """The text of a robot file for a URDF: its movable joints, parents before children, with their limits.
+
+    Raises:
+        RobotFileError: a joint without a position or velocity limit; its `problems` are all of them.
+    """
+    problems = tuple(
+        RobotFileError(
+            f"states no {' and no '.join(missing)} limit",
+            where=f"{where}: joint {joint.name}",
+            hint="complete its <limit>, or write a robot file: dynid robot new ARM.urdf -o ARM.yaml",
+        )
+        for joint in arm.joints
+        if (missing := [key for key in ("position", "velocity") if getattr(joint, key) is None])
+    )
+    if problems:
+        problems[0].problems = problems
+        raise problems[0]
+    model: dict[str, object] = {"urdf": file_name}
+    if arm.mimicking:
+        model["locked"] = dict.fromkeys(arm.mimicking, 0.0)
     content = {
-        "name": root.get("name") or PurePath(file_name).stem,
-        "model": {"urdf": file_name},
-        "joints": [_limits(joint, where) for joint in movable],
+        "name": arm.name,
+        "model": model,
+        "joints": [_limits(joint) for joint in arm.joints],
+        "workspace": {"tool": list(arm.tool), "tool_rotation": list(arm.tool_rotation)},
     }
     return yaml.safe_dump(content, allow_unicode=True, sort_keys=False)
+
+
+def assumed_of_urdf(arm: UrdfArm) -> tuple[str, ...]:
+    """What `robot_text_of_urdf` put in place of what the URDF does not say, in words."""
+    continuous = [joint.name for joint in arm.joints if joint.kind == "continuous"]
+    assumed = [f"the tool is at the origin of the URDF's link {arm.tool_link}"]
+    if continuous:
+        assumed.append(f"position limits -2π to 2π of the continuous joint(s) {', '.join(continuous)}")
+    if arm.mimicking:
+        assumed.append(f"{', '.join(arm.mimicking)} (<mimic>) locked at 0")
+    return tuple(assumed)
 
 
 def _link(joint: ElementTree.Element, end: str) -> str:
@@ -59,24 +159,69 @@ def _link(joint: ElementTree.Element, end: str) -> str:
     return "" if element is None else element.get("link", "")
 
 
-def _limits(joint: ElementTree.Element, where: str) -> dict[str, object]:
-    name, limit = joint.get("name", ""), joint.find("limit")
+def _joint(joint: ElementTree.Element, where: str) -> UrdfJoint:
+    limit = joint.find("limit")
     stated = {} if limit is None else limit.attrib
+    name, kind = joint.get("name", ""), joint.get("type", "")
     try:
         values = {key: float(stated[key]) for key in ("lower", "upper", "velocity", "effort") if key in stated}
     except ValueError as error:
         raise RobotFileError("has a limit that is not a number", where=f"{where}: joint {name}") from error
-    if joint.get("type") == "continuous":
-        values |= {"lower": -UNLIMITED, "upper": UNLIMITED}
-    missing = [key for key in ("lower", "upper", "velocity") if key not in values]
-    if missing:
-        raise RobotFileError(
-            f"states no {' and '.join(missing)} limit",
-            where=f"{where}: joint {name}",
-            hint="complete <limit lower= upper= velocity= effort=>, or write a robot file",
-        )
-    limits: dict[str, object] = {"name": name, "position": [values["lower"], values["upper"]]}
-    limits["velocity"] = values["velocity"]
-    if values.get("effort", 0.0) > 0:
-        limits["torque"] = values["effort"]
+    if not all(math.isfinite(value) for value in values.values()):
+        raise RobotFileError("has a limit that is not finite", where=f"{where}: joint {name}")
+    position = (values["lower"], values["upper"]) if {"lower", "upper"} <= values.keys() else None
+    if kind == "continuous":
+        position = (-UNLIMITED, UNLIMITED)
+    return UrdfJoint(
+        name=name,
+        kind=kind,
+        position=None if position == (0.0, 0.0) else position,  # what exporters write where nobody told them
+        velocity=value if (value := values.get("velocity", 0.0)) > 0 else None,
+        torque=value if (value := values.get("effort", 0.0)) > 0 else None,
+    )
+
+
+def _limits(joint: UrdfJoint) -> dict[str, object]:
+    limits: dict[str, object] = {"name": joint.name, "position": list(joint.position or ()), "velocity": joint.velocity}
+    if joint.torque is not None:
+        limits["torque"] = joint.torque
     return limits
+
+
+def _tool(last: str, joints: list[ElementTree.Element], where: str) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
+    """Of the links fixed to the last one, that at which the arm ends: name, origin [m], rotation vector [rad]."""
+    from scipy.spatial.transform import Rotation
+
+    placed = {last: (Rotation.identity(), np.zeros(3))}
+    waiting = [last]
+    while waiting:
+        parent = waiting.pop()
+        for joint in joints:
+            child = _link(joint, "child")
+            if joint.get("type") == "fixed" and _link(joint, "parent") == parent and child not in placed:
+                xyz, rpy = _origin(joint, where)
+                rotation, origin = placed[parent]
+                placed[child] = rotation * Rotation.from_euler("xyz", rpy), origin + rotation.apply(xyz)
+                waiting.append(child)
+    named = [link for word in TOOL_LINKS for link in placed if word in link.lower().split("_")]
+    link = named[0] if named else last
+    rotation, origin = placed[link]
+    return link, _exact(origin), _exact(rotation.as_rotvec())
+
+
+def _origin(joint: ElementTree.Element, where: str) -> tuple[FloatArray, FloatArray]:
+    """A joint's origin in its parent link: xyz [m] and rpy [rad]."""
+    origin = joint.find("origin")
+    stated = {} if origin is None else origin.attrib
+    place = f"{where}: joint {joint.get('name')}"
+    try:
+        xyz, rpy = (np.array([float(text) for text in stated.get(key, "0 0 0").split()]) for key in ("xyz", "rpy"))
+    except ValueError as error:
+        raise RobotFileError("has an origin that is not a number", where=place) from error
+    if not (xyz.shape == rpy.shape == (3,) and np.isfinite([xyz, rpy]).all()):
+        raise RobotFileError("has an origin that is not three numbers", where=place)
+    return xyz, rpy
+
+
+def _exact(values: FloatArray) -> tuple[float, ...]:
+    return tuple(0.0 if abs(value) < ROUNDING else float(value) for value in values)

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from daq.robot.magnitudes import TableAngle
 from daq.robot.section import Finite, NonNegative, Section, Vector3
 from drivers.yaml_file import describe
 
@@ -105,6 +106,10 @@ class Workspace(Section):
     """Where the arm may be when an excitation is designed (AUBO eq. 21: r_min..r_max, h_min..h_max)."""
 
     tool: Vector3 = Field(default=(0.0, 0.0, 0.0), description="tool point [m] in the frame of the last joint")
+    tool_rotation: tuple[TableAngle, TableAngle, TableAngle] = Field(
+        default=(0.0, 0.0, 0.0),
+        description="the tool's axes there as a rotation vector [rad], for the pose that is compared with the pendant",
+    )
     radius: tuple[NonNegative, Finite] | None = Field(
         default=None, description="smallest and largest distance from the base frame's z axis [m]"
     )

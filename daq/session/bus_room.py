@@ -16,9 +16,9 @@ def bus_budget(robot_file: RobotFile, name: str) -> Budget | None:
         RobotFileError: it asks more than fits.
     """
     robot = robot_file.robot
-    where = f"{robot.name}: connections.{name}"
+    where = f"{robot_file.where}: connections.{name}"
     keys = connection_keys(robot, name)
-    with errors_of_connection(robot, name):
+    with errors_of_connection(robot_file.where, name):
         budget = connection_budget(robot.connections[name].driver, driver_settings(robot, keys, robot_file.folder))
     if budget is not None and budget.load > 1.0:
         raise RobotFileError(
@@ -46,6 +46,7 @@ def session_warnings(robot_file: RobotFile, wire: str | None) -> list[str]:
         UsageError: no such connection, or its keys are wrong.
         RobotFileError: a connection asks more of its bus than fits.
     """
-    budgets = ((name, bus_budget(robot_file, name)) for name in connection_names(robot_file.robot, wire))
+    names = connection_names(robot_file.robot, wire, robot_file.where)
+    budgets = ((name, bus_budget(robot_file, name)) for name in names)
     warnings = (tight_bus(name, budget) for name, budget in budgets if budget is not None)
     return [warning for warning in warnings if warning is not None]

@@ -14,21 +14,24 @@ from drivers.errors import UsageError
 from drivers.gains import DriveGain
 
 
-def connection_names(robot: Robot, wire: str | None = None) -> list[str]:
+def connection_names(robot: Robot, wire: str | None = None, place: str = "") -> list[str]:
     """A connection's name, the first one's where `wire` is None, and those that it is recorded with.
+
+    `place` is what messages call the robot file; its name where empty.
 
     Raises:
         UsageError: no such connection.
     """
+    place = place or robot.name
     if not robot.connections:
-        raise UsageError("the robot file has no connection", where=f"{robot.name}: connections")
+        raise UsageError("the robot file has no connection", where=f"{place}: connections")
     name = wire if wire is not None else next(iter(robot.connections))
-    where = robot.name
+    where = place
     known = ", ".join(robot.connections)
     if name not in robot.connections:
         raise UsageError(f"no connection is called '{name}'", where=where, hint=f"there are: {known}")
     given = (robot.connections[name].model_extra or {}).get(WITH, [])
-    where = f"{robot.name}: connections.{name}.{WITH}"
+    where = f"{place}: connections.{name}.{WITH}"
     if not isinstance(given, list) or not all(isinstance(other, str) for other in given):
         raise UsageError(
             f"is {given!r}, but should be a list of connections", where=where, hint=f"such as {WITH}: [thermometer]"
@@ -47,12 +50,12 @@ def connection_keys(robot: Robot, name: str) -> dict[str, object]:
 
 
 @contextmanager
-def errors_of_connection(robot: Robot, name: str) -> Iterator[None]:
-    """Errors about a connection's keys say whose they are."""
+def errors_of_connection(robot_place: str, name: str) -> Iterator[None]:
+    """Errors about a connection's keys say whose they are; `robot_place` is what messages call the robot file."""
     try:
         yield
     except UsageError as error:
-        place = f"{robot.name}: connections.{name}"
+        place = f"{robot_place}: connections.{name}"
         error.where = f"{place}: {error.where}" if error.where else place
         raise
 

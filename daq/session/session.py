@@ -141,6 +141,7 @@ def load_driver(
     host: str | None = None,
     folder: Path | None = None,
     clock: Clock = SYSTEM_CLOCK,
+    place: str = "",
 ) -> tuple[Driver, float]:
     """The driver of a robot's connection and the connection's rate [Hz], not yet open.
 
@@ -152,30 +153,36 @@ def load_driver(
         host: in place of the connection's own.
         folder: of the robot file, where relative paths among a connection's keys start; None for the current one.
         clock: the host's.
+        place: what messages call the robot file; its name where empty.
 
     Raises:
         UsageError: no such connection, or no such driver is installed.
     """
-    name, *others = connection_names(robot, wire)
+    place = place or robot.name
+    name, *others = connection_names(robot, wire, place)
     keys = connection_keys(robot, name)
     if host is not None:
         keys["host"] = host
-    main = _make_driver(robot, name, keys, folder, clock)
-    beside = {other: _make_driver(robot, other, connection_keys(robot, other), folder, clock) for other in others}
+    main = _make_driver(robot, name, keys, folder, clock, place)
+    beside = {
+        other: _make_driver(robot, other, connection_keys(robot, other), folder, clock, place) for other in others
+    }
     return Sources(name, main, beside) if beside else main, _rate_of(keys)
 
 
-def _make_driver(robot: Robot, name: str, keys: Mapping[str, object], folder: Path | None, clock: Clock) -> Driver:
+def _make_driver(
+    robot: Robot, name: str, keys: Mapping[str, object], folder: Path | None, clock: Clock, place: str
+) -> Driver:
     driver = robot.connections[name].driver
     drivers = {entry.name: entry for entry in entry_points(group=DRIVERS_GROUP)}
     if driver not in drivers:
         raise UsageError(
             f"no driver is called '{driver}'",
-            where=f"{robot.name}: connections.{name}.driver",
+            where=f"{place}: connections.{name}.driver",
             hint=f"installed: {', '.join(sorted(drivers)) or 'none'}",
         )
     make: Callable[[DriverSettings], Driver] = drivers[driver].load()
-    with errors_of_connection(robot, name):
+    with errors_of_connection(place, name):
         return make(replace(driver_settings(robot, keys, folder), clock=clock))
 
 

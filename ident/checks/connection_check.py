@@ -88,7 +88,7 @@ def check_connections(
         ConnectionFailedError: no answer, the wrong device, or no sample arrives.
         ConnectionLostError: it broke.
     """
-    first, *others = connection_names(robot_file.robot, wire)
+    first, *others = connection_names(robot_file.robot, wire, robot_file.where)
     checked = [check_connection(robot_file, first, host, clock)]
     return checked + [check_connection(robot_file, name, clock=clock) for name in others]
 
@@ -105,7 +105,7 @@ def check_connection(
     kind = robot.connections[name].driver
     alone = robot.connections[name].model_copy(update={WITH: [], **READ_ONLY.get(kind, {})})
     changed = robot.model_copy(update={"connections": {**robot.connections, name: alone}})
-    driver, _ = load_driver(changed, name, host, robot_file.folder, clock)
+    driver, _ = load_driver(changed, name, host, robot_file.folder, clock, robot_file.where)
     try:
         driver.open()
         identities: tuple[Mapping[str, Any], ...] = ()

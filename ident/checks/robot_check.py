@@ -1,32 +1,106 @@
-"""Checks of a valid robot file for `dynid check`: gains, gravity, limits, drivers, bus budgets."""
+"""Checks of a robot file for `dynid check`: kinematics, poses, gains, gravity, limits, drivers, bus budgets."""
 
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import dataclass
 from importlib.metadata import entry_points
 
 import numpy as np
 
+from daq.robot.assumptions import assumptions
 from daq.robot.loader import RobotFile
 from daq.session.bus_room import bus_budget, tight_bus
 from daq.session.session import load_driver
 from drivers.base import DRIVERS_GROUP
 from drivers.bus_budget import TIGHT_SHARE, Budget
-from drivers.errors import UsageError
+from drivers.errors import InputError
+from ident.checks.tool_pose import ToolPose, tool_poses
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 
+QUICKEST = 300.0
+"""[rad/s² or m/s²] beyond what joints of arms can do; typical limits in °/s² are larger."""
 
-def check_robot(robot_file: RobotFile) -> list[str]:
-    """Warnings about a valid robot file, in words.
+
+@dataclass(frozen=True)
+class RobotCheck:
+    """What `dynid check` finds in a robot file that can be read.
+
+    Attributes:
+        problems: errors about everything for which the file cannot be used.
+        warnings: doubts, in words.
+        assumed: what is assumed in place of what the file does not state, in words.
+        poses: of the tool at position zero and at the file's named poses; empty where the kinematics cannot be used.
+        budgets: what each CAN connection asks of its bus, by the connection's name.
+    """
+
+    problems: tuple[InputError, ...]
+    warnings: tuple[str, ...]
+    assumed: tuple[str, ...]
+    poses: tuple[ToolPose, ...]
+    budgets: dict[str, Budget]
+
+
+def check_robot(robot_file: RobotFile) -> RobotCheck:
+    """Check a robot file that can be read: kinematics, poses, gains, gravity, limits, drivers and bus budgets.
 
     Raises:
-        RobotFileError: its kinematics cannot be used, or a connection asks more of its bus than fits.
-        UsageError: the keys of a connection are wrong.
         IdentificationError: its base parameters cannot be decided.
     """
+    problems: list[InputError] = []
+    warnings = [*_limit_warnings(robot_file), *_gain_warnings(robot_file)]
+    poses: tuple[ToolPose, ...] = ()
+    try:
+        model = build_model(robot_file)
+    except InputError as error:
+        problems.append(error)
+    else:
+        base_parameters(model)
+        poses = tool_poses(robot_file, model)
+        warnings += [
+            f"the pose '{pose.name}' is beyond the limits of {', '.join(pose.beyond)}"
+            for pose in poses
+            if pose.beyond and pose.name in robot_file.robot.poses
+        ]
+    budgets: dict[str, Budget] = {}
+    installed = {entry.name for entry in entry_points(group=DRIVERS_GROUP)}
+    for name, connection in robot_file.robot.connections.items():
+        if connection.driver not in installed:
+            known = ", ".join(sorted(installed)) or "none in this version"
+            warnings.append(
+                f"connection '{name}' needs the driver '{connection.driver}', which is not installed ({known})"
+            )
+            continue
+        try:
+            # The driver checks its keys; nothing is opened.
+            load_driver(robot_file.robot, name, folder=robot_file.folder, place=robot_file.where)
+            if (budget := bus_budget(robot_file, name)) is not None:
+                budgets[name] = budget
+        except InputError as error:
+            error.where = error.where or f"{robot_file.where}: connections.{name}"
+            problems.append(error)
+    warnings += [warning for name, budget in budgets.items() if (warning := tight_bus(name, budget)) is not None]
+    return RobotCheck(tuple(problems), tuple(warnings), assumptions(robot_file), poses, budgets)
+
+
+def _limit_warnings(robot_file: RobotFile) -> list[str]:
     robot = robot_file.robot
-    base_parameters(build_model(robot_file))
+    warnings = []
+    length = float(np.linalg.norm(robot.model.gravity))
+    if not 9.7 < length < 9.9:
+        warnings.append(f"gravity is {length:.4g} m/s²; on Earth it is 9.78 to 9.83")
+    without = [joint.name for joint in robot.joints if joint.torque is None]
+    if without:
+        warnings.append(f"no torque limit for {', '.join(without)}")
+    quick = [joint.name for joint in robot.joints if joint.acceleration > QUICKEST]
+    if quick:
+        warnings.append(f"the acceleration limit of {', '.join(quick)} is above {QUICKEST:g}: is it in °/s² or mm/s²?")
+    return warnings
+
+
+def _gain_warnings(robot_file: RobotFile) -> list[str]:
+    robot = robot_file.robot
     warnings = []
     unknown = [joint for joint in robot.joint_names if _needs_gain(robot_file, joint)]
     if unknown:
@@ -36,40 +110,7 @@ def check_robot(robot_file: RobotFile) -> list[str]:
     unsure = [drive.joint for drive in robot.drives if drive.gain is not None and drive.gain_std is None]
     if unsure:
         warnings.append(f"the drive gain of {', '.join(unsure)} has no standard deviation (gain_std)")
-    length = float(np.linalg.norm(robot.model.gravity))
-    if not 9.7 < length < 9.9:
-        warnings.append(f"gravity is {length:.4g} m/s²; on Earth it is 9.78 to 9.83")
-    without = [joint.name for joint in robot.joints if joint.torque is None]
-    if without:
-        warnings.append(f"no torque limit for {', '.join(without)}")
-    installed = {entry.name for entry in entry_points(group=DRIVERS_GROUP)}
-    for name, connection in robot.connections.items():
-        if connection.driver not in installed:
-            known = ", ".join(sorted(installed)) or "none in this version"
-            warnings.append(
-                f"connection '{name}' needs the driver '{connection.driver}', which is not installed ({known})"
-            )
-            continue
-        try:
-            load_driver(robot, name, folder=robot_file.folder)  # the driver checks its keys; nothing is opened
-        except UsageError as error:
-            error.where = error.where or f"{robot.name}: connections.{name}"
-            raise
-    for name, budget in bus_budgets(robot_file).items():
-        if (warning := tight_bus(name, budget)) is not None:
-            warnings.append(warning)
     return warnings
-
-
-def bus_budgets(robot_file: RobotFile) -> dict[str, Budget]:
-    """What each CAN connection asks of its bus, by the connection's name.
-
-    Raises:
-        UsageError: a connection's keys are wrong.
-        RobotFileError: a connection asks more of its bus than fits.
-    """
-    budgets = {name: bus_budget(robot_file, name) for name in robot_file.robot.connections}
-    return {name: budget for name, budget in budgets.items() if budget is not None}
 
 
 def _needs_gain(robot_file: RobotFile, joint: str) -> bool:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NoReturn
+
 import typer
 
+from drivers.errors import InputError
 from ident.commands.options import JSON, ROBOT
 
 app = typer.Typer()
@@ -17,7 +21,9 @@ def check(
     host: str = typer.Option(None, "--host", help="Address in place of the connection's own."),
     as_json: bool = JSON,
 ) -> None:
-    """Validate a robot file: its keys, kinematics, base parameters, connections and the load of their CAN buses.
+    """Check a robot file: its keys, kinematics, base parameters, connections and the load of their CAN buses.
+
+    All problems are told at once; what was assumed is listed, and where the tool is at named poses.
 
     Example: dynid check my_arm.yaml --connect
     """
@@ -26,30 +32,61 @@ def check(
     from daq.commands.console import print_json
     from daq.robot.loader import load_robot
     from drivers.clock import SYSTEM_CLOCK
-    from drivers.errors import UsageError
+    from drivers.errors import RobotFileError, UsageError
     from ident.checks.connection_check import check_connections, print_connection
-    from ident.checks.robot_check import budget_object, bus_budgets, check_robot, print_budget
-    from ident.checks.robot_description import description
+    from ident.checks.robot_check import budget_object, check_robot, print_budget
+    from ident.checks.robot_description import description, inertial_count
+    from ident.checks.tool_pose import print_poses
+    from ident.model.base_parameters import base_parameters
+    from ident.model.dynamic_model import build_model
 
     if not connect and (wire is not None or host is not None):
         raise UsageError("--wire and --host apply to --connect only", hint="add --connect")
-    robot_file = load_robot(robot)
-    findings = check_robot(robot_file)
-    budgets = bus_budgets(robot_file)
+    try:
+        robot_file = load_robot(robot)
+    except RobotFileError as error:
+        _refuse(error.problems or (error,), robot, as_json)
+    found = check_robot(robot_file)
+    if found.problems:
+        _refuse(found.problems, robot_file.where, as_json)
     name = robot_file.robot.name
     if not as_json:
+        count = base_parameters(build_model(robot_file)).count
         print(f"{name}: the file is valid, {robot_file.robot.dof} joints")
-        for connection, budget in budgets.items():
+        print(f"  base parameters: {count}, {inertial_count(robot_file)} of them inertial")
+        for connection, budget in found.budgets.items():
             print_budget(connection, budget)
-        for finding in findings:
-            print(f"  warning: {finding}")
+        for assumption in found.assumed:
+            print(f"  assumed: {assumption}")
+        for warning in found.warnings:
+            print(f"  warning: {warning}")
+        print_poses(found.poses)
     connections = check_connections(robot_file, wire, host, SYSTEM_CLOCK) if connect else []
     if not as_json:
         for checked in connections:
             print_connection(checked)
         return
-    content = {"robot": name, "ok": True, "warnings": findings, **description(robot_file)}
-    content["budgets"] = {connection: budget_object(budget) for connection, budget in budgets.items()}
+    content = {"robot": name, "ok": True, "warnings": found.warnings, "assumed": found.assumed}
+    content |= description(robot_file)
+    content["poses"] = [asdict(pose) for pose in found.poses]
+    content["budgets"] = {connection: budget_object(budget) for connection, budget in found.budgets.items()}
     if connect:
         content["connections"] = [asdict(checked) for checked in connections]
     print_json(content)
+
+
+def _refuse(problems: Sequence[InputError], where: str, as_json: bool) -> NoReturn:
+    """Tell all problems of a robot file: one as any error, several as a list before the error that counts them."""
+    from daq.commands.console import print_json
+
+    count = f"{len(problems)} problems"
+    if as_json:
+        listed = [{"error": one.message, "where": one.where, "hint": one.hint} for one in problems]
+        summary = listed[0] if len(listed) == 1 else {"error": count, "where": where, "hint": ""}
+        print_json({**summary, "problems": listed})
+        raise typer.Exit(InputError.exit_status)
+    if len(problems) == 1:
+        raise problems[0]
+    for problem in problems:
+        print(problem)
+    raise InputError(count, where=where)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import typer
 
 from ident.commands.options import JSON, ROBOT
@@ -63,3 +65,29 @@ def show(
     print(f"rank margin: {base.margin:.1e} between singular values")
     for section, source in described.sources.items():
         print(f"source of {section}: {source}")
+
+
+@robot_app.command("new")
+def new(
+    urdf: Path = typer.Argument(None, help="URDF to take kinematics, limits and tool link from."),
+    joints: int = typer.Option(
+        None, "--joints", help="Number of joints, for a file without a URDF (modified DH rows)."
+    ),
+    out: Path = typer.Option(..., "-o", "--out", help="Robot file to write (.yaml)."),
+    force: bool = typer.Option(False, "--force", help="Overwrite the output file."),
+    as_json: bool = JSON,
+) -> None:
+    """Write a commented robot file to complete: every key that matters with its unit, TODO where a value is missing.
+
+    Example: dynid robot new arm.urdf -o arm.yaml
+    """
+    from daq.commands.console import print_json
+    from daq.robot.new_robot import new_robot_file
+    from daq.robot.validation import TODO
+
+    text = new_robot_file(urdf, joints, out, overwrite=force)
+    missing = sum(line.partition("#")[0].count(TODO) for line in text.splitlines())
+    if as_json:
+        print_json({"file": str(out), "todo": missing})
+        return
+    print(f"{out}: {missing} values are marked {TODO}; complete them, then: dynid check {out}")

@@ -164,7 +164,7 @@ def build_model(robot_file: RobotFile) -> DynamicModel:
     if robot.model.mdh is not None:
         joints = mdh_joints(robot.model.mdh)
     else:
-        where = f"{robot.name}: {robot.model.urdf}"
+        where = f"{robot_file.where}: {robot.model.urdf}"
         urdf, names = robot_file.urdf_text or "", robot.joint_names
         if robot.passive_names:
             names = urdf_order(urdf, (*names, *robot.passive_names), robot.model.locked, where)

@@ -52,7 +52,7 @@ def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Tran
     robot = robot_file.robot
     if not robot.model.loops and not robot.model.coupling:
         return None
-    where = f"{robot.name}: model.loops"
+    where = f"{robot_file.where}: model.loops"
     numbers = {joint.name: index for index, joint in enumerate(joints)}
     active = tuple(numbers[name] for name in robot.joint_names)
     equations, right = _linear_equations(robot.model.loops, joints, numbers, where)
@@ -63,7 +63,12 @@ def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Tran
         nothing = np.zeros((len(joints), len(active))), np.zeros(len(joints))
         ends = [loop_ends(loop, numbers) for loop in general]
         transmission: Transmission = build_closed_loops(
-            robot, joints, (equations, right), [(one, other) for one, other in ends], _linear(robot, active, *nothing)
+            robot,
+            joints,
+            (equations, right),
+            [(one, other) for one, other in ends],
+            _linear(robot, active, *nothing),
+            where,
         )
     else:
         transmission = _linear(robot, active, *_solved_equations(equations, right, joints, active, where))

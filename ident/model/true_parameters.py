@@ -21,7 +21,8 @@ def truth_vector(robot_file: RobotFile) -> FloatArray:
     model = build_model(robot_file)
     missing = [name for name in model.link_names if name not in robot.truth.links]
     if missing:
-        raise RobotFileError(f"no true link for joint(s) {', '.join(missing)}", where=f"{robot.name}: truth.links")
+        where = f"{robot_file.where}: truth.links"
+        raise RobotFileError(f"no true link for joint(s) {', '.join(missing)}", where=where)
     values = {}
     for index, name in enumerate(model.link_names):
         link = robot.truth.links[name]

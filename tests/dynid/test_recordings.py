@@ -145,7 +145,7 @@ def test_a_urdf_is_a_robot(tmp_path):
     [
         ("<robot", "is not a URDF"),
         ("<robot name='x'><link name='a'/></robot>", "has no movable joint"),
-        (URDF.replace('lower="-0.2" ', ""), "joint elbow: states no lower limit"),
+        (URDF.replace('lower="-0.2" ', ""), "joint elbow: states no position limit"),
         (URDF.replace('velocity="0.5"', 'velocity="fast"'), "a limit that is not a number"),
     ],
 )

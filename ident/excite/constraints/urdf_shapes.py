@@ -35,7 +35,7 @@ def urdf_capsules(robot_file: RobotFile) -> dict[int, list[Capsule]]:
     """
     robot = robot_file.robot
     xml = robot_file.urdf_text or ""
-    where, names = f"{robot.name}: {robot.model.urdf}", robot.joint_names
+    where, names = f"{robot_file.where}: {robot.model.urdf}", robot.joint_names
     if robot.passive_names:
         names = urdf_order(xml, (*names, *robot.passive_names), robot.model.locked, where)
     model = urdf_model(xml, names, robot.model.locked, where)

@@ -54,6 +54,7 @@ def build_closed_loops(
     linear: tuple[FloatArray, FloatArray],
     ends: Sequence[tuple[tuple[int, Placement], tuple[int, Placement]]],
     motors: LinearTransmission,
+    where: str,
 ) -> ClosedLoops:
     """The transmission of an arm some of whose loops are given by their closing frames alone.
 
@@ -63,13 +64,13 @@ def build_closed_loops(
         linear: E (l, n) and e (l,) of the joints that follow by equations.
         ends: the closing frames of every general loop, in the file's order.
         motors: active joints, coupling and the pairs' columns; what follows counts as not known yet.
+        where: what an error message calls the loops.
 
     Raises:
         RobotFileError: the loops do not close, do not fix the joints that follow, or change their branch.
     """
     loops = [loop for loop in robot.model.loops if loop.passive is not None]
     names = tuple(joint.name for joint in joints)
-    where = f"{robot.name}: model.loops"
     chains = tuple(
         closing_chain(loop_name(loop), joints, end, spherical=loop.opened == "spherical")
         for loop, end in zip(loops, ends, strict=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
@@ -20,7 +21,7 @@ from drivers.streams import ChannelLayout, StreamLayout
 from dynid import command
 from ident.checks import connection_check, robot_check
 from ident.checks.connection_check import FIRST_SAMPLE_LIMIT, LISTEN, check_connections
-from ident.checks.robot_check import bus_budgets, check_robot
+from ident.checks.robot_check import check_robot
 
 CANOPEN = """
 connections:
@@ -124,20 +125,23 @@ def run(monkeypatch, capsys, *arguments):
 
 def test_a_bus_with_room_is_no_warning_a_tight_one_is_and_a_full_one_is_refused(three_joint, drivers):
     roomy = with_connections(three_joint, CANOPEN.format(bitrate=1000000, rate=400, third=3))
-    assert check_robot(roomy) == []
-    (budget,) = bus_budgets(roomy).values()
+    assert check_robot(roomy).warnings == ()
+    (budget,) = check_robot(roomy).budgets.values()
     assert budget.cycle_bits == 55 + 3 * (125 + 135 + 125)
     tight = with_connections(three_joint, CANOPEN.format(bitrate=1000000, rate=750, third=3))
-    (warning,) = check_robot(tight)
+    (warning,) = check_robot(tight).warnings
     assert "connection 'bus' fills its bus to 91.0 % at worst; at 659 Hz it would be 80 %" in warning
     full = with_connections(three_joint, CANOPEN.format(bitrate=500000, rate=750, third=3))
-    with pytest.raises(RobotFileError, match=r"750 Hz do not fit on a bus of 500000 bit/s: 182 % .*at most 411 Hz"):
-        check_robot(full)
+    (problem,) = check_robot(full).problems
+    assert isinstance(problem, RobotFileError)
+    assert re.search(r"750 Hz do not fit on a bus of 500000 bit/s: 182 % .*at most 411 Hz", str(problem))
 
 
 def test_wrong_keys_are_refused_with_the_connections_name(three_joint, drivers):
-    with pytest.raises(UsageError, match=r"connections\.bus: .*nodes\.j3\.id"):
-        check_robot(with_connections(three_joint, CANOPEN.format(bitrate=1000000, rate=400, third=300)))
+    robot_file = with_connections(three_joint, CANOPEN.format(bitrate=1000000, rate=400, third=300))
+    (problem,) = check_robot(robot_file).problems
+    assert isinstance(problem, UsageError)
+    assert re.search(r"connections\.bus: .*nodes\.j3\.id", str(problem))
 
 
 def test_the_command_prints_the_budget(monkeypatch, capsys):
@@ -213,7 +217,7 @@ def test_a_source_that_says_nothing_is_an_error(three_joint, drivers, monkeypatc
 def test_drives_are_not_prepared_for_a_motion(monkeypatch):
     seen = []
 
-    def load(robot, name, host, folder, clock):
+    def load(robot, name, host, folder, clock, place):
         seen.append(dict(robot.connections[name].model_extra))
         raise ConnectionFailedError("far enough")
 

@@ -15,12 +15,13 @@ def changed(robot_file, old: str, new: str):
 
 
 def test_a_complete_file_has_no_warnings(three_joint):
-    assert check_robot(three_joint) == []
+    found = check_robot(three_joint)
+    assert (found.problems, found.warnings) == ((), ())
 
 
 @pytest.mark.parametrize("name", builtin_robots())
 def test_built_in_robots_can_be_identified(name):
-    assert not any("gravity" in warning for warning in check_robot(load_robot(name)))
+    assert not any("gravity" in warning for warning in check_robot(load_robot(name)).warnings)
 
 
 @pytest.mark.parametrize(
@@ -35,22 +36,23 @@ def test_built_in_robots_can_be_identified(name):
     ],
 )
 def test_what_is_missing_is_named(three_joint, old, new, expected):
-    (warning,) = check_robot(changed(three_joint, old, new))
+    (warning,) = check_robot(changed(three_joint, old, new)).warnings
     assert expected in warning
 
 
 def test_tilted_gravity_is_still_earths(three_joint):
-    assert check_robot(changed(three_joint, "model:\n", "model:\n  gravity: [6.94, 0, -6.94]\n")) == []
+    assert check_robot(changed(three_joint, "model:\n", "model:\n  gravity: [6.94, 0, -6.94]\n")).warnings == ()
 
 
 def test_a_torque_sensor_needs_no_gain(three_joint):
     sensed = changed(three_joint, "{joint: j2, gain: -8, gain_std: 0.5}", "{joint: j2, signal: torque}")
-    assert check_robot(sensed) == []
+    assert check_robot(sensed).warnings == ()
 
 
 def test_a_urdf_without_the_joints_is_refused(three_joint):
     text = three_joint.text[three_joint.text.index("joints:") :]
     text = "name: urdf\nmodel: {urdf: arm.urdf}\n" + text
     urdf = '<robot name="arm"><link name="only"/></robot>'
-    with pytest.raises(RobotFileError):
-        check_robot(parse_robot(text, where="urdf", folder=None, urdf_text=urdf))
+    (problem,) = check_robot(parse_robot(text, where="arm.yaml", folder=None, urdf_text=urdf)).problems
+    assert isinstance(problem, RobotFileError)
+    assert problem.where.startswith("arm.yaml: arm.urdf")

@@ -61,7 +61,7 @@ def folder(tmp_path_factory) -> Path:
     (folder / "onejoint.h5").write_bytes(content)
     with h5py.File(folder / "onejoint.h5", "a") as file:
         file["streams/joints/position"].attrs["joints"] = [f"a{i}" for i in range(6)]
-    (folder / "bad.yaml").write_text("name: x\nmodel: {mdh: []}\njoints: []\n")
+    (folder / "bad.yaml").write_text("name: x\nmodel: {mdh: []}\njoints: [{name: a, position: [-1, 1], velocity: 1}]\n")
     (folder / "bad.json").write_text('{"kind": "result"')
     (folder / "other.json").write_text('{"kind": "trajectory"}')
     (folder / "bad.csv").write_text("t,q1\n0,1\n1,x\n")

@@ -212,7 +212,7 @@ def test_a_position_beyond_all_ways_is_refused_at_once() -> None:
 def test_a_crank_may_turn_many_times() -> None:
     """Known positions are then far apart; what lies between them is followed from the nearest."""
     start = "{coupler: 1.0, rocker: -1.3}"
-    changes = {"[-2.4, -0.4]": "[-60, 60]", start: start + "\n      at: {crank: -1.4}"}
+    changes = {"[-2.4, -0.4]": "[-20*pi, 20*pi]", start: start + "\n      at: {crank: -1.4}"}
     model = build_model(four_bar_arm(**changes))
     crank = np.linspace(-59, 59, 500)
     position = np.stack([np.zeros(500), crank, np.zeros(500)])

@@ -44,7 +44,7 @@ REFUSED = {
         "check the lengths",
     ),
     "limits without end": (
-        {"[-2.4, -0.4]": "[-1.0e+6, 1.0e+6]", START: START + "\n      at: {crank: -1.4}"},
+        {"[-2.4, -0.4]": "[-318310*pi, 318310*pi]", START: START + "\n      at: {crank: -1.4}"},
         r"joint crank may move by 2e\+06 rad or m; a loop is followed over 200 at most",
         "narrow its position limits",
     ),
@@ -67,7 +67,7 @@ def test_refused_with_the_reason(changes: dict[str, str], words: str, hint: str)
     with pytest.raises(RobotFileError, match=words) as caught:
         build_model(four_bar_arm(**changes))
     assert hint in caught.value.hint
-    assert caught.value.where == "four_bar_arm: model.loops"
+    assert caught.value.where == "arm.yaml: model.loops"
     assert caught.value.exit_status == 2
 
 

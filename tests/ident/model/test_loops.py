@@ -107,7 +107,7 @@ def test_placements_are_pinocchio_s(random_tree: Callable[..., DynamicModel]) ->
 def test_a_loop_that_does_not_close_is_refused_with_its_error() -> None:
     with pytest.raises(RobotFileError, match=r"parallelogram a, b, c, d does not close.* up to 10 mm apart") as caught:
         build_model(four_bar(**{"d: 0.5, r: -0.1": "d: 0.51, r: -0.1"}))
-    assert caught.value.where == "four_bar: model.loops"
+    assert caught.value.where == "four_bar.yaml: model.loops"
     assert caught.value.exit_status == 2
 
 

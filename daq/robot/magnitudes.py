@@ -1,0 +1,65 @@
+"""Numbers of a robot file that only make sense up to a size: beyond it they were written in degrees or millimetres."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, ValidatorFunctionWrapHandler, WrapValidator
+
+from daq.robot.section import Angle, Positive
+
+LARGEST_TABLE_ANGLE = 2 * math.pi * (1 + 1e-5)
+"""A frame is turned by one turn at most [rad]; rounded digits of 2π are allowed."""
+
+LARGEST_POSITION = 45.0
+"""Seven turns [rad]: hardly a joint goes further, and limits in degrees are mostly larger. As a length [m], too.
+What is written as a multiple of pi is in radians, whatever its size."""
+
+LARGEST_VELOCITY = 75.0
+"""[rad/s] 4300 °/s; the last joint of a quick SCARA turns at 3000 °/s, and arms' limits in °/s are mostly larger."""
+
+
+def multiple_of_pi(degrees: float) -> str:
+    """An angle in degrees as a robot file's text in radians: `pi/2`, `-3*pi/4`, `2.96706`."""
+    fraction = Fraction(degrees).limit_denominator(1000) / 180
+    if abs(float(fraction) * 180 - degrees) > 1e-9 or fraction.denominator > 12:
+        return f"{math.radians(degrees):.6g}"
+    factor, divisor = abs(fraction.numerator), fraction.denominator
+    if factor == 0:
+        return "0"
+    text = ("" if factor == 1 else f"{factor}*") + "pi" + ("" if divisor == 1 else f"/{divisor}")
+    return f"-{text}" if fraction < 0 else text
+
+
+def _table_angle(value: float) -> float:
+    if abs(value) > LARGEST_TABLE_ANGLE:
+        raise ValueError(
+            f"{value:g} looks like degrees; angles are in rad, from -2π to 2π: {value:g}° is {multiple_of_pi(value)}"
+        )
+    return value
+
+
+def _position_limit(value: Any, parse: ValidatorFunctionWrapHandler) -> Any:
+    number = parse(value)
+    if abs(number) > LARGEST_POSITION and not (isinstance(value, str) and "pi" in value):
+        raise ValueError(
+            f"{number:g} looks like degrees, or like millimetres of a sliding joint; positions are in rad or m: "
+            f"{number:g}° is {multiple_of_pi(number)}, {number:g} rad would be {number / math.pi:.2f}*pi"
+        )
+    return number
+
+
+def _velocity_limit(value: float) -> float:
+    if value > LARGEST_VELOCITY:
+        raise ValueError(
+            f"{value:g} looks like degrees per second, or like mm/s of a sliding joint; velocities are in rad/s or "
+            f"m/s, up to {LARGEST_VELOCITY:g}: {value:g} °/s is {math.radians(value):.4g}"
+        )
+    return value
+
+
+TableAngle = Annotated[Angle, AfterValidator(_table_angle)]
+PositionLimit = Annotated[Angle, WrapValidator(_position_limit)]
+VelocityLimit = Annotated[Positive, AfterValidator(_velocity_limit)]

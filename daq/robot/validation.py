@@ -1,0 +1,70 @@
+"""From the keys of a robot file to a `Robot`, or to the list of everything that is wrong with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from daq.robot.references import name_problems, names_in, row_problems, rows_in
+from daq.robot.schema import Robot
+from drivers.errors import RobotFileError
+from drivers.yaml_file import YamlProblem, first_of, key_path, meaning, schema_problems
+
+TODO = "TODO"
+"""What a value begins with that is still to be filled in (`dynid robot new` writes it)."""
+
+
+def validated_robot(content: Mapping[Any, Any], where: str) -> Robot:
+    """A robot from the keys of its file.
+
+    Args:
+        content: the file's keys.
+        where: what an error message calls the file.
+
+    Raises:
+        RobotFileError: about the first problem; its `problems` are all of them.
+    """
+    missing = [
+        YamlProblem(key_path(location), "is still to be filled in (TODO)", meaning(Robot, location))
+        for location in _todo_locations(content)
+    ]
+    told: list[YamlProblem] = []
+    robot = None
+    try:
+        robot = Robot.model_validate(content)
+    except ValidationError as error:
+        told = list(schema_problems(error, Robot))
+        told += [problem for problem in _about_names(content) if problem.message not in {one.message for one in told}]
+    unfilled = {problem.key_path for problem in missing}
+    # A name that is still to be filled in fits nowhere; that needs no second message.
+    problems = [one for one in told if one.key_path not in unfilled and not (missing and TODO in one.message)] + missing
+    if robot is not None and not problems:
+        return robot
+    refused = first_of(problems, where=where, refusal=RobotFileError)
+    refused.problems = tuple(first_of([problem], where=where, refusal=RobotFileError) for problem in problems)
+    raise refused
+
+
+def _about_names(content: Mapping[Any, Any]) -> Iterator[YamlProblem]:
+    """What is wrong with joint names in a file whose values are wrong too, so that pydantic did not come to them."""
+    for message in row_problems(rows_in(content)):
+        yield YamlProblem("model", message, "")
+    if (names := names_in(content)) is not None:
+        for message in name_problems(names):
+            yield YamlProblem("", message, "")
+
+
+def _todo_locations(content: Mapping[Any, Any]) -> Iterator[tuple[int | str, ...]]:
+    # An alias of YAML may stand in many places, or within itself: each mapping and list is looked into once.
+    waiting: list[tuple[tuple[int | str, ...], Any]] = [((), content)]
+    seen: set[int] = set()
+    while waiting:
+        location, value = waiting.pop()
+        if isinstance(value, str) and value.startswith(TODO):
+            yield location
+        elif isinstance(value, Mapping | list) and id(value) not in seen:
+            seen.add(id(value))
+            entries = enumerate(value) if isinstance(value, list) else value.items()
+            waiting += reversed([((*location, key if isinstance(key, int) else str(key)), one) for key, one in entries])

@@ -1,0 +1,96 @@
+"""Where the tool is at named positions of the joints, to compare with what the teach pendant shows."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.robot.loader import RobotFile
+from ident.excite.constraints.placements import place_arm, tool_point
+from ident.model.dynamic_model import DynamicModel
+
+ZERO = "zero"
+"""Name of the pose at which every joint is at 0."""
+ROUNDING = 1e-12
+"""[m or rad] below which a number is rounding residue and shown as 0."""
+
+
+@dataclass(frozen=True)
+class ToolPose:
+    """The tool's place in the base frame at one position of the joints; UR's pendant shows the rotation vector.
+
+    Attributes:
+        name: of the pose.
+        joints: (n,) positions [rad or m].
+        position: (3,) of the tool point [m].
+        rotation_vector: (3,) of the tool's axes [rad].
+        rpy: (3,) the same as roll, pitch, yaw [rad] about the base frame's x, y, z, in this order.
+        beyond: names of the joints that are outside their limits there.
+    """
+
+    name: str
+    joints: tuple[float, ...]
+    position: tuple[float, ...]
+    rotation_vector: tuple[float, ...]
+    rpy: tuple[float, ...]
+    beyond: tuple[str, ...]
+
+
+def tool_poses(robot_file: RobotFile, model: DynamicModel) -> tuple[ToolPose, ...]:
+    """The tool's pose at position zero and at the file's `poses`.
+
+    The tool point is `workspace.tool`, its axes are the last joint's turned by `workspace.tool_rotation`. Where loops
+    follow by closing, a pose beyond the limits is meaningless: nothing says that they close there.
+    """
+    zero = {ZERO: (0.0,) * robot_file.robot.dof}
+    return tuple(
+        _tool_pose(robot_file, model, name, joints) for name, joints in (zero | robot_file.robot.poses).items()
+    )
+
+
+def _tool_pose(robot_file: RobotFile, model: DynamicModel, name: str, joints: tuple[float, ...]) -> ToolPose:
+    from scipy.spatial.transform import Rotation
+
+    workspace = robot_file.robot.workspace
+    placements = place_arm(model, np.array(joints)[:, None])
+    turned = Rotation.from_matrix(placements.rotation[model.tool_link, :, :, 0])
+    rotation = turned * Rotation.from_rotvec(workspace.tool_rotation)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # pitch of ±π/2: SciPy then calls all of the turn about z yaw, which is right
+        rpy = rotation.as_euler("xyz")
+    return ToolPose(
+        name=name,
+        joints=joints,
+        position=_numbers(tool_point(model, placements, workspace.tool)[:, 0]),
+        rotation_vector=_numbers(rotation.as_rotvec()),
+        rpy=_numbers(rpy),
+        beyond=tuple(
+            limits.name
+            for limits, value in zip(robot_file.robot.joints, joints, strict=True)
+            if not limits.position[0] <= value <= limits.position[1]
+        ),
+    )
+
+
+def _numbers(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(0.0 if abs(value) < ROUNDING else float(value) for value in values)
+
+
+def print_poses(poses: tuple[ToolPose, ...]) -> None:
+    """The poses as a table, lengths in mm as pendants show them."""
+    from daq.commands.console import print_table
+
+    rows = []
+    for pose in poses:
+        rows.append(
+            (
+                pose.name + (f" (beyond the limits of {', '.join(pose.beyond)})" if pose.beyond else ""),
+                *(f"{1000 * value:.2f}" for value in pose.position),
+                *(f"{value:.4f}" for value in pose.rotation_vector),
+                *(f"{np.degrees(value):.2f}" for value in pose.rpy),
+            )
+        )
+    heads = ("pose", "x mm", "y mm", "z mm", "RX rad", "RY rad", "RZ rad", "roll °", "pitch °", "yaw °")
+    print_table("Tool in the base frame (compare with the pendant)", heads, rows)

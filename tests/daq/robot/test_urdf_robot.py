@@ -1,0 +1,210 @@
+"""A URDF as a robot: limits, joints that mimic, tool link; and the robot file that `dynid robot new` writes of it."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from daq.robot.assumptions import assumed_limits, assumptions
+from daq.robot.loader import load_robot, parse_robot
+from daq.robot.new_robot import new_robot_file, new_robot_of_joints, new_robot_of_urdf
+from daq.robot.urdf_robot import UrdfArm, UrdfJoint, read_urdf_arm, robot_text_of_urdf
+from drivers.errors import RobotFileError, UsageError
+
+LIMIT = '<limit lower="-1" upper="2" velocity="3" effort="40"/>'
+URDF = f"""\
+<robot name="arm">
+  <link name="base"/><link name="upper"/><link name="wrist"/><link name="flange"/><link name="tool0"/>
+  <link name="camera"/><link name="finger"/>
+  <joint name="turn" type="continuous"><parent link="upper"/><child link="wrist"/>
+    <limit velocity="5" effort="0"/></joint>
+  <joint name="swing" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>{LIMIT}</joint>
+  <joint name="a" type="fixed"><parent link="wrist"/><child link="flange"/>
+    <origin xyz="0 0 0.1" rpy="0 1.5707963267948966 0"/></joint>
+  <joint name="b" type="fixed"><parent link="flange"/><child link="tool0"/><origin xyz="0.2 0 0"/></joint>
+  <joint name="c" type="fixed"><parent link="wrist"/><child link="camera"/><origin xyz="1 1 1"/></joint>
+  <joint name="grip" type="prismatic"><parent link="base"/><child link="finger"/>{LIMIT}<mimic joint="turn"/></joint>
+</robot>
+"""
+
+
+@pytest.fixture
+def urdf(tmp_path: Path) -> Path:
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF, encoding="utf-8")
+    return path
+
+
+def test_joints_limits_and_tool_come_from_the_urdf(urdf: Path) -> None:
+    robot_file = load_robot(urdf)
+    robot = robot_file.robot
+    assert robot.joint_names == ("swing", "turn")
+    assert robot.joints[0].position == (-1.0, 2.0)
+    assert (robot.joints[0].velocity, robot.joints[0].torque) == (3.0, 40.0)
+    assert robot.joints[1].torque is None  # an effort of 0 is what exporters write where nobody told them
+    assert robot.model.locked == {"grip": 0.0}
+    # tool0 is 0.2 m along the flange's x axis, which points down: 0.1 - 0.2 m.
+    np.testing.assert_allclose(robot.workspace.tool, [0, 0, -0.1], atol=1e-9)
+    np.testing.assert_allclose(robot.workspace.tool_rotation, [0, math.pi / 2, 0], atol=1e-9)
+
+
+def test_what_a_urdf_does_not_say_is_assumed_and_stated(urdf: Path) -> None:
+    text = "; ".join(assumptions(load_robot(urdf)))
+    for words in ("acceleration limit 10 rad/s²", "link tool0", "-2π to 2π of the continuous joint(s) turn", "grip"):
+        assert words in text
+    assert assumed_limits(load_robot("ur5e")) == ()
+
+
+def test_every_joint_without_limits_is_named(urdf: Path) -> None:
+    urdf.write_text(URDF.replace('upper="2" velocity="3"', "").replace('velocity="5"', 'velocity="0"'))
+    with pytest.raises(RobotFileError, match="dynid robot new") as caught:
+        load_robot(urdf)
+    assert [one.where.rsplit(": ", 1)[1] for one in caught.value.problems] == ["joint swing", "joint turn"]
+    assert "no position and no velocity limit" in caught.value.problems[0].message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('upper="2"', 'upper="inf"', "not finite"),
+        ('upper="2"', 'upper="360"', "looks like degrees"),
+        ('xyz="0.2 0 0"', 'xyz="0.2 0"', "not three numbers"),
+        ('xyz="0.2 0 0"', 'xyz="0.2 zero 0"', "not a number"),
+        (
+            '<robot name="arm">',
+            '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro/>',
+            "xacro FILE",
+        ),
+    ],
+)
+def test_a_wrong_urdf_is_refused_with_its_path(urdf: Path, old: str, new: str, message: str) -> None:
+    urdf.write_text(URDF.replace(old, new))
+    with pytest.raises(RobotFileError, match=re.escape(message)) as caught:
+        load_robot(urdf)
+    assert str(caught.value).startswith(str(urdf))
+
+
+tags = st.sampled_from(["robot", "link", "joint", "parent", "child", "limit", "origin", "mimic", "axis"])
+values = st.sampled_from(["a", "b", "c", "", "1", "-1", "nan", "1e400", "0 0 1", "revolute", "fixed", "continuous"])
+names = st.sampled_from(["name", "type", "link", "xyz", "rpy", "lower", "upper", "velocity", "effort", "joint"])
+
+
+@st.composite
+def elements(draw: st.DrawFn, depth: int = 2) -> str:
+    tag = draw(tags)
+    attributes = "".join(
+        f' {name}="{value}"' for name, value in draw(st.dictionaries(names, values, max_size=4)).items()
+    )
+    inner = "".join(draw(st.lists(elements(depth - 1), max_size=3))) if depth else ""
+    return f"<{tag}{attributes}>{inner}</{tag}>"
+
+
+@settings(max_examples=40)
+@given(st.lists(elements(), max_size=3).map(lambda inner: f"<robot>{''.join(inner)}</robot>") | st.text(max_size=60))
+def test_any_xml_is_an_arm_or_refused(xml: str) -> None:
+    try:
+        arm = read_urdf_arm(xml, "arm.urdf", where="arm.urdf")
+        robot_text_of_urdf(arm, "arm.urdf", where="arm.urdf")
+    except RobotFileError as error:
+        where = error.where
+    else:
+        where = "arm.urdf" if arm.joints else "no joints"
+    assert where.startswith("arm.urdf")
+
+
+# --- dynid robot new --------------------------------------------------------------------------------------------------
+
+letters = st.characters(exclude_categories=("C", "Zl", "Zp")) | st.sampled_from("./-_: #'\"[]{}e10")
+words = st.text(letters, min_size=1, max_size=12)
+numbers = st.floats(0.001, 40.0)
+joints = st.builds(
+    UrdfJoint,
+    name=words,
+    kind=st.sampled_from(["revolute", "continuous", "prismatic"]),
+    position=st.none() | numbers.map(lambda number: (-number, number)),
+    velocity=st.none() | numbers,
+    torque=st.none() | numbers,
+)
+arms = st.builds(
+    UrdfArm,
+    name=words,
+    joints=st.lists(joints, min_size=1, max_size=4, unique_by=lambda joint: joint.name).map(tuple),
+    mimicking=st.just(()) | st.just(("finger: {2}",)),
+    tool_link=words,
+    tool=st.tuples(numbers, numbers, numbers),
+    tool_rotation=st.just((0.0, 0.0, math.pi)),
+)
+
+
+@settings(max_examples=40)
+@given(arms, words)
+def test_a_new_robot_file_of_a_urdf_is_complete_but_for_its_todos(arm: UrdfArm, path: str) -> None:
+    text = new_robot_of_urdf(arm, path)
+    with pytest.raises(RobotFileError) as caught:
+        parse_robot(text, where="arm.yaml", folder=None, urdf_text="")
+    assert all("TODO" in one.message for one in caught.value.problems), [str(one) for one in caught.value.problems]
+    content = yaml.safe_load(text)
+    completed = re.sub(r"\[TODO, TODO\](?=   # (?:rad|m)\b)", "[-1, 1]", text)
+    robot = parse_robot(re.sub("TODO", "0.5", completed), where="arm.yaml", folder=None, urdf_text="").robot
+    assert robot.name == arm.name
+    assert robot.model.urdf == content["model"]["urdf"] == path
+    assert robot.joint_names == tuple(joint.name for joint in arm.joints)
+    for limits, joint in zip(robot.joints, arm.joints, strict=True):
+        assert limits.velocity == pytest.approx(joint.velocity or 0.5, rel=1e-8)
+        assert limits.position == pytest.approx(joint.position or (-1, 1), rel=1e-8)
+    np.testing.assert_allclose(robot.workspace.tool, arm.tool, atol=1e-8)
+
+
+@pytest.mark.parametrize("count", [1, 6])
+def test_a_new_robot_file_of_rows_is_complete_but_for_its_todos(count: int) -> None:
+    text = new_robot_of_joints(count)
+    with pytest.raises(RobotFileError) as caught:
+        parse_robot(text, where="arm.yaml", folder=None)
+    assert len(caught.value.problems) == 3 + (4 + 5 + 2 + 1) * count
+    assert all("TODO" in one.message for one in caught.value.problems)
+    completed = text.replace("[TODO, TODO]   # rad", "[-1, 1]   # rad").replace("TODO", "0.5")
+    assert parse_robot(completed.replace("name: 0.5", "name: arm"), where="arm.yaml", folder=None).robot.dof == count
+
+
+def test_the_path_of_the_urdf_starts_at_the_new_file(urdf: Path, tmp_path: Path) -> None:
+    (tmp_path / "robots").mkdir()
+    out = tmp_path / "robots" / "arm.yaml"
+    text = new_robot_file(urdf, None, out)
+    assert yaml.safe_load(out.read_text(encoding="utf-8"))["model"]["urdf"] == "../arm.urdf"
+    completed = text.replace("TODO", "0.5")
+    out.write_text(completed, encoding="utf-8")
+    assert load_robot(out).urdf_text == URDF
+
+
+def test_limits_that_are_none_are_left_to_do(urdf: Path) -> None:
+    urdf.write_text(URDF.replace('upper="2"', 'upper="360"').replace('velocity="3"', 'velocity="200"'))
+    text = new_robot_file(urdf, None, urdf.with_suffix(".yaml"))
+    assert "position: [TODO, TODO]   # rad; position: the URDF says [-1.0, 360.0], which is no limit in rad" in text
+    assert "velocity: TODO" in text
+
+
+@pytest.mark.parametrize(
+    ("given_urdf", "count", "out", "message"),
+    [
+        (None, None, "x.yaml", "either a URDF or --joints"),
+        ("arm.urdf", 3, "x.yaml", "either a URDF or --joints"),
+        (None, 0, "x.yaml", "--joints 0 is not from 1 to 50"),
+        (None, 3, "x.txt", "no name of a robot file"),
+        (None, 3, "there.yaml", "exists already"),
+    ],
+)
+def test_what_cannot_be_written_is_refused(
+    tmp_path: Path, given_urdf: str | None, count: int | None, out: str, message: str
+) -> None:
+    (tmp_path / "there.yaml").write_text("mine")
+    with pytest.raises(UsageError, match=message):
+        new_robot_file(Path(given_urdf) if given_urdf else None, count, tmp_path / out)
+    assert (tmp_path / "there.yaml").read_text() == "mine"
+    assert new_robot_file(None, 3, tmp_path / "there.yaml", overwrite=True)
