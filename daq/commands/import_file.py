@@ -16,7 +16,9 @@ def import_recording(
     file: Path = typer.Argument(help="CSV, npz, mat, ROS 2 bag (folder or .db3) or MCAP."),
     robot: str = typer.Option(..., "--robot", help="Built-in robot or robot file."),
     out: Path = typer.Option(..., "-o", "--out", help="Recording to write (.h5)."),
-    column: list[str] = typer.Option([], "--column", help="NAME=COLUMN, such as q1=JointPos1; once for each."),
+    column: list[str] = typer.Option(
+        [], "--column", help="NAME=COLUMN: q1=JointPos1; position='q{}' for all joints; position=2-7 by number (CSV)."
+    ),
     degrees: bool = typer.Option(False, "--degrees", help="Positions and velocities of the file are in degrees."),
     effort: str = typer.Option(None, "--effort", help="What JointState.effort is: torque or current."),
     topic: str = typer.Option(None, "--topic", help="Topic of a bag with several JointState topics."),

@@ -30,7 +30,8 @@ class ImportChoices:
 
     Attributes:
         columns: our name (`t`, `q1`, `qd1`, `torque3`, `current2`, `temperature4`, or `q` for a whole array) → the
-            file's name. A quantity that is named here is taken from these names only.
+            file's name. For a whole quantity also a pattern, `q{}` with the joints' numbers or names in place of {},
+            or numbers of CSV columns, `2-7`. A quantity that is named here is taken from these names only.
         degrees: positions and velocities of revolute joints are in degrees.
         effort: what an array called `effort` is; a file without one needs no answer.
         topic: which topic of a bag, where several carry sensor_msgs/JointState.

@@ -17,6 +17,9 @@ from drivers.streams import FloatArray
 _FLOAT_INTEGERS = 2**53
 """Integers up to here are exact in float64."""
 
+MOST_UNUSED = 1000
+"""Names that one message lists of what was not taken over: all of them, in any file that is meant seriously."""
+
 ARM_WIDE = frozenset({"current", "temperature"})
 """Quantities that a file may have once for the whole arm; such a column is not one of ours."""
 
@@ -87,7 +90,7 @@ def collect(
         else:
             quantities[quantity] = _from_columns(quantity, members, joints, where, notes)
     if unused:
-        notes.append(Note("info", f"not taken over: {listed(unused)}"))
+        notes.append(Note("info", f"not taken over: {listed(unused, limit=MOST_UNUSED)}"))
     return ForeignTable(source, time, time_unit, quantities, tuple(notes), lines)
 
 

@@ -1,4 +1,4 @@
-"""CSV with a header: comma, semicolon, tab or blanks between the columns, a point in the numbers."""
+"""CSV: comma, semicolon, tab or blanks between the columns, a point in the numbers; a header, or column numbers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from daq.importers.choices import ImportChoices
 from daq.importers.collecting import collect
-from daq.importers.naming import assign_roles
+from daq.importers.roles import assign_roles
 from daq.importers.table import ForeignTable, Note, listed, printable
 from drivers.errors import ImportFileError
 from drivers.streams import FloatArray
@@ -23,12 +23,12 @@ _EXAMPLE = "t,q1,q2,…,torque1,torque2,…"
 
 
 def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
-    """Read a CSV file; columns are recognised by their header, units in brackets are honoured.
+    """Read a CSV file; columns are recognised by their header or chosen by number, units in brackets are honoured.
 
     Args:
         path: of the file; lines that begin with # are comments.
         joints: the robot's joint names.
-        choices: `columns` maps headers that say nothing.
+        choices: `columns` maps headers that say nothing, or numbers of columns where there is no header.
 
     Raises:
         ImportFileError: not text, no header, no rows, a row of another length, something that is not a number; with
@@ -42,14 +42,18 @@ def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
     names = _split_header(header, separator)
     if _is_numeric(names):
         commented = _split_header(comments.get(numbers[0] - 1, ""), separator)
-        if len(commented) != len(names) or _is_numeric(commented):
+        if len(commented) == len(names) and not _is_numeric(commented):
+            notes.append(Note("info", f"the header was taken from the comment in line {numbers[0] - 1}"))
+            names = commented
+        elif choices.columns:
+            names = [f"column {number}" for number in range(1, len(names) + 1)]
+        else:
             raise ImportFileError(
                 "begins with numbers instead of a header",
                 where=f"{where}, line {numbers[0]}",
-                hint=f"add a line such as {_EXAMPLE}",
+                hint=f"say which columns are what: --column t=1 --column position=2-{1 + len(joints)}; "
+                f"or add a line such as {_EXAMPLE}",
             )
-        notes.append(Note("info", f"the header was taken from the comment in line {numbers[0] - 1}"))
-        names = commented
     else:
         lines, numbers = lines[1:], numbers[1:]
     if not lines:
@@ -57,7 +61,7 @@ def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
     _check_columns(lines, numbers, names, separator, where)
     if len(names) > 1 and names[-1] == "":
         names = names[:-1]
-    roles = assign_roles(names, joints, choices.columns, where)
+    roles = assign_roles(names, joints, choices.columns, where, numbered=True)
     used = sorted({names.index(role.name) for role in roles})
     if not used:
         raise ImportFileError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,12 @@ from drivers.errors import ImportFileError
 
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _USER_BLOCK = 512
+DEEPEST = 5
+"""Structs within structs that are opened."""
 
 
 def read_mat(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
-    """Read a .mat file of any version; a struct's fields appear as `struct.field`, one level deep.
+    """Read a .mat file of any version; a struct's fields appear as `struct.field`, those of structs in it too.
 
     Args:
         path: of the file.
@@ -51,9 +53,8 @@ def _add_variable(name: str, value: Any, arrays: dict[str, npt.NDArray[Any]], op
         opaque.append(name)
     elif value.dtype.names is not None and value.size == 1:
         for field in value.dtype.names:
-            inner = value.reshape(-1)[0][field]
-            if isinstance(inner, np.ndarray) and inner.dtype.names is None:
-                _add_variable(f"{name}.{field}", inner, arrays, opaque)
+            if name.count(".") < DEEPEST:
+                _add_variable(f"{name}.{field}", value.reshape(-1)[0][field], arrays, opaque)
             else:
                 opaque.append(f"{name}.{field}")
     elif _is_cell_of_texts(value):  # the joint names
@@ -71,7 +72,7 @@ def _is_cell_of_texts(value: npt.NDArray[Any]) -> bool:
 
 
 def read_hdf5(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
-    """Read datasets of an HDF5 file, those in groups as `group.dataset`, one level deep.
+    """Read datasets of an HDF5 file, those in groups as `group.dataset`, those of groups in it too.
 
     MATLAB v7.3 stores matrices transposed and says so by the attribute MATLAB_class; they are turned back.
 
@@ -89,19 +90,28 @@ def read_hdf5(path: Path, joints: Sequence[str], choices: ImportChoices) -> Fore
     with parsing(path, "an HDF5 or MATLAB v7.3 file"), h5py.File(path, "r") as file:
         if "dynid_schema" in file.attrs:
             raise ImportFileError("is a dynid recording already", where=str(path), hint="use it as it is")
-        for name, item in file.items():
-            members = item.items() if isinstance(item, h5py.Group) else [("", item)]
-            if name.startswith("#"):  # MATLAB's own store of cells
+        for label, dataset in _datasets(file, "", set()):
+            if not isinstance(dataset, h5py.Dataset) or dataset.shape is None:
+                opaque.append(label)
                 continue
-            for field, dataset in members:
-                label = f"{name}.{field}" if field else name
-                if not isinstance(dataset, h5py.Dataset) or dataset.shape is None:
-                    opaque.append(label)
-                    continue
-                matlab = matlab or "MATLAB_class" in dataset.attrs
-                _add_dataset(label, dataset, file, arrays, opaque)
+            matlab = matlab or "MATLAB_class" in dataset.attrs
+            _add_dataset(label, dataset, file, arrays, opaque)
     kind = "MATLAB file (v7.3)" if matlab else "HDF5 file"
     return table_of_arrays(kind, arrays, joints, choices, str(path), unreadable=opaque)
+
+
+def _datasets(group: Any, prefix: str, opened: set[tuple[int, int]]) -> Iterator[tuple[str, Any]]:
+    """What a group holds, by its dotted name; each group within it is opened once, since links may go in circles."""
+    for name, item in group.items():
+        if not prefix and name.startswith("#"):  # MATLAB's own store of cells
+            continue
+        label = f"{prefix}{name}"
+        about = h5py.h5o.get_info(item.id)
+        if isinstance(item, h5py.Group) and prefix.count(".") < DEEPEST and (about.fileno, about.addr) not in opened:
+            opened.add((about.fileno, about.addr))
+            yield from _datasets(item, f"{label}.", opened)
+        else:
+            yield label, item
 
 
 def _add_dataset(label: str, dataset: Any, file: Any, arrays: dict[str, npt.NDArray[Any]], opaque: list[str]) -> None:

@@ -6,15 +6,23 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from daq.importers.table import listed, printable
 from daq.importers.units import REVOLUTE, SUFFIXES
-from drivers.closest import did_you_mean
-from drivers.errors import ImportFileError, UsageError
 from drivers.units import normalised
 
 ALIASES: Mapping[str, tuple[str, ...]] = {
     "time": ("t", "time", "timestamp", "timestamps", "stamp", "__time"),
-    "position": ("q", "pos", "position", "positions", "jointpos", "joint_position", "joint_positions", "actual_q"),
+    "position": (
+        "q",
+        "pos",
+        "position",
+        "positions",
+        "angle",
+        "angles",
+        "jointpos",
+        "joint_position",
+        "joint_positions",
+        "actual_q",
+    ),
     "velocity": (
         "qd",
         "dq",
@@ -22,12 +30,24 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
         "vel",
         "velocity",
         "velocities",
+        "speed",
+        "speeds",
         "joint_velocity",
         "joint_velocities",
         "actual_qd",
     ),
-    "torque": ("torque", "torques", "tau", "joint_torque", "joint_torques", "tau_j"),
-    "current": ("i", "current", "currents", "motor_current", "joint_current", "joint_currents", "actual_current"),
+    "torque": ("torque", "torques", "trq", "tau", "joint_torque", "joint_torques", "tau_j"),
+    "current": (
+        "i",
+        "cur",
+        "curr",
+        "current",
+        "currents",
+        "motor_current",
+        "joint_current",
+        "joint_currents",
+        "actual_current",
+    ),
     "effort": ("effort", "efforts"),
     "temperature": (
         "temp",
@@ -42,8 +62,16 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
 
 _QUANTITY = {alias: quantity for quantity, aliases in ALIASES.items() for alias in aliases} | {"I": "current"}
 _NUMBERED = re.compile(r"^(.*?[^\d_\s\-])[_\s\-]?(?:(\d{1,3})|\[(\d{1,3})\]|\((\d{1,3})\))$")
-_BRACKETED = re.compile(r"^(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
+BRACKETED = re.compile(r"^(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
+"""A name with its unit: `q1 [deg]`, `I1 (A)`."""
 _SEPARATORS = "_./:- "
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d{1,3}")
+_BETWEEN_WORDS = frozenset("_./:-# ")
+_BRACKETED_NUMBER = re.compile(r"[\[(](\d{1,3})[\])]")
+_JOINT_WORDS = frozenset({"joint", "joints", "jnt", "axis", "j", "a"})
+_MEASURED_WORDS = frozenset({"actual", "act", "measured", "meas"})
+_MOTOR_QUANTITIES = frozenset({"current", "temperature"})
+"""What a motor has and its joint too; a motor's position, velocity or torque is on the other side of the gearbox."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +100,7 @@ def parse_name(name: str, joints: Sequence[str]) -> Role | None:
     stripped = name.strip()
     role = _parse_bare(stripped, joints)
     if role is None:
-        match = _BRACKETED.match(stripped)
+        match = BRACKETED.match(stripped)
         if match is not None:
             role = _parse_bare(match[1], joints)
             unit = match[2] if match[2] is not None else match[3]
@@ -87,11 +115,14 @@ def parse_name(name: str, joints: Sequence[str]) -> Role | None:
 
 
 def _parse_bare(name: str, joints: Sequence[str]) -> Role | None:
-    role = _named(name, joints) or _whole_or_numbered(name)
+    worded = _in_words(name)
+    role = (
+        _named(name, joints) or _whole_or_numbered(name) or (worded if worded and worded.number is not None else None)
+    )
     if role is not None:
         return role
     tail = re.split(r"[./]", name)[-1]
-    role = _whole_or_numbered(tail) if tail != name else None
+    role = (_whole_or_numbered(tail) if tail != name else None) or worded
     return None if role is None else replace(role, exact=False)
 
 
@@ -108,6 +139,23 @@ def _whole_or_numbered(name: str) -> Role | None:
     if match is None or quantity is None or quantity == "time":
         return None
     return Role(name, quantity, number=int(match[2] or match[3] or match[4]))
+
+
+def _in_words(name: str) -> Role | None:
+    """`Joint 1 position`, `J1_pos`, `Axis1ActualVelocity`, `Motor current 3`: a quantity, and at most one number."""
+    plain = _BRACKETED_NUMBER.sub(r" \1 ", name)
+    words = _WORD.findall(plain)
+    if not set(_WORD.sub("", plain)) <= _BETWEEN_WORDS:
+        return None
+    numbers = [word for word in words if word.isdigit()]
+    spelled = {word if len(word) == 1 else word.casefold() for word in words if not word.isdigit()}
+    quantities = [word for word in spelled if word.casefold() not in _JOINT_WORDS | _MEASURED_WORDS and word != "motor"]
+    if len(numbers) > 1 or len(quantities) != 1:
+        return None
+    quantity = _quantity(quantities[0])
+    if quantity in (None, "time") or ("motor" in spelled and quantity not in _MOTOR_QUANTITIES):
+        return None
+    return Role(name, quantity, number=int(numbers[0]) if numbers else None)
 
 
 def _named(name: str, joints: Sequence[str]) -> Role | None:
@@ -129,79 +177,3 @@ def _named(name: str, joints: Sequence[str]) -> Role | None:
             if quantity is not None and quantity != "time":
                 return Role(name, quantity, joint=joint)
     return None
-
-
-def assign_roles(
-    names: Sequence[str], joints: Sequence[str], columns: Mapping[str, str], where: str
-) -> tuple[Role, ...]:
-    """The names that are to be taken over, with their meaning; the user's `columns` go before any recognition.
-
-    Args:
-        names: of the file's columns or arrays.
-        joints: the robot's joint names.
-        columns: our name → the file's name, as the user gave them.
-        where: the file, for messages.
-
-    Raises:
-        UsageError: a key of `columns` is none of our names.
-        ImportFileError: a value of `columns` is not in the file, or two of the file's names mean the same.
-    """
-    chosen = tuple(_chosen_role(key, given, names, joints, where) for key, given in columns.items())
-    decided = {role.quantity for role in chosen}
-    recognised = [
-        role for name in names if (role := parse_name(name, joints)) is not None and role.quantity not in decided
-    ]
-    full = {role.quantity for role in recognised if role.exact}
-    # A column called exactly `t` beats one called `header.t`; among equals the user has to choose.
-    recognised = [role for role in recognised if role.exact or role.quantity not in full]
-    roles = (*chosen, *recognised)
-    meanings: dict[tuple[str, int | None, str | None], Role] = {}
-    for role in roles:
-        meaning = (role.quantity, role.number, role.joint)
-        other = meanings.setdefault(meaning, role)
-        if other is not role:
-            raise ImportFileError(
-                f"'{printable(other.name)}' and '{printable(role.name)}' both mean {_meaning(role)}",
-                where=where,
-                hint=f"choose one, for example: --column {_our_name(role)}={printable(role.name)}",
-            )
-    return roles
-
-
-def _chosen_role(key: str, given: str, names: Sequence[str], joints: Sequence[str], where: str) -> Role:
-    role = parse_name(key, joints)
-    if role is None or role.unit:
-        raise UsageError(
-            f"'{printable(key)}' is none of our column names",
-            where="--column",
-            hint="they are t, q1, qd1, torque1, current1, effort1, temperature1 and so on; q alone is a whole array",
-        )
-    matches = [name for name in names if name == given] or [
-        name for name in names if (match := _BRACKETED.match(name.strip())) is not None and match[1] == given
-    ]
-    if not matches:
-        raise ImportFileError(
-            f"has no '{printable(given)}', which --column names for {key}; it has: {listed(names)}",
-            where=where,
-            hint=did_you_mean(given, names),
-        )
-    if len(matches) > 1:
-        raise ImportFileError(f"has {len(matches)} columns called '{printable(given)}'", where=where)
-    match = _BRACKETED.match(matches[0].strip())
-    own = parse_name(matches[0], joints)
-    unit = own.unit if own is not None else ""
-    if not unit and match is not None:
-        content = match[2] if match[2] is not None else match[3]
-        unit = content if normalised(content) in REVOLUTE.get(role.quantity, {}) else ""
-    return replace(role, name=matches[0], unit=unit, exact=True)
-
-
-def _our_name(role: Role) -> str:
-    short = {"time": "t", "position": "q", "velocity": "qd"}.get(role.quantity, role.quantity)
-    return short if role.number is None else f"{short}{role.number}"
-
-
-def _meaning(role: Role) -> str:
-    if role.joint is not None:
-        return f"the {role.quantity} of joint '{role.joint}'"
-    return f"{role.quantity} {role.number}" if role.number is not None else f"the {role.quantity}"

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.importers.choices import ImportChoices
-from daq.importers.collecting import collect
-from daq.importers.naming import assign_roles
+from daq.importers.collecting import MOST_UNUSED, collect
+from daq.importers.roles import assign_roles
 from daq.importers.table import ForeignTable, Note, listed, parsing, printable
 from drivers.errors import ImportFileError
 
@@ -76,6 +76,7 @@ def table_of_arrays(
     array_joints = tuple(_text(name) for name in arrays[named].reshape(-1)) if named is not None else None
     aside = {"meta", *JOINT_NAME_KEYS}
     names = [name for name in arrays if name not in aside]
+    shown = [f"{printable(name)} {_shape(arrays[name])}" for name in names] + [printable(name) for name in unreadable]
     roles = assign_roles([*names, *unreadable], joints, choices.columns, where)
     for role in roles:
         if role.name in unreadable:
@@ -86,7 +87,7 @@ def table_of_arrays(
             )
     if not roles:
         raise ImportFileError(
-            f"has no array whose name is understood; it has: {listed(arrays) or 'nothing'}",
+            f"has no array whose name is understood; it has: {listed(shown, limit=MOST_UNUSED) or 'nothing'}",
             where=where,
             hint="name them t, q, qd, torque or current, or map them: --column q=NAME",
         )
@@ -102,9 +103,16 @@ def table_of_arrays(
         where,
         array_joints=array_joints,
         units=units,
-        unused=[name for name in (*names, *unreadable) if name not in taken],
+        unused=[text for name, text in zip((*names, *unreadable), shown, strict=True) if name not in taken],
         notes=notes,
     )
+
+
+def _shape(array: npt.NDArray[Any]) -> str:
+    """Shape and kind of an array, to tell a user what there is to map: `(2000 × 6)`."""
+    if array.dtype.kind in "US":
+        return "(text)"
+    return f"({' × '.join(map(str, array.shape)) or 'a number'})"
 
 
 def _text(value: Any) -> str:

@@ -31,7 +31,8 @@ def import_recording(
     Args:
         path: of the file, or of a bag's folder.
         robot: built-in name, robot file, URDF, or what `load_robot` gave.
-        columns: our name (`t`, `q1`, `qd1`, `torque3`, `current2`, …, or `q` for a whole array) → the file's name.
+        columns: our name (`t`, `q1`, `qd1`, `torque3`, `current2`, …, or `q` for a whole array) → the file's name; for
+            a whole quantity also a pattern (`position` → `q{}`) or numbers of CSV columns (`2-7`).
         degrees: positions and velocities of revolute joints are in degrees.
         effort: whether an array called `effort` is "torque" [N·m] or "current" [A].
         topic: of a bag.

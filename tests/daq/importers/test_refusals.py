@@ -67,7 +67,11 @@ CSV = [
     Refused("empty", text(""), "is empty"),
     Refused("comments only", text("# a\n# b\n"), "nothing but comments"),
     Refused("header only", text(HEADER), "a header, but no rows of numbers"),
-    Refused("no header", text(ROWS), r"line 1: begins with numbers instead of a header \(add a line such as t,q1"),
+    Refused(
+        "no header",
+        text(ROWS),
+        r"line 1: begins with numbers instead of a header .*--column position=2-4; or add a line",
+    ),
     Refused(
         "short row", text(HEADER + "0,0,0,0\n0.01,0,0\n0.02,0,0,0\n"), "line 3: has 3 columns, but the header has 4"
     ),

@@ -1,0 +1,186 @@
+"""Which of a file's columns or arrays are taken over, and as what: those that the user chose, then those understood."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from daq.importers.naming import BRACKETED, Role, parse_name
+from daq.importers.table import listed, printable
+from daq.importers.units import REVOLUTE
+from drivers.closest import did_you_mean
+from drivers.errors import ImportFileError, UsageError
+from drivers.units import normalised
+
+PLACE = "{}"
+"""Stands for the joints' numbers, or their names, in a choice of several columns: `q{}`."""
+_NUMBERS = re.compile(r"\s*\d{1,6}\s*(?:-\s*\d{1,6}\s*)?(?:,\s*\d{1,6}\s*(?:-\s*\d{1,6}\s*)?)*")
+
+
+def assign_roles(
+    names: Sequence[str], joints: Sequence[str], columns: Mapping[str, str], where: str, *, numbered: bool = False
+) -> tuple[Role, ...]:
+    """The names that are to be taken over, with their meaning; the user's `columns` go before any recognition.
+
+    Args:
+        names: of the file's columns or arrays.
+        joints: the robot's joint names.
+        columns: our name → the file's name, a pattern such as `q{}`, or column numbers such as `2-7`.
+        where: the file, for messages.
+        numbered: whether the names stand in an order that a user can count, from 1.
+
+    Raises:
+        UsageError: a key of `columns` is none of our names.
+        ImportFileError: a value of `columns` is not in the file, or two of the file's names mean the same.
+    """
+    chosen = tuple(
+        role
+        for key, given in columns.items()
+        for role in _chosen_roles(_meant(key, joints), key, given, names, joints, where, numbered)
+    )
+    decided = {role.quantity for role in chosen}
+    recognised = [
+        role for name in names if (role := parse_name(name, joints)) is not None and role.quantity not in decided
+    ]
+    full = {role.quantity for role in recognised if role.exact}
+    # A column called exactly `t` beats one called `header.t`; among equals the user has to choose.
+    recognised = [role for role in recognised if role.exact or role.quantity not in full]
+    roles = (*chosen, *recognised)
+    meanings: dict[tuple[str, int | None, str | None], Role] = {}
+    for role in roles:
+        meaning = (role.quantity, role.number, role.joint)
+        other = meanings.setdefault(meaning, role)
+        if other is not role:
+            raise ImportFileError(
+                f"'{printable(other.name)}' and '{printable(role.name)}' both mean {_meaning(role)}",
+                where=where,
+                hint=f"choose one, for example: --column {_our_name(role)}={printable(role.name)}",
+            )
+    return roles
+
+
+def _meant(key: str, joints: Sequence[str]) -> Role:
+    role = parse_name(key, joints)
+    if role is None or role.unit:
+        raise UsageError(
+            f"'{printable(key)}' is none of our column names",
+            where="--column",
+            hint="they are t, q1, qd1, torque1, current1, effort1, temperature1 and so on; q alone is a whole array",
+        )
+    return role
+
+
+def _chosen_roles(
+    role: Role, key: str, given: str, names: Sequence[str], joints: Sequence[str], where: str, numbered: bool
+) -> Iterator[Role]:
+    """What `--column KEY=GIVEN` chooses: one name, those that a pattern fits, or column numbers."""
+    whole = role.number is None and role.joint is None and role.quantity != "time"
+    matches = _called(given, names)
+    if len(matches) > 1:
+        raise ImportFileError(f"has {len(matches)} columns called '{printable(given)}'", where=where)
+    if matches:
+        yield _as_chosen(role, matches[0], joints)
+    elif PLACE in given:
+        if not whole or given.count(PLACE) > 1:
+            raise UsageError(
+                f"{printable(key)}={printable(given)}: a pattern has one {PLACE} and is for a whole quantity",
+                where="--column",
+                hint="for example --column position='q{}'",
+            )
+        yield from _fitting(role, key, given, names, joints, where)
+    elif numbered and _NUMBERS.fullmatch(given):
+        places = _column_numbers(given, len(names), where)
+        if not whole and len(places) > 1:
+            raise UsageError(
+                f"{printable(key)}={printable(given)} gives one name to {len(places)} columns", where="--column"
+            )
+        for number, place in enumerate(places, start=1):
+            name = names[place]
+            if list(names).count(name) > 1:
+                raise ImportFileError(f"has several columns called '{printable(name)}'; rename them", where=where)
+            yield _as_chosen(replace(role, number=number) if whole else role, name, joints)
+    else:
+        raise ImportFileError(
+            f"has no '{printable(given)}', which --column names for {printable(key)}; it has: {listed(names)}",
+            where=where,
+            hint=did_you_mean(given, names),
+        )
+
+
+def _called(given: str, names: Sequence[str]) -> list[str]:
+    """The names that are `given`, or that are it with a unit behind."""
+    return [name for name in names if name == given] or [
+        name for name in names if (match := BRACKETED.match(name.strip())) is not None and match[1] == given
+    ]
+
+
+def _fitting(
+    role: Role, key: str, pattern: str, names: Sequence[str], joints: Sequence[str], where: str
+) -> Iterator[Role]:
+    """The columns that a pattern means, by the joints' names or else by numbers."""
+    named = {joint: found for joint in joints if (found := _called(pattern.replace(PLACE, joint), names))}
+    before, after = pattern.split(PLACE)
+    expression = re.compile(re.escape(before) + r"(\d{1,3})" + re.escape(after))
+    numbered: dict[int, list[str]] = {}
+    for name in names:
+        bare = match[1] if (match := BRACKETED.match(name.strip())) is not None else name
+        fits = expression.fullmatch(name) or expression.fullmatch(bare)
+        if fits is not None:
+            numbered.setdefault(int(fits[1]), []).append(name)
+    for found in (*named.values(), *numbered.values()):
+        if len(found) > 1:
+            raise ImportFileError(
+                f"several columns fit --column {printable(key)}={printable(pattern)} alike: {listed(found)}",
+                where=where,
+            )
+    if named:
+        yield from (_as_chosen(replace(role, joint=joint), found[0], joints) for joint, found in named.items())
+    elif numbered:
+        yield from (
+            _as_chosen(replace(role, number=number), found[0], joints) for number, found in sorted(numbered.items())
+        )
+    else:
+        raise ImportFileError(
+            f"has no column that fits --column {printable(key)}={printable(pattern)}; it has: {listed(names)}",
+            where=where,
+            hint=f"{PLACE} stands for the joints' numbers (from 1 or from 0) or their names",
+        )
+
+
+def _column_numbers(given: str, count: int, where: str) -> list[int]:
+    """Indices from 0 of the columns in a text such as `2-4,7`, which counts from 1."""
+    places: list[int] = []
+    for part in given.split(","):
+        first, _, last = (text.strip() for text in part.partition("-"))
+        low, high = int(first), int(last or first)
+        if not 1 <= low <= high <= count:
+            raise ImportFileError(
+                f"has the columns 1 to {count}, but --column asks for {part.strip()}",
+                where=where,
+                hint="columns are counted from 1; a range goes upwards",
+            )
+        places += range(low - 1, high)
+    return places
+
+
+def _as_chosen(role: Role, name: str, joints: Sequence[str]) -> Role:
+    """A role taken by this name, with the unit that the name states."""
+    own = parse_name(name, joints)
+    unit = own.unit if own is not None else ""
+    match = BRACKETED.match(name.strip())
+    if not unit and match is not None:
+        content = match[2] if match[2] is not None else match[3]
+        unit = content if normalised(content) in REVOLUTE.get(role.quantity, {}) else ""
+    return replace(role, name=name, unit=unit, exact=True)
+
+
+def _our_name(role: Role) -> str:
+    short = {"time": "t", "position": "q", "velocity": "qd"}.get(role.quantity, role.quantity)
+    return short if role.number is None else f"{short}{role.number}"
+
+
+def _meaning(role: Role) -> str:
+    if role.joint is not None:
+        return f"the {role.quantity} of joint '{role.joint}'"
+    return f"{role.quantity} {role.number}" if role.number is not None else f"the {role.quantity}"
