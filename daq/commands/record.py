@@ -43,6 +43,7 @@ def record_command(
     from daq.motion.trajectory_file import load_trajectory
     from daq.recording.recorder import Recorder, require_room
     from daq.recording.writer import require_writable
+    from daq.robot.assumptions import assumed_limits
     from daq.robot.loader import load_robot
     from daq.session.bus_room import session_warnings
     from daq.session.realtime import ask_for_realtime
@@ -60,6 +61,8 @@ def record_command(
     clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
     driver, rate = load_driver(robot_file.robot, wire, host, robot_file.folder, clock, robot_file.where)
     warnings = session_warnings(robot_file, wire)
+    if trajectory is not None:
+        warnings += [f"assumed: {limit}" for limit in assumed_limits(robot_file)]
     require_writable(out, overwrite=force)
     require_room(out)
     if realtime:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from daq.motion.trajectories import Motion
 from daq.motion.trajectory_file import dump_trajectory, parse_trajectory
 from daq.motion.trajectory_file import load_trajectory as read_trajectory
+from daq.robot.assumptions import assumed_limits
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
 from drivers.errors import IdentificationError, UsageError
@@ -103,9 +104,10 @@ class ExcitationTrajectory:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Missing information, such as the height of the floor."""
+        """Missing information, such as the height of the floor, or limits that were assumed."""
         warning = surroundings_warning(self.robot_file, self.motion)
-        return () if warning is None else (warning,)
+        assumed = tuple(f"assumed: {limit}" for limit in assumed_limits(self.robot_file))
+        return assumed if warning is None else (warning, *assumed)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the trajectory file (YAML) that `dynid record --trajectory` plays.

@@ -23,11 +23,14 @@ def poses_of(text: str):
 def test_zero_of_a_ur5e_is_what_the_makers_dh_table_gives() -> None:
     """x = a2 + a3, y = -(d4 + d6), z = d1 - d5 (Universal Robots, DH parameters): -0.8172, -0.2329, 0.0628 m."""
     robot_file = load_robot("ur5e")
-    (zero,) = tool_poses(robot_file, build_model(robot_file))
+    zero, home = tool_poses(robot_file, build_model(robot_file))
     np.testing.assert_allclose(zero.position, [-0.425 - 0.3922, -0.1333 - 0.0996, 0.1625 - 0.0997], atol=1e-12)
     np.testing.assert_allclose(zero.rotation_vector, [math.pi / 2, 0, 0], atol=1e-12)
     np.testing.assert_allclose(zero.rpy, [math.pi / 2, 0, 0], atol=1e-12)
     assert zero.beyond == ()
+    # "Home": upright, d1 + |a2| + |a3| + d5 high.
+    assert (home.name, home.position[0]) == ("home", pytest.approx(0.0, abs=1e-12))
+    assert home.position[2] == pytest.approx(0.1625 + 0.425 + 0.3922 + 0.0997, abs=1e-12)
 
 
 def test_poses_agree_with_pinocchio_and_with_each_other() -> None:
@@ -77,7 +80,7 @@ def dynid(monkeypatch, capsys, tmp_path):
 
 def test_the_command_prints_poses_and_assumptions(dynid, tmp_path) -> None:
     text = load_robot("ur5e").text.replace(", acceleration: 8", "", 1)
-    (tmp_path / "mine.yaml").write_text(f"{text}\nposes: {{home: [0, -pi/2, 0, -pi/2, 0, 0]}}\n", encoding="utf-8")
+    (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
     status, out, _ = dynid("check", "mine.yaml")
     assert status == 0
     for words in ("-817.20", "home", "base parameters: 58, 36 of them inertial", "assumed: acceleration limit 10"):
