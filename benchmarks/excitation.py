@@ -26,9 +26,9 @@ from ident.excite.criteria import Criterion, RegressorCriterion
 from ident.excite.design import design
 from ident.excite.path import Path
 from ident.excite.prior import Prior
-from ident.excite.problem import Problem
-from ident.excite.search import SearchChoices
-from ident.excite.solve import ROUNDS, solve
+from ident.excite.search.problem import Problem
+from ident.excite.search.search import SearchChoices
+from ident.excite.search.solve import ROUNDS, solve
 from ident.model.dynamic_model import build_model
 from ident.model.parameters import INERTIAL
 from ident.model.pinocchio_model import PINOCCHIO_ORDER

@@ -19,7 +19,8 @@ from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
-from ident.excite.search import SearchChoices, random_start
+from ident.excite.search.search import SearchChoices
+from ident.excite.search.start import random_start
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise

@@ -22,7 +22,7 @@ from ident.excite.build import DEVIATION_FLOOR
 from ident.excite.choices import CriterionName, DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
-from ident.excite.search import SearchChoices
+from ident.excite.search.search import SearchChoices
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters

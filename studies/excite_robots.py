@@ -16,7 +16,7 @@ from daq.robot.loader import builtin_robots, load_robot
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
-from ident.excite.search import SearchChoices
+from ident.excite.search.search import SearchChoices
 
 
 def main(seconds: float) -> None:

@@ -20,7 +20,7 @@ from ident.excite.criteria import MotionSize
 from ident.excite.design import design
 from ident.excite.path import Path
 from ident.excite.prior import find_prior
-from ident.excite.search import SearchChoices
+from ident.excite.search.search import SearchChoices
 from ident.linear_algebra.triangular import scaled_condition
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model

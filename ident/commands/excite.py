@@ -11,7 +11,6 @@ from ident.commands.options import JSON, ROBOT
 from ident.excite.choices import DEFAULT_SECONDS, DesignChoices
 
 if TYPE_CHECKING:
-    from ident.excite.search import SearchResult
     from ident.tasks.excitation import ExcitationTrajectory
 
 app = typer.Typer()
@@ -57,7 +56,7 @@ def excite(
     from daq.commands.console import print_json, progress_line
     from drivers.errors import UsageError
     from ident.commands.options import joints_option
-    from ident.tasks.excitation import design_excitation, load_trajectory
+    from ident.tasks.excitation import design_excitation, load_trajectory, search_state
 
     for path in (out, page):
         _check_file(path, force)
@@ -84,7 +83,7 @@ def excite(
             self_collision=self_collision,
             solver=solver,  # type: ignore[arg-type]
             earlier=None if earlier is None else load_trajectory(earlier, robot),
-            progress=lambda result: progress(_state(result)),
+            progress=lambda result: progress(search_state(result, criterion)),
         )
         trajectory.save(out)
         if page is not None:
@@ -110,11 +109,6 @@ def _check_file(path: Path | None, force: bool) -> None:
         raise UsageError("exists already", where=str(path), hint="overwrite it with --force")
     if not path.parent.is_dir():
         raise UsageError(f"there is no folder {path.parent}", where=str(path))
-
-
-def _state(result: SearchResult) -> str:
-    best = "no feasible motion yet" if result.best is None else f"condition number {result.best.condition:.4g}"
-    return f"{result.seconds:.0f} s, {result.finished} starts finished, best so far: {best}"
 
 
 def _object(trajectory: ExcitationTrajectory, out: Path, page: Path | None) -> dict[str, Any]:

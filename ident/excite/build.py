@@ -30,7 +30,8 @@ from ident.excite.measures import (
 )
 from ident.excite.path import Family
 from ident.excite.prior import Prior
-from ident.excite.problem import Problem
+from ident.excite.search.error_bars import ErrorBars
+from ident.excite.search.problem import Problem
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
@@ -62,7 +63,8 @@ def build_problem(robot_file: RobotFile, prior: Prior, choices: DesignChoices) -
     columns = excitable_columns(model, family, _wanted(model, base_parameters(model), choices))
     criterion = criterion_within_limits(model, build_criterion(model, columns, prior, choices))
     conditioning = criterion_within_limits(model, RegressorCriterion(model, columns, condition))
-    return Problem(family, criterion, conditioning, constraints, time, 1.0 - choices.margin)
+    error_bars = _error_bars(model, columns, prior, choices)
+    return Problem(family, criterion, conditioning, constraints, time, 1.0 - choices.margin, error_bars)
 
 
 def build_family(model: DynamicModel, choices: DesignChoices) -> Family:
@@ -138,6 +140,22 @@ def _wanted(model: DynamicModel, base: BaseParameters, choices: DesignChoices) -
         return base.columns
     last = model.tool_link
     return tuple(range(10 * last, 10 * last + 10))
+
+
+def _error_bars(
+    model: DynamicModel, columns: tuple[int, ...], prior: Prior, choices: DesignChoices
+) -> ErrorBars | None:
+    if prior.parameters is None or choices.loaded:
+        return None
+    base = base_parameters(model)
+    names = dict(zip(base.columns, base.names, strict=True))
+    repetitions = choices.periods if choices.kind.startswith("fourier") else 1
+    return ErrorBars(
+        RegressorCriterion(model, columns, d_optimal, 1.0 / prior.noise),
+        [names[column] for column in columns],
+        _sizes(base, prior, columns, choices),
+        prior.rate * choices.period * repetitions,
+    )
 
 
 def _sizes(base: BaseParameters, prior: Prior, columns: Sequence[int], choices: DesignChoices) -> FloatArray:

@@ -1,30 +1,25 @@
-"""Design of an excitation trajectory: search, then a check of the limits on a dense grid."""
+"""Design of an excitation trajectory: the problem, its search, the motion that is played."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
-from drivers.errors import IdentificationError, UsageError
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
-from ident.excite.path import Family, Path
+from ident.excite.path import Family
 from ident.excite.prior import Prior
-from ident.excite.problem import Problem
-from ident.excite.search import SearchChoices, SearchResult, search
-from ident.excite.solve import Solver, tighten
-
-DENSER = 10
-"""The last check's grid is this many times denser than the one of the design."""
-_TIGHTENINGS = 5
-_RAMP_GROWTH = 1.4
-_RAMP_TRIES = 8
+from ident.excite.search.acceptance import accepted
+from ident.excite.search.poses import NoFeasiblePoseError
+from ident.excite.search.search import SearchChoices, SearchResult, search
 
 
 @dataclass(frozen=True)
@@ -61,6 +56,7 @@ def design(
     search_choices: SearchChoices,
     earlier: Motion | None = None,
     progress: Callable[[SearchResult], None] = lambda result: None,
+    clock: Clock = SYSTEM_CLOCK,
 ) -> Design:
     """Design an excitation trajectory; Ctrl-C ends the search with the best so far.
 
@@ -72,72 +68,35 @@ def design(
         choices: what is wanted.
         search_choices: how long and how to search.
         earlier: a motion to start from.
-        progress: called after each round of a start.
+        progress: called after each better motion, and a few times per second.
+        clock: the host's.
 
     Raises:
-        UsageError: an option is not possible, or no feasible motion was found; names the limit.
-        IdentificationError: the best motion exceeds a limit between the grid's points, however it is narrowed.
+        UsageError: an option is not possible, or no pose keeps all limits; names the limit.
+        IdentificationError: a search process died, with a number of starts.
         KeyboardInterrupt: Ctrl-C before a feasible motion was found.
     """
-    problem = build_problem(robot_file, prior, choices)  # here first: errors are reported before processes start
+    begun = clock.now()
+    problem = build_problem(robot_file, prior, choices)
     first = problem.family.encode(earlier) if earlier is not None else None
-    alone = search_choices.processes <= 1
-    make = (lambda: problem) if alone else partial(build_problem, robot_file, prior, choices)
-    searched = search(make, search_choices, first, progress)
+    make = partial(build_problem, robot_file, prior, choices)
+    try:
+        searched = search(problem, make, search_choices, first, progress, clock, begun)
+    except NoFeasiblePoseError as error:
+        raise UsageError(error.message, where=robot_file.robot.name, hint=error.hint) from error
     if searched.best is None:
-        if searched.least_use is None:
-            if searched.interrupted:
-                raise KeyboardInterrupt
-            raise UsageError("the time was too short for a single round", hint="give it more with --time")
-        raise UsageError(
-            f"no feasible motion found; the best one {_worst(problem, searched.least_use.variables)}",
-            where=robot_file.robot.name,
-            hint="check the joint limits and 'workspace' of the robot file, or give a longer --period",
-        )
-    return _settled(problem, choices, searched, searched.best.variables, search_choices.solver)
-
-
-def _settled(
-    problem: Problem, choices: DesignChoices, searched: SearchResult, variables: FloatArray, solver: Solver
-) -> Design:
-    """Check the best candidate between the grid's points, and narrow its limits until it keeps them there."""
-    family = problem.family
-    dense = family.grid(DENSER * len(problem.time))
-    narrowed = problem
-    for _ in range(_TIGHTENINGS):
-        worst = float(problem.use_along(family.path(variables, dense)).max(initial=0.0))
-        if worst <= 1.0:
-            break
-        narrowed = replace(narrowed, allowed=narrowed.allowed / worst - 1e-3)
-        variables = tighten(narrowed, variables, solver)
-    else:
-        raise IdentificationError(
-            "the best motion exceeds a limit between the points of the design grid", hint="give a larger --margin"
-        )
-    variables = family.begun_near_middle(variables)
-    for _ in range(_RAMP_TRIES):
-        motion = family.motion(variables)
-        count = DENSER * len(problem.time) * max(1, round(motion.duration / float(np.ptp(problem.time))))
-        time = np.linspace(0.0, motion.duration, count)
-        use = problem.use_along(Path(time, *motion.evaluate(time)))
-        if use.max(initial=0.0) <= 1.0:
-            return Design(
-                choices,
-                motion,
-                family,
-                variables,
-                float(np.exp(problem.cost(variables))),
-                problem.condition(variables),
-                use,
-                problem.limits,
-                searched,
-            )
-        family = family.with_longer_ramp(_RAMP_GROWTH)
-    raise IdentificationError("the ramp from rest to full speed exceeds a limit", hint="give a longer --ramp")
-
-
-def _worst(problem: Problem, variables: FloatArray) -> str:
-    uses = problem.use(variables)
-    worst = int(np.argmax(uses))
-    share = f"{100.0 * uses[worst]:.4g} % of the {problem.limits[worst]}"
-    return f"uses {share}; the margin allows {100.0 * problem.allowed:.3g} %"
+        raise KeyboardInterrupt
+    variables = searched.best.variables
+    checked = accepted(problem, variables)
+    assert checked is not None, "a candidate has passed this check already"
+    return Design(
+        choices=choices,
+        motion=checked.motion,
+        family=checked.family,
+        variables=checked.variables,
+        cost=float(np.exp(problem.cost(checked.variables))),
+        condition=problem.condition(checked.variables),
+        use=checked.use,
+        limits=problem.limits,
+        search=searched,
+    )

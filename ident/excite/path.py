@@ -9,6 +9,7 @@ import numpy as np
 
 from daq.motion.trajectories import Motion
 from daq.motion.trajectory_file import Trajectory
+from daq.robot.schema import JointLimits
 from drivers.streams import FloatArray
 
 
@@ -39,6 +40,18 @@ class Family(Protocol):
     def size(self) -> int:
         """Number of decision variables."""
 
+    @property
+    def limits(self) -> tuple[JointLimits, ...]:
+        """Limits (n,) of all joints."""
+
+    @property
+    def moving(self) -> tuple[int, ...]:
+        """Numbers (m,) of the joints that move, rising."""
+
+    @property
+    def rest(self) -> FloatArray:
+        """(n,) where the other joints stay [rad or m]."""
+
     def grid(self, count: int) -> FloatArray:
         """About `count` times (N,) [s] that cover everything that is played, for designing (not for the last check)."""
 
@@ -59,6 +72,18 @@ class Family(Protocol):
 
     def random(self, generator: np.random.Generator) -> FloatArray:
         """A random x that keeps the position, velocity and acceleration limits on the grid."""
+
+    def middle(self, variables: FloatArray) -> FloatArray:
+        """Middle (m,) of the range that each moving joint goes through [rad or m]."""
+
+    def about(self, variables: FloatArray, pose: FloatArray, share: float) -> FloatArray:
+        """The x of the same motion with another middle, its amplitude multiplied by a factor.
+
+        Args:
+            variables: x (size,).
+            pose: (m,) the new middle [rad or m].
+            share: the factor, 0 for an arm that rests in the pose.
+        """
 
     def motion(self, variables: FloatArray) -> Motion:
         """What is played: from rest to rest."""

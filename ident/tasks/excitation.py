@@ -26,8 +26,8 @@ from ident.excite.design import Design, design
 from ident.excite.forecast import ExcitationFigures, excitation_figures
 from ident.excite.page.page import write_page
 from ident.excite.prior import Prior, find_prior
-from ident.excite.search import SearchChoices, SearchResult
-from ident.excite.solve import Solver
+from ident.excite.search.search import SearchChoices, SearchResult
+from ident.excite.search.solve import Solver
 from ident.result.schema import replace_file
 from ident.result.tables import Table, table_of_rows
 
@@ -187,11 +187,12 @@ def design_excitation(
         solver: "slsqp", "trust-constr" or "ipopt".
         earlier: a trajectory to improve.
         workers: processes; one per core where None, this one alone where 1.
-        progress: called after each round of a start.
+        progress: called after each better motion, and a few times per second.
 
     Raises:
-        UsageError: an option is not possible, or no feasible motion was designed; names the limit.
-        IdentificationError: the best motion exceeds a limit between the grid's points.
+        UsageError: an option is not possible, or no pose keeps all limits; names the limit.
+        IdentificationError: a search process died, with `starts`.
+        KeyboardInterrupt: Ctrl-C before there was a feasible motion.
 
     Example:
         >>> import dynid
@@ -320,7 +321,19 @@ def search_words(designed: Design) -> str:
     """The outcome of the search in one line."""
     state = designed.search
     ended = ", ended by Ctrl-C" if state.interrupted else ""
-    return f"{state.finished} starts finished in {state.seconds:.1f} s{ended}"
+    died = f", {state.died} search processes died" if state.died else ""
+    return f"{state.finished} starts finished in {state.seconds:.1f} s{ended}{died}"
+
+
+def search_state(result: SearchResult, criterion: str) -> str:
+    """Where a search is, in one line: time, the best motion, its worst error bar."""
+    limit = "" if result.limit is None else f" of {result.limit:.0f}"
+    begin = f"{result.seconds:.0f}{limit} s, {result.finished} starts finished"
+    best = result.best
+    if best is None:
+        return f"{begin}, no feasible motion yet"
+    worst = "" if best.worst is None else f", expected worst error bar ±{best.worst.percent:.3g} % ({best.worst.name})"
+    return f"{begin}, feasible: {criterion} {np.exp(best.cost):.4g}, condition number {best.condition:.4g}{worst}"
 
 
 def design_notes(designed: Design) -> list[tuple[str, str]]:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import os
+import signal
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
+from daq.motion.trajectories import FourierSeries
+from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.path import Path
-from ident.excite.problem import Problem
+from ident.excite.search.problem import Problem
 
 BEST = np.array([0.5, 2.0])
 LIMIT = 1.0
@@ -20,6 +24,14 @@ class Still:
     """Two joints that rest at x."""
 
     size = 2
+    limits = tuple(
+        JointLimits(name=name, position=(-10.0, 10.0), velocity=1.0, acceleration=1.0) for name in ("j1", "j2")
+    )
+    moving = (0, 1)
+    rest = np.zeros(2)
+
+    def grid(self, count):
+        return np.linspace(0.0, 1.0, count)
 
     def path(self, variables, time):
         zero = np.zeros((2, len(time)))
@@ -27,6 +39,21 @@ class Still:
 
     def pull_back(self, variables, time, gradient):
         return gradient[..., 0, :, :].sum(axis=-1)
+
+    def middle(self, variables):
+        return variables
+
+    def about(self, variables, pose, share):
+        return np.array(pose)
+
+    def motion(self, variables):
+        return FourierSeries(1.0, variables, np.zeros((2, 1)), np.zeros((2, 1)))
+
+    def begun_near_middle(self, variables):
+        return variables
+
+    def with_longer_ramp(self, factor):
+        return self
 
     def random(self, generator):
         return generator.uniform(-1.0, 1.0, 2)
@@ -66,9 +93,51 @@ def toy_problem(fault: str = "") -> Problem:
         raise UsageError("refused on purpose")
     if fault == "die":
         os._exit(3)
+    if fault == "hang":
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        signal.pause()
     return Problem(Still(), Distance(), Distance(), (Below(),), np.linspace(0.0, 1.0, 4), 0.99)
 
 
 def maker(**choices):
     """Something picklable that builds the problem."""
     return partial(toy_problem, **choices)
+
+
+class _Slow(Below):
+    """Limits whose every evaluation takes a while."""
+
+    def __init__(self, clock, seconds):
+        self._clock = clock
+        self._seconds = seconds
+
+    def use(self, path):
+        self._clock.stall(self._seconds)
+        return super().use(path)
+
+
+def slow_problem(clock, seconds) -> Problem:
+    """The problem, with limits whose exact evaluation takes so long [s] by a simulated clock."""
+    return replace(toy_problem(), constraints=(_Slow(clock, seconds),))
+
+
+class _Here(Below):
+    """A limit that uses 3 at best, and that of the second joint."""
+
+    names = ("distance from here", "position of j2")
+
+    def use(self, path):
+        return np.array([self.smooth_use(path, 1e6)[0][0], super().use(path)[1]])
+
+    def smooth_use(self, path, sharpness):
+        bound, gradient = super().smooth_use(path, sharpness)
+        away = path.position[0] - 0.5
+        bound[0], weights = soft_maximum(3.0 + away**2, sharpness)
+        gradient[0] = 0.0
+        gradient[0, 0, 0] = weights * 2.0 * away
+        return bound, gradient
+
+
+def impossible_problem() -> Problem:
+    """A problem of which one limit is exceeded in every pose."""
+    return replace(toy_problem(), constraints=(_Here(),))

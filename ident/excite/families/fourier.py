@@ -14,7 +14,7 @@ from daq.motion.trajectory_file import FourierQuinticTrajectory, FourierTrajecto
 from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
-from ident.excite.families.moving_joints import MovingJoints, check_count, check_positive, unwrapped
+from ident.excite.families.moving_joints import MovingJoints, check_count, check_positive, midrange, unwrapped
 from ident.excite.path import Path
 
 _SCALE_POINTS = 40
@@ -97,6 +97,17 @@ class _Family:
         variables *= factor[:, None]
         variables[:, 0] = (offset - self.joints.middle) / self.joints.half
         return variables.ravel()
+
+    def middle(self, variables: FloatArray) -> FloatArray:
+        """Middle (m,) of the range that each moving joint goes through [rad or m]."""
+        return midrange(self._coefficients(variables) @ self._own_basis[0])
+
+    def about(self, variables: FloatArray, pose: FloatArray, share: float) -> FloatArray:
+        """As in the protocol."""
+        moved = share * variables.reshape(self.joints.count, -1)
+        offset = self._coefficients(variables)[:, 0]
+        moved[:, 0] = (pose + share * (offset - self.middle(variables)) - self.joints.middle) / self.joints.half
+        return np.asarray(moved.ravel())
 
     def _at(self, time: FloatArray) -> FloatArray:
         return _basis(self._series, self.period, self.harmonics, np.ascontiguousarray(time, dtype=np.float64).tobytes())

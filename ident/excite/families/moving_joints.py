@@ -132,6 +132,11 @@ class MovingJoints:
                 )
 
 
+def midrange(position: FloatArray) -> FloatArray:
+    """Middle (m,) of the extremes of positions (m, N)."""
+    return np.asarray(0.5 * (position.min(axis=1) + position.max(axis=1)))
+
+
 def middle_of_range(low: float, high: float) -> float:
     """Middle of a joint's range; where it has no end, the place nearest to 0 with half a turn to both sides."""
     if np.isfinite(high - low):

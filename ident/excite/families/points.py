@@ -13,7 +13,14 @@ from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.families.bounded import from_share, to_share
-from ident.excite.families.moving_joints import LARGEST_SHARE, LEAST_SHARE, MovingJoints, check_count, check_positive
+from ident.excite.families.moving_joints import (
+    LARGEST_SHARE,
+    LEAST_SHARE,
+    MovingJoints,
+    check_count,
+    check_positive,
+    midrange,
+)
 from ident.excite.path import Path
 
 _ORDER = 8
@@ -195,6 +202,15 @@ class PointsFamily:
                 f"{points[point, joint]:.5g} rad or m, out of its range"
             )
         return self._variables(points)
+
+    def middle(self, variables: FloatArray) -> FloatArray:
+        """Middle (m,) of the range that each moving joint goes through [rad or m]."""
+        return midrange(self._points(variables).T)
+
+    def about(self, variables: FloatArray, pose: FloatArray, share: float) -> FloatArray:
+        """As in the protocol; the durations follow. Points stay within the joints' ranges."""
+        points = self._points(variables)
+        return self._variables(pose + share * (points - midrange(points.T)))
 
     def begun_near_middle(self, variables: FloatArray) -> FloatArray:
         """Unchanged: it begins at its first point."""

@@ -13,7 +13,7 @@ from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.families.bounded import from_share, to_share
-from ident.excite.families.moving_joints import MovingJoints, check_count, check_positive, unwrapped
+from ident.excite.families.moving_joints import MovingJoints, check_count, check_positive, midrange, unwrapped
 from ident.excite.path import Path
 
 _POINTS_A_WAVE = 40
@@ -108,6 +108,20 @@ class SinesFamily:
         waves = high * self.duration / (2.0 * np.pi)
         factor, offset = self.joints.fitted(*wave.evaluate(self.grid(int(_POINTS_A_WAVE * waves) + 2)), generator)
         return self._joined(offset, factor[:, None] * amplitude, share)
+
+    def middle(self, variables: FloatArray) -> FloatArray:
+        """Middle (m,) of the range that each moving joint goes through [rad or m]."""
+        waves = self._band[1] * self.duration / (2.0 * np.pi)
+        time = self.grid(int(_POINTS_A_WAVE * waves) + 2)
+        return midrange(SumOfSines(self.duration, *self._values(variables)).evaluate(time)[0])
+
+    def about(self, variables: FloatArray, pose: FloatArray, share: float) -> FloatArray:
+        """As in the protocol; the frequencies stay."""
+        offset, amplitude, frequency = self._split(variables)
+        middle = self.middle(variables)
+        away = share * (self.joints.middle + self.joints.half * offset - middle)
+        moved = (pose + away - self.joints.middle) / self.joints.half
+        return np.concatenate([moved, (share * amplitude).ravel(), frequency.ravel()])
 
     def motion(self, variables: FloatArray) -> Motion:
         """What is played: from rest to rest."""

@@ -15,7 +15,7 @@ from ident.excite.design import design
 from ident.excite.measures import condition
 from ident.excite.path import Path
 from ident.excite.prior import find_prior
-from ident.excite.search import SearchChoices
+from ident.excite.search.search import SearchChoices
 from ident.model.dynamic_model import build_model
 
 

@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 
 from daq.motion.trajectories import check_limits, check_rest
-from daq.robot.loader import load_robot
+from daq.robot.loader import builtin_robots, load_robot
 from drivers.errors import UsageError
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.criteria import RegressorCriterion
-from ident.excite.design import DENSER, Design, design
+from ident.excite.design import Design, design
 from ident.excite.path import Path
 from ident.excite.prior import find_prior
-from ident.excite.search import SearchChoices
-from ident.excite.solve import solve, tighten
+from ident.excite.search.acceptance import DENSER
+from ident.excite.search.search import SearchChoices
+from ident.excite.search.solve import solve, tighten
+from ident.excite.search.start import random_start
 
 QUICK = SearchChoices(seed=1, starts=1, workers=1)
 UP6 = load_robot("up6")
@@ -108,7 +110,7 @@ def test_a_narrow_margin_is_made_up_for_between_the_points(monkeypatch):
         narrowed.append(arguments)
         return tighten(*arguments)
 
-    monkeypatch.setattr("ident.excite.design.tighten", counted)
+    monkeypatch.setattr("ident.excite.search.start.tighten", counted)
     assert made(UP6, kind="sines", harmonics=2, margin=0.0).use.max() <= 1.0
     assert narrowed  # on the design's own grid it kept to them already
 
@@ -193,14 +195,49 @@ def test_deviations_need_a_prior():
 
 
 def test_limits_that_exclude_every_motion_are_named():
-    """A single joint moves: a search that finds nothing goes through all its iterations."""
     with pytest.raises(UsageError, match="torque of L"):
         made(with_joint(UP6, 1, torque=5.0), harmonics=1, moving=("S",))
 
 
-def test_no_time_at_all_is_told():
-    with pytest.raises(UsageError, match="too short for a single round"):
-        made(UP6, SearchChoices(starts=None, seconds=0.0, workers=1), harmonics=1)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", builtin_robots())
+def test_every_robot_has_a_feasible_motion_of_every_kind_however_short_the_time(name, kind):
+    robot_file = load_robot(name)
+    found = made(robot_file, SearchChoices(starts=None, seconds=1e-3, workers=1), kind=kind)
+    assert found.use.max() <= 1.0
+    check_limits(found.motion, robot_file.robot.joints, kind)
+    check_rest(found.motion, robot_file.robot.joints, kind)
+    assert found.cost < np.inf
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_narrow_room_leaves_a_small_motion(kind):
+    """A low ceiling and a floor: random motions leave the room, so they are shrunk towards a pose within it."""
+    robot_file = load_robot("ur10")
+    workspace = robot_file.robot.workspace.model_copy(update={"height": (0.05, 0.9)})
+    robot = robot_file.robot.model_copy(update={"workspace": workspace})
+    narrow = robot_file.model_copy(update={"robot": robot})
+    problem = build_problem(narrow, find_prior(narrow), DesignChoices(kind=kind))
+    begin = random_start(problem, [0, 0])
+    assert problem.use(begin).max() > problem.allowed
+    found = made(narrow, SearchChoices(starts=None, seconds=1e-3, workers=1), kind=kind)
+    assert found.use.max() <= 1.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_motion_about_another_pose_keeps_its_form(kind):
+    family = build_problem(UP6, find_prior(UP6), DesignChoices(kind=kind, harmonics=3, points=5)).family
+    x = family.random(np.random.default_rng(0))
+    same = family.about(x, family.middle(x), 1.0)
+    assert same == pytest.approx(x, abs=1e-9)
+    pose = 0.5 * family.middle(x)
+    smaller = family.about(x, pose, 0.25)
+    assert family.middle(smaller) == pytest.approx(pose, abs=1e-6)
+    time = family.grid(500)
+    spans = [np.ptp(family.path(variables, time).position, axis=1) for variables in (x, smaller)]
+    assert spans[1] == pytest.approx(0.25 * spans[0], rel=1e-2)
+    still = family.about(x, pose, 0.0)
+    assert np.ptp(family.path(still, time).position, axis=1) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_the_dense_grid_is_denser_than_the_designs():

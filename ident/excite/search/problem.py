@@ -10,6 +10,7 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.excite.criteria import Criterion
 from ident.excite.path import Constraint, Family, Path
+from ident.excite.search.error_bars import ErrorBars
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,7 @@ class Problem:
         constraints: the limits.
         time: (N,) grid [s] on which both are evaluated.
         allowed: largest limit utilisation, 1 minus a margin for what lies between the grid's points.
+        error_bars: to expect, for progress; None where no parameters are known beforehand.
     """
 
     family: Family
@@ -31,6 +33,7 @@ class Problem:
     constraints: Sequence[Constraint]
     time: FloatArray
     allowed: float
+    error_bars: ErrorBars | None = None
 
     def path(self, variables: FloatArray) -> Path:
         """The motion of x (size,) on the grid."""

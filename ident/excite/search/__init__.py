@@ -1,0 +1,1 @@
+"""Search for the best feasible motion of a family within a budget of time or of starts."""

@@ -1,0 +1,112 @@
+"""The check that a motion must pass to be written: every limit, between the points of the design grid too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.motion.trajectories import Motion, check_limits
+from drivers.errors import UsageError
+from drivers.streams import FloatArray
+from ident.excite.path import Family, Path
+from ident.excite.search.problem import Problem
+
+DENSER = 10
+"""The check's grid is this many times denser than the one of the design."""
+ROUNDING = 1e-6
+"""By which a limit utilisation may exceed what the margin allows."""
+LEAST_SHARE = 1e-3
+"""Smallest amplitude that a motion is shrunk to, as a share of its own."""
+_RAMP_GROWTH = 1.4
+_RAMP_TRIES = 8
+_HALVINGS = 7
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """A motion that keeps every limit.
+
+    Attributes:
+        family: of motions, with a longer ramp where that was needed.
+        variables: (size,), begun where the arm's way to the start is short.
+        motion: what is played, from rest to rest.
+        use: (m,) utilisation of every limit along it, on the dense grid; at most 1.
+    """
+
+    family: Family
+    variables: FloatArray
+    motion: Motion
+    use: FloatArray
+
+
+def dense_use(problem: Problem, variables: FloatArray) -> float:
+    """Largest limit utilisation at full speed, on the dense grid."""
+    dense = problem.family.grid(DENSER * len(problem.time))
+    return float(problem.use_along(problem.family.path(variables, dense)).max(initial=0.0))
+
+
+def accepted(problem: Problem, variables: FloatArray) -> Accepted | None:
+    """The motion of x (size,) as it is played; None where it exceeds a limit, however long its ramp."""
+    if float(problem.use(variables).max(initial=0.0)) > problem.allowed + ROUNDING:
+        return None
+    if dense_use(problem, variables) > 1.0:
+        return None
+    family = problem.family
+    variables = family.begun_near_middle(variables)
+    for _ in range(_RAMP_TRIES):
+        motion = family.motion(variables)
+        count = DENSER * len(problem.time) * max(1, round(motion.duration / float(np.ptp(problem.time))))
+        time = np.linspace(0.0, motion.duration, count)
+        use = problem.use_along(Path(time, *motion.evaluate(time)))
+        if use.max(initial=0.0) <= 1.0 and _within_joint_limits(family, motion):
+            return Accepted(family, variables, motion, use)
+        family = family.with_longer_ramp(_RAMP_GROWTH)
+    return None
+
+
+def _within_joint_limits(family: Family, motion: Motion) -> bool:
+    """As a trajectory file is checked, at the exact extremes."""
+    try:
+        check_limits(motion, family.limits, where="")
+    except UsageError:
+        return False
+    return True
+
+
+def shrunk_to_fit(
+    problem: Problem, variables: FloatArray, pose: FloatArray, tick: Callable[[], None] = lambda: None
+) -> FloatArray | None:
+    """The x of the same motion about another pose, with the largest accepted amplitude, up to its own, by bisection.
+
+    Args:
+        problem: with family and limits.
+        variables: x (size,).
+        pose: (moving joints,) its new middle [rad or m].
+        tick: called before every check; what it raises ends the bisection.
+
+    Returns:
+        None where not even a thousandth of the amplitude is accepted.
+    """
+
+    def fits(share: float) -> FloatArray | None:
+        tick()
+        about = problem.family.about(variables, pose, share)
+        return about if accepted(problem, about) is not None else None
+
+    largest = fits(1.0)
+    if largest is not None:
+        return largest
+    largest = fits(LEAST_SHARE)
+    if largest is None:
+        return None
+    low, high = LEAST_SHARE, 1.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        fitting = fits(middle)
+        if fitting is None:
+            high = middle
+        else:
+            low, largest = middle, fitting
+    return largest

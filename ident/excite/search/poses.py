@@ -1,0 +1,151 @@
+"""Poses in which an arm may rest and begin to move: those that every limit leaves room around."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import UsageError
+from drivers.streams import FloatArray
+from ident.excite.constraints.soft_maximum import soft_maximum
+from ident.excite.families.moving_joints import MovingJoints
+from ident.excite.path import Path
+from ident.excite.search.problem import Problem
+
+POSES = 8
+"""Descents that end without a feasible pose before a design is refused."""
+_DRAWS = 15
+"""Random poses that a descent's start is chosen from."""
+_SHARPNESS = 20.0
+_ITERATIONS = 15
+_CREEP = 1e-6
+"""Share of the velocity limits, of 1 rad/s at most: an arm that begins to move has all of its Coulomb friction."""
+
+
+class NoFeasiblePoseError(UsageError):
+    """No pose that was tried keeps all limits."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A pose and what it uses of the limits.
+
+    Attributes:
+        position: (moving joints,) [rad or m].
+        use: (limits,) at rest and at the beginning of a motion either way.
+    """
+
+    position: FloatArray
+    use: FloatArray
+
+
+def moving_joints(problem: Problem) -> MovingJoints:
+    """The joints that move in a problem, and the others."""
+    family = problem.family
+    return MovingJoints(family.limits, family.moving, family.rest)
+
+
+def pose_path(joints: MovingJoints, position: FloatArray) -> Path:
+    """A pose (moving joints,) at rest, and moving both ways very slowly."""
+    still = np.zeros((joints.count, 3))
+    velocity = _CREEP * np.minimum(joints.velocity, 1.0)[:, None] * np.array([0.0, 1.0, -1.0])
+    return joints.path(np.arange(3.0), still + position[:, None], velocity, still)
+
+
+def feasible_pose(
+    problem: Problem, first: FloatArray, seed: Sequence[int], tick: Callable[[], None] = lambda: None
+) -> Pose:
+    """A pose with margin to all limits: the first descent of the largest utilisation that ends at a feasible one.
+
+    Args:
+        problem: with the limits.
+        first: (moving joints,) where the first descent begins [rad or m].
+        seed: of the poses where the others begin.
+        tick: called before every evaluation of the limits; what it raises ends the search.
+
+    Raises:
+        NoFeasiblePoseError: none was found; names the limit that excludes all poses tried, if one does.
+    """
+    joints = moving_joints(problem)
+    generator = np.random.default_rng([*seed, 1])
+    tried = _Tried(problem, tick)
+    begin = first
+    for _ in range(POSES):
+        pose = _descent(problem, joints, begin, tried)
+        if float(pose.use.max(initial=0.0)) <= problem.allowed:
+            return pose
+        draws = joints.middle + joints.half * generator.uniform(-1.0, 1.0, (_DRAWS, joints.count))
+        begin = min((tried.pose(joints, draw) for draw in draws), key=lambda pose: float(pose.use.max())).position
+    raise NoFeasiblePoseError(
+        tried.conclusion, hint="check the joint limits, 'workspace' and the tool of the robot file, or give --joints"
+    )
+
+
+class _Tried:
+    """The poses tried, and the least utilisation of each limit among them."""
+
+    def __init__(self, problem: Problem, tick: Callable[[], None]) -> None:
+        self._problem = problem
+        self._tick = tick
+        self._count = 0
+        self._least = np.full(len(problem.limits), np.inf)
+        self._best: FloatArray | None = None
+
+    def pose(self, joints: MovingJoints, position: FloatArray) -> Pose:
+        """Try a pose (moving joints,)."""
+        self._tick()
+        use = self._problem.use_along(pose_path(joints, position))
+        self._count += 1
+        self._least = np.fmin(self._least, use)
+        if self._best is None or use.max(initial=0.0) < self._best.max(initial=0.0):
+            self._best = use
+        return Pose(position, use)
+
+    @property
+    def conclusion(self) -> str:
+        """Which limit excludes them, in one line."""
+        names, allowed = self._problem.limits, 100.0 * self._problem.allowed
+        worst = int(np.argmax(self._least))
+        if self._least[worst] > self._problem.allowed:
+            return (
+                f"no feasible motion: each of {self._count} poses tried uses at least {100 * self._least[worst]:.4g} % "
+                f"of the {names[worst]}, the margin allows {allowed:.3g} %"
+            )
+        assert self._best is not None
+        worst = int(np.argmax(self._best))
+        return (
+            f"no feasible motion: none of {self._count} poses tried keeps all limits at once; the best uses "
+            f"{100 * self._best[worst]:.4g} % of the {names[worst]}, the margin allows {allowed:.3g} %"
+        )
+
+
+def _descent(problem: Problem, joints: MovingJoints, begin: FloatArray, tried: _Tried) -> Pose:
+    """The pose of the smallest largest utilisation that a local search reaches."""
+    from scipy.optimize import minimize
+
+    best = tried.pose(joints, begin)
+
+    def smooth(scaled: FloatArray) -> tuple[float, FloatArray]:
+        nonlocal best
+        position = joints.middle + joints.half * scaled
+        pose = tried.pose(joints, position)
+        if pose.use.max(initial=0.0) < best.use.max(initial=0.0):
+            best = pose
+        path = pose_path(joints, position)
+        uses = [constraint.smooth_use(path, _SHARPNESS) for constraint in problem.constraints]
+        values = np.concatenate([value for value, _ in uses])
+        rows = np.concatenate([gradient[:, 0, joints.rows].sum(axis=-1) for _, gradient in uses])
+        bound, shares = soft_maximum(values, _SHARPNESS)
+        return float(bound), np.asarray((shares @ rows) * joints.half)
+
+    if problem.limits:
+        minimize(
+            smooth,
+            (begin - joints.middle) / joints.half,
+            jac=True,
+            method="L-BFGS-B",
+            options={"maxiter": _ITERATIONS, "maxfun": 2 * _ITERATIONS},
+        )
+    return best

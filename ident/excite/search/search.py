@@ -1,0 +1,215 @@
+"""Multistart search on all cores; it keeps the best candidate so far, however it ends."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.errors import IdentificationError
+from drivers.streams import FloatArray
+from ident.excite.search.acceptance import accepted
+from ident.excite.search.poses import NoFeasiblePoseError
+from ident.excite.search.problem import Problem
+from ident.excite.search.processes import SearchProcesses, TimeIsUpError
+from ident.excite.search.solve import Solver
+from ident.excite.search.start import Candidate, Finished, Report, no_tick, random_start, run_start
+
+_POLL = 0.2
+"""Seconds between two looks at what other processes report, and between two reports of progress."""
+_CHECKS_IN_RESERVE = 8.0
+"""Time kept for the last check and the figures of the result, in checks of a motion on the dense grid."""
+_LARGEST_RESERVE = 0.2
+"""The same, as a share of the whole time at most."""
+
+
+@dataclass(frozen=True)
+class SearchChoices:
+    """How long and how to search.
+
+    Attributes:
+        seed: of the random starts; start k is the same whatever the number of processes.
+        starts: how many; None for as many as `seconds` allow, which depends on the machine.
+        seconds: after which the search ends with what it has; None for no limit.
+        workers: processes; one per core where None, this one alone where 1.
+        solver: of the local problems.
+    """
+
+    seed: int = 0
+    starts: int | None = 8
+    seconds: float | None = None
+    workers: int | None = None
+    solver: Solver = "slsqp"
+
+    @property
+    def processes(self) -> int:
+        """How many processes search, this one included: never more than there are starts."""
+        workers = self.workers if self.workers is not None else os.cpu_count() or 1
+        return workers if self.starts is None else min(workers, self.starts)
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """Outcome of a search.
+
+    Attributes:
+        best: the candidate of the least cost; None where there is none yet.
+        finished: starts that went through all rounds.
+        seconds: that the search took.
+        limit: seconds that it may take; None where it ends after a number of starts.
+        interrupted: whether Ctrl-C ended it.
+        died: processes that the system ended before their time.
+    """
+
+    best: Candidate | None
+    finished: int
+    seconds: float
+    limit: float | None
+    interrupted: bool = False
+    died: int = 0
+
+
+def search(
+    problem: Problem,
+    make: Callable[[], Problem],
+    choices: SearchChoices,
+    first: FloatArray | None = None,
+    progress: Callable[[SearchResult], None] = lambda result: None,
+    clock: Clock = SYSTEM_CLOCK,
+    begun: float | None = None,
+) -> SearchResult:
+    """Search from `choices.starts` random starts, or for `choices.seconds`; Ctrl-C ends it with the best so far.
+
+    This process searches too: it has a feasible motion while the others are still being started. Start 0 has one
+    whatever the time limit.
+
+    Args:
+        problem: what is searched.
+        make: builds the same problem in another process, so it must be picklable for several.
+        choices: see there. One of `starts` and `seconds` must be given.
+        first: variables of start 0, in place of random ones.
+        progress: called after each better candidate, and a few times per second.
+        clock: the host's.
+        begun: when `choices.seconds` began, by that clock; now where None.
+
+    Raises:
+        NoFeasiblePoseError: no pose was found that keeps all limits; names the one that excludes them.
+        IdentificationError: a process died, and the result would depend on it.
+        DynidError: what building the problem raised.
+    """
+    if choices.starts is None and choices.seconds is None:
+        raise ValueError("a search needs a number of starts or a time limit")
+    begun = clock.now() if begun is None else begun
+    left = None if choices.seconds is None else begun + choices.seconds - clock.now()
+    with SearchProcesses(choices.processes - 1, make, choices.seed, choices.solver, choices.starts, left) as others:
+        run = _Run(problem, choices, others, progress, clock, begun)
+        try:
+            run.all_starts(first)
+        except TimeIsUpError:
+            pass
+        except KeyboardInterrupt:
+            run.interrupted = True
+        return run.result()
+
+
+class _Run:
+    """The part of this process: its starts, the best of all, the time."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        choices: SearchChoices,
+        others: SearchProcesses,
+        progress: Callable[[SearchResult], None],
+        clock: Clock,
+        begun: float,
+    ) -> None:
+        self.interrupted = False
+        self._problem, self._choices, self._others = problem, choices, others
+        self._progress, self._clock, self._begun = progress, clock, begun
+        self._end = np.inf if choices.seconds is None else begun + choices.seconds
+        self._best: Candidate | None = None
+        self._finished = 0
+        self._next_look = begun + _POLL
+
+    def all_starts(self, first: FloatArray | None) -> None:
+        """Run starts until there are no more; then wait for the other processes.
+
+        Raises:
+            TimeIsUpError: at the deadline.
+        """
+        number: int | None = 0
+        while number is not None:
+            self._start(number, first)
+            number = self._others.next_start()
+        while self._others.running:
+            self._check_time()
+            self._look(_POLL)
+        self._look(0.0)
+
+    def _start(self, number: int, first: FloatArray | None) -> None:
+        # A feasible motion is wanted however short the time is: start 0 begins to look at it with its first candidate.
+        begin_tick = self.tick if number else no_tick
+        seed = [self._choices.seed, number]
+        begin = first if first is not None and number == 0 else random_start(self._problem, seed, tick=begin_tick)
+        try:
+            run_start(self._problem, number, begin, seed, self._choices.solver, self._take, self._tick_of(number))
+        except NoFeasiblePoseError:
+            if number == 0:
+                raise
+
+    def _tick_of(self, number: int) -> Callable[[], None]:
+        return self.tick if number else lambda: None if self._best is None else self.tick()
+
+    def tick(self) -> None:
+        """Look at the time and, now and then, at the other processes.
+
+        Raises:
+            TimeIsUpError: at the deadline.
+            IdentificationError: a process died, and its starts are missing.
+        """
+        self._check_time()
+        if self._clock.now() >= self._next_look:
+            self._look(0.0)
+
+    def _check_time(self) -> None:
+        if self._clock.now() >= self._end:
+            raise TimeIsUpError
+
+    def _look(self, timeout: float) -> None:
+        """Take what other processes have reported; wait for it at most `timeout` [s]."""
+        for report in self._others.reports(timeout):
+            self._add(report)
+        if self._others.died and self._choices.starts is not None:
+            raise IdentificationError("a search process died", hint="is there enough memory? --time does without it")
+        self._progress(self.result())
+        self._next_look = self._clock.now() + _POLL
+
+    def _take(self, report: Report) -> None:
+        """What this process met itself."""
+        is_first = self._best is None
+        self._add(report)
+        since = self._clock.now()
+        if is_first and self._best is not None and self._choices.seconds is not None and since < self._end:
+            accepted(self._problem, self._best.variables)
+            reserve = _CHECKS_IN_RESERVE * (self._clock.now() - since)
+            self._end -= min(reserve, _LARGEST_RESERVE * self._choices.seconds)
+
+    def _add(self, report: Report) -> None:
+        if isinstance(report, Finished):
+            self._finished += 1
+            return
+        # Ties go to the lower start, whatever the order in which processes report.
+        if self._best is None or (report.cost, report.start) < (self._best.cost, self._best.start):
+            self._best = report
+            self._progress(self.result())
+
+    def result(self) -> SearchResult:
+        """The outcome so far."""
+        seconds = self._clock.now() - self._begun
+        return SearchResult(
+            self._best, self._finished, seconds, self._choices.seconds, self.interrupted, self._others.died
+        )

@@ -1,0 +1,232 @@
+"""From one start to a local optimum: a few rounds of nonlinear programming, each with a sharper problem.
+
+Extreme eigenvalues and largest uses have kinks where two of them meet, and an optimum lies on such kinks. So the first
+round sees them blunt, the last one nearly as they are.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from drivers.errors import UsageError
+from drivers.streams import FloatArray
+from ident.excite.search.problem import Problem
+
+Solver = Literal["slsqp", "trust-constr", "ipopt"]
+
+
+@dataclass(frozen=True)
+class Round:
+    """How blunt a round's problem is.
+
+    Attributes:
+        cost_sharpness: order of the power means of eigenvalues.
+        limit_sharpness: of the soft maximum of uses.
+        iterations: at most.
+        tolerance: change of the cost (a logarithm) at which the round ends.
+    """
+
+    cost_sharpness: float
+    limit_sharpness: float
+    iterations: int
+    tolerance: float
+
+
+REACHES = (0.5, 0.15)
+"""How far a round may move a variable, tried in this order. A family scales variables to the order of 1; a line search
+that leaves for 10⁵, or into a collision, does not come back."""
+
+OPENING = Round(4.0, 300.0, 25, 1e-3)
+OPENING_REACH = 0.3
+"""A short round with sharp limits: from a feasible motion it soon reaches a better one that nearly keeps them, where
+narrow ranges leave a blunt round outside for long."""
+
+ROUNDS = (Round(4.0, 30.0, 100, 1e-4), Round(16.0, 100.0, 100, 1e-4), Round(64.0, 300.0, 100, 1e-4))
+
+
+STEP = 0.05
+"""Decrease of the cost (a logarithm) from which on an iterate is worth a check before its round ends."""
+OUTSIDE = 5
+"""Iterations after which an iterate outside the limits is worth a look too: shrunk, it may be the best so far."""
+_SAMPLES_AT_MAXIMUM = 1000.0
+"""Samples that may share a soft maximum: an iterate whose bound exceeds the limit by log of it over the sharpness does
+exceed the limit."""
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What a solver calls on its way; either may end it by raising.
+
+    Attributes:
+        tick: before every evaluation.
+        visit: with an iterate (size,) that costs less than those before; says whether it keeps all limits.
+    """
+
+    tick: Callable[[], None]
+    visit: Callable[[FloatArray], bool]
+
+
+UNWATCHED = Watch(lambda: None, lambda variables: False)
+
+
+def solve(problem: Problem, start: FloatArray, solver: Solver, watch: Watch = UNWATCHED) -> Iterator[FloatArray]:
+    """From `start` towards a local optimum: the variables (size,) after every round.
+
+    Raises:
+        UsageError: the solver is not installed.
+    """
+    variables = start
+    for step in ROUNDS:
+        variables = _round(problem, variables, solver, step, watch)
+        yield variables
+
+
+def open_search(problem: Problem, feasible: FloatArray, solver: Solver, watch: Watch = UNWATCHED) -> FloatArray:
+    """A better motion near a feasible one; it may exceed the limits a little."""
+    return _SOLVERS[solver](_Evaluations(problem, OPENING, watch), feasible, OPENING, OPENING_REACH)
+
+
+def tighten(problem: Problem, variables: FloatArray, solver: Solver, watch: Watch = UNWATCHED) -> FloatArray:
+    """Another last round from `variables`, for a problem whose limits were narrowed."""
+    return _round(problem, variables, solver, ROUNDS[-1], watch)
+
+
+def _round(problem: Problem, start: FloatArray, solver: Solver, step: Round, watch: Watch) -> FloatArray:
+    """What a round reaches; within a shorter reach where it ends further outside the limits than it began."""
+    before = max(problem.allowed, float(problem.use(start).max(initial=0.0)))
+    for reach in REACHES:
+        minimum = _SOLVERS[solver](_Evaluations(problem, step, watch), start, step, reach)
+        if float(problem.use(minimum).max(initial=0.0)) <= before:
+            return minimum
+    return start
+
+
+class _Evaluations:
+    """Smooth cost and slacks allowed − smooth use (m,), computed once for each point that a solver asks about."""
+
+    def __init__(self, problem: Problem, step: Round, watch: Watch) -> None:
+        self._problem = problem
+        self._step = step
+        self._watch = watch
+        self._lowest = np.inf
+        self._iterations = 0
+        self._cost_at: FloatArray | None = None
+        self._cost: tuple[float, FloatArray] = (np.inf, np.zeros(0))
+        self._slack_at: FloatArray | None = None
+        self._slack: tuple[FloatArray, FloatArray] = (np.zeros(0), np.zeros((0, 0)))
+
+    def cost(self, variables: FloatArray) -> tuple[float, FloatArray]:
+        """Smooth cost and its derivatives (size,)."""
+        if self._cost_at is None or not np.array_equal(self._cost_at, variables):
+            self._watch.tick()
+            self._cost = self._problem.smooth_cost(variables, self._step.cost_sharpness)
+            self._cost_at = variables.copy()
+        return self._cost
+
+    def slacks(self, variables: FloatArray) -> FloatArray:
+        """(m,), negative where a limit is exceeded."""
+        return self._slacks(variables)[0]
+
+    def slack_derivatives(self, variables: FloatArray) -> FloatArray:
+        """(m, size)."""
+        return self._slacks(variables)[1]
+
+    def iterate(self, variables: FloatArray, *state: object) -> None:
+        """Hand an iterate on, where it may be better than those before: what solvers call after each iteration."""
+        cost, _ = self.cost(variables)
+        worst = float(self.slacks(variables).min(initial=np.inf))
+        overestimate = np.log(_SAMPLES_AT_MAXIMUM) / self._step.limit_sharpness
+        self._iterations += 1
+        near = worst >= -overestimate or self._iterations % OUTSIDE == 0
+        if near and cost < self._lowest - STEP and self._watch.visit(variables.copy()):
+            self._lowest = cost
+
+    def _slacks(self, variables: FloatArray) -> tuple[FloatArray, FloatArray]:
+        if self._slack_at is None or not np.array_equal(self._slack_at, variables):
+            self._watch.tick()
+            uses, rows = self._problem.smooth_use(variables, self._step.limit_sharpness)
+            self._slack = self._problem.allowed - uses, -rows
+            self._slack_at = variables.copy()
+        return self._slack
+
+
+def _bounds(start: FloatArray, reach: float) -> list[tuple[float, float]]:
+    return [(value - reach, value + reach) for value in start]
+
+
+def _slsqp(evaluations: _Evaluations, start: FloatArray, step: Round, reach: float) -> FloatArray:
+    from scipy.optimize import minimize
+
+    limits: Any = {"type": "ineq", "fun": evaluations.slacks, "jac": evaluations.slack_derivatives}
+    options: Any = {"maxiter": step.iterations, "ftol": step.tolerance}
+    cost: Any = evaluations.cost
+    iterate: Any = evaluations.iterate
+    minimum = minimize(
+        cost,
+        start,
+        jac=True,
+        method="SLSQP",
+        bounds=_bounds(start, reach),
+        constraints=[limits],
+        options=options,
+        callback=iterate,
+    )
+    return np.asarray(minimum.x) if np.all(np.isfinite(minimum.x)) else start
+
+
+def _trust_constr(evaluations: _Evaluations, start: FloatArray, step: Round, reach: float) -> FloatArray:
+    from scipy.optimize import BFGS, NonlinearConstraint, minimize
+
+    limits: Any = NonlinearConstraint(evaluations.slacks, 0.0, np.inf, jac=evaluations.slack_derivatives, hess=BFGS())
+    options: Any = {"maxiter": 3 * step.iterations, "gtol": step.tolerance, "xtol": 1e-6}
+    cost: Any = evaluations.cost
+    iterate: Any = evaluations.iterate
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="delta_grad == 0.0")  # where no limit is near, as it should be
+        minimum = minimize(
+            cost,
+            start,
+            jac=True,
+            hess=BFGS(),
+            method="trust-constr",
+            bounds=_bounds(start, reach),
+            constraints=[limits],
+            options=options,
+            callback=iterate,
+        )
+    return np.asarray(minimum.x) if np.all(np.isfinite(minimum.x)) else start
+
+
+def _ipopt(evaluations: _Evaluations, start: FloatArray, step: Round, reach: float) -> FloatArray:
+    try:
+        from cyipopt import minimize_ipopt
+    except ImportError as error:
+        raise UsageError("cyipopt is not installed", hint="pip install cyipopt, or --solver slsqp") from error
+
+    def cost(variables: FloatArray) -> tuple[float, FloatArray]:
+        # cyipopt does not tell its iterates.
+        evaluations.iterate(variables)
+        return evaluations.cost(variables)
+
+    minimum = minimize_ipopt(
+        cost,
+        start,
+        jac=True,
+        bounds=_bounds(start, reach),
+        constraints=[{"type": "ineq", "fun": evaluations.slacks, "jac": evaluations.slack_derivatives}],
+        tol=step.tolerance,
+        options={"max_iter": step.iterations, "print_level": 0, "hessian_approximation": "limited-memory"},
+    )
+    return np.asarray(minimum.x) if np.all(np.isfinite(minimum.x)) else start
+
+
+_SOLVERS: dict[Solver, Callable[[_Evaluations, FloatArray, Round, float], FloatArray]] = {
+    "slsqp": _slsqp,
+    "trust-constr": _trust_constr,
+    "ipopt": _ipopt,
+}

@@ -1,0 +1,188 @@
+"""What becomes of one start: a feasible motion at once, then better ones, iterate by iterate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.excite.search.acceptance import LEAST_SHARE, ROUNDING, accepted, dense_use, shrunk_to_fit
+from ident.excite.search.error_bars import ErrorBar
+from ident.excite.search.poses import NoFeasiblePoseError, feasible_pose
+from ident.excite.search.problem import Problem
+from ident.excite.search.solve import Solver, Watch, open_search, solve, tighten
+
+DRAWS = 20
+"""Random members that a start is chosen from."""
+SHARES = (1.0, 0.95, 0.9, 0.8, 0.65, 0.5)
+"""Amplitudes at which an iterate outside the limits is tried."""
+OPENINGS = 2
+"""Short rounds from feasible motions before the long ones."""
+_TIGHTENINGS = 5
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A motion that keeps every limit, as a start met it.
+
+    Attributes:
+        start: number of the start.
+        cost: the criterion, exactly (a logarithm).
+        condition: column-normalised condition number of the base regressor.
+        worst: expected worst error bar; None where no parameters are known beforehand.
+        variables: (size,).
+    """
+
+    start: int
+    cost: float
+    condition: float
+    worst: ErrorBar | None
+    variables: FloatArray
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A start went through all its rounds.
+
+    Attributes:
+        start: its number.
+    """
+
+    start: int
+
+
+Report = Candidate | Finished
+
+
+def no_tick() -> None:
+    """A start without a time limit."""
+
+
+def run_start(
+    problem: Problem,
+    number: int,
+    begin: FloatArray,
+    seed: Sequence[int],
+    solver: Solver,
+    report: Callable[[Report], None],
+    tick: Callable[[], None] = no_tick,
+) -> None:
+    """Report a feasible motion near `begin` first, then every accepted iterate that is better than those before.
+
+    Args:
+        problem: to solve.
+        number: of the start.
+        begin: (size,) where it begins.
+        seed: of the poses that are tried where `begin` does not keep the limits.
+        solver: of the local problems.
+        report: takes what becomes of the start.
+        tick: called before every evaluation; what it raises ends the start.
+
+    Raises:
+        NoFeasiblePoseError: no pose was found that keeps all limits; names the one that excludes them.
+        UsageError: the solver is not installed.
+    """
+    best, best_variables = np.inf, begin
+
+    def keep(variables: FloatArray) -> None:
+        nonlocal best, best_variables
+        path = problem.path(variables)
+        cost = problem.criterion.cost(path)
+        if cost < best:
+            best, best_variables = cost, variables
+            condition = float(np.exp(problem.conditioning.cost(path)))
+            worst = None if problem.error_bars is None else problem.error_bars.worst(path)
+            report(Candidate(number, cost, condition, worst, variables))
+
+    def offer(variables: FloatArray) -> bool:
+        if accepted(problem, variables) is None:
+            return False
+        keep(variables)
+        return True
+
+    def offer_shrunk(variables: FloatArray) -> None:
+        fitting = shrunk_to_fit(problem, variables, problem.family.middle(variables), tick)
+        if fitting is not None:
+            keep(fitting)
+
+    def visit(variables: FloatArray) -> bool:
+        middle = problem.family.middle(variables)
+        for share in SHARES:
+            tick()
+            shrunk = problem.family.about(variables, middle, share)
+            if float(problem.use(shrunk).max(initial=0.0)) <= problem.allowed and problem.cost(shrunk) < best:
+                return offer(shrunk) and share == 1.0
+        return False
+
+    feasible = _feasible_near(problem, begin, seed, tick)
+    keep(feasible)
+    watch = Watch(tick, visit)
+    for _ in range(OPENINGS):
+        offer_shrunk(open_search(problem, best_variables, solver, watch))
+    variables = begin = best_variables
+    for variables in solve(problem, begin, solver, watch):
+        offer_shrunk(variables)
+    for narrower in _narrowed(problem, variables, solver, watch):
+        offer_shrunk(narrower)
+    report(Finished(number))
+
+
+def random_start(
+    problem: Problem, seed: Sequence[int], draws: int = DRAWS, tick: Callable[[], None] = no_tick
+) -> FloatArray:
+    """The first of `draws` random members that keeps all limits, or the one that passes them least; (size,).
+
+    From deep within a collision a local solver does not find its way out.
+    """
+    generator = np.random.default_rng(seed)
+    best: tuple[float, FloatArray] | None = None
+    for _ in range(draws):
+        tick()
+        variables = problem.family.random(generator)
+        use = float(problem.use(variables).max(initial=0.0))
+        if best is None or use < best[0]:
+            best = use, variables
+        if use <= problem.allowed:
+            break
+    assert best is not None
+    return best[1]
+
+
+def _feasible_near(problem: Problem, begin: FloatArray, seed: Sequence[int], tick: Callable[[], None]) -> FloatArray:
+    """The motion itself where it is accepted; else shrunk, about its own middle or a pose with margin to the limits."""
+    if accepted(problem, begin) is not None:
+        return begin
+    middle = problem.family.middle(begin)
+    poses = [middle, feasible_pose(problem, middle, seed, tick).position]
+    fitting = [shrunk_to_fit(problem, begin, pose, tick) for pose in poses]
+    feasible = [variables for variables in fitting if variables is not None]
+    if not feasible:
+        least = problem.family.about(begin, poses[1], LEAST_SHARE)
+        raise NoFeasiblePoseError(
+            "no feasible motion: in a pose that keeps all limits, a motion of a thousandth of the amplitude "
+            f"uses {_worst(problem, least)}",
+            hint="give a longer --ramp or --period",
+        )
+    return min(feasible, key=problem.cost)
+
+
+def _worst(problem: Problem, variables: FloatArray) -> str:
+    use = problem.use(variables)
+    worst = int(np.argmax(use))
+    return f"{100.0 * use[worst]:.4g} % of the {problem.limits[worst]}"
+
+
+def _narrowed(problem: Problem, variables: FloatArray, solver: Solver, watch: Watch) -> Iterator[FloatArray]:
+    """Further rounds within narrower limits, until they are kept between the grid's points too."""
+    if float(problem.use(variables).max(initial=0.0)) > problem.allowed + ROUNDING:
+        return
+    narrowed = problem
+    for _ in range(_TIGHTENINGS):
+        worst = dense_use(problem, variables)
+        if worst <= 1.0:
+            return
+        narrowed = replace(narrowed, allowed=narrowed.allowed / worst - 1e-3)
+        variables = tighten(narrowed, variables, solver, watch)
+        yield variables
