@@ -141,3 +141,23 @@ class _Here(Below):
 def impossible_problem() -> Problem:
     """A problem of which one limit is exceeded in every pose."""
     return replace(toy_problem(), constraints=(_Here(),))
+
+
+class _Above:
+    """The first joint stays above 1.51, where `Below` leaves it no room."""
+
+    names = ("height of j1",)
+
+    def use(self, path):
+        return np.array([2.5 - path.position[0].min()])
+
+    def smooth_use(self, path, sharpness):
+        bound, weights = soft_maximum(2.5 - path.position[:1], sharpness)
+        gradient = np.zeros((1, 3, *path.position.shape))
+        gradient[0, 0, 0] = -weights[0]
+        return bound, gradient
+
+
+def contradictory_problem() -> Problem:
+    """A problem whose two limits exclude each other."""
+    return replace(toy_problem(), constraints=(Below(), _Above()))

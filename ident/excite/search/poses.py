@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize
 
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
@@ -123,8 +124,6 @@ class _Tried:
 
 def _descent(problem: Problem, joints: MovingJoints, begin: FloatArray, tried: _Tried) -> Pose:
     """The pose of the smallest largest utilisation that a local search reaches."""
-    from scipy.optimize import minimize
-
     best = tried.pose(joints, begin)
 
     def smooth(scaled: FloatArray) -> tuple[float, FloatArray]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from scipy.optimize import BFGS, NonlinearConstraint, minimize
 
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
@@ -160,8 +161,6 @@ def _bounds(start: FloatArray, reach: float) -> list[tuple[float, float]]:
 
 
 def _slsqp(evaluations: _Evaluations, start: FloatArray, step: Round, reach: float) -> FloatArray:
-    from scipy.optimize import minimize
-
     limits: Any = {"type": "ineq", "fun": evaluations.slacks, "jac": evaluations.slack_derivatives}
     options: Any = {"maxiter": step.iterations, "ftol": step.tolerance}
     cost: Any = evaluations.cost
@@ -180,8 +179,6 @@ def _slsqp(evaluations: _Evaluations, start: FloatArray, step: Round, reach: flo
 
 
 def _trust_constr(evaluations: _Evaluations, start: FloatArray, step: Round, reach: float) -> FloatArray:
-    from scipy.optimize import BFGS, NonlinearConstraint, minimize
-
     limits: Any = NonlinearConstraint(evaluations.slacks, 0.0, np.inf, jac=evaluations.slack_derivatives, hess=BFGS())
     options: Any = {"maxiter": 3 * step.iterations, "gtol": step.tolerance, "xtol": 1e-6}
     cost: Any = evaluations.cost

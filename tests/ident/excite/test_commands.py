@@ -21,8 +21,6 @@ QUICK = ("--starts", "1", "--harmonics", "2")
 LARGEST = (*QUICK, "--criterion", "motion-size")
 """Quicker still, for what has nothing to do with the design's quality."""
 
-SINGLE = ("--starts", "1", "--harmonics", "1", "--joints", "j1")
-
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch, three_joint) -> Path:
@@ -107,9 +105,7 @@ def interrupted_search(keep: bool):
 
     def search(*arguments, **named):
         found = real(*arguments, **named)
-        return replace(
-            found, interrupted=True, best=found.best if keep else None, least_use=found.least_use if keep else None
-        )
+        return replace(found, interrupted=True, best=found.best if keep else None)
 
     return search
 

@@ -111,14 +111,14 @@ def test_a_narrow_margin_is_made_up_for_between_the_points(monkeypatch):
         return tighten(*arguments)
 
     monkeypatch.setattr("ident.excite.search.start.tighten", counted)
-    assert made(UP6, kind="sines", harmonics=2, margin=0.0).use.max() <= 1.0
+    assert made(UP6, kind="fourier-quintic", harmonics=1, margin=0.0).use.max() <= 1.0
     assert narrowed  # on the design's own grid it kept to them already
 
 
 @pytest.mark.parametrize("margin", [0.1, 0.25])
 def test_the_margin_is_left(margin):
     found = designed(harmonics=2, margin=margin)
-    assert found.use.max() <= 1.0 - margin + 0.01  # what lies between the grid's points
+    assert found.use.max() <= 1.0 - margin + 0.02  # what lies between the grid's points
 
 
 def test_an_earlier_motion_is_refined():
