@@ -10,9 +10,7 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.excite.criteria import RegressorCriterion
 from ident.excite.path import Path
-
-INTERVAL = 1.96
-"""Half a 95 % interval in standard deviations."""
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
 
 @dataclass(frozen=True)
@@ -53,4 +51,4 @@ class ErrorBars:
             variances = np.full(len(self.names), np.inf)
         variances = np.where(variances > 0.0, variances, np.inf)
         worst = int(np.argmax(variances))
-        return ErrorBar(self.names[worst], 100.0 * INTERVAL * float(np.sqrt(variances[worst])))
+        return ErrorBar(self.names[worst], 100.0 * WITHIN_95_PERCENT * float(np.sqrt(variances[worst])))

@@ -85,13 +85,15 @@ def run_start(
         UsageError: the solver is not installed.
     """
     best, best_variables = np.inf, begin
+    reported = False
 
     def keep(variables: FloatArray) -> None:
-        nonlocal best, best_variables
+        nonlocal best, best_variables, reported
         path = problem.path(variables)
         cost = problem.criterion.cost(path)
-        if cost < best:
-            best, best_variables = cost, variables
+        # The first one counts whatever it costs: a motion that excites nothing may cost inf.
+        if not reported or cost < best:
+            best, best_variables, reported = cost, variables, True
             condition = float(np.exp(problem.conditioning.cost(path)))
             worst = None if problem.error_bars is None else problem.error_bars.worst(path)
             report(Candidate(number, cost, condition, worst, variables))
@@ -121,8 +123,8 @@ def run_start(
     watch = Watch(tick, visit)
     for _ in range(OPENINGS):
         offer_shrunk(open_search(problem, best_variables, solver, watch))
-    variables = begin = best_variables
-    for variables in solve(problem, begin, solver, watch):
+    variables = opened = best_variables
+    for variables in solve(problem, opened, solver, watch):
         offer_shrunk(variables)
     for narrower in _narrowed(problem, variables, solver, watch):
         offer_shrunk(narrower)
