@@ -5,6 +5,7 @@ Units: m, rad, s, kg, N·m, A, °C. Angles of the geometry may be written as mul
 
 from __future__ import annotations
 
+import math
 from functools import reduce
 from typing import Annotated, Any, Literal, Self
 
@@ -16,7 +17,7 @@ from daq.robot.loops import Loop, check_coupling, check_drives, check_pairs, pas
 from daq.robot.magnitudes import PositionLimit, TableAngle, VelocityLimit
 from daq.robot.references import OF_JOINTS, JointNames, name_problems, row_problems
 from daq.robot.section import Angle, Finite, NonNegative, NotTruthValue, Positive, Section, Vector3
-from daq.robot.workspace import Workspace
+from daq.robot.workspace import Mounting, Workspace
 from drivers.yaml_file import SeveralProblems
 
 ASSUMED_ACCELERATION = 10.0
@@ -41,6 +42,12 @@ class MdhRow(Section):
     r: Finite = Field(description="[m]")
 
 
+_INCLINED = 0.5
+"""A table or a ceiling is inclined by at most 60°, a wall by as much as 30° from the vertical is one."""
+_UPWARD = {"table": (_INCLINED, 1.0), "wall": (-0.87, 0.87), "ceiling": (-1.0, -_INCLINED)}
+"""Range of the cosine between the base frame's z axis and the vertical."""
+
+
 class ModelSection(Section):
     """Kinematics: exactly one of `urdf` and `mdh`."""
 
@@ -50,6 +57,9 @@ class ModelSection(Section):
         default_factory=dict, description="name → length [m]; `b`, `d` and `r` may then be written `d3` or `-d3`"
     )
     gravity: Vector3 = Field(default=(0.0, 0.0, -9.81), description="[m/s²] in the base frame")
+    mounting: Mounting | None = Field(
+        default=None, description="what the base stands on; where absent it follows from gravity, see `mounted`"
+    )
     locked: dict[str, Finite] = Field(default_factory=dict, description="joint → fixed position [rad or m]; URDF only")
     loops: tuple[Loop, ...] = Field(default=(), description="how joints without a motor follow the others")
     coupling: dict[str, dict[str, Finite]] = Field(
@@ -75,7 +85,30 @@ class ModelSection(Section):
                 raise ValueError("'locked' works with 'urdf' only; leave the joint out of 'mdh' instead")
         if max(abs(component) for component in self.gravity) > 30:
             raise ValueError(f"gravity {list(self.gravity)} m/s² is larger than any planet's surface; check the unit")
+        upward = self._upward
+        if self.mounting in _UPWARD and upward is not None:
+            low, high = _UPWARD[self.mounting]
+            if not low <= upward <= high:
+                raise ValueError(
+                    f"mounting '{self.mounting}' does not fit gravity {list(self.gravity)}: the base frame's z axis "
+                    "points from the mounting surface to the arm; correct one of them, or use 'free' and "
+                    "workspace.keep_out"
+                )
         return self
+
+    @property
+    def _upward(self) -> float | None:
+        """Cosine of the angle between the base frame's z axis and the vertical; None without gravity."""
+        size = math.hypot(*self.gravity)
+        return None if size == 0.0 else -self.gravity[2] / size
+
+    @property
+    def mounted(self) -> Mounting:
+        """The mounting; where the file does not say it, `table` or `ceiling` if gravity shows it, else `free`."""
+        if self.mounting is not None:
+            return self.mounting
+        upward = self._upward or 0.0
+        return "table" if upward >= _INCLINED else "ceiling" if upward <= -_INCLINED else "free"
 
 
 class JointLimits(Section):

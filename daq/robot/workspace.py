@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -18,6 +18,12 @@ from drivers.yaml_file import describe
 
 DEFAULT_LINK_RADIUS = 0.05
 """Radius [m] of a link whose thickness the file does not say."""
+
+DEFAULT_CLEARANCE = 0.02
+"""Distance [m] that is kept from the mounting surface and from obstacles where the file says nothing else."""
+
+Mounting = Literal["table", "wall", "ceiling", "free"]
+"""What the base stands on; its surface is a plane z = constant of the base frame, with the arm above it."""
 
 _LONGEST = 100.0
 """No arm reaches this far [m]: a length beyond it was written in millimetres."""
@@ -73,12 +79,25 @@ class KeepOut(Section):
 
     half_space: HalfSpace | None = None
     box: Box | None = None
+    name: str = Field(default="", description="what it is called in messages and figures")
+    clearance: NonNegative | None = Field(
+        default=None, description="distance that is kept [m]; the workspace's where absent"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         if (self.half_space is None) == (self.box is None):
             raise ValueError("give exactly one of 'half_space' and 'box'")
+        if self.clearance is not None:
+            _check_lengths((self.clearance,), "clearance")
         return self
+
+    @property
+    def shape(self) -> HalfSpace | Box:
+        """The half-space or the box."""
+        shape = self.half_space or self.box
+        assert shape is not None
+        return shape
 
 
 def _parse_link_radius(value: Any) -> float | dict[str, float]:
@@ -103,7 +122,7 @@ def _check_radius(value: Any, whose: str) -> None:
 
 
 class Workspace(Section):
-    """Where the arm may be when an excitation is designed (AUBO eq. 21: r_min..r_max, h_min..h_max)."""
+    """Where the arm may be (AUBO eq. 21: r_min..r_max, h_min..h_max), and what it keeps clear of."""
 
     tool: Vector3 = Field(default=(0.0, 0.0, 0.0), description="tool point [m] in the frame of the last joint")
     tool_rotation: tuple[TableAngle, TableAngle, TableAngle] = Field(
@@ -116,7 +135,13 @@ class Workspace(Section):
     height: tuple[Finite, Finite] | None = Field(
         default=None, description="smallest and largest z in the base frame [m]"
     )
+    floor: Finite | None = Field(
+        default=None, description="z of the mounting surface in the base frame [m]; 0 where absent (`model.mounting`)"
+    )
     keep_out: tuple[KeepOut, ...] = ()
+    clearance: NonNegative = Field(
+        default=DEFAULT_CLEARANCE, description="distance [m] kept from the mounting surface and from obstacles"
+    )
     link_radius: Annotated[float | dict[str, float], BeforeValidator(_parse_link_radius)] = Field(
         default=DEFAULT_LINK_RADIUS,
         description="half the thickness of all links [m], or of the link behind each joint named ('base' for the base)",
@@ -128,6 +153,11 @@ class Workspace(Section):
     @model_validator(mode="after")
     def _check(self) -> Self:
         _check_lengths(self.tool, "tool")
+        _check_lengths((self.clearance, self.floor or 0.0), "clearance or floor")
+        names = [keep_out.name for keep_out in self.keep_out if keep_out.name]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"'keep_out' names two obstacles '{name}'")
         _check_range(self.radius, "radius")
         _check_range(self.height, "height")
         for first, second in self.ignore_pairs:

@@ -33,6 +33,7 @@ joints:
 THREE_JOINT = """
 name: three_joint
 model:
+  mounting: free
   mdh:
     - {joint: j1, alpha: 0, d: 0, r: 0.3}
     - {joint: j2, antecedent: j1, alpha: pi/2, d: 0, r: 0}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from daq.robot.loader import RobotFile
+from daq.robot.obstacles import obstacles_of
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.constraints.collision_geometry import arm_geometry
@@ -44,7 +45,7 @@ def constraints_of(
         if any(limits.torque is not None for limits in model.limits):
             constraints.append(TorqueLimits(model, columns, parameters))
     geometry = arm_geometry(robot_file, model)
-    constraints.append(WorkspaceLimits(model, geometry, robot_file.robot.workspace))
+    constraints.append(WorkspaceLimits(model, geometry, robot_file.robot.workspace, obstacles_of(robot_file.robot)))
     if self_collision:
         pairs = link_pairs(model, geometry, robot_file.robot.workspace.ignore_pairs)
         constraints.append(SelfCollision(model, geometry, pairs))

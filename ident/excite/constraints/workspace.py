@@ -10,15 +10,18 @@ moves begins in such a point inside of what it is kept out of, no motion is poss
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
+from daq.robot.obstacles import Obstacle
 from daq.robot.workspace import Box, HalfSpace, Workspace
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
 from ident.excite.constraints.collision_geometry import DISTANCE_SCALE, ArmGeometry
+from ident.excite.constraints.obstacle_distances import Distances, above_plane, box_distances
 from ident.excite.constraints.placements import IndexArray, Placements, moved_by, place_arm, wrench
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.path import Path
@@ -30,23 +33,8 @@ SAMPLES_AT_ONCE = 2000
 """Samples of a long path that are worked on together."""
 
 _ON_AXIS = 1e-12  # [m]
-_HALVINGS = 24
 _STILL = 1e-9  # [m]
-
-
-@dataclass(frozen=True)
-class Distances:
-    """Signed distances to what must not be touched, negative inside it.
-
-    Attributes:
-        value: (K, N) [m].
-        point: (K, 3, N) [m], the points of the links that are nearest.
-        gradient: (K, 3, N) derivatives by these points.
-    """
-
-    value: FloatArray
-    point: FloatArray
-    gradient: FloatArray
+_CONFIGURATIONS = 500
 
 
 @dataclass(frozen=True)
@@ -54,12 +42,34 @@ class _Limit:
     name: str
     links: IndexArray  # (K,), of the distances
     distances: Callable[[Placements], Distances]
+    obstacle: Obstacle | None = None
+
+    @property
+    def clearance(self) -> float:
+        return 0.0 if self.obstacle is None else self.obstacle.clearance
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """How near the arm comes to an obstacle along a path.
+
+    Attributes:
+        obstacle: with the distance that is kept.
+        distance: (N,) of the nearest link, its thickness included [m]; negative inside the obstacle.
+        link: (N,) number of that link.
+    """
+
+    obstacle: Obstacle
+    distance: FloatArray
+    link: IndexArray
 
 
 class WorkspaceLimits:
-    """Where the arm may be; each value uses 1 − distance/`DISTANCE_SCALE` of its limit."""
+    """Where the arm may be; each value uses 1 − (distance − clearance)/`DISTANCE_SCALE` of its limit."""
 
-    def __init__(self, model: DynamicModel, geometry: ArmGeometry, workspace: Workspace) -> None:
+    def __init__(
+        self, model: DynamicModel, geometry: ArmGeometry, workspace: Workspace, obstacles: Sequence[Obstacle]
+    ) -> None:
         """Prepare for an arm.
 
         Raises:
@@ -83,16 +93,10 @@ class WorkspaceLimits:
             )
         if workspace.height is not None:
             low, high = workspace.height
-            up = HalfSpace(normal=(0.0, 0.0, 1.0), offset=low)
-            down = HalfSpace(normal=(0.0, 0.0, -1.0), offset=-high)
-            limits.append(_Limit("smallest height of the arm", links, lambda p: _above(p.points(links, points), up)))
-            limits.append(_Limit("largest height of the arm", links, lambda p: _above(p.points(links, points), down)))
-        _refuse_inescapable(model, geometry, moving, workspace)
-        for index, keep_out in enumerate(workspace.keep_out):
-            if keep_out.half_space is not None:
-                limits.append(_half_space(geometry, moving, keep_out.half_space, f"half-space keep_out[{index}]"))
-            elif keep_out.box is not None:
-                limits.append(_box(geometry, moving, keep_out.box, f"box keep_out[{index}]"))
+            for name, sign, height in (("smallest", 1.0, low), ("largest", -1.0, high)):
+                plane = HalfSpace(normal=(0.0, 0.0, sign), offset=sign * height)
+                limits.append(_Limit(f"{name} height of the arm", links, _to_plane(links, points, plane)))
+        limits += [_obstacle(model, geometry, moving, obstacle) for obstacle in obstacles]
         self._limits = tuple(limit for limit in limits if len(limit.links))
 
     @property
@@ -105,9 +109,24 @@ class WorkspaceLimits:
         nearest = np.full(len(self._limits), np.inf)
         for start in range(0, path.time.size, SAMPLES_AT_ONCE):
             placements = place_arm(self._model, path.position[:, start : start + SAMPLES_AT_ONCE])
-            distances = [float(limit.distances(placements).value.min()) for limit in self._limits]
+            distances = [float(limit.distances(placements).value.min()) - limit.clearance for limit in self._limits]
             nearest = np.minimum(nearest, distances)
         return 1.0 - nearest / DISTANCE_SCALE
+
+    def clearances(self, path: Path) -> tuple[Clearance, ...]:
+        """The distance to every obstacle along a path."""
+        found: dict[int, list[tuple[FloatArray, IndexArray]]] = {}
+        for start in range(0, path.time.size, SAMPLES_AT_ONCE):
+            placements = place_arm(self._model, path.position[:, start : start + SAMPLES_AT_ONCE])
+            for row, limit in enumerate(self._limits):
+                if limit.obstacle is not None:
+                    value = limit.distances(placements).value
+                    found.setdefault(row, []).append((value.min(axis=0), limit.links[value.argmin(axis=0)]))
+        return tuple(
+            Clearance(obstacle, *(np.concatenate(pieces) for pieces in zip(*found[row], strict=True)))
+            for row, limit in enumerate(self._limits)
+            if (obstacle := limit.obstacle) is not None
+        )
 
     def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
         """Smooth upper bound (m,) and its derivatives (m, 3, n, N)."""
@@ -116,7 +135,7 @@ class WorkspaceLimits:
         gradient = np.zeros((len(self._limits), 3, *path.position.shape))
         for row, limit in enumerate(self._limits):
             distances = limit.distances(placements)
-            used = 1.0 - distances.value / DISTANCE_SCALE
+            used = 1.0 - (distances.value - limit.clearance) / DISTANCE_SCALE
             bounds[row], weights = soft_maximum(used.ravel(), sharpness)
             force = distances.gradient * (-weights.reshape(used.shape) / DISTANCE_SCALE)[:, None]
             turned = np.einsum("jat,kat->kjt", placements.screw, wrench(distances.point, force))
@@ -141,26 +160,26 @@ def _moving_capsules(model: DynamicModel, geometry: ArmGeometry) -> IndexArray:
     return np.flatnonzero(reach > _STILL)
 
 
-def _refuse_inescapable(model: DynamicModel, geometry: ArmGeometry, moving: IndexArray, workspace: Workspace) -> None:
-    at_zero = place_arm(model, np.zeros((model.dof, 1)))
-    links, radii = geometry.links[moving], geometry.radii[moving]
-    for places in (geometry.starts[moving], geometry.ends[moving]):
-        points = at_zero.points(links, places)
-        still = _reach(model, links, places) <= _STILL
-        for index, keep_out in enumerate(workspace.keep_out):
-            if keep_out.half_space is not None:
-                distances = _above(points, keep_out.half_space)
-            elif keep_out.box is not None:
-                distances = box_distances(points, points, keep_out.box)
-            inside = np.flatnonzero(still & (distances.value[:, 0] - radii < 0.0))
-            if len(inside):
-                name = model.joints[links[inside[0]]].name
-                raise RobotFileError(
-                    f"the link of joint '{name}' begins in a point that no joint moves, and with its radius of "
-                    f"{radii[inside[0]]:g} m it is inside already: no motion is possible",
-                    where=f"{model.name}: workspace.keep_out[{index}]",
-                    hint="move the limit, or correct workspace.link_radius",
-                )
+def _refuse_inescapable(
+    model: DynamicModel, geometry: ArmGeometry, capsules: IndexArray, places: FloatArray, obstacle: Obstacle
+) -> None:
+    links, radii = geometry.links[capsules], geometry.radii[capsules]
+    points = place_arm(model, np.zeros((model.dof, 1))).points(links, places)
+    if isinstance(obstacle.shape, Box):
+        distances = box_distances(points, points, obstacle.shape)
+    else:
+        distances = above_plane(points, obstacle.shape)
+    still = _reach(model, links, places) <= _STILL
+    inside = np.flatnonzero(still & (distances.value[:, 0] - radii < obstacle.clearance))
+    if len(inside):
+        name = model.joints[links[inside[0]]].name
+        raise RobotFileError(
+            f"the link of joint '{name}' begins in a point that no joint moves, and with its radius of "
+            f"{radii[inside[0]]:g} m it is within the clearance of {obstacle.clearance:g} m already: no motion is "
+            "possible",
+            where=f"{model.name}: {obstacle.where}",
+            hint="move the limit, or correct workspace.link_radius",
+        )
 
 
 def _reach(model: DynamicModel, links: IndexArray, places: FloatArray) -> FloatArray:
@@ -177,79 +196,70 @@ def _radius(points: FloatArray, limit: float, sign: int) -> Distances:
     return Distances(sign * (radius - limit), points, away)
 
 
-def _above(points: FloatArray, half_space: HalfSpace) -> Distances:
-    """Distances of points (K, 3, N) to a plane, positive on the side that its normal points to."""
-    normal = np.array(half_space.normal) / np.linalg.norm(half_space.normal)
-    value = np.einsum("i,kit->kt", normal, points) - half_space.offset
-    return Distances(value, points, np.broadcast_to(normal[:, None], points.shape))
+def _obstacle(model: DynamicModel, geometry: ArmGeometry, moving: IndexArray, obstacle: Obstacle) -> _Limit:
+    name = f"clearance to {obstacle.name}"
+    if isinstance(obstacle.shape, Box):
+        box = obstacle.shape
+        _refuse_inescapable(model, geometry, np.tile(moving, 2), _ends(geometry, moving), obstacle)
+        links, radii = geometry.links[moving], geometry.radii[moving][:, None]
 
+        def to_box(placements: Placements) -> Distances:
+            start = placements.points(links, geometry.starts[moving])
+            distances = box_distances(start, placements.points(links, geometry.ends[moving]), box)
+            return Distances(distances.value - radii, distances.point, distances.gradient)
 
-def _half_space(geometry: ArmGeometry, moving: IndexArray, half_space: HalfSpace, name: str) -> _Limit:
+        return _Limit(name, links, to_box, obstacle)
+
     # The point of a segment that is nearest to a plane is one of its ends.
-    links = np.tile(geometry.links[moving], 2)
-    places = np.concatenate([geometry.starts[moving], geometry.ends[moving]])
-    radii = np.tile(geometry.radii[moving], 2)[:, None]
+    plane, capsules, places = obstacle.shape, np.tile(moving, 2), _ends(geometry, moving)
+    if obstacle.mounting:
+        clear = _can_be_clear(model, geometry, capsules, places, obstacle, plane)
+        capsules, places = capsules[clear], places[clear]
+    else:
+        _refuse_inescapable(model, geometry, capsules, places, obstacle)
+    links, thickness = geometry.links[capsules], geometry.radii[capsules]
+    return _Limit(name, links, _to_plane(links, places, plane, thickness), obstacle)
+
+
+def _to_plane(
+    links: IndexArray, places: FloatArray, plane: HalfSpace, thickness: FloatArray | float = 0.0
+) -> Callable[[Placements], Distances]:
+    radii = np.broadcast_to(thickness, len(links))[:, None]
 
     def distances(placements: Placements) -> Distances:
-        distances = _above(placements.points(links, places), half_space)
+        distances = above_plane(placements.points(links, places), plane)
         return Distances(distances.value - radii, distances.point, distances.gradient)
 
-    return _Limit(name, links, distances)
+    return distances
 
 
-def _box(geometry: ArmGeometry, moving: IndexArray, box: Box, name: str) -> _Limit:
-    links, radii = geometry.links[moving], geometry.radii[moving][:, None]
-
-    def distances(placements: Placements) -> Distances:
-        start = placements.points(links, geometry.starts[moving])
-        distances = box_distances(start, placements.points(links, geometry.ends[moving]), box)
-        return Distances(distances.value - radii, distances.point, distances.gradient)
-
-    return _Limit(name, links, distances)
+def _ends(geometry: ArmGeometry, capsules: IndexArray) -> FloatArray:
+    """(2K, 3) [m] first all starts, then all ends, in the links' frames."""
+    return np.concatenate([geometry.starts[capsules], geometry.ends[capsules]])
 
 
-def box_distances(start: FloatArray, end: FloatArray, box: Box) -> Distances:
-    """Signed distances of segments to a box; their ends are (K, 3, N) [m].
+def _can_be_clear(
+    model: DynamicModel,
+    geometry: ArmGeometry,
+    capsules: IndexArray,
+    places: FloatArray,
+    obstacle: Obstacle,
+    plane: HalfSpace,
+) -> npt.NDArray[np.bool_]:
+    """Which ends (K,) of capsules some configuration brings clear of the mounting surface.
 
-    Along a segment the signed distance is convex, so that its minimum is found by halving. Where the minimum is a kink
-    (a segment that goes through the box), the derivative is that mean of both sides' that has no slope along the
-    segment.
+    Raises:
+        RobotFileError: the centre of one is below the surface in every configuration.
     """
-    middle = 0.5 * (np.array(box.lower) + np.array(box.upper))[:, None]
-    half = 0.5 * (np.array(box.upper) - np.array(box.lower))[:, None]
-    way = end - start
-
-    def at(share: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        point = start + share[:, None] * way
-        value, gradient = _to_box(point - middle, half)
-        return value, point, gradient, np.asarray((gradient * way).sum(axis=1))
-
-    low, high = np.zeros_like(start[:, 0]), np.ones_like(start[:, 0])
-    for _ in range(_HALVINGS):
-        share = 0.5 * (low + high)
-        beyond = at(share)[3] > 0.0
-        low, high = np.where(beyond, low, share), np.where(beyond, share, high)
-    value, point, before, falling = at(low)
-    value_after, point_after, after, rising = at(high)
-    between = (falling < 0.0) & (rising > 0.0)
-    change = np.where(between, rising - falling, 1.0)
-    fraction = np.where(between, -falling / change, np.where(falling >= 0.0, 0.0, 1.0))
-    # Where the two slopes meet: halving alone would leave the error of the last step.
-    to_kink = np.clip((value - value_after + rising * (high - low)) / change, 0.0, high - low)
-    to_end = fraction == 1.0
-    value = np.where(to_end, value_after, value + np.where(between, falling * to_kink, 0.0))
-    return Distances(
-        value, np.where(to_end[:, None], point_after, point), before + fraction[:, None] * (after - before)
-    )
-
-
-def _to_box(offset: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Signed distance (K, N) of points (K, 3, N) from a box's middle to its surface, and its derivatives (K, 3, N)."""
-    beyond = np.abs(offset) - half
-    outside = np.maximum(beyond, 0.0)
-    distance = np.sqrt((outside**2).sum(axis=1))
-    away = distance > 0.0
-    direction = outside / np.where(away, distance, 1.0)[:, None]
-    nearest_face = np.moveaxis(np.eye(3)[np.argmax(beyond, axis=1)], -1, 1)
-    gradient = np.sign(offset) * np.where(away[:, None], direction, nearest_face)
-    return np.where(away, distance, beyond.max(axis=1)), gradient
+    links = geometry.links[capsules]
+    placements = place_arm(model, random_states(model, _CONFIGURATIONS)[0])
+    highest = above_plane(placements.points(links, places), plane).value.max(axis=1)
+    below = np.flatnonzero(highest < -_STILL)
+    if len(below):
+        name, depth = model.joints[links[below[0]]].name, -highest[below[0]]
+        raise RobotFileError(
+            f"the link of joint '{name}' reaches {depth:.3g} m below {obstacle.name} whatever the joints do",
+            where=f"{model.name}: {obstacle.where}",
+            hint="give the height of the mounting surface as workspace.floor, or mounting: free",
+        )
+    return np.asarray(highest >= geometry.radii[capsules] + obstacle.clearance)

@@ -69,6 +69,13 @@ HALF_SPACE, BOX = "{normal: [0, 0, 1], offset: 0}", "{lower: [0, 0, 0], upper: [
 REFUSED: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "no mapping": ("7", "workspace", ("found 7",)),
     "unknown key": ("{radious: [0, 1]}", "workspace.radious", ("unknown key", "did you mean 'radius'?")),
+    "negative clearance": ("{clearance: -0.1}", "workspace.clearance", ("found -0.1", "greater than or equal to 0")),
+    "floor in millimetres": ("{floor: -800}", "workspace", ("lengths are in m",)),
+    "two of one name": (
+        f"{{keep_out: [{{name: a, box: {BOX}}}, {{name: a, half_space: {HALF_SPACE}}}]}}",
+        "workspace",
+        ("'keep_out' names two obstacles 'a'",),
+    ),
     "radius upside down": ("{radius: [1.2, 0.1]}", "workspace", ("radius [1.2, 0.1] is not in rising order",)),
     "radius of one number": ("{radius: 1.2}", "workspace.radius", ("found 1.2",)),
     "negative radius": ("{radius: [-0.1, 1]}", "workspace.radius[0]", ("found -0.1", "greater than or equal to 0")),

@@ -28,16 +28,15 @@ def test_what_the_file_has_decides():
     model = build_model(robot_file)
     base = base_parameters(model)
     prior = base.projection @ truth_vector(robot_file)
-    assert kinds(constraints_of(robot_file, model, None, False)) == ["JointMotionLimits"]
+    assert kinds(constraints_of(robot_file, model, None, False)) == ["JointMotionLimits", "WorkspaceLimits"]
     assert kinds(constraints_of(robot_file, model, prior, True)) == [
         "JointMotionLimits",
         "TorqueLimits",
+        "WorkspaceLimits",
         "SelfCollision",
     ]
-    text = robot_file.text.replace("workspace:\n", "workspace:\n  height: [0.0, 1.5]\n", 1)
-    raised = parse_robot(text, where="raised", folder=None)
-    assert raised.robot.workspace.height == (0.0, 1.5)
-    assert "WorkspaceLimits" in kinds(constraints_of(raised, model, None, False))
+    free = parse_robot(robot_file.text.replace("mounting: table", "mounting: free"), where="free", folder=None)
+    assert kinds(constraints_of(free, model, None, False)) == ["JointMotionLimits"]
 
 
 def test_an_arm_without_torque_limits_and_pairs_has_its_joints_only():

@@ -18,10 +18,11 @@ def hanging() -> PointToPoint:
     return PointToPoint(np.array([up, down]), np.array([4.0]))
 
 
-def with_workspace(**keys):
+def with_workspace(mounting="free", **keys):
     robot_file = load_robot("ur5e")
     workspace = robot_file.robot.workspace.model_copy(update=keys)
-    return robot_file.model_copy(update={"robot": robot_file.robot.model_copy(update={"workspace": workspace})})
+    sections = {"workspace": workspace, "model": robot_file.robot.model.model_copy(update={"mounting": mounting})}
+    return robot_file.model_copy(update={"robot": robot_file.robot.model_copy(update=sections)})
 
 
 def test_the_lowest_height_is_that_of_the_forward_kinematics():
@@ -47,3 +48,4 @@ def test_a_tool_point_below_the_joints_counts():
 
 def test_a_file_that_names_a_bound_is_not_warned_about():
     assert surroundings_warning(with_workspace(height=(-2.0, 2.0)), hanging()) is None
+    assert surroundings_warning(with_workspace("table"), hanging()) is None

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from path_derivatives import assert_derivatives, assert_upper_bound, random_path
 
-from daq.robot.loader import parse_robot
+from daq.robot.loader import load_robot, parse_robot
+from daq.robot.obstacles import obstacles_of
 from daq.robot.workspace import Box, Workspace
 from drivers.errors import RobotFileError
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry, tube_capsules
-from ident.excite.constraints.workspace import WorkspaceLimits, box_distances
+from ident.excite.constraints.obstacle_distances import box_distances
+from ident.excite.constraints.workspace import WorkspaceLimits
 from ident.excite.path import Path
 from ident.model.dynamic_model import build_model
 
@@ -28,23 +30,33 @@ joints:
   - {name: j3, position: [-3, 3], velocity: 1}
 workspace:
   tool: [0.4, 0, 0]
+  clearance: 0
 """
+FREE = ARM.replace("model:", "model:\n  mounting: free")
 
 EVERYTHING = {
     "tool": [0.1, -0.2, 0.15],
     "radius": [0.2, 0.6],
     "height": [-0.2, 0.7],
+    "floor": -0.3,
+    "clearance": 0.03,
     "keep_out": [
-        {"half_space": {"normal": [1, 2, -1], "offset": -0.4}},
+        {"half_space": {"normal": [1, 2, -1], "offset": -0.4}, "clearance": 0.01},
         {"box": {"lower": [0.1, -0.5, 0.0], "upper": [0.6, 0.3, 0.4]}},
     ],
 }
 
 
-def limits_of(more=""):
-    robot_file = parse_robot(ARM + more, where="arm", folder=None)
+def limits_of(more="", arm=FREE):
+    robot_file = parse_robot(arm + more, where="arm", folder=None)
     model = build_model(robot_file)
-    return WorkspaceLimits(model, arm_geometry(robot_file, model), robot_file.robot.workspace)
+    return WorkspaceLimits(
+        model, arm_geometry(robot_file, model), robot_file.robot.workspace, obstacles_of(robot_file.robot)
+    )
+
+
+def obstacles(workspace):
+    return obstacles_of(load_robot("ur5e").robot.model_copy(update={"workspace": workspace}))
 
 
 def poses(*positions):
@@ -78,7 +90,7 @@ def test_points_along_the_links_count_too():
 def test_the_arm_stays_where_the_normal_points():
     constraint = limits_of("  keep_out: [{half_space: {normal: [0, 0, 5], offset: 0.1}}]\n  link_radius: 0.04\n")
     level, down = use_of(constraint, [0, 0, 0]), use_of(constraint, [0, -0.5, 0])
-    name = "half-space keep_out[0]"
+    name = "clearance to half-space keep_out[0]"
     assert level[name] == pytest.approx(1 - (0.3 - 0.1 - 0.04) / 0.1)
     assert down[name] == pytest.approx(1 - (0.3 - 0.8 * np.sin(0.5) - 0.1 - 0.04) / 0.1)
     assert down[name] > 1
@@ -89,13 +101,13 @@ def test_a_box_that_the_arm_passes_through_is_noticed():
     more = "  keep_out: [{box: {lower: [0.55, -0.05, 0.2], upper: [0.65, 0.05, 0.4]}}]\n"
     constraint = limits_of(more + "  link_radius: 0.03\n")
     # Through the middle: 0.05 m from axis to the nearest faces, plus the radius.
-    through = use_of(constraint, [0, 0, 0])["box keep_out[0]"]
+    through = use_of(constraint, [0, 0, 0])["clearance to box keep_out[0]"]
     assert through == pytest.approx(1 + (0.05 + 0.03) / 0.1)
-    beside = use_of(constraint, [np.pi / 2, 0, 0])["box keep_out[0]"]
+    beside = use_of(constraint, [np.pi / 2, 0, 0])["clearance to box keep_out[0]"]
     assert beside < 1
     swing = np.linspace(-1.5, 1.5, 401)
     passing = use_of(constraint, *np.column_stack([swing, 0 * swing, 0 * swing]))
-    assert passing["box keep_out[0]"] == pytest.approx(through, abs=1e-3)
+    assert passing["clearance to box keep_out[0]"] == pytest.approx(through, abs=1e-3)
 
 
 def test_distance_of_segments_to_a_box_is_the_smallest_of_their_points():
@@ -119,11 +131,11 @@ def test_derivatives_and_bound_on_random_arms(random_tree, seed):
     workspace = Workspace.model_validate(EVERYTHING | {"keep_out": EVERYTHING["keep_out"][:2]})
     capsules = tube_capsules(model, None, workspace)
     try:
-        constraint = WorkspaceLimits(model, ArmGeometry(capsules, ()), workspace)
+        constraint = WorkspaceLimits(model, ArmGeometry(capsules, ()), workspace, obstacles(workspace))
     except RobotFileError:
-        # A random arm's first joint may stand in the box; then without the box.
-        workspace = Workspace.model_validate(EVERYTHING | {"keep_out": []})
-        constraint = WorkspaceLimits(model, ArmGeometry(capsules, ()), workspace)
+        # A random arm's first joint may stand in the box, or below the floor; then without them.
+        workspace = Workspace.model_validate(EVERYTHING | {"keep_out": [], "floor": None})
+        constraint = WorkspaceLimits(model, ArmGeometry(capsules, ()), workspace, obstacles(workspace))
     path = random_path(model, seed, size=1.0)
     assert_derivatives(constraint, path, 2.0)
     assert_derivatives(constraint, path, 30.0)
@@ -167,3 +179,42 @@ def test_a_limit_that_holds_the_shoulder_is_refused(keep_out):
     with pytest.raises(RobotFileError, match="begins in a point that no joint moves") as caught:
         limits_of(f"  keep_out: [{keep_out}]\n")
     assert caught.value.where == "arm: workspace.keep_out[0]"
+
+
+def test_the_table_keeps_links_up_by_their_thickness_and_the_clearance():
+    constraint = limits_of("  link_radius: 0.04\n", ARM.replace("clearance: 0", "clearance: 0.05"))
+    assert constraint.names == ("clearance to the table",)
+    for lift in (0.0, -0.2, -0.5):  # the tool is the lowest point
+        expected = 0.3 - 0.8 * np.sin(-lift) - 0.04
+        assert use_of(constraint, [1, lift, 0])["clearance to the table"] == pytest.approx(1 - (expected - 0.05) / 0.1)
+        (clearance,) = constraint.clearances(poses([1, lift, 0]))
+        assert clearance.distance[0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("shoulder", [0.0, 0.04])
+def test_links_that_touch_the_base_plane_by_construction_keep_their_other_end_clear(shoulder):
+    constraint = limits_of("", ARM.replace("r: 0.3", f"r: {shoulder}"))
+    raised = use_of(constraint, [0, 0.5, 0])["clearance to the table"]
+    assert raised == pytest.approx(1 - (shoulder + 0.4 * np.sin(0.5) - 0.05) / 0.1)  # the elbow
+    assert use_of(constraint, [0, 0.5, -1.5])["clearance to the table"] > 1  # the tool under the table
+
+
+def test_an_arm_that_begins_below_the_table_is_refused():
+    below = ARM.replace("r: 0.3", "r: -0.3").replace("[0.4, 0, 0]", "[0.1, 0, 0]")
+    with pytest.raises(RobotFileError, match=r"the link of joint 'j2' reaches 0\.3 m below the table") as caught:
+        limits_of("", below.replace("d: 0.4", "d: 0.1"))
+    assert caught.value.where == "arm: model.mounting"
+    assert limits_of("  floor: -0.6\n", below).names == ("clearance to the table",)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_clearances_name_the_link_and_are_what_the_use_is_made_of(seed):
+    more = f"  keep_out: [{{box: {{lower: [0.3, -0.3, 0.2], upper: [0.5, 0.3, {0.3 + 0.1 * seed}]}}, name: crate}}]\n"
+    constraint = limits_of(more, ARM)
+    path = random_path(build_model(parse_robot(ARM, where="arm", folder=None)), seed, count=30)
+    used = dict(zip(constraint.names, constraint.use(path), strict=True))
+    clearances = constraint.clearances(path)
+    assert [clearance.obstacle.name for clearance in clearances] == ["the table", "crate"]
+    for clearance in clearances:
+        assert used[f"clearance to {clearance.obstacle.name}"] == pytest.approx(1 - clearance.distance.min() / 0.1)
+        assert set(clearance.link) <= {0, 1, 2}

@@ -10,6 +10,7 @@ import pytest
 from loop_arms import four_bar_arm, spatial_arm, spherical_arm
 
 from daq.robot.loader import RobotFile, parse_robot
+from daq.robot.obstacles import obstacles_of
 from ident.assessment.plausibility import inertia_matrices
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import DynamicModel, build_model
@@ -187,7 +188,7 @@ def test_an_excitation_s_constraints_know_the_joints_that_follow() -> None:
     pairs = link_pairs(model, geometry, ())
     position, *rates = (0.9 * values for values in random_states(model, 3, seed=2))
     for constraint in (
-        WorkspaceLimits(model, geometry, robot_file.robot.workspace),
+        WorkspaceLimits(model, geometry, robot_file.robot.workspace, obstacles_of(robot_file.robot)),
         SelfCollision(model, geometry, pairs),
     ):
         gradient = constraint.smooth_use(Path(np.arange(3.0), position, *rates), 20.0)[1]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import RobotFile, load_robot, parse_robot
+from daq.robot.obstacles import obstacles_of
 from drivers.errors import RobotFileError
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.plausibility import inertia_matrices
@@ -296,7 +297,7 @@ def test_an_excitation_s_constraints_know_the_passive_joints() -> None:
     pairs = link_pairs(model, geometry, robot_file.robot.workspace.ignore_pairs)
     motion = random_states(model, 3)
     for constraint in (
-        WorkspaceLimits(model, geometry, robot_file.robot.workspace),
+        WorkspaceLimits(model, geometry, robot_file.robot.workspace, obstacles_of(robot_file.robot)),
         SelfCollision(model, geometry, pairs),
     ):
         _, gradient = constraint.smooth_use(Path(np.arange(3.0), *motion), 20.0)
