@@ -3,6 +3,7 @@
     DynidError
     ├── InputError                 exit status 2: what the user gave is wrong, nothing was done
     │   ├── UsageError             options that contradict each other or do not exist
+    │   ├── MotionRefusedError     a motion that is not safe or was not confirmed; nothing was moved
     │   ├── RobotFileError         a robot file or the URDF that it names
     │   ├── RecordingError         an HDF5 recording: truncated, foreign, newer, half-written
     │   ├── ImportFileError        a CSV, npz, mat, bag or MCAP file that cannot be taken over as it is
@@ -66,6 +67,10 @@ class InputError(DynidError):
 
 class UsageError(InputError):
     """Options that contradict each other or do not exist."""
+
+
+class MotionRefusedError(InputError):
+    """A motion comes too near to something or needs too much torque, or was not confirmed; nothing was moved."""
 
 
 class RobotFileError(InputError):

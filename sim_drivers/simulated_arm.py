@@ -102,13 +102,13 @@ def _ready(process: subprocess.Popen[str]) -> bool:
 
 
 def record_over_wire(robot: str, host: str, trajectory: Path, out: Path) -> dict[str, Any]:
-    """`dynid record ROBOT --host HOST --trajectory FILE -o OUT`, in a process of its own; gives its JSON object.
+    """`dynid record ROBOT --host HOST --trajectory FILE -o OUT --yes`, in a process of its own; gives its JSON object.
 
     Raises:
         WorkError: the recording did not run to its end.
     """
     arguments = _dynid("record", robot, "--host", host, "--trajectory", str(trajectory), "-o", str(out))
-    arguments += ["--force", "--no-ui", "--json", *_priority()]
+    arguments += ["--yes", "--force", "--no-ui", "--json", *_priority()]
     done = subprocess.run(arguments, capture_output=True, text=True, check=False)
     try:
         report = json.loads(done.stdout)

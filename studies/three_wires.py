@@ -113,6 +113,7 @@ def record(arm: Path, wire: str, motion: Path, out: Path) -> None:
                 motion,
                 "-o",
                 out,
+                "--yes",
                 "--no-ui",
                 *REALTIME,
                 "--force",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import typer
 from daq.commands.options import JSON
 
 if TYPE_CHECKING:
+    from daq.motion.motion_check import MotionFigures
     from daq.session.session import SessionReport
 
 TERMINATED_STATUS = 128 + 15
@@ -24,6 +26,11 @@ def record_command(
     wire: str = typer.Option(None, "--wire", help="Connection of the robot file; its first one if absent."),
     host: str = typer.Option(None, "--host", help="Address in place of the connection's own."),
     trajectory: Path = typer.Option(None, "--trajectory", help="Trajectory file to play; the arm will move."),
+    speed_scale: float = typer.Option(
+        1.0, "--speed-scale", help="Share of the trajectory's speed, such as 0.2 for a first run; at most 1."
+    ),
+    yes: bool = typer.Option(False, "--yes", "-y", help="Move the arm without asking."),
+    prior: Path = typer.Option(None, "--prior", help="result.json whose parameters predict the torque."),
     duration: float = typer.Option(None, "--duration", help="Record for so many seconds without moving the arm."),
     out: Path = typer.Option(..., "-o", "--out", help="Recording to write (.h5)."),
     comment: str = typer.Option("", "--comment", help="Your words, kept in the recording."),
@@ -34,12 +41,17 @@ def record_command(
 ) -> None:
     """Play a trajectory and record it, or record whatever moves the arm.
 
-    Example: dynid record ur5e --trajectory traj.yaml -o run.h5
+    Before anything moves the whole motion is checked, what will move where is printed, and you are asked.
+
+    Example: dynid record ur5e --trajectory traj.yaml --speed-scale 0.2 -o slow.h5
     """
     import math
     import sys
 
+    from daq.commands.confirmation import Confirmation, tell, terminal
     from daq.live.terminal_view import live_view
+    from daq.motion.motion_check import load_motion_check
+    from daq.motion.time_scaled import TimeScaled
     from daq.motion.trajectory_file import load_trajectory
     from daq.recording.recorder import Recorder, require_room
     from daq.recording.writer import require_writable
@@ -50,14 +62,20 @@ def record_command(
     from daq.session.session import INTERRUPTED, TERMINATED, Play, load_driver, record
     from daq.session.supervisor import Limits, Supervisor
     from drivers.clock import SYSTEM_CLOCK
-    from drivers.errors import INTERRUPTED_STATUS, UsageError
+    from drivers.errors import INTERRUPTED_STATUS, MotionRefusedError, UsageError
 
     if (trajectory is None) == (duration is None):
         raise UsageError("give either --trajectory or --duration")
     if duration is not None and not 0 < duration < float("inf"):
         raise UsageError(f"--duration {duration:g} is not a positive number of seconds")
+    if trajectory is None and (speed_scale != 1.0 or prior is not None):
+        raise UsageError("--speed-scale and --prior need --trajectory")
     robot_file = load_robot(robot)
     played = load_trajectory(trajectory, robot_file.robot) if trajectory is not None else None
+    motion = TimeScaled(played.motion, speed_scale) if played is not None else None
+    question = None if yes else terminal()
+    if motion is not None and question is None and not yes:
+        raise UsageError("the arm will move, and there is no terminal to ask on", hint="--yes moves it without asking")
     clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
     driver, rate = load_driver(robot_file.robot, wire, host, robot_file.folder, clock, robot_file.where)
     warnings = session_warnings(robot_file, wire)
@@ -65,6 +83,14 @@ def record_command(
         warnings += [f"assumed: {limit}" for limit in assumed_limits(robot_file)]
     require_writable(out, overwrite=force)
     require_room(out)
+    told = sys.stdout if not as_json else sys.stderr if question is not None else None
+    confirmation = figures = None
+    if motion is not None:
+        check = load_motion_check(robot_file, prior)
+        figures = check.trajectory(motion, str(trajectory))
+        confirmation = Confirmation(motion, robot_file.robot.joints, check, question, told)
+        if told is not None:
+            tell(_title(str(trajectory), robot_file.robot.name, speed_scale, figures.duration), figures, told)
     if realtime:
         ask_for_realtime()
     for warning in warnings:
@@ -73,28 +99,36 @@ def record_command(
         driver.open()
         layouts = driver.streams()
         rate = next((layout.rate for layout in layouts if layout.name == "joints" and layout.rate > 0), rate)
-        if played is not None and rate <= 0:
+        if motion is not None and rate <= 0:
             raise UsageError("the connection has no 'rate', so no motion can be played", where=robot)
         recorder = Recorder(
             out,
             robot_file,
             layouts,
             trajectory=played.text if played is not None else "",
+            speed_scale=speed_scale,
             comment=comment,
             overwrite=force,
             clock=clock,
         )
         for warning in warnings:
             recorder.event(math.nan, "warning", "session", warning)
+        if speed_scale != 1.0:
+            recorder.event(math.nan, "info", "player", f"the trajectory is played at {speed_scale:g} of its speed")
         limits = Limits.of_robot(robot_file.robot)
         supervisor = Supervisor(limits, layouts)
-        play = Play(played.motion, robot_file.robot, rate) if played is not None else None
+        play = Play(motion, robot_file.robot, rate, confirmation) if motion is not None and confirmation else None
         shown = sys.stderr.isatty() and not (no_ui or as_json)
         with live_view(shown=shown, limits=limits, recorder=recorder, clock=clock) as view:
             report = record(driver, recorder, supervisor, play, duration, view, clock)
     finally:
         driver.close()
-    _report_session(out, report, as_json)
+    never_moved = play is not None and report.punctuality is None
+    if never_moved and (isinstance(report.error, MotionRefusedError) or report.stopped_by == INTERRUPTED):
+        out.unlink(missing_ok=True)  # it shows an arm at rest, and would be in the way of the next attempt
+        raise report.error or KeyboardInterrupt
+    approach = confirmation.figures if confirmation is not None else None
+    _report_session(out, report, as_json, {"motion": figures, "approach": approach} if figures is not None else {})
     if report.error is None and report.stopped_by == INTERRUPTED:
         raise typer.Exit(INTERRUPTED_STATUS)
     if report.error is None and report.stopped_by == TERMINATED:
@@ -105,7 +139,14 @@ def record_command(
         raise typer.Exit(report.error.exit_status)
 
 
-def _report_session(out: Path, report: SessionReport, as_json: bool) -> None:
+def _title(trajectory: str, robot: str, speed_scale: float, duration: float) -> str:
+    slowly = f" at {100 * speed_scale:g} % of its speed" if speed_scale != 1.0 else ""
+    return f"{trajectory} moves {robot} for {duration:.1f} s{slowly}"
+
+
+def _report_session(
+    out: Path, report: SessionReport, as_json: bool, motions: Mapping[str, MotionFigures | None]
+) -> None:
     from dataclasses import asdict
 
     from daq.commands.console import print_json
@@ -124,7 +165,8 @@ def _report_session(out: Path, report: SessionReport, as_json: bool) -> None:
     if as_json:
         streams = {name: asdict(quality) for name, quality in qualities.items()}
         stopped = {"file": str(out), "streams": streams, "stopped_by": report.stopped_by}
-        print_json({**stopped, "overflow": report.overflow, "punctuality": punctuality})
+        moved = {name: asdict(figures) if figures is not None else None for name, figures in motions.items()}
+        print_json({**stopped, "overflow": report.overflow, "punctuality": punctuality, **moved})
         return
     for name, quality in qualities.items():
         print(f"{out}: {name}: {quality.samples} samples at {quality.rate_hz:.4g} Hz, {quality.lost} lost")

@@ -213,10 +213,13 @@ def draw(reader: Connection) -> None:
     give_realtime_back()
     from rich.console import Console
     from rich.live import Live
-    from rich.text import Text
 
-    with Live(Text("recording begins"), console=Console(file=sys.stderr), auto_refresh=False) as live:
-        for status in _pictures(reader.fileno()):
+    pictures = _pictures(reader.fileno())
+    if (first := next(pictures, None)) is None:
+        return
+    # Only now: before the first picture a person may be asked on the same terminal.
+    with Live(picture(first), console=Console(file=sys.stderr), auto_refresh=False) as live:
+        for status in pictures:
             live.update(picture(status), refresh=True)
 
 

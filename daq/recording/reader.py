@@ -108,12 +108,22 @@ def _read(file: Any, path: Path) -> Recording:
         created=str(attributes.get("created", "")),
         versions=_read_versions(attributes.get("versions", "{}")),
         trajectory=str(attributes.get("trajectory", "")),
+        speed_scale=_read_speed_scale(attributes.get("speed_scale", 1.0)),
         host=str(attributes.get("host", "")),
         comment=str(attributes.get("comment", "")),
         complete=bool(attributes.get("complete", False)),
         streams={name: _read_stream(group, f"{where}: /streams/{name}") for name, group in file["streams"].items()},
         events=_read_events(file),
     )
+
+
+def _read_speed_scale(value: Any) -> float:
+    """A number above 0 and at most 1; 1 for anything else, as in files from before there was one."""
+    try:
+        scale = float(value)
+    except (TypeError, ValueError):
+        return 1.0
+    return scale if 0.0 < scale <= 1.0 else 1.0
 
 
 def _read_versions(text: Any) -> dict[str, str]:

@@ -48,6 +48,7 @@ class Recorder:
         robot: its robot file.
         layouts: of all streams.
         trajectory: text of the trajectory that is played.
+        speed_scale: at which share of its speed.
         comment: the user's words.
         overwrite: an existing file.
         memory_limit: of waiting samples [B].
@@ -64,6 +65,7 @@ class Recorder:
         layouts: Sequence[StreamLayout],
         *,
         trajectory: str = "",
+        speed_scale: float = 1.0,
         comment: str = "",
         overwrite: bool = False,
         memory_limit: int = MEMORY_LIMIT,
@@ -73,7 +75,13 @@ class Recorder:
         self.overflow = 0
         """Samples that were dropped because the disk did not keep up."""
         self._writer = RecordingWriter(
-            path, robot, layouts, trajectory=trajectory, comment=comment, overwrite=overwrite
+            path,
+            robot,
+            layouts,
+            trajectory=trajectory,
+            speed_scale=speed_scale,
+            comment=comment,
+            overwrite=overwrite,
         )
         self._writer.allow_readers()
         self._rows = {layout.name: chunk_rows(layout.rate) for layout in layouts}

@@ -1,6 +1,6 @@
 """What a recording consists of: streams of channels, and events (HDF5 schema version 1, DESIGN.md "The recording").
 
-    /            attrs: dynid_schema, robot, urdf, created, versions, trajectory, host, comment, complete
+    /            attrs: dynid_schema, robot, urdf, created, versions, trajectory, speed_scale, host, comment, complete
     /streams/<name>/time, host_time      (N,) float64 [s]
     /streams/<name>/<quantity>           (N, n), attrs unit, description, joints
     /events      compound (N,): time, level, source, message
@@ -89,6 +89,7 @@ class Recording:
         created: ISO 8601, UTC.
         versions: package → version at the time of writing.
         trajectory: text of the trajectory file that was played; empty where none was.
+        speed_scale: share of its speed at which it was played: all of its times are divided by it.
         host: name of the recording computer.
         comment: the user's own words.
 
@@ -108,6 +109,7 @@ class Recording:
     created: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
     trajectory: str = ""
+    speed_scale: float = 1.0
     host: str = ""
     comment: str = ""
 

@@ -110,6 +110,7 @@ class RecordingWriter:
         streams: Sequence[StreamLayout],
         *,
         trajectory: str = "",
+        speed_scale: float = 1.0,
         comment: str = "",
         overwrite: bool = False,
     ) -> None:
@@ -125,7 +126,7 @@ class RecordingWriter:
         # Kept open: closing a dataset that a full disk refuses leaves HDF5 in a state in which it crashes at exit.
         self._datasets: dict[str, dict[str, Any]] = {layout.name: {} for layout in streams}
         try:
-            self._write_attributes(robot, trajectory, comment)
+            self._write_attributes(robot, trajectory, speed_scale, comment)
             group = self._file.create_group("streams")
             for layout in streams:
                 self._create_stream(group, layout)
@@ -135,7 +136,7 @@ class RecordingWriter:
         except (OSError, RuntimeError) as error:
             raise self._creation_error(error) from error
 
-    def _write_attributes(self, robot: RobotFile, trajectory: str, comment: str) -> None:
+    def _write_attributes(self, robot: RobotFile, trajectory: str, speed_scale: float, comment: str) -> None:
         attributes = self._file.attrs
         attributes["dynid_schema"] = SCHEMA_VERSION
         attributes["robot"] = robot.text
@@ -143,6 +144,7 @@ class RecordingWriter:
         attributes["created"] = datetime.now(UTC).isoformat(timespec="seconds")
         attributes["versions"] = json.dumps(software_versions())
         attributes["trajectory"] = trajectory
+        attributes["speed_scale"] = speed_scale
         attributes["host"] = platform.node()
         attributes["comment"] = comment
         attributes["complete"] = False
@@ -341,6 +343,7 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
             recording.robot(),
             layouts,
             trajectory=recording.trajectory,
+            speed_scale=recording.speed_scale,
             comment=recording.comment,
             overwrite=overwrite,
         ) as writer:

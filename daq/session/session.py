@@ -17,17 +17,18 @@ from typing import Protocol
 import numpy as np
 
 from daq.motion.player import Player, Punctuality, dry_run, ticks
-from daq.motion.trajectories import Motion, check_limits, slow_move
+from daq.motion.trajectories import Motion, check_limits
 from daq.recording.recorder import Recorder
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.schema import Robot
 from daq.session.clocks import ClockLog
 from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
+from daq.session.permission import Permission
 from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
 from drivers.base import DRIVERS_GROUP, Attributing, Driver, DriverSettings, Notice
 from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionLostError, DynidError, SafetyStopError, UsageError, WorkError
+from drivers.errors import ConnectionLostError, DynidError, MotionRefusedError, SafetyStopError, UsageError, WorkError
 from drivers.streams import Batch, FloatArray
 
 READ_TIMEOUT = 0.01
@@ -35,6 +36,8 @@ FIRST_SAMPLE_LIMIT = 5.0
 """How long [s] the first samples may take."""
 SWITCH_INTERVAL = 2e-4
 """Longest time [s] that a thread keeps the interpreter while another one wants it."""
+MOVED_MEANWHILE = 0.02
+"""A joint that moved this far [rad or m] while the answer was awaited is somewhere else than the person saw."""
 INTERRUPTED = "interrupted"
 """What `stopped_by` says after Ctrl-C (SIGINT)."""
 TERMINATED = "terminated"
@@ -73,11 +76,13 @@ class Play:
         motion: from rest to rest.
         robot: whose limits hold on the way to its start.
         rate: of the commands [Hz].
+        permission: to move, with the way to the motion's start.
     """
 
     motion: Motion
     robot: Robot
     rate: float
+    permission: Permission
 
 
 class View(Protocol):
@@ -225,8 +230,9 @@ def record(
             if play is not None:
                 dry_run(play.rate, clock)
                 _wait_for_position(driver, recorder, supervisor, course)
-                if course.position is not None and course.interrupted is None:
-                    player = _prepare(driver, supervisor, recorder, play, course, course.position)
+                approach = _permitted_approach(driver, recorder, supervisor, course, play)
+                if approach is not None:
+                    player = _prepare(driver, supervisor, recorder, play, course, approach)
                     supervisor.restart_ages(clock.now())
                     course.moves = True
                     player.start()
@@ -267,13 +273,34 @@ def _wait_for_position(driver: Driver, recorder: Recorder, supervisor: Superviso
             raise ConnectionLostError(f"no joint position within {FIRST_SAMPLE_LIMIT:g} s")
 
 
-def _prepare(
-    driver: Driver, supervisor: Supervisor, recorder: Recorder, play: Play, course: _Course, position: FloatArray
-) -> Player:
-    start, _, _ = play.motion.evaluate(np.zeros(1))
-    approach = slow_move(position, start[:, 0], play.robot.joints)
-    check_limits(approach, play.robot.joints, "the way to the start pose")
+def _permitted_approach(
+    driver: Driver, recorder: Recorder, supervisor: Supervisor, course: _Course, play: Play
+) -> Motion | None:
+    """The way to the start pose, once the arm may move; None where the session was interrupted before."""
+    position = course.position
+    if position is None or course.interrupted is not None:
+        return None
     check_limits(play.motion, play.robot.joints, "the trajectory")
+    approach = play.permission.approach(position)
+    play.permission.ask()
+    while (answer := play.permission.answer()) is None:
+        _cycle(driver, recorder, supervisor, course)
+        if course.interrupted is not None:
+            return None
+    if not answer:
+        raise MotionRefusedError("not confirmed, so nothing was moved")
+    now = position if course.position is None else course.position
+    if now is position:
+        return approach
+    if np.max(np.abs(now - position)) > MOVED_MEANWHILE:
+        raise MotionRefusedError("the arm moved while the answer was awaited", hint="start again when it rests")
+    return play.permission.approach(now)
+
+
+def _prepare(
+    driver: Driver, supervisor: Supervisor, recorder: Recorder, play: Play, course: _Course, approach: Motion
+) -> Player:
+    check_limits(approach, play.robot.joints, "the way to the start pose")
     way = ticks(approach, play.rate)
     begin = course.source_time()
     recorder.event(begin, "info", "player", f"approach to the start pose, {approach.duration:.2f} s")

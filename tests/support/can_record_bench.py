@@ -134,6 +134,7 @@ def recorder(arm: Arm, wire: str, out: Path, *arguments: str) -> Iterator[subpro
         wire,
         "-o",
         str(out),
+        "--yes",
         "--no-ui",
     ]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}

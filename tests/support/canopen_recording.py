@@ -16,6 +16,7 @@ import can
 import numpy as np
 import yaml
 from simulated_clock import DAY, SimulatedClock, simulated_time
+from unchecked import unchecked_play
 
 from daq.motion.trajectories import Motion
 from daq.motion.trajectory_file import load_trajectory
@@ -23,7 +24,7 @@ from daq.recording.reader import read_recording
 from daq.recording.recorder import Recorder
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from daq.session.session import Play, SessionReport, load_driver, record
+from daq.session.session import SessionReport, load_driver, record
 from daq.session.supervisor import Limits, Supervisor
 from drivers.canopen402.driver import Canopen402Driver
 from drivers.canopen402.settings import parse_settings
@@ -101,7 +102,7 @@ class Bench:
         recorder = Recorder(path, self.robot_file, layouts, clock=self.clock)
         supervisor = Supervisor(Limits.of_robot(robot), layouts)
         self.begun = self.clock.now()
-        play = None if motion is None else Play(motion, robot, self.rate)
+        play = None if motion is None else unchecked_play(motion, robot, self.rate)
         report = record(self.driver, recorder, supervisor, play, duration, clock=self.clock)
         ended = self.clock.now() - self.begun
         return Run(report, read_recording(path), ended, self.rate)

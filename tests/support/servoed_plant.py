@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 from simulated_clock import simulated_time
+from unchecked import unchecked_play
 
 from daq.motion.trajectory_file import load_trajectory
 from daq.recording.recorder import Recorder
 from daq.robot.loader import load_robot
-from daq.session.session import Play, record
+from daq.session.session import record
 from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Notice
 from drivers.clock import Clock
@@ -85,7 +86,9 @@ def in_simulated_time(robot: str, seed: int) -> Iterator[Record]:
             layouts = driver.streams()
             recorder = Recorder(out, robot_file, layouts, trajectory=played.text, clock=clock)
             supervisor = Supervisor(Limits.of_robot(robot_file.robot), layouts)
-            report = record(driver, recorder, supervisor, Play(played.motion, robot_file.robot, RATE), clock=clock)
+            report = record(
+                driver, recorder, supervisor, unchecked_play(played.motion, robot_file.robot, RATE), clock=clock
+            )
         assert report.stopped_by is None, report.stopped_by
         return Recorded(report.samples["joints"], report.lost["joints"])
 

@@ -20,6 +20,7 @@ import yaml
 from rtde_bench import ENVIRONMENT, LIMIT, ROOT, connected, loopback, served
 from rtde_in_process import HOST, NOWHERE, Motions, RememberedArm, serving
 from simulated_clock import START, SimulatedClock
+from unchecked import unchecked_play
 
 from daq.motion.trajectory_file import load_trajectory
 from daq.recording.reader import read_recording
@@ -28,7 +29,7 @@ from daq.recording.recording import Recording
 from daq.recording.recover import recover
 from daq.robot.loader import RobotFile, load_robot
 from daq.session.connections import driver_settings
-from daq.session.session import READ_TIMEOUT, Play, SessionReport, record
+from daq.session.session import READ_TIMEOUT, SessionReport, record
 from daq.session.supervisor import STALE_FLOOR, TRACKING_ERROR, TRACKING_WINDOW, VELOCITY_MARGIN, Limits, Supervisor
 from drivers.errors import ConnectionLostError, SafetyStopError
 from drivers.rtde.driver import RtdeDriver
@@ -126,7 +127,7 @@ class Bench:
             text = played.text if played is not None else ""
             recorder = Recorder(self.out, robot, layouts, trajectory=text, clock=self.clock)
             supervisor = Informed(self.commands, Limits.of_robot(robot.robot), layouts)
-            play = Play(played.motion, robot.robot, RATE) if played is not None else None
+            play = unchecked_play(played.motion, robot.robot, RATE) if played is not None else None
             report = record(driver, recorder, supervisor, play, duration, clock=self.clock)
             self.ended = self.clock.now() - START
             driver.close()
@@ -368,7 +369,7 @@ def recording(host: str, out: Path, *arguments: str) -> Iterator[subprocess.Pope
     robot = str(out.with_name("changed.yaml"))
     command = [sys.executable, "tests/support/patient_dynid.py", "record", robot, "--host", host, "-o", str(out)]
     process = subprocess.Popen(
-        [*command, "--no-ui", "--json", *arguments],
+        [*command, "--yes", "--no-ui", "--json", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -33,11 +33,12 @@ from table_arm_bench import (
     served,
     session,
 )
+from unchecked import unchecked_play
 
 from daq.motion.trajectories import slow_move
 from daq.recording.reader import read_recording
 from daq.recording.recording import Event, Recording
-from daq.session.session import READ_TIMEOUT, Play, SessionReport
+from daq.session.session import READ_TIMEOUT, SessionReport
 from daq.session.supervisor import STALE_FLOOR
 from drivers.can.bus import close_bus, open_bus
 from drivers.can_signals.driver import SILENCE_LIMIT
@@ -94,7 +95,7 @@ def recorded(clock: SimulatedClock, tmp_path: Path) -> Recorded:
     """Records the arm in a motion, or for some seconds; faults come from the cycle of `FAULT_AT` on."""
 
     def record(*faults: str, duration: float | None = None, stall: float = 0.0) -> Outcome:
-        play = None if duration is not None else Play(slow_move(POSE, POSE + WAY, ROBOT.joints), ROBOT, RATE)
+        play = None if duration is not None else unchecked_play(slow_move(POSE, POSE + WAY, ROBOT.joints), ROBOT, RATE)
         with served(clock) as server, opened(connection_of(server), clock) as driver:
             for number, fault in enumerate(faults):
                 # Cycle 0 is a period after the start; a fault is obeyed at the next cycle.

@@ -129,6 +129,14 @@ class SelfCollision:
             nearest = np.minimum(nearest, self._distances.smallest(placements).min(axis=1))
         return 1.0 - nearest / DISTANCE_SCALE
 
+    def distances(self, path: Path) -> FloatArray:
+        """(m, N) [m] distance of each checked pair along a path, negative where its links overlap."""
+        distance = np.empty((len(self.pairs.checked), path.time.size))
+        for start in range(0, path.time.size, SAMPLES_AT_ONCE):
+            part = slice(start, start + SAMPLES_AT_ONCE)
+            distance[:, part] = self._distances.smallest(place_arm(self._model, path.position[:, part]))
+        return distance
+
     def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
         """Smooth upper bound (m,) and its derivatives (m, 3, n, N): ∂d/∂q = nᵀ(J_1 − J_2) at the nearest points."""
         placements = place_arm(self._model, path.position)

@@ -52,26 +52,28 @@ class TorqueLimits:
             self._shares[rows.rows, row] = self._parameters[list(rows.columns)] / self._limits[row]
 
     @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints whose torque is limited."""
+        return tuple(self._model.limits[joint].name for joint in self._joints)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """As in `torque of elbow (85 % of its limit)`."""
-        return tuple(
-            f"torque of {self._model.limits[joint].name} ({100 * TORQUE_SHARE:g} % of its limit)"
-            for joint in self._joints
-        )
+        return tuple(f"torque of {name} ({100 * TORQUE_SHARE:g} % of its limit)" for name in self.joint_names)
 
     def use(self, path: Path) -> FloatArray:
         """(m,) largest use on the grid."""
-        return np.asarray(np.abs(self._of_limits(path)).max(axis=1))
+        return np.asarray(np.abs(self.use_over_time(path)).max(axis=1))
 
     def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
         """Smooth upper bound (m,) and its derivatives (m, 3, n, N)."""
-        used = self._of_limits(path)
+        used = self.use_over_time(path)
         bounds, weights = soft_maximum(np.concatenate([used, -used], axis=1), sharpness)
         count = path.time.size
         return bounds, self._pull_back(path, weights[:, :count] - weights[:, count:])
 
-    def _of_limits(self, path: Path) -> FloatArray:
-        """Torque over limit (m, N)."""
+    def use_over_time(self, path: Path) -> FloatArray:
+        """Signed torque over `TORQUE_SHARE` of its limit (m, N)."""
         motion = (path.position, path.velocity, path.acceleration)
         torque = model_torque(self._model, self._columns, self._parameters, *motion)
         return np.asarray(torque[self._joints] / self._limits[:, None])

@@ -51,15 +51,19 @@ class _Limit:
 
 @dataclass(frozen=True)
 class Clearance:
-    """How near the arm comes to an obstacle along a path.
+    """How near the arm comes to an obstacle, or to another limit of the workspace, along a path.
 
     Attributes:
-        obstacle: with the distance that is kept.
-        distance: (N,) of the nearest link, its thickness included [m]; negative inside the obstacle.
+        name: of the obstacle or limit.
+        obstacle: None of another limit.
+        kept: distance that is kept [m].
+        distance: (N,) of the nearest link [m], to an obstacle thickness included; negative beyond the limit.
         link: (N,) number of that link.
     """
 
-    obstacle: Obstacle
+    name: str
+    obstacle: Obstacle | None
+    kept: float
     distance: FloatArray
     link: IndexArray
 
@@ -114,18 +118,24 @@ class WorkspaceLimits:
         return 1.0 - nearest / DISTANCE_SCALE
 
     def clearances(self, path: Path) -> tuple[Clearance, ...]:
-        """The distance to every obstacle along a path."""
-        found: dict[int, list[tuple[FloatArray, IndexArray]]] = {}
+        """The distance to every obstacle and limit along a path."""
+        distance = np.empty((len(self._limits), path.time.size))
+        link = np.empty((len(self._limits), path.time.size), dtype=np.intp)
         for start in range(0, path.time.size, SAMPLES_AT_ONCE):
-            placements = place_arm(self._model, path.position[:, start : start + SAMPLES_AT_ONCE])
+            part = slice(start, start + SAMPLES_AT_ONCE)
+            placements = place_arm(self._model, path.position[:, part])
             for row, limit in enumerate(self._limits):
-                if limit.obstacle is not None:
-                    value = limit.distances(placements).value
-                    found.setdefault(row, []).append((value.min(axis=0), limit.links[value.argmin(axis=0)]))
+                value = limit.distances(placements).value
+                distance[row, part], link[row, part] = value.min(axis=0), limit.links[value.argmin(axis=0)]
         return tuple(
-            Clearance(obstacle, *(np.concatenate(pieces) for pieces in zip(*found[row], strict=True)))
+            Clearance(
+                limit.obstacle.name if limit.obstacle else limit.name,
+                limit.obstacle,
+                limit.clearance,
+                distance[row],
+                link[row],
+            )
             for row, limit in enumerate(self._limits)
-            if (obstacle := limit.obstacle) is not None
         )
 
     def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:

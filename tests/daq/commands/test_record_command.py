@@ -76,7 +76,7 @@ def dynid(clock, monkeypatch, capsys):
 
 def test_a_motion_is_recorded_and_told_as_json(bench, dynid):
     status, out, err = dynid(
-        "record", "robot.yaml", "--trajectory", "traj.yaml", "-o", "run.h5", "--comment", "cold", "--json"
+        "record", "robot.yaml", "--trajectory", "traj.yaml", "--yes", "-o", "run.h5", "--comment", "cold", "--json"
     )
     assert status == 0, err
     told = json.loads(out)
@@ -177,7 +177,7 @@ def test_no_display_is_started_for_programs(bench, dynid, monkeypatch):
 @pytest.mark.parametrize("fault", ["torque", "temperature", "protective stop", "lost connection"])
 def test_a_stopped_session_exits_1_with_the_reason(bench, dynid, fault):
     bench.install(fault)
-    status, out, err = dynid("record", "robot.yaml", "--trajectory", "traj.yaml", "-o", "run.h5", "--json")
+    status, out, err = dynid("record", "robot.yaml", "--trajectory", "traj.yaml", "--yes", "-o", "run.h5", "--json")
     assert status == 1
     reason = "the connection broke" if fault == "lost connection" else fault
     told = json.loads(out)
@@ -222,7 +222,7 @@ def test_wrong_arguments_exit_2(bench, dynid, arguments, said):
 )
 def test_a_trajectory_that_does_not_fit_exits_2(bench, dynid, change, said):
     (bench.folder / "traj.yaml").write_text(yaml.safe_dump(TRAJECTORY | change))
-    assert said in refused(bench, dynid, "--trajectory", "traj.yaml", "-o", "run.h5")
+    assert said in refused(bench, dynid, "--trajectory", "traj.yaml", "--yes", "-o", "run.h5")
     assert bench.made == []
 
 
@@ -321,7 +321,7 @@ def wait_for(condition: Callable[[], object], process: subprocess.Popen[str]) ->
 @pytest.mark.parametrize("limit", [180_000, 250_000])
 def test_a_write_that_the_system_refuses_ends_in_order(bench, limit):
     """A file size limit, as a quota would: there is room on the disk, yet a write fails."""
-    trajectory = ("--trajectory", "traj.yaml", "-o", "run.h5", "--json")
+    trajectory = ("--trajectory", "traj.yaml", "--yes", "-o", "run.h5", "--json")
     (bench.folder / "traj.yaml").write_text(yaml.safe_dump(TRAJECTORY | {"durations": [9.0, 9.0]}))
     process = in_a_process(IN_SIMULATED_TIME.format(limit=limit), bench.folder, *trajectory)
     out, errors = process.communicate(timeout=LIMIT)

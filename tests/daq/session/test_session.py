@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from kinematic_arm import FIRST_STAMP, QUANTITIES, RATE, ROBOT_FILE, KinematicArm
 from simulated_clock import SimulatedClock
+from unchecked import unchecked_play
 
 from daq.motion.player import DRY_RUN, ticks
 from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest, slow_move
@@ -35,7 +36,7 @@ from drivers.errors import ConnectionLostError, SafetyStopError, UsageError, Wor
 from drivers.streams import Batch
 
 MOTION = PointToPoint(np.array([[0.1, -0.1], [0.5, 0.3], [0.0, 0.0]]), np.array([1.2, 1.2]))
-PLAY = Play(MOTION, ROBOT_FILE.robot, RATE)
+PLAY = unchecked_play(MOTION, ROBOT_FILE.robot, RATE)
 PERIOD = 1.0 / RATE
 AFTER = 0.802
 """When faults begin [s]: in the motion, and between two samples."""
@@ -108,7 +109,7 @@ def test_a_motion_is_approached_played_and_recorded(tmp_path: Path, clock: Simul
     motion = RestToRest(
         FourierSeries(1.0, np.array([0.1, -0.1]), np.array([[0.1], [0.05]]), np.array([[0.0], [0.1]])), 1, 0.5
     )
-    report = run(path, arm, Play(motion, ROBOT_FILE.robot, RATE))
+    report = run(path, arm, unchecked_play(motion, ROBOT_FILE.robot, RATE))
     assert report.stopped_by is None
     here = np.array([0.1, -0.1])
     way = ticks(slow_move(here, motion.evaluate(np.zeros(1))[0][:, 0], ROBOT_FILE.robot.joints), RATE)
@@ -193,7 +194,7 @@ def test_silence_stops_a_motion_after_five_periods_and_50_ms(
 
 def test_a_slower_stream_may_be_silent_for_five_periods(tmp_path: Path, clock: SimulatedClock) -> None:
     path, arm = tmp_path / "run.h5", KinematicArm("stale data", AFTER, rate=50.0, clock=clock)
-    report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, 50.0))
+    report = run(path, arm, unchecked_play(MOTION, ROBOT_FILE.robot, 50.0))
     assert "passes 0.1 s" in (report.stopped_by or "")
     assert 0.1 < stopped(arm) - 0.8 <= 0.1 + READ_TIMEOUT + 0.02 + 1e-9
 
@@ -403,7 +404,7 @@ def test_a_full_disk_stops_the_arm(tmp_path: Path, clock: SimulatedClock, monkey
 def test_a_motion_beyond_the_limits_never_starts(tmp_path: Path, clock: SimulatedClock) -> None:
     path, arm = tmp_path / "run.h5", KinematicArm(clock=clock)
     far = PointToPoint(np.array([[0.0, 0.0], [0.0, 2.5]]), np.array([5.0]))
-    report = run(path, arm, Play(far, ROBOT_FILE.robot, RATE))
+    report = run(path, arm, unchecked_play(far, ROBOT_FILE.robot, RATE))
     assert isinstance(report.error, UsageError)
     assert "position" in (report.stopped_by or "")
     assert arm.commands == []

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from kinematic_arm import RATE, ROBOT_FILE
 from punctual_arm import PunctualArm
+from unchecked import unchecked_play
 
 from daq.motion.trajectories import PointToPoint
 from daq.recording.reader import read_recording
@@ -105,7 +106,7 @@ def run(path, clock, sources, play=None, duration=None):
 
 
 def motion() -> Play:
-    return Play(MOTION, ROBOT_FILE.robot, RATE)
+    return unchecked_play(MOTION, ROBOT_FILE.robot, RATE)
 
 
 def test_both_are_in_one_recording(tmp_path, clock):

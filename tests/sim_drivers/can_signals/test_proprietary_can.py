@@ -28,10 +28,10 @@ from table_arm_bench import (
     served,
     session,
 )
+from unchecked import unchecked_play
 
 from daq.motion.trajectories import slow_move
 from daq.recording.reader import read_recording
-from daq.session.session import Play
 from drivers.can_signals.driver import CanFramesDriver
 from drivers.can_signals.settings import parse_settings
 from drivers.can_signals.signals import batches, decode, parts_of
@@ -254,7 +254,7 @@ def test_a_motion_is_recorded_as_the_plant_made_it(
 ) -> None:
     path = tmp_path / "run.h5"
     motion = slow_move(POSE, POSE + 0.15, ROBOT.joints, share=0.1)
-    report = session(path, driver, clock, Play(motion, ROBOT, RATE))
+    report = session(path, driver, clock, unchecked_play(motion, ROBOT, RATE))
     assert report.stopped_by is None
     assert report.punctuality is not None
     assert (report.punctuality.skipped, report.punctuality.max_ms) == (0, 0.0)

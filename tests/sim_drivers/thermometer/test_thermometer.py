@@ -14,13 +14,14 @@ from kinematic_arm import ROBOT_FILE as ARM
 from punctual_arm import PunctualArm
 from serial_lines import SerialLine
 from simulated_clock import SimulatedClock
+from unchecked import unchecked_play
 
 from daq.motion.trajectories import PointToPoint
 from daq.recording.reader import read_recording
 from daq.recording.recorder import Recorder
 from daq.recording.recording import Recording
 from daq.robot.schema import Connection
-from daq.session.session import Play, SessionReport, record
+from daq.session.session import SessionReport, record
 from daq.session.sources import Sources
 from daq.session.supervisor import Limits, Supervisor
 from drivers.base import DriverSettings, Notice
@@ -360,7 +361,7 @@ def recorded(
             sources.open()
             layouts = sources.streams()
             supervisor = Supervisor(Limits.of_robot(ARM.robot, tracking_error=0.05), layouts)
-            play = Play(MOTION, ARM.robot, RATE) if duration is None else None
+            play = unchecked_play(MOTION, ARM.robot, RATE) if duration is None else None
             recorder = Recorder(path, ARM, layouts, clock=clock)
             if fault is not None:
                 clock.call_at(clock.now() + fault[0], lambda: server.obey(fault[1]))

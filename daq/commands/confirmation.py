@@ -1,0 +1,105 @@
+"""What a person is told before an arm moves, and the question whether it may."""
+
+from __future__ import annotations
+
+import select
+import sys
+from collections.abc import Sequence
+from typing import TextIO
+
+import numpy as np
+
+from daq.motion.approach import checked_approach
+from daq.motion.motion_check import MotionCheck, MotionFigures
+from daq.motion.trajectories import Motion
+from daq.robot.schema import JointLimits
+from drivers.streams import FloatArray
+
+_SHOWN = 3
+"""Clearances that are shown at most, the smallest ones."""
+
+
+def motion_lines(figures: MotionFigures) -> list[str]:
+    """What will move where, a line per figure."""
+    lines = [
+        f"tool point: lowest {figures.lowest:.3f} m (above the base frame's origin), farthest {figures.farthest:.3f} m "
+        f"from it, at most {figures.tool_speed:.2f} m/s",
+        f"fastest joint: {figures.fastest_joint}, {100 * figures.speed_share:.0f} % of its velocity limit",
+    ]
+    for clearance in figures.clearances[:_SHOWN]:
+        lines.append(
+            f"smallest clearance to {clearance.what}: {clearance.distance:.3f} m "
+            f"(link {clearance.link}, at {clearance.time:.1f} s)"
+        )
+    if not figures.clearances:
+        lines.append("clearance: not checked, the robot file names neither a mounting surface nor obstacles")
+    if figures.torque_share is None:
+        lines.append("torque: not predicted, the arm's parameters or torque limits are not known")
+    else:
+        share = f"{100 * figures.torque_share:.0f} % of its limit"
+        lines.append(f"torque: predicted to be at most {share} ({figures.torque_joint})")
+    return lines
+
+
+class Confirmation:
+    """Tells a person where the arm will go, and asks; a `daq.session.permission.Permission`.
+
+    Args:
+        motion: that will be played.
+        limits: of the joints.
+        check: of the arm.
+        question: terminal on which the person is asked; None where the answer is yes already.
+        told: where the approach is described; None for nowhere.
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        limits: Sequence[JointLimits],
+        check: MotionCheck,
+        question: tuple[TextIO, TextIO] | None,
+        told: TextIO | None,
+    ) -> None:
+        self._start = motion.evaluate(np.zeros(1))[0][:, 0]
+        self._limits = limits
+        self._check = check
+        self._question = question
+        self._told = told
+        self.figures: MotionFigures | None = None
+        """Of the way to the start pose, once it is known."""
+
+    def approach(self, position: FloatArray) -> Motion:
+        """The first way that passes the check.
+
+        Raises:
+            MotionRefusedError: none does.
+        """
+        way, self.figures = checked_approach(position, self._start, self._limits, self._check)
+        return way
+
+    def ask(self) -> None:
+        """Describe the way, then ask."""
+        if self._told is not None and self.figures is not None:
+            tell(f"first the way to the start pose, {self.figures.duration:.1f} s", self.figures, self._told)
+        if self._question is not None:
+            _, out = self._question
+            print("Move the arm? [y/N] ", end="", file=out, flush=True)
+
+    def answer(self) -> bool | None:
+        """Yes for `y` or `yes`; no for anything else, the end of the input among it; None before."""
+        if self._question is None:
+            return True
+        terminal, _ = self._question
+        if not select.select([terminal], [], [], 0.0)[0]:
+            return None
+        return terminal.readline().strip().lower() in {"y", "yes"}
+
+
+def tell(title: str, figures: MotionFigures, out: TextIO) -> None:
+    """Print a title and the figures of a motion."""
+    print(title, *(f"  {line}" for line in motion_lines(figures)), sep="\n", file=out, flush=True)
+
+
+def terminal() -> tuple[TextIO, TextIO] | None:
+    """Where a person can be asked: standard input and error; None where either is no terminal."""
+    return (sys.stdin, sys.stderr) if sys.stdin.isatty() and sys.stderr.isatty() else None

@@ -1,0 +1,109 @@
+"""The check that a motion passes before it is played, and what it tells of the motion.
+
+It needs the arm's geometry and dynamics, which are not daq's: whoever has them enters a `MakeMotionCheck` in the
+entry-point group `dynid.motion_check`. Without one no motion is played.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Protocol, cast
+
+from daq.motion.trajectories import Motion
+from daq.robot.loader import RobotFile
+from drivers.errors import MotionRefusedError
+
+MOTION_CHECK_GROUP = "dynid.motion_check"
+"""Entry-point group of exactly one `MakeMotionCheck`."""
+
+
+@dataclass(frozen=True)
+class SmallestClearance:
+    """How near a motion comes to something.
+
+    Attributes:
+        what: an obstacle, another link, or a limit of the workspace.
+        link: that comes nearest, by the joint that moves it.
+        distance: [m], the links' thickness included.
+        time: [s].
+    """
+
+    what: str
+    link: str
+    distance: float
+    time: float
+
+
+@dataclass(frozen=True)
+class MotionFigures:
+    """What will move where.
+
+    Attributes:
+        duration: [s].
+        lowest: smallest height of the tool point above the base frame's origin, against gravity [m].
+        farthest: largest distance of the tool point from the base frame's origin [m].
+        tool_speed: largest speed of the tool point [m/s].
+        fastest_joint: that uses most of its velocity limit.
+        speed_share: how much of it.
+        clearances: to every obstacle, and of the pair of links that come nearest to each other; the smallest first.
+        torque_joint: that is predicted to use most of its torque limit; empty where nothing can be predicted.
+        torque_share: how much of it; None where nothing can be predicted.
+    """
+
+    duration: float
+    lowest: float
+    farthest: float
+    tool_speed: float
+    fastest_joint: str
+    speed_share: float
+    clearances: tuple[SmallestClearance, ...]
+    torque_joint: str
+    torque_share: float | None
+
+
+class MotionCheck(Protocol):
+    """Checks motions of one arm against its surroundings, itself, and its torque limits."""
+
+    def trajectory(self, motion: Motion, where: str) -> MotionFigures:
+        """Check a motion; `where` is what an error calls it.
+
+        Raises:
+            MotionRefusedError: it comes too near to something; names link, obstacle and time.
+        """
+
+    def approach(self, motion: Motion) -> MotionFigures:
+        """Check the way to a start pose; it may begin too near to something, but must not come nearer.
+
+        Raises:
+            MotionRefusedError: as above.
+        """
+
+
+class MakeMotionCheck(Protocol):
+    """Makes the check of an arm."""
+
+    def __call__(self, robot_file: RobotFile, prior: Path | None) -> MotionCheck:
+        """The check; torque is predicted with the parameters of `prior`, a result.json, or of the robot file.
+
+        Raises:
+            DynidError: a file cannot be used.
+        """
+
+
+def load_motion_check(robot_file: RobotFile, prior: Path | None = None) -> MotionCheck:
+    """The check that is installed, for an arm.
+
+    Raises:
+        MotionRefusedError: none is installed, or several are.
+        DynidError: a file cannot be used.
+    """
+    entries = list(entry_points(group=MOTION_CHECK_GROUP))
+    if len(entries) != 1:
+        found = ", ".join(sorted(entry.value for entry in entries)) or "none"
+        raise MotionRefusedError(
+            f"a motion is played only where exactly one check of motions is installed; found: {found}",
+            hint="install dynid again",
+        )
+    return cast(MakeMotionCheck, entries[0].load())(robot_file, prior)

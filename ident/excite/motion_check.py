@@ -1,0 +1,176 @@
+"""The check of a motion before it is played: the constraints of a design, along any motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import Literal
+
+import numpy as np
+
+from daq.motion.motion_check import MotionFigures, SmallestClearance
+from daq.motion.trajectories import GRID_RATE, Motion
+from daq.robot.loader import RobotFile
+from drivers.errors import MotionRefusedError
+from drivers.streams import FloatArray
+from ident.excite.constraints.collision_geometry import link_name
+from ident.excite.constraints.constraints import constraints_of
+from ident.excite.constraints.placements import place_arm, tool_point
+from ident.excite.constraints.self_collision import SelfCollision
+from ident.excite.constraints.torque_limits import TORQUE_SHARE, TorqueLimits
+from ident.excite.constraints.workspace import SAMPLES_AT_ONCE, WorkspaceLimits
+from ident.excite.path import Path
+from ident.excite.prior import find_prior
+from ident.model.dynamic_model import build_model
+
+APPROACH_RATE = 200.0
+"""Grid [Hz] of the way to the start pose, which takes a tenth of the velocity limits."""
+MOST_SAMPLES = 400_000
+"""A motion of more than 400 s is checked on a grid that is coarser than 1 kHz."""
+TOLERANCE = 1e-3
+"""Of distances [m] and of limit utilisations: a design was checked on another grid."""
+
+
+@dataclass(frozen=True)
+class _Watched:
+    """A distance over time.
+
+    Attributes:
+        what: an obstacle, a limit of the workspace, or another link.
+        kind: which of them.
+        links: (N,) names of the links that come nearest.
+        distance: (N,) [m].
+        kept: at least this much [m].
+    """
+
+    what: str
+    kind: Literal["obstacle", "limit", "link"]
+    links: Sequence[str]
+    distance: FloatArray
+    kept: float
+
+    def breach(self, sample: int, time: float) -> str:
+        """What is wrong at a sample, the first of those that come too near."""
+        smallest, link = float(self.distance.min()), self.links[sample]
+        if self.kind == "limit":
+            return f"link {link} passes the {self.what} at {time:.2f} s, by up to {-smallest:.3f} m"
+        if smallest < 0.0:
+            return f"link {link} enters {self.what} at {time:.2f} s, up to {-smallest:.3f} m deep"
+        nearest = f"link {link} comes too near to {self.what} at {time:.2f} s, down to {smallest:.3f} m"
+        return f"{nearest}; {self.kept:.3g} m is kept"
+
+
+class ArmMotionCheck:
+    """Keeps an arm clear of its mounting surface, obstacles and itself, and within its torque limits."""
+
+    def __init__(self, robot_file: RobotFile, prior: FilePath | None = None) -> None:
+        """Prepare for an arm.
+
+        Args:
+            robot_file: the arm.
+            prior: result.json whose parameters predict torque; those of the file's truth where None.
+
+        Raises:
+            DynidError: the geometry or the result cannot be used.
+        """
+        self._robot = robot_file.robot
+        self._model = build_model(robot_file)
+        parameters = find_prior(robot_file, prior).parameters
+        constraints = constraints_of(robot_file, self._model, parameters, self_collision=True)
+        self._workspace = [limits for limits in constraints if isinstance(limits, WorkspaceLimits)]
+        self._pairs = [limits for limits in constraints if isinstance(limits, SelfCollision)]
+        self._torque = [limits for limits in constraints if isinstance(limits, TorqueLimits)]
+
+    def trajectory(self, motion: Motion, where: str) -> MotionFigures:
+        """Check a motion on a grid of 1 kHz.
+
+        Raises:
+            MotionRefusedError: names link, obstacle and time, or joint, torque and time.
+        """
+        return self._check(motion, GRID_RATE, where, from_here=False)
+
+    def approach(self, motion: Motion) -> MotionFigures:
+        """Check the way to a start pose on a grid of 200 Hz; what is too near already must not come nearer.
+
+        Raises:
+            MotionRefusedError: as above.
+        """
+        return self._check(motion, APPROACH_RATE, "the way to the start pose", from_here=True)
+
+    def _check(self, motion: Motion, rate: float, where: str, *, from_here: bool) -> MotionFigures:
+        count = int(min(max(motion.duration * rate, 200.0), MOST_SAMPLES)) + 1
+        time = np.linspace(0.0, motion.duration, count)
+        path = Path(time, *motion.evaluate(time))
+        clearances = []
+        for watched in self._watched(path):
+            kept = min(watched.kept, float(watched.distance[0])) if from_here else watched.kept
+            breaches = np.flatnonzero(watched.distance < kept - TOLERANCE)
+            nearest = int(watched.distance.argmin())
+            smallest = float(watched.distance[nearest])
+            if len(breaches):
+                first = int(breaches[0])
+                raise MotionRefusedError(watched.breach(first, float(time[first])), where=where, hint=_HINT)
+            clearances.append(SmallestClearance(watched.what, watched.links[nearest], smallest, float(time[nearest])))
+        torque_joint, torque_share = self._check_torque(path, where, from_here=from_here)
+        lowest, farthest, tool_speed = self._tool(path)
+        shares = np.abs(path.velocity).max(axis=1) / np.array([joint.velocity for joint in self._robot.joints])
+        return MotionFigures(
+            duration=motion.duration,
+            lowest=lowest,
+            farthest=farthest,
+            tool_speed=tool_speed,
+            fastest_joint=self._robot.joint_names[int(shares.argmax())],
+            speed_share=float(shares.max()),
+            clearances=tuple(sorted(clearances, key=lambda clearance: clearance.distance)),
+            torque_joint=torque_joint,
+            torque_share=torque_share,
+        )
+
+    def _watched(self, path: Path) -> Iterator[_Watched]:
+        for limits in self._workspace:
+            for clearance in limits.clearances(path):
+                names = [link_name(self._model, link) for link in clearance.link]
+                kind: Literal["obstacle", "limit"] = "limit" if clearance.obstacle is None else "obstacle"
+                yield _Watched(clearance.name, kind, names, clearance.distance, clearance.kept)
+        for collision in self._pairs:
+            # Only the pair that comes nearest tells something of a motion; any pair may be the one that breaks it.
+            distances = collision.distances(path)
+            named = [tuple(link_name(self._model, link) for link in pair) for pair in collision.pairs.checked]
+            for row in [*np.flatnonzero(distances.min(axis=1) < -TOLERANCE), int(distances.min(axis=1).argmin())]:
+                first, second = named[row]
+                yield _Watched(f"link {first}", "link", [second] * path.time.size, distances[row], 0.0)
+
+    def _check_torque(self, path: Path, where: str, *, from_here: bool) -> tuple[str, float | None]:
+        joint, share = "", None
+        for limits in self._torque:
+            used = np.abs(limits.use_over_time(path))
+            allowed = np.maximum(1.0, used[:, :1]) if from_here else 1.0
+            row, sample = (int(index) for index in np.unravel_index(int((used - allowed).argmax()), used.shape))
+            if (used - allowed)[row, sample] > TOLERANCE:
+                needed = f"{100 * TORQUE_SHARE * used[row, sample]:.0f} % of its torque limit"
+                raise MotionRefusedError(
+                    f"joint {limits.joint_names[row]} is predicted to need {needed} at {path.time[sample]:.2f} s; "
+                    f"at most {100 * TORQUE_SHARE:g} % is planned",
+                    where=where,
+                    hint="slow the motion down, with --speed-scale for example, or correct what is known of the arm",
+                )
+            row = int(used.max(axis=1).argmax())
+            joint, share = limits.joint_names[row], TORQUE_SHARE * float(used[row].max())
+        return joint, share
+
+    def _tool(self, path: Path) -> tuple[float, float, float]:
+        """Lowest height and farthest distance of the tool point [m], and its largest speed [m/s]."""
+        tool = np.empty((3, path.time.size))
+        for start in range(0, path.time.size, SAMPLES_AT_ONCE):
+            part = slice(start, start + SAMPLES_AT_ONCE)
+            placements = place_arm(self._model, path.position[:, part])
+            tool[:, part] = tool_point(self._model, placements, self._robot.workspace.tool)
+        gravity = np.array(self._robot.model.gravity)
+        size = float(np.linalg.norm(gravity))
+        up = -gravity / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
+        speed = np.linalg.norm(np.diff(tool, axis=1), axis=0) / np.diff(path.time)
+        return float((up @ tool).min()), float(np.linalg.norm(tool, axis=0).max()), float(speed.max())
+
+
+_HINT = "change the motion, or correct mounting and workspace of the robot file"
