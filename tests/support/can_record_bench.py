@@ -66,6 +66,7 @@ def an_arm(folder: Path, **canopen: object) -> Arm:
     names = {theirs["name"]: ours["name"] for theirs, ours in zip(other["joints"], arm["joints"], strict=True)}
     for joint in arm["joints"]:
         joint["torque"] = None  # drives jerk where a busy computer leaves SYNCs out; that is not what is tested here
+    arm["model"]["mounting"] = "free"  # its first pose, stretched out, is nearer to a table than what is kept
     connections = arm["connections"]
     connections["can"] = renamed(other["connections"]["can"], names)
     place = {"channel": group, "options": {"hop_limit": 0, "port": port}}

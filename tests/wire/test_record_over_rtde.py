@@ -67,6 +67,7 @@ def changed_robot(folder: Path, change: dict[str, Any], timeout: float = 5.0) ->
     """The UR5e with every joint changed, and a time limit [s] for taking control of it."""
     content = yaml.safe_load(ur5e().text)
     content["connections"]["rtde"]["timeout"] = timeout
+    content["model"]["mounting"] = "free"  # its first pose, stretched out, is nearer to a table than what is kept
     for joint in content["joints"]:
         joint.update(change)
     path = folder / "changed.yaml"

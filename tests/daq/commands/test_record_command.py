@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import pty
+import re
 import signal
 import subprocess
 import sys
@@ -258,6 +260,109 @@ def test_a_full_disk_is_known_before_the_wire_is_touched(bench, dynid, monkeypat
     assert status == 1
     assert "the disk is full" in json.loads(out)["error"]
     assert not any(arm.opened for _, arm in bench.made)
+
+
+PLAY = ("record", "robot.yaml", "--trajectory", "traj.yaml", "-o", "run.h5")
+TABLE = "floor: 0.21"
+"""The links of `two-links`, 0.3 m up and 0.05 m thick, keep 0.04 m from it."""
+
+
+def with_workspace(bench, *lines):
+    text = ROBOT_FILE.text.replace("connections:", "\n  ".join(["workspace:", *lines]) + "\nconnections:")
+    (bench.folder / "robot.yaml").write_text(text)
+
+
+@pytest.fixture
+def keyboard(monkeypatch):
+    """A terminal: what is written into the first, and the prompt's output."""
+    reading, writing = os.pipe()
+    shown = io.StringIO()
+    with os.fdopen(reading) as typed, os.fdopen(writing, "w", buffering=1) as keys:
+        monkeypatch.setattr("daq.commands.confirmation.terminal", lambda: (typed, shown))
+        yield SimpleNamespace(type=lambda text: print(text, file=keys, flush=True), shown=shown, close=keys.close)
+
+
+def test_without_a_terminal_the_arm_moves_only_with_yes(bench, dynid):
+    status, out, err = dynid(*PLAY)
+    assert (status, out) == (2, "")
+    assert err == "dynid: the arm will move, and there is no terminal to ask on (--yes moves it without asking)\n"
+    assert bench.made == []
+    assert not (bench.folder / "run.h5").exists()
+
+
+@pytest.mark.parametrize("word", ["y", "Yes"])
+def test_what_will_move_where_is_told_and_a_yes_moves_it(bench, dynid, keyboard, word):
+    with_workspace(bench, TABLE)
+    keyboard.type(word)
+    status, out, err = dynid(*PLAY)
+    assert status == 0, err
+    assert keyboard.shown.getvalue() == "Move the arm? [y/N] "
+    told = out.splitlines()
+    assert told[0] == "traj.yaml moves two-links for 1.6 s"
+    assert re.match(r"  tool point: lowest 0\.\d+ m .*, farthest 0\.5\d\d m from it, at most 0\.\d\d m/s$", told[1])
+    assert any(re.match(r"  smallest clearance to the table: 0\.040 m \(link \w+, at ", line) for line in told)
+    assert any(line.startswith("first the way to the start pose, 0.1 s") for line in told)
+    assert len(bench.made[0][1].commands) > 100
+
+
+@pytest.mark.parametrize("word", ["n", "", "yep"])
+def test_any_other_answer_moves_nothing_and_leaves_no_file(bench, dynid, keyboard, word):
+    keyboard.type(word)
+    status, _, err = dynid(*PLAY)
+    assert (status, err) == (2, "dynid: not confirmed, so nothing was moved\n")
+    arm = bench.made[0][1]
+    assert (arm.commands, arm.stopped_at is not None) == ([], True)
+    assert not (bench.folder / "run.h5").exists()
+
+
+def test_the_end_of_the_input_is_no_yes(bench, dynid, keyboard):
+    keyboard.close()
+    assert dynid(*PLAY)[0] == 2
+    assert bench.made[0][1].commands == []
+
+
+def test_a_trajectory_that_comes_too_near_is_refused_before_the_wire_is_touched(bench, dynid):
+    with_workspace(bench, "keep_out: [{name: crate, box: {lower: [0.35, 0, 0.2], upper: [0.5, 0.3, 0.4]}}]")
+    status, out, err = dynid(*PLAY, "--yes")
+    assert (status, out) == (2, "")
+    assert re.match(r"dynid: traj\.yaml: link \w+ enters crate at \d\.\d\d s, up to 0\.\d+ m deep", err)
+    assert len(err.splitlines()) == 1
+    assert not any(arm.opened for _, arm in bench.made)
+
+
+def test_a_way_to_the_start_that_comes_too_near_is_refused_and_moves_nothing(bench, dynid):
+    # The arm waits behind a thin wall that the trajectory, beyond it, does not touch.
+    points = [[1.6, 0.0], [1.7, 0.1], [1.6, 0.0]]
+    (bench.folder / "traj.yaml").write_text(yaml.safe_dump(TRAJECTORY | {"points": points}))
+    with_workspace(bench, "keep_out: [{name: wall, box: {lower: [0.2, 0.2, 0], upper: [0.22, 0.6, 0.6]}}]")
+    status, _, err = dynid(*PLAY, "--yes")
+    assert status == 2
+    assert "the way to the start pose: link" in err
+    assert "enters wall" in err
+    assert "bring the arm nearer to the start pose" in err
+    assert bench.made[0][1].commands == []
+    assert not (bench.folder / "run.h5").exists()
+
+
+def test_a_first_run_is_slow_and_recorded_as_such(bench, dynid):
+    status, out, err = dynid(*PLAY, "--yes", "--speed-scale", "0.25", "--json")
+    assert status == 0, err
+    assert json.loads(out)["motion"]["duration"] == pytest.approx(1.6 / 0.25)
+    recording = read_recording(bench.folder / "run.h5")
+    assert recording.speed_scale == 0.25
+    assert any(event.message == "the trajectory is played at 0.25 of its speed" for event in recording.events)
+    assert yaml.safe_load(recording.trajectory) == TRAJECTORY
+    commands = np.array(bench.made[0][1].commands)
+    fast = load_trajectory(Path("traj.yaml"), ROBOT_FILE.robot).motion
+    time = np.arange(int(1.6 / 0.25 * RATE) + 1) / RATE
+    np.testing.assert_allclose(commands[-len(time) :], fast.evaluate(0.25 * time)[0].T, atol=1e-12)
+
+
+@pytest.mark.parametrize("scale", ["0", "1.5", "nan", "-1"])
+def test_a_speed_scale_that_is_no_share_exits_2(bench, dynid, scale):
+    said = refused(bench, dynid, *PLAY[2:], "--yes", "--speed-scale", scale)
+    assert "is not above 0 and at most 1" in said
+    assert "need --trajectory" in refused(bench, dynid, "--duration", "1", "--speed-scale", "0.5", "-o", "run.h5")
 
 
 ROOT = Path(session.__file__).parents[2]
