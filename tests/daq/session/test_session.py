@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from kinematic_arm import FIRST_STAMP, QUANTITIES, RATE, ROBOT_FILE, KinematicArm
 from simulated_clock import SimulatedClock
-from unchecked import unchecked_play
+from unchecked import Unchecked, unchecked_play
 
 from daq.motion.player import DRY_RUN, ticks
 from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest, slow_move
@@ -32,7 +32,7 @@ from daq.session.session import (
 )
 from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Notice
-from drivers.errors import ConnectionLostError, SafetyStopError, UsageError, WorkError
+from drivers.errors import ConnectionLostError, MotionRefusedError, SafetyStopError, UsageError, WorkError
 from drivers.streams import Batch
 
 MOTION = PointToPoint(np.array([[0.1, -0.1], [0.5, 0.3], [0.0, 0.0]]), np.array([1.2, 1.2]))
@@ -416,3 +416,84 @@ def test_a_driver_is_found_by_name_or_refused() -> None:
         load_driver(ROBOT_FILE.robot)
     with pytest.raises(UsageError, match="no connection is called 'can'"):
         load_driver(ROBOT_FILE.robot, "can")
+
+
+class Hesitates(Unchecked):
+    """Answers at its n-th look, and does something to the arm at one of them."""
+
+    def __init__(self, says: bool, looks: int = 40, meanwhile=lambda look: None) -> None:
+        super().__init__(MOTION, ROBOT_FILE.robot)
+        self.says, self.looks, self.meanwhile = says, looks, meanwhile
+        self.asked = self.looked = 0
+        self.planned: list[np.ndarray] = []
+
+    def approach(self, position):
+        self.planned.append(np.array(position))
+        return super().approach(position)
+
+    def ask(self):
+        self.asked += 1
+
+    def answer(self):
+        self.looked += 1
+        self.meanwhile(self.looked)
+        return self.says if self.looked > self.looks else None
+
+
+def test_nothing_moves_until_the_answer_is_yes(tmp_path: Path, clock: SimulatedClock) -> None:
+    path, arm = tmp_path / "run.h5", KinematicArm(clock=clock)
+    asked: list[int] = []
+    permission = Hesitates(True, meanwhile=lambda look: asked.append(len(arm.commands)))
+    report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, RATE, permission))
+    assert (report.stopped_by, permission.asked) == (None, 1)
+    assert set(asked) == {0}
+    recording = recorded(path, arm)  # what arrived meanwhile is in it
+    assert recording.complete
+    begun = next(event.time for event in recording.events if event.message == "motion begins")
+    assert begun - FIRST_STAMP > permission.looks * 0.5 * READ_TIMEOUT
+    np.testing.assert_allclose(arm.commands[-1], [0.0, 0.0], atol=1e-12)
+
+
+def test_a_no_moves_nothing(tmp_path: Path, clock: SimulatedClock) -> None:
+    path, arm = tmp_path / "run.h5", KinematicArm(clock=clock)
+    report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, RATE, Hesitates(False)))
+    assert isinstance(report.error, MotionRefusedError)
+    assert (arm.commands, report.punctuality) == ([], None)
+    assert_closed(path, arm, report)
+
+
+@pytest.mark.parametrize(("way", "refused"), [(0.015, False), (0.03, True)])
+def test_an_arm_that_moved_meanwhile_is_somewhere_else(
+    tmp_path: Path, clock: SimulatedClock, way: float, refused: bool
+) -> None:
+    arm = KinematicArm(clock=clock)
+
+    def push(look: int) -> None:
+        if look == 20:
+            arm.position = arm.position + way
+
+    permission = Hesitates(True, meanwhile=push)
+    report = run(tmp_path / "run.h5", arm, Play(MOTION, ROBOT_FILE.robot, RATE, permission))
+    assert isinstance(report.error, MotionRefusedError) == refused
+    if refused:
+        assert "moved while the answer was awaited" in str(report.stopped_by)
+        assert arm.commands == []
+    else:
+        np.testing.assert_allclose(permission.planned[-1] - permission.planned[0], way)
+        np.testing.assert_allclose(arm.commands[0], permission.planned[-1])
+
+
+def test_ctrl_c_while_the_answer_is_awaited_moves_nothing(tmp_path: Path, clock: SimulatedClock) -> None:
+    path, arm = tmp_path / "run.h5", KinematicArm(clock=clock)
+    permission = Hesitates(True, meanwhile=lambda look: signal.raise_signal(signal.SIGINT) if look == 5 else None)
+    report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, RATE, permission))
+    assert (report.stopped_by, arm.commands, permission.looked) == (INTERRUPTED, [], 5)
+    assert_closed(path, arm, report)
+
+
+def test_an_arm_that_reports_an_error_meanwhile_is_not_moved(tmp_path: Path, clock: SimulatedClock) -> None:
+    path, arm = tmp_path / "run.h5", KinematicArm("protective stop", 0.5, clock=clock)
+    report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, RATE, Hesitates(True, looks=1000)))
+    assert isinstance(report.error, SafetyStopError)
+    assert arm.commands == []
+    assert_closed(path, arm, report)
