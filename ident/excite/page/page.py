@@ -8,7 +8,8 @@ from pathlib import Path
 from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
 from ident.excite.forecast import ExcitationFigures
-from ident.excite.page.plots import arm_figure, joints_figure, shown_part, tool_figure
+from ident.excite.page.arm_scene import arm_figure
+from ident.excite.page.plots import clearance_figure, joints_figure, shown_part, tool_figure
 from ident.excite.prior import Prior
 from ident.model.dynamic_model import build_model
 from ident.regression.pruning import SIGNIFICANT_RSD
@@ -64,6 +65,7 @@ def render_page(
                 "arm": arm_figure(robot_file, motion, shown),
                 "joints": joints_figure(robot_file.robot.joints, prismatic, shown),
                 "tool": tool_figure(robot_file, shown),
+                "clearances": clearance_figure(robot_file, shown),
             },
         )
     )

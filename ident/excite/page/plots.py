@@ -1,25 +1,25 @@
-"""The plots of an excitation's page: joints over time, the tool's place, and the arm in motion."""
+"""The plots of an excitation's page over time: joints, the tool's place, and clearances."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 
 from daq.motion.trajectories import Motion, RestToRest
 from daq.robot.loader import RobotFile
 from daq.robot.schema import JointLimits
 from drivers.streams import FloatArray
+from ident.excite.constraints.constraints import constraints_of
 from ident.excite.constraints.placements import place_arm, tool_point
+from ident.excite.constraints.self_collision import SelfCollision
+from ident.excite.constraints.workspace import WorkspaceLimits
 from ident.excite.path import Path
 from ident.excite.prior import Prior
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
-from ident.model.joints import BASE_INDEX, Joint
 from ident.model.regressor import model_torque
 from ident.report.figures import (
     BOTTOM,
@@ -40,30 +40,10 @@ from ident.report.traces import packed
 POINTS = 1200
 """Points per line."""
 
-FRAMES = 100
-"""Frames of the animation at most."""
-
 PANEL, GAP = 110, 34
 _COLUMN_GAP = 0.07
-_SCENE_HEIGHT = 640
-_GRID_COLOUR = "#A9AEB5"
-"""Readable on a light and on a dark page: scenes do not take the page's colours."""
-
-
-@dataclass(frozen=True)
-class AnimatedFigure(Figure):
-    """A figure with frames, which the page's script adds once it is drawn.
-
-    Attributes:
-        frames: what Plotly.addFrames takes.
-    """
-
-    frames: Sequence[dict[str, Any]] = field(default=())
-
-    @property
-    def frames_json(self) -> Markup:
-        """The frames as strict JSON; they hold numbers and our own names only."""
-        return Markup(json.dumps(list(self.frames), allow_nan=False, separators=(",", ":")))
+_COLOURS = (MEASURED, PREDICTED, "#009E73", "#CC79A7", "#E69F00", "#56B4E9", RESIDUAL)
+"""Of lines that share a panel (Okabe and Ito); they repeat."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +66,7 @@ def shown_part(robot_file: RobotFile, motion: Motion, prior: Prior) -> Shown:
     end, repetitions = motion.duration, 1
     if isinstance(motion, RestToRest) and motion.periods > 1:
         end, repetitions = motion.ramp + motion.motion.duration, motion.periods
-    path = _path(motion, end, POINTS)
+    path = path_until(motion, end, POINTS)
     torque = None
     if prior.parameters is not None:
         model = build_model(robot_file)
@@ -95,7 +75,8 @@ def shown_part(robot_file: RobotFile, motion: Motion, prior: Prior) -> Shown:
     return Shown(path, torque, repetitions)
 
 
-def _path(motion: Motion, end: float, count: int) -> Path:
+def path_until(motion: Motion, end: float, count: int) -> Path:
+    """The motion from 0 to `end` [s]."""
     time = np.linspace(0.0, end, count)
     return Path(time, *motion.evaluate(time))
 
@@ -140,10 +121,13 @@ def joints_figure(joints: Sequence[JointLimits], prismatic: Sequence[bool], show
                 data.append(_invisible(x, y, shown.path.time[0], _limits(quantity, limits)))
     layout = base_layout(height, showlegend=False, hovermode="x", annotations=notes, shapes=shapes, **axes)
     torques = " Torques are those of the prior parameters." if shown.torque is not None else ""
-    return Figure("joints-plot", height, data, layout, f"Dashed: limits of the robot file.{torques} {_part(shown)}")
+    return Figure(
+        "joints-plot", height, data, layout, f"Dashed: limits of the robot file.{torques} {part_shown(shown)}"
+    )
 
 
-def _part(shown: Shown) -> str:
+def part_shown(shown: Shown) -> str:
+    """Which part of the motion is shown, in words."""
     if shown.repetitions == 1:
         return "The whole motion, from rest to rest."
     return f"From rest into the motion and the first of its {shown.repetitions} repetitions."
@@ -203,7 +187,7 @@ def tool_figure(robot_file: RobotFile, shown: Shown) -> Figure:
             data.append(_invisible("x", y, shown.path.time[0], limits))
     layout = base_layout(height, showlegend=False, hovermode="x", annotations=notes, shapes=shapes, **axes)
     dashed = " Dashed: limits of the robot file's workspace." if workspace.radius or workspace.height else ""
-    caption = f"The tool point, {_tool_words(robot_file)}.{dashed} {_part(shown)}"
+    caption = f"The tool point, {_tool_words(robot_file)}.{dashed} {part_shown(shown)}"
     return Figure("tool-plot", height, data, layout, caption)
 
 
@@ -214,100 +198,36 @@ def _tool_words(robot_file: RobotFile) -> str:
     return f"({', '.join(f'{value:g}' for value in tool)}) m in the last joint's frame"
 
 
-def arm_figure(robot_file: RobotFile, motion: Motion, shown: Shown) -> AnimatedFigure:
-    """The arm as lines through the joints' origins, moving along the path of its tool point."""
+def clearance_figure(robot_file: RobotFile, shown: Shown) -> Figure | None:
+    """The smallest distance to each obstacle and limit, and between links, over time; None where none is bounded."""
     model = build_model(robot_file)
-    end = float(shown.path.time[-1])
-    count = FRAMES
-    moments = _path(motion, end, count)
-    placements = place_arm(model, moments.position)
-    tool = robot_file.robot.workspace.tool
-    tools = tool_point(model, placements, tool)
-    path = tool_point(model, place_arm(model, shown.path.position), tool)
-    lines = [_arm_line(model.joints, placements.origin[:, :, k], tools[:, k]) for k in range(count)]
-    frames = [{"name": str(k), "data": [line], "traces": [1]} for k, line in enumerate(lines)]
-    low, high = _bounds(placements.origin, path)
-    data: list[dict[str, Any]] = [
-        {
-            "type": "scatter3d", "mode": "lines", "name": "path of the tool point", "x": packed(path[0]),
-            "y": packed(path[1]), "z": packed(path[2]), "line": {"color": RESIDUAL, "width": 2}, "hoverinfo": "skip",
-        },
-        {
-            "type": "scatter3d", "mode": "lines+markers", "name": "arm", **lines[0],
-            "line": {"color": MEASURED, "width": 8}, "marker": {"color": PREDICTED, "size": 4}, "hoverinfo": "skip",
-        },
-    ]  # fmt: skip
-    wait = 1000.0 * end / (count - 1)
-    layout = base_layout(
-        _SCENE_HEIGHT,
-        scene=_scene(low, high),
-        updatemenus=[_buttons(wait)],
-        sliders=[_slider(moments.time)],
-        margin={"l": 0, "r": 0, "t": 30, "b": 90},
-    )
-    caption = (
-        f"Lines through the origins of the joints' frames to the tool point; {count} moments, played in real time. "
-        f"Drag to turn, scroll to zoom. {_part(shown)}"
-    )
-    return AnimatedFigure("arm-plot", _SCENE_HEIGHT, data, layout, caption, frames)
-
-
-def _arm_line(joints: tuple[Joint, ...], origins: FloatArray, tool: FloatArray) -> dict[str, list[float | None]]:
-    """x, y, z of the pieces from each joint's parent to the joint, then to the tool; null between branches."""
-    points: list[FloatArray | None] = []
-    last: int | None = None
-    for index, joint in enumerate(joints):
-        if joint.parent != last:
-            points += [None] if points else []
-            points.append(origins[joint.parent] if joint.parent != BASE_INDEX else origins[-1])
-        points.append(origins[index])
-        last = index
-    points.append(tool)
-    return {
-        name: [None if point is None else round(float(point[axis]), 4) for point in points]
-        for axis, name in enumerate("xyz")
+    lines: list[tuple[str, FloatArray, float]] = []
+    for constraint in constraints_of(robot_file, model, None, self_collision=True):
+        if isinstance(constraint, WorkspaceLimits):
+            lines += [(found.name, found.distance, found.kept) for found in constraint.clearances(shown.path)]
+        elif isinstance(constraint, SelfCollision):
+            lines.append(("links from each other", constraint.distances(shown.path).min(axis=0), 0.0))
+    if not lines:
+        return None
+    height = TOP + BOTTOM + 300
+    data, shapes = [], []
+    for index, (name, distance, kept) in enumerate(lines):
+        colour = _COLOURS[index % len(_COLOURS)]
+        data.append(
+            {
+                "type": "scatter", "mode": "lines", "name": plain(name), "x": packed(shown.path.time),
+                "y": packed(distance), "xaxis": "x", "yaxis": "y", "line": {"color": colour, "width": 1.5},
+                "hovertemplate": "%{y:.3f} m",
+            }
+        )  # fmt: skip
+        shapes.append({**_limit_line("x", "y", kept), "line": {"color": colour, "width": 1, "dash": "dash"}})
+    axes = {
+        "xaxis": {"title": {"text": "time [s]"}, "anchor": "y", "zeroline": False},
+        "yaxis": {"title": {"text": "clearance [m]"}, "anchor": "x", "rangemode": "tozero", "zeroline": False},
     }
-
-
-def _bounds(origins: FloatArray, path: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper corner (3,) [m] of all that is shown, the base included, with some room."""
-    low = np.minimum(origins.min(axis=(0, 2)), path.min(axis=1))
-    high = np.maximum(origins.max(axis=(0, 2)), path.max(axis=1))
-    room = 0.05 * float(np.max(high - low)) + 1e-3
-    return low - room, high + room
-
-
-def _scene(low: FloatArray, high: FloatArray) -> dict[str, Any]:
-    def axis(index: int) -> dict[str, Any]:
-        return {
-            "title": {"text": f"{'xyz'[index]} [m]"}, "range": [float(low[index]), float(high[index])],
-            "gridcolor": _GRID_COLOUR, "zerolinecolor": _GRID_COLOUR, "showbackground": False, "nticks": 6,
-        }  # fmt: skip
-
-    camera = {"eye": {"x": 1.5, "y": 1.5, "z": 0.7}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}}
-    return {"aspectmode": "data", "camera": camera, "xaxis": axis(0), "yaxis": axis(1), "zaxis": axis(2)}
-
-
-def _buttons(wait: float) -> dict[str, Any]:
-    play = {"frame": {"duration": wait, "redraw": True}, "transition": {"duration": 0}, "fromcurrent": True}
-    stop = {"frame": {"duration": 0, "redraw": True}, "mode": "immediate", "transition": {"duration": 0}}
-    return {
-        "type": "buttons", "direction": "left", "showactive": False, "x": 0.02, "y": 0, "xanchor": "left",
-        "yanchor": "top", "pad": {"t": 30},
-        "buttons": [
-            {"label": "Play", "method": "animate", "args": [None, play]},
-            {"label": "Pause", "method": "animate", "args": [[None], stop]},
-        ],
-    }  # fmt: skip
-
-
-def _slider(times: FloatArray) -> dict[str, Any]:
-    show = {"frame": {"duration": 0, "redraw": True}, "mode": "immediate", "transition": {"duration": 0}}
-    return {
-        "active": 0, "x": 0.2, "len": 0.78, "y": 0, "yanchor": "top", "pad": {"t": 20},
-        "currentvalue": {"prefix": "time [s]: ", "font": {"size": 12}}, "ticklen": 3, "font": {"size": 10},
-        "steps": [
-            {"label": f"{time:.2f}", "method": "animate", "args": [[str(index)], show]}
-            for index, time in enumerate(times)
-        ],
-    }  # fmt: skip
+    layout = base_layout(height, hovermode="x", shapes=shapes, **axes)
+    caption = (
+        "Distance of the nearest link, its thickness included. Dashed: the clearance that is kept; two links must not "
+        f"touch. {part_shown(shown)}"
+    )
+    return Figure("clearance-plot", height, data, layout, caption)

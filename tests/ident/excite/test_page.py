@@ -10,11 +10,13 @@ import pytest
 from html_page import Page
 
 from daq.motion.trajectories import RestToRest
-from daq.robot.loader import RobotFile, parse_robot
+from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.errors import UsageError
+from ident.excite.constraints.collision_geometry import arm_geometry
 from ident.excite.forecast import excitation_figures
+from ident.excite.page.arm_scene import FRAMES, arm_figure, capsule_mesh
 from ident.excite.page.page import render_page, write_page
-from ident.excite.page.plots import FRAMES, arm_figure, shown_part
+from ident.excite.page.plots import shown_part
 from ident.excite.prior import Prior, find_prior
 from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
@@ -22,6 +24,7 @@ from sim_drivers.synthetic.motion import random_fourier_motion
 
 NOTES = [("Kind", "fourier"), ("Criterion", "condition: 4.2")]
 WORKSPACE = "workspace:\n  tool: [0.4, 0, 0.1]\n  radius: [0.05, 2]\n  height: [-1, 2]\n"
+OBSTACLE = "  keep_out: [{name: crate, box: {lower: [2, 2, 0], upper: [3, 3, 1]}, clearance: 0.07}]\n"
 
 
 def motion_of(robot_file: RobotFile, periods: int = 2) -> RestToRest:
@@ -36,7 +39,7 @@ def text_of(robot_file: RobotFile, prior: Prior | None = None, periods: int = 2)
 
 @pytest.fixture(scope="module")
 def text(three_joint) -> str:
-    return text_of(parse_robot(three_joint.text + WORKSPACE, where="", folder=None))
+    return text_of(parse_robot(three_joint.text + WORKSPACE + OBSTACLE, where="", folder=None))
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +66,7 @@ def test_every_parameter_and_joint_is_in_a_table(usual, three_joint):
 
 def test_links_lead_to_sections(usual):
     links = [attributes["href"] for tag, attributes in usual.elements if tag == "a"]
-    assert links == ["#figures", "#arm", "#joints", "#tool", "#forecast"]
+    assert links == ["#figures", "#arm", "#joints", "#tool", "#clearances", "#forecast"]
     assert {str(link)[1:] for link in links} <= set(usual.ids())
     assert len(usual.ids()) == len(set(usual.ids()))
 
@@ -81,9 +84,9 @@ def test_nothing_is_fetched(usual, text):
 
 
 def test_every_figure_has_its_place_and_axes(usual):
-    assert set(usual.figures) == {"arm-plot", "joints-plot", "tool-plot"}
+    assert set(usual.figures) == {"arm-plot", "joints-plot", "tool-plot", "clearance-plot"}
     assert set(usual.figures) <= set(usual.ids())
-    for name in ("joints-plot", "tool-plot"):
+    for name in ("joints-plot", "tool-plot", "clearance-plot"):
         figure = usual.figures[name]
         axes = {key.replace("axis", "") for key in figure["layout"] if re.fullmatch(r"[xy]axis\d*", key)}
         assert {trace.get(axis, axis[0]) for trace in figure["data"] for axis in ("xaxis", "yaxis")} <= axes
@@ -108,8 +111,37 @@ def test_frames_and_slider_belong_together(usual):
     buttons = usual.figures["arm-plot"]["layout"]["updatemenus"][0]["buttons"]
     assert [button["label"] for button in buttons] == ["Play", "Pause"]
     for frame in frames:
-        assert frame["traces"] == [1]
+        assert frame["traces"] == [1, 2]
         assert len(frame["data"][0]["x"]) == 5  # base, three joints, tool
+
+
+def test_surroundings_and_the_thickness_of_links_are_drawn(usual):
+    names = [trace["name"] for trace in usual.figures["arm-plot"]["data"]]
+    assert names[2:] == ["links, as thick as they are checked", "crate"]
+    skin = usual.figures["arm-plot"]["data"][2]
+    assert max(max(skin[name]) for name in "ijk") == len(skin["x"]) - 1
+    for frame in usual.frames["arm-plot"]:
+        assert len(frame["data"][1]["x"]) == len(skin["x"])
+
+
+def test_clearances_are_drawn_with_what_is_kept(usual):
+    figure = usual.figures["clearance-plot"]
+    names = [trace["name"] for trace in figure["data"]]
+    assert "crate" in names
+    assert figure["layout"]["shapes"][names.index("crate")]["y0"] == 0.07
+
+
+def test_capsules_are_drawn_just_inside_their_surface():
+    geometry = arm_geometry(load_robot("ur5e"), build_model(load_robot("ur5e")))
+    mesh = capsule_mesh(geometry)
+    assert mesh.triangles.max() == len(mesh.vertices) - 1
+    per_capsule = len(mesh.vertices) // len(geometry.capsules)
+    for index, capsule in enumerate(geometry.capsules):
+        mine = mesh.vertices[index * per_capsule : (index + 1) * per_capsule]
+        way = capsule.end - capsule.start
+        share = np.clip((mine - capsule.start) @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
+        distance = np.linalg.norm(mine - capsule.start - share[:, None] * way, axis=1)
+        np.testing.assert_allclose(distance, capsule.radius, atol=1e-9)
 
 
 def test_the_arm_stands_where_pinocchio_puts_it(three_joint):
