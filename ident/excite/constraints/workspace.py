@@ -256,14 +256,15 @@ def _can_be_clear(
     obstacle: Obstacle,
     plane: HalfSpace,
 ) -> npt.NDArray[np.bool_]:
-    """Which ends (K,) of capsules some configuration brings clear of the mounting surface.
+    """Which ends (K,) of capsules the joints raise, some configuration clear of the mounting surface.
 
     Raises:
         RobotFileError: the centre of one is below the surface in every configuration.
     """
     links = geometry.links[capsules]
     placements = place_arm(model, random_states(model, _CONFIGURATIONS)[0])
-    highest = above_plane(placements.points(links, places), plane).value.max(axis=1)
+    height = above_plane(placements.points(links, places), plane).value
+    highest = height.max(axis=1)
     below = np.flatnonzero(highest < -_STILL)
     if len(below):
         name, depth = model.joints[links[below[0]]].name, -highest[below[0]]
@@ -272,4 +273,5 @@ def _can_be_clear(
             where=f"{model.name}: {obstacle.where}",
             hint="give the height of the mounting surface as workspace.floor, or mounting: free",
         )
-    return np.asarray(highest >= geometry.radii[capsules] + obstacle.clearance)
+    # Of what stays at its height, such as a shoulder, a motion changes nothing.
+    return np.asarray((highest >= geometry.radii[capsules] + obstacle.clearance) & (np.ptp(height, axis=1) > _STILL))
