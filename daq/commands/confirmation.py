@@ -32,7 +32,7 @@ def motion_lines(figures: MotionFigures) -> list[str]:
             f"(link {clearance.link}, at {clearance.time:.1f} s)"
         )
     if not figures.clearances:
-        lines.append("clearance: not checked, the robot file names neither a mounting surface nor obstacles")
+        lines.append("clearance: the robot file names nothing that this arm's motion could come nearer to")
     if figures.torque_share is None:
         lines.append("torque: not predicted, the arm's parameters or torque limits are not known")
     else:
