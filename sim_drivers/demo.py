@@ -188,6 +188,4 @@ def print_demo(demo: Demo, as_json: bool) -> None:
     print(f"\n{demo.samples} samples over RTDE, {demo.lost} lost.")
     print(f"{demo.inside} of {len(names)} true values lie within their 95 % interval.")
     print(demo.result.verdict)
-    for warning in demo.result.warnings:
-        print(f"warning: {warning}")
     print(f"\nOpen {demo.folder / 'report.html'} in a browser.")

@@ -15,6 +15,8 @@ from ident.regression.least_squares import LeastSquares, excited_columns, ordina
 from ident.regression.observation_matrix import Reduction, only_torques, reduce_segments, stack_reductions
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
+from ident.verdict.catalogue import raised
+from ident.verdict.check import Check
 
 POSES = 200
 CLEARLY_SMALLER = 0.99
@@ -90,24 +92,26 @@ def critical_variance_ratio(freedom: float) -> float:
     return float(min(CLEARLY_SMALLER, f_distribution.ppf(LEVEL, freedom, freedom))) if freedom >= 1 else 0.0
 
 
-def sign_warnings(base: BaseParameters, parameters: FloatArray, std: FloatArray) -> list[str]:
-    """Warnings for friction and motor inertia that are clearly negative."""
+def sign_checks(base: BaseParameters, parameters: FloatArray, std: FloatArray) -> list[Check]:
+    """Checks of friction and motor inertia that are clearly negative."""
     wrong = [
         column
         for column, kind in enumerate(base.kinds)
         if kind in ("viscous", "coulomb", "motor_inertia") and parameters[column] < -SURE_DEVIATIONS * std[column]
     ]
-    warnings = []
+    checks = []
     friction = [base.names[i] for i in wrong if base.kinds[i] != "motor_inertia"]
     if friction:
-        warnings.append(
+        text = (
             f"{', '.join(friction)} came out negative (not dissipative): usually the sign of a drive gain, or a model "
             "that lacks a friction term"
         )
+        checks.append(raised("negative-friction", text))
     motors = [base.names[i] for i in wrong if base.kinds[i] == "motor_inertia"]
     if motors:
-        warnings.append(
+        text = (
             f"{', '.join(motors)} came out negative: where torque sensors sit behind the gearbox they do not see the "
             "motor; set `inertia: false` for these drives or use --no-motor-inertia"
         )
-    return warnings
+        checks.append(raised("negative-motor-inertia", text))
+    return checks

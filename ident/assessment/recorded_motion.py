@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -79,8 +78,3 @@ def _measured(recording: Recording, robot_file: RobotFile) -> JointSignals | Non
         return read_joint_signals(recording, robot_file.robot)
     except DynidError:  # no torque, or no gain that makes one of the motors' signals
         return None
-
-
-def unclosed_warnings(recordings: Sequence[Recording]) -> list[str]:
-    """A sentence for each recording whose writer did not close it."""
-    return [f"{one.label} was not closed in order: its end may be missing" for one in recordings if not one.complete]

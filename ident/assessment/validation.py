@@ -11,12 +11,17 @@ import numpy.typing as npt
 from drivers.errors import DataError
 from drivers.streams import FloatArray
 from ident.regression.comparison import TorqueSeries
+from ident.verdict.catalogue import raised
+from ident.verdict.check import Check
 
 LOW_SPEED = 0.1
 """Joint speed [rad/s or m/s] below which a static friction model is not valid (AUBO .3.4)."""
 
 HELD_OUT_SHARE = 0.3
 """Last part of a recording that is kept for validation where no other recording is given."""
+
+MUCH_LARGER = 2.0
+"""Ratio of the validation's error to the identification's beyond which a model is said to overfit."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,17 @@ def fit_figures(series: Sequence[TorqueSeries]) -> FitFigures:
         max_error=np.max(np.abs(error), axis=1),
         samples=measured.shape[1],
     )
+
+
+def overfitting_checks(fitted: float | None, held_out: float | None) -> list[Check]:
+    """Whether the relative error on held-out data is much larger than on the identification's."""
+    if fitted is None or held_out is None or not held_out > MUCH_LARGER * fitted:
+        return []
+    text = (
+        f"the validation error is {held_out / fitted:.1f} times the identification's: the model overfits, or the "
+        "other motion shows effects that this one does not (slow motion: ripple, friction near standstill)"
+    )
+    return [raised("overfitting", text)]
 
 
 def _rmse_where(error: FloatArray, mask: npt.NDArray[np.bool_]) -> FloatArray:

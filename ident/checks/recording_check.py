@@ -10,13 +10,14 @@ import numpy as np
 
 from daq.commands.console import print_table
 from daq.recording.recording import JOINTS_STREAM, Recording
-from daq.recording.signal_quality import ColumnQuality, channel_quality
-from daq.recording.stream_quality import StreamQuality, stream_quality
+from daq.recording.signal_quality import ColumnQuality
+from daq.recording.stream_quality import StreamQuality
 from daq.robot.loader import RobotFile
 from drivers.errors import DynidError
 from ident.assessment.delay import DelaySearch, search_delay
 from ident.assessment.excitation import ExcitationReached, excitation_reached
 from ident.assessment.recorded_motion import RecordedMotion, recorded_motion
+from ident.assessment.recording_checks import column_qualities, recording_checks, stream_qualities
 from ident.excite.sufficiency import (
     Sufficiency,
     TimesNeeded,
@@ -26,15 +27,13 @@ from ident.excite.sufficiency import (
 )
 from ident.regression.pruning import SIGNIFICANT_RSD
 from ident.regression.velocity_reversals import without_reversals
+from ident.verdict.catalogue import raised
+from ident.verdict.check import Check
+from ident.verdict.verdict import Verdict, judge
 
-MOTOR_SIGNALS = ("current", "voltage", "torque")
-
-JITTER_SHARE = 0.2
-CLIPPED_PERCENT = 0.1
 GOOD_CONDITION = 50.0
 SLOW_SHARE_PERCENT = 20.0
-"""Beyond these a recording is worth repeating: jitter of the period, clipped samples, column-normalised condition
-number, utilisation of the velocity limit."""
+"""Beyond these a motion is worth improving: column-normalised condition number, utilisation of the velocity limit."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class RecordingInfo:
         delay: torque behind position; None where there is no torque or no motion.
         sufficiency: error bars expected from the motion; None where nothing could be analysed.
         times: how long it must last for a wanted RSD; None where none was asked for.
-        findings: problems of the recording, in words; empty if there are none.
+        verdict: what a model that is identified from it can be good for, at best, with all checks.
     """
 
     recording: Recording
@@ -61,7 +60,7 @@ class RecordingInfo:
     delay: DelaySearch | None
     sufficiency: Sufficiency | None
     times: TimesNeeded | None
-    findings: tuple[str, ...]
+    verdict: Verdict
 
 
 def recording_info(
@@ -79,12 +78,7 @@ def recording_info(
     """
     if wanted_rsd_percent is not None:
         check_wanted_rsd(wanted_rsd_percent)
-    streams = {name: stream_quality(stream.time) for name, stream in recording.streams.items()}
-    columns = {
-        (name, quantity): channel_quality(channel)
-        for name, stream in recording.streams.items()
-        for quantity, channel in stream.channels.items()
-    }
+    streams, columns = stream_qualities(recording), column_qualities(recording)
     excitation = delay = sufficiency = times = None
     motion = recorded_motion(recording, robot_file)
     if motion is not None:
@@ -93,9 +87,9 @@ def recording_info(
         sufficiency = motion_sufficiency(motion, delay.used if delay is not None else 0.0)
     if sufficiency is not None and wanted_rsd_percent is not None:
         times = times_needed(sufficiency, wanted_rsd_percent)
-    findings = tuple(_findings(recording, streams, columns, excitation))
+    checks = recording_checks(recording, streams, columns) + _excitation_checks(recording, excitation)
     return RecordingInfo(
-        recording, robot_file.robot.name, streams, columns, excitation, delay, sufficiency, times, findings
+        recording, robot_file.robot.name, streams, columns, excitation, delay, sufficiency, times, judge(checks, None)
     )
 
 
@@ -109,36 +103,17 @@ def _delay(motion: RecordedMotion) -> DelaySearch | None:
         return None
 
 
-def _findings(
-    recording: Recording,
-    streams: Mapping[str, StreamQuality],
-    columns: Mapping[tuple[str, str], tuple[ColumnQuality, ...]],
-    excitation: ExcitationReached | None,
-) -> list[str]:
-    findings = [] if recording.complete else ["the recording was not closed properly: its end may be missing"]
-    for name, quality in streams.items():
-        if quality.lost:
-            share = 100.0 * quality.lost / (quality.samples + quality.lost)
-            findings.append(f"{name}: {quality.lost} samples lost ({share:.2g} %) in {len(quality.gaps)} gaps")
-        if quality.duplicates:
-            findings.append(f"{name}: {quality.duplicates} stamps do not increase")
-        if quality.jitter_ms * quality.rate_hz > JITTER_SHARE * 1e3:
-            findings.append(f"{name}: stamps jitter by {quality.jitter_ms:.2g} ms")
-    for (stream, quantity), qualities in columns.items():
-        if quantity not in MOTOR_SIGNALS:
-            continue
-        for column in qualities:
-            if column.clipped_percent > CLIPPED_PERCENT:
-                findings.append(f"{stream}/{quantity} of {column.name} is clipped in {column.clipped_percent:.2g} %")
+def _excitation_checks(recording: Recording, excitation: ExcitationReached | None) -> list[Check]:
+    """Whether the motion shows the parameters."""
     if excitation is None:
-        findings.append("no motion to analyse")
-        return findings
+        return [raised("no-motion", "no motion to analyse: record an excitation trajectory")]
+    checks = []
     if excitation.unexcited:
-        findings.append(f"the motion does not excite {', '.join(excitation.unexcited)}")
+        text = f"the motion does not excite {', '.join(excitation.unexcited)}"
+        checks.append(raised("unexcited-parameters", text))
     if excitation.scaled_condition > GOOD_CONDITION:
-        findings.append(
-            f"condition number {excitation.scaled_condition:.0f} is high (below {GOOD_CONDITION:g} is good)"
-        )
+        text = f"condition number {excitation.scaled_condition:.0f} is high (below {GOOD_CONDITION:g} is good)"
+        checks.append(raised("high-condition", text))
     joints = recording.streams[JOINTS_STREAM].channels["position"].columns
     slow = [
         name
@@ -146,8 +121,9 @@ def _findings(
         if share < SLOW_SHARE_PERCENT
     ]
     if slow:
-        findings.append(f"{', '.join(slow)} reach less than {SLOW_SHARE_PERCENT:g} % of their velocity limit")
-    return findings
+        text = f"{', '.join(slow)} reach less than {SLOW_SHARE_PERCENT:g} % of their velocity limit"
+        checks.append(raised("slow-motion", text, slow))
+    return checks
 
 
 def info_object(info: RecordingInfo, file: str) -> dict[str, Any]:
@@ -175,7 +151,7 @@ def info_object(info: RecordingInfo, file: str) -> dict[str, Any]:
         "excitation": asdict(info.excitation) if info.excitation is not None else None,
         "delay": asdict(info.delay) if info.delay is not None else None,
         "sufficiency": _sufficiency_object(info),
-        "findings": list(info.findings),
+        "verdict": asdict(info.verdict),
         "events": [asdict(event) for event in recording.events],
     }
 
@@ -197,6 +173,7 @@ def print_info(info: RecordingInfo, file: str) -> None:
     recording = info.recording
     state = "complete" if recording.complete else "NOT closed properly"
     print(f"{file}: {info.robot_name}, {state}, created {recording.created or 'at an unknown time'}")
+    print(f"As far as the recording goes: {info.verdict.headline}\n")
     clock = ("samples", "seconds", "rate [Hz]", "jitter [ms]", "longest [ms]", "lost", "duplicates")
     print_table(
         "Streams",
@@ -241,10 +218,10 @@ def print_info(info: RecordingInfo, file: str) -> None:
         _print_sufficiency(info.sufficiency, info.times)
     for event in recording.events:
         print(f"{event.level} at {event.time:.3f} s, {event.source}: {event.message}")
-    if info.findings:
+    if info.verdict.checks:
         print("\nChecks on this recording:")
-        for finding in info.findings:
-            print(f"  - {finding}")
+        for check in info.verdict.checks:
+            print(f"  {check.severity}: {check.text} [{check.name}]")
     else:
         print("\nChecks on this recording: no problems found.")
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from daq.commands.console import print_table
 from ident.result.schema import Fit, Merge, Result
+from ident.verdict.verdict import Verdict
 
 
 def print_result(result: Result) -> None:
@@ -43,9 +44,13 @@ def print_result(result: Result) -> None:
         f"\ncondition number {result.excitation.condition:.4g}, "
         f"column-normalised {result.excitation.scaled_condition:.4g}"
     )
-    print(result.verdict)
-    for warning in result.warnings:
-        print(f"warning: {warning}")
+    print_verdict(result.verdict)
+
+
+def print_verdict(verdict: Verdict) -> None:
+    """Headline, purposes, joints that are not good, checks."""
+    for line in verdict.lines:
+        print(line)
 
 
 def _print_merge(merge: Merge) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 
 from daq.recording.recording import Recording, software_versions
 from drivers.streams import FloatArray
-from ident.assessment.plausibility import indefinite_share, sign_warnings
+from ident.assessment.plausibility import indefinite_share, sign_checks
 from ident.experiments.merge import CONTRADICTING, MergedEstimate, identifiable_columns, merge
 from ident.experiments.merge_input import MergeInput, merge_inputs, used_recordings
 from ident.identify.revalidate import Revalidation, revalidate
@@ -19,7 +20,7 @@ from ident.identify.summary import (
     fit_result,
     friction_results,
     gain_results,
-    judgement,
+    held_out_errors,
     parameter_results,
 )
 from ident.model.base_parameters import BaseParameters, base_parameters
@@ -37,9 +38,15 @@ from ident.result.schema import (
     Residuals,
     Result,
 )
+from ident.verdict.catalogue import raised
+from ident.verdict.check import Check
+from ident.verdict.verdict import Verdict, judge
 
 MOST_CONTRADICTIONS = 10
 """So many are named."""
+
+CHECKED_AGAIN = ("indefinite-inertia",)
+"""Checks that a merged model raises or not by itself, whatever its parts raise."""
 
 
 def merge_results(
@@ -71,9 +78,9 @@ def merge_results(
     pruned = prune(merged.solution, inflation, rows, lambda columns: merge(informations, columns).solution, threshold)
     result = _result(model, base, parts, merged, std, pruned, threshold)
     if held_out is None:
-        return result, None
+        return _judged(result), None
     validated = revalidate(result, held_out)
-    return _with_validation(result, validated, held_out.label), validated
+    return _judged(_with_validation(result, validated, held_out.label)), validated
 
 
 def _result(
@@ -88,8 +95,9 @@ def _result(
     first, solution = parts[0].result, merged.solution
     unexcited = [base.names[i] for i in range(base.count) if i not in solution.active]
     consistency = _consistency(parts, merged)
+    checks = _checks(model, base, parts, merged, std, unexcited, consistency)
     singular = np.linalg.svd(merged.root / np.linalg.norm(merged.root, axis=0), compute_uv=False)
-    result = Result(
+    return Result(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         robot=first.robot,
         robot_file=first.robot_file,
@@ -128,8 +136,7 @@ def _result(
         rank_margin=base.margin,
         recordings=[use for part in parts for use in used_recordings(part.result)],
         versions=software_versions(),
-        verdict="",
-        warnings=_warnings(model, base, parts, merged, std, unexcited, consistency),
+        verdict=Verdict("not judged yet", checks=tuple(checks)),
         experiments=[experiment_result(model, experiment) for part in parts for experiment in part.stored.experiments],
         merge=Merge(
             models=[
@@ -156,7 +163,6 @@ def _result(
             base.names,
         ),
     )
-    return result.model_copy(update={"verdict": _verdict(result)})
 
 
 def _residuals(parts: Sequence[MergeInput]) -> Residuals:
@@ -214,7 +220,7 @@ def _consistency(parts: Sequence[MergeInput], merged: MergedEstimate) -> Consist
     )
 
 
-def _warnings(
+def _checks(
     model: DynamicModel,
     base: BaseParameters,
     parts: Sequence[MergeInput],
@@ -222,45 +228,61 @@ def _warnings(
     std: FloatArray,
     unexcited: Sequence[str],
     consistency: Consistency | None,
-) -> list[str]:
-    warnings = []
+) -> list[Check]:
+    checks = []
     if consistency is not None and not consistency.agree:
         worst = ", ".join(
             f"{one.parameter} of {one.file} ({one.deviations:+.1f} σ)" for one in consistency.contradictions[:3]
         )
-        warnings.append(consistency.text + (f" Furthest from the merged model: {worst}." if worst else ""))
+        text = consistency.text + (f" Furthest from the merged model: {worst}." if worst else "")
+        checks.append(raised("contradicting-models", text))
     if unexcited:
-        warnings.append(f"the recordings do not excite {', '.join(unexcited)}: they have no value")
+        text = f"the recordings do not excite {', '.join(unexcited)}: they have no value"
+        checks.append(raised("unexcited-parameters", text))
     whole = base_parameters(model)
     if base.count < whole.count:
-        warnings.append(
+        text = (
             f"together the experiments can show {base.count} of the arm's {whole.count} base parameters: the model "
             "predicts the torques that were used, with the joints locked as they were, and no others"
         )
+        checks.append(raised("partial-model", text))
     elif (share := indefinite_share(model, base, merged.solution.parameters)) > 0:
-        warnings.append(
+        text = (
             f"the merged inertia matrix is not positive definite at {share * 100:.0f} % of random poses: good for "
             "predicting torque, not for forward simulation"
         )
-    warnings += sign_warnings(base, merged.solution.parameters, std)
+        checks.append(raised("indefinite-inertia", text))
+    checks += sign_checks(base, merged.solution.parameters, std)
     for part in parts:
-        if count := len(part.result.warnings):
-            warnings.append(f"{part.label} has {count} warning{'s' if count > 1 else ''} of its own")
-    return warnings
+        checks += _checks_of_part(part)
+    return checks
 
 
-def _verdict(result: Result) -> str:
-    """How far to trust the merged model, in a few sentences."""
+def _checks_of_part(part: MergeInput) -> list[Check]:
+    """What a model's own checks mean for the merge: wrong data stay wrong, poor excitation another may make up for."""
+    own = part.result.verdict.checks
+    inherited = [check for check in own if check.severity == "serious" and check.name not in CHECKED_AGAIN]
+    checks = [replace(check, text=f"{part.label}: {check.text}") for check in inherited]
+    if count := len(own) - len(inherited):
+        other = " other" if inherited else ""
+        text = f"{part.label} has {count}{other} check{'s' if count > 1 else ''} of its own"
+        checks.append(raised("checks-of-a-part", text))
+    return checks
+
+
+def _judged(result: Result) -> Result:
+    """The result with the verdict that follows from its checks and its held-out errors."""
     significant = sum(parameter.significant for parameter in result.base_parameters)
     agreement = result.merge.consistency.text if result.merge and result.merge.consistency else ""
     text = f"{agreement} " if agreement else "The models share nothing that could be compared. "
-    if result.validation is None or result.validation.relative_error is None:
-        text += "Nothing was held out to validate the merged model with (--validate). "
+    validation, checks = result.validation, list(result.verdict.checks)
+    if validation is None or validation.relative_error is None:
+        missing = "nothing was held out to validate the merged model with (--validate)"
+        checks.append(raised("not-validated", missing))
     else:
-        error = result.validation.relative_error
         text += (
-            f"On {result.validation_source}, predicted torque differs from measured torque by {error * 100:.1f} %. "
-            f"That is {judgement(error)}. "
+            f"On {result.validation_source}, predicted torque differs from measured torque by "
+            f"{validation.relative_error * 100:.1f} %. "
         )
     text += (
         f"{significant} of {len(result.base_parameters)} base parameters are significant; the essential model keeps "
@@ -269,13 +291,12 @@ def _verdict(result: Result) -> str:
     essential = result.essential.validation
     if essential is not None and essential.relative_error is not None:
         text += f" and is off by {essential.relative_error * 100:.1f} %"
-    count = len(result.warnings)
-    return text + "." + (f" {count} warning{'s' if count > 1 else ''} to read first." if count else "")
+    verdict = judge(checks, held_out_errors(result.joints, validation), f"{text}.")
+    return result.model_copy(update={"verdict": verdict})
 
 
 def _with_validation(result: Result, validated: Revalidation, source: str) -> Result:
     essential = result.essential.model_copy(update={"validation": fit_result(validated.essential)})
-    result = result.model_copy(
+    return result.model_copy(
         update={"validation": fit_result(validated.full), "validation_source": source, "essential": essential}
     )
-    return result.model_copy(update={"verdict": _verdict(result)})

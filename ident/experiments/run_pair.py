@@ -19,7 +19,7 @@ from drivers.errors import DataError, UsageError
 from drivers.streams import FloatArray
 from ident.assessment.delay import search_delay
 from ident.assessment.excitation import excited_base_columns
-from ident.assessment.recorded_motion import unclosed_warnings
+from ident.assessment.recording_checks import closing_checks
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel
@@ -160,7 +160,7 @@ def prepare_pair(
 
 def pair_warnings(pair: RunPair, recordings: Sequence[Recording]) -> list[str]:
     """Recordings that were not closed, and runs in which joints rest throughout: friction may carry their load."""
-    warnings = unclosed_warnings(recordings)
+    warnings = [check.text for one in recordings for check in closing_checks(one)]
     for run in pair.runs:
         speed = np.max([np.max(np.abs(segment.velocity), axis=1) for segment in run.prepared.segments], axis=0)
         resting = [

@@ -1,4 +1,4 @@
-"""What a user should know before trusting an identification's numbers."""
+"""The checks of an identification: what a user should know before trusting its numbers."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from ident.assessment.plausibility import (
     fits_opposite_gravity,
     indefinite_share,
     inertia_matrices,
-    sign_warnings,
+    sign_checks,
 )
-from ident.assessment.recorded_motion import unclosed_warnings
+from ident.assessment.recording_checks import recording_checks
+from ident.assessment.validation import overfitting_checks
 from ident.estimators.estimator import estimable, estimator_of, fits_energy_better
 from ident.identify.identification import Identification
 from ident.model.regressor import RegressorKernel
@@ -25,6 +26,8 @@ from ident.regression.observability import experiment_states, moving_motors, who
 from ident.regression.observation_matrix import only_torques
 from ident.regression.pruning import relative_std
 from ident.regression.velocity_reversals import ADVISED_SHARE, leave_out_reversals
+from ident.verdict.catalogue import raised
+from ident.verdict.check import Check
 
 ROWS_PER_PARAMETER = 50
 """Equations per parameter below which a warning is given (SR400 .4.3 point 6)."""
@@ -37,96 +40,106 @@ NEGLIGIBLE = 1e-3
 """Share of a value that does not matter, however small its standard deviation."""
 
 
-def identification_warnings(identification: Identification, recordings: Sequence[Recording]) -> list[str]:
-    """What a user should know before trusting the numbers."""
-    warnings = unclosed_warnings(recordings)
-    base, solution = identification.base, identification.solution
+def identification_checks(identification: Identification, recordings: Sequence[Recording]) -> list[Check]:
+    """All checks that the recordings and the identification raise."""
+    several = len(recordings) > 1
+    checks = [check for one in recordings for check in recording_checks(one, label=one.label if several else "")]
+    checks += _size_checks(identification)
+    checks += _experiment_checks(identification)
+    checks += _excitation_checks(identification)
+    checks += sign_checks(identification.base, identification.solution.parameters, identification.std)
+    if np.any(identification.model.gravity) and _fits_opposite_gravity(identification):
+        text = (
+            "gravity of the opposite sign fits the data better: check `model.gravity`, how the arm is mounted, and the "
+            "signs of the drive gains"
+        )
+        checks.append(raised("gravity-opposite", text))
+    checks += _reversal_checks(identification)
+    share = _indefinite_share(identification)
+    if share > 0:
+        text = (
+            f"the identified inertia matrix is not positive definite at {share * 100:.0f} % of random poses: good for "
+            "predicting torque, not for forward simulation"
+        )
+        checks.append(raised("indefinite-inertia", text))
+    return checks + overfitting_checks(identification.fit.relative_error, identification.validation.relative_error)
+
+
+def _size_checks(identification: Identification) -> list[Check]:
+    """Enough equations for the parameters, and enough data for the error bars."""
+    solution = identification.solution
     count = len(solution.active)
-    if solution.rows < ROWS_PER_PARAMETER * count:
-        more = "take shorter windows" if identification.choices.method == "energy" else "decimate less"
-        warnings.append(
-            f"only {solution.rows} equations for {count} parameters; {ROWS_PER_PARAMETER} per parameter are advised: "
-            f"record longer or {more}"
-        )
-    warnings += _experiment_warnings(identification)
-    unidentifiable = [
-        base.names[i]
-        for i in range(base.count)
-        if i not in estimable(identification.choices.method, identification.model, base)
-    ]
+    if solution.rows >= ROWS_PER_PARAMETER * count:
+        return []
+    more = "take shorter windows" if identification.choices.method == "energy" else "decimate less"
+    text = (
+        f"only {solution.rows} equations for {count} parameters; {ROWS_PER_PARAMETER} per parameter are advised: "
+        f"record longer or {more}"
+    )
+    return [raised("few-equations", text)]
+
+
+def _excitation_checks(identification: Identification) -> list[Check]:
+    """Parameters that the motion or the method does not show."""
+    base, solution, method = identification.base, identification.solution, identification.choices.method
+    checks = []
+    identifiable = estimable(method, identification.model, base)
+    unidentifiable = [base.names[i] for i in range(base.count) if i not in identifiable]
     if unidentifiable:
-        warnings.append(
-            f"the energy model cannot identify {', '.join(unidentifiable)}, the dynamic model can: use --method wls"
-        )
-    unexcited = [
-        base.names[i] for i in range(base.count) if i not in solution.active and base.names[i] not in unidentifiable
-    ]
+        text = f"the energy model cannot identify {', '.join(unidentifiable)}, the dynamic model can: use --method wls"
+        checks.append(raised("not-in-energy-model", text))
+    unexcited = [base.names[i] for i in range(base.count) if i not in solution.active and i in identifiable]
     if unexcited:
-        warnings.append(
+        text = (
             f"the motion does not excite {', '.join(unexcited)}: they have no value, and other parameters may have "
             "absorbed them"
         )
+        checks.append(raised("unexcited-parameters", text))
     insignificant = [
         base.names[i]
         for i in solution.active
         if relative_std(solution.parameters, identification.std)[i] >= 100.0 and i in identification.pruned.dropped
     ]
     if len(insignificant) > base.count / 3:
-        warnings.append(
+        text = (
             f"{len(insignificant)} of {base.count} base parameters are smaller than their standard deviation: "
             "record a more exciting motion"
         )
-        if identification.choices.method in ENERGY_METHODS:
-            warnings.append(
+        checks.append(raised("insignificant-parameters", text))
+        if method in ENERGY_METHODS:
+            text = (
                 "the energy model has one equation for all joints together: record many different moves rather than a "
                 "periodic motion, or use --method wls"
             )
-    warnings += sign_warnings(base, solution.parameters, identification.std)
-    if np.any(identification.model.gravity) and _fits_opposite_gravity(identification):
-        warnings.append(
-            "gravity of the opposite sign fits the data better: check `model.gravity`, how the arm is mounted, and the "
-            "signs of the drive gains"
-        )
-    warnings += _reversal_warnings(identification)
-    share = _indefinite_share(identification)
-    if share > 0:
-        warnings.append(
-            f"the identified inertia matrix is not positive definite at {share * 100:.0f} % of random poses: good for "
-            "predicting torque, not for forward simulation"
-        )
-    held_out, fitted = identification.validation.relative_error, identification.fit.relative_error
-    if held_out > 2.0 * fitted:
-        warnings.append(
-            f"the validation error is {held_out / fitted:.1f} times the identification's: the model overfits, or the "
-            "other motion shows effects that this one does not "
-            "(slow motion: ripple, friction near standstill)"
-        )
-    return warnings
+            checks.append(raised("few-moves-for-energy", text))
+    return checks
 
 
-def _experiment_warnings(identification: Identification) -> list[str]:
+def _experiment_checks(identification: Identification) -> list[Check]:
     """Joints at rest that --locked does not name; torques of motors at rest."""
     experiment, names = identification.experiment, identification.model.joint_names
-    warnings = []
+    checks = []
     declared = identification.choices.experiment.locked
     unnamed = [names[joint] for joint in experiment.locked if names[joint] not in declared]
     if unnamed:
-        warnings.append(
+        text = (
             f"{', '.join(unnamed)} did not move: the base parameters are those of the arm with "
             f"{'this joint' if len(unnamed) == 1 else 'these joints'} fixed, and hold for no other position of "
             f"{'it' if len(unnamed) == 1 else 'them'}; name what is locked on purpose with --locked"
         )
+        checks.append(raised("joints-locked", text, unnamed))
     moving = moving_motors(identification.model, experiment.locked)
     held = [names[motor] for motor in experiment.torques if motor not in moving]
     if held:
-        warnings.append(
+        text = (
             f"the motor of {', '.join(held)} is at rest, and its torque is used: static friction or a brake may "
             "carry any part of it"
         )
-    return warnings
+        checks.append(raised("resting-motor-torque", text, held))
+    return checks
 
 
-def _reversal_warnings(identification: Identification) -> list[str]:
+def _reversal_checks(identification: Identification) -> list[Check]:
     """A friction estimate that changes without the equations near velocity reversals."""
     choices, base, before = identification.choices, identification.base, identification.solution
     if choices.method in ENERGY_METHODS or choices.reversals:
@@ -150,10 +163,11 @@ def _reversal_warnings(identification: Identification) -> list[str]:
     if not largest:
         return []
     changes = ", ".join(f"{base.names[i]} by {changed[i]:+.1f} σ" for i in largest)
-    return [
+    text = (
         "Coulomb friction is not well defined near velocity reversals: without those equations the friction estimate "
         f"changes ({changes}), which the error bars do not cover; compare --leave-out-reversals {ADVISED_SHARE:g}"
-    ]
+    )
+    return [raised("friction-near-reversals", text)]
 
 
 def _indefinite_share(identification: Identification) -> float:

@@ -25,6 +25,7 @@ from ident.regression.velocity_reversals import check_share
 from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared
+from ident.verdict.check import Check, texts
 
 FrictionModel = Literal["none", "viscous", "coulomb", "coulomb-viscous"]
 
@@ -147,7 +148,7 @@ class Identification:
         fit_series, validation_series: torques of the full model.
         fit, validation, essential_fit, essential_validation: errors; validation is None where nothing was held out.
         validation_source: what was held out, in words.
-        warnings: for the user.
+        checks: that were raised.
     """
 
     robot_file: RobotFile
@@ -169,7 +170,12 @@ class Identification:
     essential_fit: FitFigures
     essential_validation: FitFigures
     validation_source: str
-    warnings: tuple[str, ...]
+    checks: tuple[Check, ...]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Sentences of the checks, notes left out."""
+        return texts(self.checks)
 
     @property
     def std(self) -> FloatArray:

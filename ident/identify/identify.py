@@ -13,7 +13,7 @@ from drivers.errors import UsageError
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.validation import fit_figures
 from ident.estimators.estimator import Estimator, estimable, estimator_of
-from ident.identify.checks import identification_warnings
+from ident.identify.checks import identification_checks
 from ident.identify.data_split import split_data
 from ident.identify.identification import Identification, IdentifyChoices, PreparedRun, apply_model_choices
 from ident.identify.preparation import Progress, compare_run, prepare_data
@@ -112,11 +112,11 @@ def identify(
         essential_fit=fit_figures(_flat(compare_run(kernel, essential, run) for run in runs)),
         essential_validation=fit_figures(_flat(compare_run(kernel, essential, run) for run in held_out)),
         validation_source=data.validation_source,
-        warnings=(),
+        checks=(),
     )
 
     progress("plausibility")
-    return replace(identification, warnings=tuple(identification_warnings(identification, recordings)))
+    return replace(identification, checks=tuple(identification_checks(identification, recordings)))
 
 
 def _with_notes(run: PreparedRun, estimator: Estimator) -> PreparedRun:

@@ -9,24 +9,39 @@ from pydantic import TypeAdapter, ValidationError
 
 from daq.recording.recording import Recording
 from drivers.errors import ResultFileError
-from ident.assessment.validation import FitFigures, fit_figures
+from ident.assessment.recording_checks import recording_checks
+from ident.assessment.validation import FitFigures, fit_figures, overfitting_checks
 from ident.identify.played_motion import played_window
+from ident.identify.summary import held_out_errors
 from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
 from ident.regression.observability import predictable_torques
-from ident.result.schema import Result
+from ident.result.schema import Fit, Result
 from ident.result.stored_model import stored_model
 from ident.signals.joint_signals import read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
+from ident.verdict.verdict import Verdict, judge
+
+CHECKS_OF_VALIDATION = ("overfitting", "not-validated")
+"""Checks that depend on what was held out."""
 
 
 @dataclass(frozen=True)
 class Revalidation:
-    """Errors of the full and of the essential model on a recording, and the full model's torques."""
+    """Torques of the full and of the essential model beside those of a recording."""
 
-    full: FitFigures
-    essential: FitFigures
     series: tuple[TorqueSeries, ...]
+    essential_series: tuple[TorqueSeries, ...]
+
+    @property
+    def full(self) -> FitFigures:
+        """Errors of the full model."""
+        return fit_figures(self.series)
+
+    @property
+    def essential(self) -> FitFigures:
+        """Errors of the essential model."""
+        return fit_figures(self.essential_series)
 
 
 def revalidate(result: Result, recording: Recording) -> Revalidation:
@@ -55,7 +70,25 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
         )
         for values in (full, essential)
     )
-    return Revalidation(fit_figures(full_series), fit_figures(essential_series), full_series)
+    return Revalidation(full_series, essential_series)
+
+
+def validation_verdict(result: Result, recording: Recording, fit: Fit) -> Verdict:
+    """The verdict on a stored model, its held-out errors replaced by those on another recording.
+
+    Checks of the earlier validation do not count; those of the recording do.
+
+    Args:
+        result: the model.
+        recording: it was validated with.
+        fit: its errors there.
+    """
+    kept = [check for check in result.verdict.checks if check.name not in CHECKS_OF_VALIDATION]
+    fitted = None if result.fit is None else result.fit.relative_error
+    checks = [*kept, *recording_checks(recording), *overfitting_checks(fitted, fit.relative_error)]
+    error = "" if fit.relative_error is None else f" by {100.0 * fit.relative_error:.1f} %"
+    basis = f"On {recording.label}, predicted torque differs from measured torque{error}."
+    return judge(checks, held_out_errors(result.joints, fit), basis)
 
 
 def stored_choices(result: Result) -> PreprocessChoices:

@@ -42,11 +42,7 @@ from ident.result.schema import (
     file_sha256,
 )
 from ident.signals.prepared import Step
-
-GOOD_ERROR = 0.05
-USABLE_ERROR = 0.10
-POOR_ERROR = 0.20
-"""Relative validation errors that the verdict's words stand for; published arms lie between 1.4 and 8.5 %."""
+from ident.verdict.verdict import Errors, Verdict, judge
 
 
 def summarise(
@@ -117,8 +113,7 @@ def summarise(
             *(_use(*pair, "validation", used) for pair in zip(identification.validation_runs, held_out, strict=True)),
         ],
         versions=software_versions(),
-        verdict=verdict(identification),
-        warnings=list(identification.warnings),
+        verdict=_verdict(identification),
         experiments=[experiment_result(model, identification.experiment)],
         estimate=estimate_result(identification.estimate, base.names),
     )
@@ -175,35 +170,29 @@ def _experiment_step(identification: Identification) -> Step:
     )
 
 
-def judgement(error: float) -> str:
-    """What a relative validation error is good for."""
-    if error < GOOD_ERROR:
-        return "good: fit for simulation, feed-forward and collision detection within the motions validated"
-    if error < USABLE_ERROR:
-        return "usable: fit for feed-forward; watch the joints with the largest errors"
-    if error < POOR_ERROR:
-        return "poor: look at the residuals for a missing term before using it"
-    return "not to be trusted: the model misses much of what moves this arm"
+def held_out_errors(joints: Sequence[str], fit: Fit | None) -> Errors:
+    """Held-out errors for the verdict; unknown where nothing was held out."""
+    if fit is None:
+        return Errors(None, dict.fromkeys(joints))
+    return Errors(fit.relative_error, dict(zip(joints, fit.joint_relative_error, strict=True)))
 
 
-def verdict(identification: Identification) -> str:
-    """How far to trust the model, in a few sentences."""
+def _verdict(identification: Identification) -> Verdict:
+    """How far to trust the model."""
     model, base, experiment = identification.model, identification.base, identification.experiment
-    error = identification.validation.relative_error
     significant = int(np.sum(_significant(identification)))
-    text = (
-        f"On {identification.validation_source}, predicted torque differs from measured torque by {error * 100:.1f} % "
-        f"(identification: {identification.fit.relative_error * 100:.1f} %). That is {judgement(error)}. "
+    basis = (
+        f"On {identification.validation_source}, predicted torque differs from measured torque by "
+        f"{identification.validation.relative_error * 100:.1f} % "
+        f"(identification: {identification.fit.relative_error * 100:.1f} %). "
         f"{significant} of {base.count} base parameters are significant; "
         f"the essential model keeps {len(identification.pruned.solution.active)} of them and is off by "
         f"{identification.essential_validation.relative_error * 100:.1f} %."
     )
     if experiment != whole_arm(model):
-        text += f" All of this holds for the experiment as it was: {describe(model, experiment)}."
-    if identification.warnings:
-        count = len(identification.warnings)
-        text += f" {count} warning{'s' if count > 1 else ''} to read first."
-    return text
+        basis += f" All of this holds for the experiment as it was: {describe(model, experiment)}."
+    errors = held_out_errors(model.joint_names, fit_result(identification.validation))
+    return judge(identification.checks, errors, basis)
 
 
 def _significant(identification: Identification) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

@@ -9,10 +9,12 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, computed_field, model_validator
 
 from drivers.errors import ResultFileError, UsageError
 from ident.model.parameters import Kind
+from ident.verdict.check import PURPOSES, texts
+from ident.verdict.verdict import Verdict
 
 RESULT_SCHEMA = 1
 UNITS: dict[str, str] = {
@@ -249,11 +251,32 @@ class Result(_Part):
     rank_margin: Number
     recordings: list[RecordingUse]
     versions: dict[str, str]
-    verdict: str
-    warnings: list[str]
+    verdict: Verdict
     experiments: list[ExperimentResult] = Field(default=[], description="empty: all joints moved, all torques used")
     merge: Merge | None = None
     estimate: EstimateResult | None = None
+
+    @computed_field(description="texts of the verdict's checks that spoil a purpose")  # type: ignore[prop-decorator]
+    @property
+    def warnings(self) -> list[str]:
+        """Sentences of the verdict's checks, notes left out."""
+        return texts(self.verdict.checks)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _verdict_of_text(cls, content: Any) -> Any:
+        """Read results that were written before the verdict had parts: its text becomes the headline.
+
+        Its warnings do not say what they spoil, so each of them spoils every purpose.
+        """
+        if not isinstance(content, dict) or not isinstance(content.get("verdict"), str):
+            return content
+        given = content.get("warnings")
+        checks = [
+            {"name": "unnamed", "severity": "warning", "purposes": PURPOSES, "text": text}
+            for text in (given if isinstance(given, list) else [])
+        ]
+        return {**content, "verdict": {"headline": content["verdict"], "checks": checks}}
 
 
 def check_folder(folder: Path) -> None:

@@ -25,6 +25,7 @@ from ident.result.tables import Cell, Table, table_of_rows
 from ident.signals.options import FilterKind
 from ident.signals.pipeline import PreprocessChoices
 from ident.tasks.runs import Runs, recordings_of
+from ident.verdict.verdict import Verdict
 
 
 class IdentificationResult:
@@ -56,13 +57,13 @@ class IdentificationResult:
         self.validation_series = tuple(validation_series)
 
     @property
-    def verdict(self) -> str:
-        """How far the model can be trusted, in a few sentences."""
+    def verdict(self) -> Verdict:
+        """How far the model can be trusted: headline, purposes, joints, checks; printed as a few lines."""
         return self.result.verdict
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings of the checks."""
+        """Sentences of the verdict's checks, notes left out."""
         return tuple(self.result.warnings)
 
     @property
@@ -160,18 +161,13 @@ class IdentificationResult:
         return result_json(self.result)
 
     def __str__(self) -> str:
-        warnings = [f"warning: {warning}" for warning in self.warnings]
-        return "\n".join([str(self.parameters), "", str(self.errors), "", self.verdict, *warnings])
+        return "\n".join([str(self.parameters), "", str(self.errors), "", str(self.verdict)])
 
     def __repr__(self) -> str:
         return f"<dynid.IdentificationResult {self.result.robot}, {len(self.result.base_parameters)} base parameters>"
 
     def _repr_html_(self) -> str:
-        from html import escape
-
-        warnings = "".join(f"<li>{escape(warning)}</li>" for warning in self.warnings)
-        tables = f"{self.errors._repr_html_()}{self.parameters._repr_html_()}"
-        return f"<p>{escape(self.verdict)}</p><ul>{warnings}</ul>{tables}"
+        return f"{self.verdict._repr_html_()}{self.errors._repr_html_()}{self.parameters._repr_html_()}"
 
 
 def identify(

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from daq.robot.loader import RobotFile
 from drivers.errors import UsageError
+from ident.assessment.validation import fit_figures
 from ident.experiments.merged_result import merge_results
-from ident.identify.revalidate import revalidate
+from ident.identify.revalidate import revalidate, validation_verdict
 from ident.identify.summary import fit_result
 from ident.regression.least_squares import Method
 from ident.regression.pruning import SIGNIFICANT_RSD
@@ -19,19 +20,39 @@ from ident.result.schema import Fit, Result, read_result
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.tasks.identification import IdentificationResult, check_significance, error_table, identify
 from ident.tasks.runs import Run, Runs, recording_of, recordings_of
+from ident.verdict.verdict import Verdict, together
 
 Identified = IdentificationResult | Model | str | PathLike[str]
 """A result, a model, or the path of either."""
 
 
 @dataclass(frozen=True)
+class RecordingValidation:
+    """A model on one held-out recording.
+
+    Attributes:
+        recording: what messages call it.
+        full: errors of all base parameters.
+        essential: the same of the significant ones.
+        verdict: on the model, from the checks of its identification, those of this recording, and these errors.
+    """
+
+    recording: str
+    full: Fit
+    essential: Fit
+    verdict: Verdict
+
+
+@dataclass(frozen=True)
 class Validation:
-    """Errors of a model on a held-out recording; filters and delay as at its identification.
+    """Errors of a model on held-out recordings; filters and delay as at its identification.
 
     Attributes:
         joints: names (n,).
-        full: errors of all base parameters: `relative_error` (a ratio), `rmse` per joint [N·m], …
+        full: errors of all base parameters over all recordings: `relative_error` (a ratio), `rmse` per joint [N·m], …
         essential: the same of the significant ones.
+        verdict: the worst of the recordings', purpose by purpose.
+        recordings: each apart.
 
     Example:
         >>> import dynid
@@ -39,11 +60,15 @@ class Validation:
         >>> validation = dynid.validate(result, dynid.simulate("ur5e", duration=10.0, seed=2))
         >>> validation.errors.columns[1].heading
         'full_rmse [N·m]'
+        >>> validation.verdict.purposes["torque_prediction"].grade in ("good", "usable", "poor")
+        True
     """
 
     joints: tuple[str, ...]
     full: Fit
     essential: Fit
+    verdict: Verdict
+    recordings: tuple[RecordingValidation, ...]
 
     @property
     def errors(self) -> Table:
@@ -51,21 +76,21 @@ class Validation:
         return error_table("Errors", self.joints, {"full": self.full, "essential": self.essential})
 
     def __str__(self) -> str:
-        return str(self.errors)
+        return f"{self.errors}\n\n{self.verdict}"
 
     def _repr_html_(self) -> str:
-        return self.errors._repr_html_()
+        return f"{self.verdict._repr_html_()}{self.errors._repr_html_()}"
 
 
-def validate(identified: Identified, run: Run) -> Validation:
-    """Predict a recording's torques [N·m] with an identified model and compare.
+def validate(identified: Identified, runs: Runs) -> Validation:
+    """Predict the torques [N·m] of recordings with an identified model and compare, each recording apart.
 
     Args:
         identified: a result, a model, or the folder or file of one.
-        run: a held-out recording, or its path.
+        runs: a held-out recording or several, or their paths.
 
     Raises:
-        DataError: the recording lacks signals, or its motion is outside what the model covers.
+        DataError: a recording lacks signals, or its motion is outside what the model covers.
         ResultFileError: the result's parts do not belong together.
 
     Example:
@@ -74,9 +99,22 @@ def validate(identified: Identified, run: Run) -> Validation:
         >>> dynid.validate(result.model, dynid.simulate("ur5e", duration=10.0, seed=2)).full.relative_error < 0.2
         True
     """
-    result = _result(identified)
-    fits = revalidate(result, recording_of(run))
-    return Validation(tuple(result.joints), fit_result(fits.full), fit_result(fits.essential))
+    result, recordings = _result(identified), recordings_of(runs)
+    if not recordings:
+        raise UsageError("no recording to validate with")
+    compared = [revalidate(result, recording) for recording in recordings]
+    apart = []
+    for recording, fits in zip(recordings, compared, strict=True):
+        full = fit_result(fits.full)
+        verdict = validation_verdict(result, recording, full)
+        apart.append(RecordingValidation(recording.label, full, fit_result(fits.essential), verdict))
+    return Validation(
+        joints=tuple(result.joints),
+        full=fit_result(fit_figures([part for fits in compared for part in fits.series])),
+        essential=fit_result(fit_figures([part for fits in compared for part in fits.essential_series])),
+        verdict=together([(one.recording, one.verdict) for one in apart]),
+        recordings=tuple(apart),
+    )
 
 
 def merge(

@@ -46,7 +46,8 @@ def test_save_refuses_a_file(result, tmp_path):
 
 def test_a_result_shows_itself(result):
     text, html = str(result), result._repr_html_()
-    assert result.verdict in text
+    assert str(result.verdict) in text
+    assert result.verdict.headline in html
     assert "ZZR1" in text
     assert html.count("<table>") == 2
     assert "wrist_3_joint" in result.errors._repr_html_()

@@ -22,6 +22,7 @@ from ident.result.schema import (
     Residuals,
     Result,
 )
+from ident.verdict.verdict import Verdict
 
 
 def true_result(
@@ -95,7 +96,6 @@ def true_result(
         rank_margin=base.margin,
         recordings=[],
         versions={},
-        verdict="",
-        warnings=[],
+        verdict=Verdict("true parameters"),
         estimate=estimate,
     )

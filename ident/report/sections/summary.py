@@ -1,4 +1,4 @@
-"""Verdict, warnings and key figures."""
+"""Verdict, checks and key figures."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from ident.assessment.validation import LOW_SPEED
 from ident.report.number_text import DASH, number, percent, whole
 from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.schema import Fit, Result
+from ident.verdict.check import PURPOSE_WORDS
 
 
 def section(data: ReportData) -> ReportSection:
-    """Verdict, warnings, key figures, errors of each joint."""
+    """Verdict, checks, key figures, errors of each joint."""
     result = data.result
     context = {
         "verdict": result.verdict,
-        "warnings": result.warnings,
+        "purpose_words": PURPOSE_WORDS,
         "tiles": _tiles(result),
         "rows": [_row(result, joint) for joint in range(len(result.joints))],
         "low_speed": LOW_SPEED,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import load_robot, parse_robot
-from ident.assessment.plausibility import indefinite_share, inertia_matrices, sign_warnings
+from ident.assessment.plausibility import indefinite_share, inertia_matrices, sign_checks
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters, random_states
@@ -103,25 +103,27 @@ def test_clearly_negative_friction_and_motor_inertia_are_warned_of(three_joint):
     base = base_parameters(model)
     parameters = np.abs(base.projection @ truth_vector(three_joint)) + 0.1
     std = np.full(base.count, 0.1)
-    assert sign_warnings(base, parameters, std) == []
+    assert sign_checks(base, parameters, std) == []
     for name in ("Fv2", "Fs3"):
         parameters[base.names.index(name)] = -1.0
-    (friction,) = sign_warnings(base, parameters, std)
-    assert friction.startswith("Fv2, Fs3 came out negative (not dissipative)")
+    (friction,) = sign_checks(base, parameters, std)
+    assert friction.name == "negative-friction"
+    assert friction.text.startswith("Fv2, Fs3 came out negative (not dissipative)")
     parameters[base.names.index("Ia3")] = -1.0
-    motors = sign_warnings(base, parameters, std)[1]
-    assert motors.startswith("Ia3 came out negative")
-    assert "inertia: false" in motors
+    motors = sign_checks(base, parameters, std)[1]
+    assert motors.name == "negative-motor-inertia"
+    assert motors.text.startswith("Ia3 came out negative")
+    assert "inertia: false" in motors.text
 
 
 def test_negative_within_the_error_bar_or_where_it_may_be_is_not_warned_of(three_joint):
     base = base_parameters(build_model(three_joint))
     parameters = -np.ones(base.count)
-    assert sign_warnings(base, parameters, np.full(base.count, 0.5)) == []
+    assert sign_checks(base, parameters, np.full(base.count, 0.5)) == []
     for i, kind in enumerate(base.kinds):
         if kind in ("viscous", "coulomb", "motor_inertia"):
             parameters[i] = 1.0
-    assert sign_warnings(base, parameters, np.full(base.count, 1e-3)) == []  # offsets and products may be negative
+    assert sign_checks(base, parameters, np.full(base.count, 1e-3)) == []  # offsets and products may be negative
 
 
 @pytest.mark.parametrize(("joint", "gain"), [("j1", "10"), ("j2", "-8"), ("j3", "4")])

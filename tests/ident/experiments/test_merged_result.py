@@ -92,7 +92,7 @@ def test_two_experiments_make_the_whole_model(merged, results, three_joint):
     assert result.validation is not None
     assert result.validation.relative_error < 0.05
     assert all(value is not None for value in result.validation.rmse)
-    assert "good" in result.verdict
+    assert result.verdict.purposes["torque_prediction"].grade == "good"
 
 
 def test_the_merged_model_is_a_result_like_others(merged, recorded, tmp_path):
@@ -115,7 +115,7 @@ def test_merging_with_what_was_known_before_changes_nothing_but_the_error_bars(m
     in_steps, _ = merge_results([("before", merged[0]), ("more", more)])
     assert in_steps.merge.consistency is not None
     assert in_steps.merge.consistency.agree
-    assert "agree" in in_steps.verdict
+    assert "agree" in in_steps.verdict.basis
     assert len(in_steps.experiments) == 3
     before = np.array([parameter.std for parameter in merged[0].base_parameters])
     after = np.array([parameter.std for parameter in in_steps.base_parameters])
@@ -140,7 +140,7 @@ def test_another_load_shows(results, recorded, three_joint):
     result, _ = merge_results([("wrist", results[1]), ("loaded", other)])
     assert not result.merge.consistency.agree
     assert result.merge.consistency.contradictions
-    assert "contradict each other" in result.verdict
+    assert "contradict each other" in result.verdict.headline
     assert any("Furthest" in warning for warning in result.warnings)
     names = {one.parameter for one in result.merge.consistency.contradictions}
     assert names & {"MX3", "ZZ3", "XXR3", "MXR3", "ZZR3"}

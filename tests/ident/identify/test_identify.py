@@ -232,7 +232,7 @@ def test_short_recordings_are_warned_of(recorded, clean):
 
 def test_recordings_that_were_not_closed_are_warned_of(recorded):
     found = identify([replace(recorded(), complete=False)], [], IdentifyChoices())
-    assert any("not closed in order" in warning for warning in found.warnings)
+    assert "recording-not-closed" in [check.name for check in found.checks]
 
 
 def test_a_joint_that_hardly_moves_is_warned_of_and_its_friction_has_no_values(noise_free, three_joint):

@@ -31,6 +31,9 @@ from ident.result.schema import (
     Residuals,
     Result,
 )
+from ident.verdict.catalogue import raised
+from ident.verdict.check import Check
+from ident.verdict.verdict import JointVerdict, PurposeVerdict, Verdict, judge
 
 JOINTS = ["j1", "j2"]
 ANCHORS = [
@@ -150,8 +153,7 @@ def result(**changes: Any) -> Result:
             )
         ],
         versions={"dynid": "0.1.0"},
-        verdict="That is usable.",
-        warnings=["watch joint j2"],
+        verdict=judge([raised("overfitting", "watch joint j2")], None, "That is usable."),
     )
     return found.model_copy(update=changes)
 
@@ -219,8 +221,13 @@ def test_names_stay_text(evil: str) -> None:
         joints=[evil, "j2"],
         robot_file=evil,
         urdf=evil,
-        warnings=[evil],
-        verdict=evil,
+        verdict=Verdict(
+            evil,
+            {"simulation": PurposeVerdict("poor", evil)},
+            (JointVerdict(evil, "poor", evil),),
+            (Check(evil, "serious", ("simulation",), evil, (evil,)),),
+            evil,
+        ),
         options={evil: evil},
         versions={evil: evil},
         validation_source=evil,

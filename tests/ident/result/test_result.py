@@ -16,7 +16,7 @@ from daq.recording.writer import write_recording
 from drivers.errors import ResultFileError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
-from ident.identify.summary import judgement, summarise
+from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.result.schema import UNITS, file_sha256, read_result, result_json, write_result
 from sim_drivers.synthetic.measurement import simulate_recording
@@ -127,9 +127,19 @@ def test_events_of_the_recording_are_handed_on(identified):
 
 
 def test_verdict_says_where_the_error_was_measured(identified, content):
-    assert content["verdict"].startswith("On the last 30 % of the recording")
-    assert judgement(content["validation"]["relative_error"]) in content["verdict"]
-    assert f"{len(content['warnings'])} warning" in content["verdict"]
+    verdict = content["verdict"]
+    assert verdict["basis"].startswith("On the last 30 % of the recording")
+    assert set(verdict) == {"headline", "purposes", "joints", "checks", "basis"}
+    assert set(verdict["purposes"]["simulation"]) == {"grade", "because"}
+    assert content["warnings"] == [check["text"] for check in verdict["checks"] if check["severity"] != "note"]
+
+
+def test_a_result_from_before_checks_had_names_is_still_read(content, tmp_path):
+    old = {**content, "verdict": "On val.h5 it is good.", "warnings": ["watch j2"]}
+    (tmp_path / "result.json").write_text(json.dumps(old), encoding="utf-8")
+    result = read_result(tmp_path / "result.json")
+    assert result.verdict.headline == "On val.h5 it is good."
+    assert result.warnings == ["watch j2"]
 
 
 def test_no_such_file(tmp_path):
@@ -164,7 +174,7 @@ def test_a_newer_schema_is_refused(tmp_path, content, schema):
 @given(data=st.data())
 def test_missing_keys_and_wrong_types_are_named(tmp_path_factory, content, data):
     broken = json.loads(json.dumps(content))
-    optional = {"dynid_schema", "kind", "standard_parameters", "experiments", "merge", "estimate"}
+    optional = {"dynid_schema", "kind", "standard_parameters", "experiments", "merge", "estimate", "warnings"}
     key = data.draw(st.sampled_from(sorted(set(broken) - optional)))
     wrong = data.draw(st.sampled_from(["missing", "list", "object"]))
     if wrong == "missing":

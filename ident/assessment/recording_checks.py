@@ -1,0 +1,87 @@
+"""Checks of a recording as it stands: its end, its import, its time stamps, clipped signals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from daq.recording.recording import Recording
+from daq.recording.signal_quality import ColumnQuality, channel_quality
+from daq.recording.stream_quality import StreamQuality, stream_quality
+from ident.verdict.catalogue import raised
+from ident.verdict.check import Check
+
+MOTOR_SIGNALS = ("current", "voltage", "torque")
+
+JITTER_SHARE = 0.2
+"""Jitter beyond this share of the period makes the velocity of a steadily moving joint wrong by as much."""
+
+CLIPPED_PERCENT = 0.1
+"""Share of clipped samples [%] beyond which they are no chance."""
+
+IMPORT = "import"
+"""Source of the events that importers write."""
+
+
+def stream_qualities(recording: Recording) -> dict[str, StreamQuality]:
+    """Evenness of each stream's clock, by its name."""
+    return {name: stream_quality(stream.time) for name, stream in recording.streams.items()}
+
+
+def column_qualities(
+    recording: Recording, quantities: tuple[str, ...] | None = None
+) -> dict[tuple[str, str], tuple[ColumnQuality, ...]]:
+    """Figures of all columns, by stream and quantity; of some quantities only where they are named."""
+    return {
+        (name, quantity): channel_quality(channel)
+        for name, stream in recording.streams.items()
+        for quantity, channel in stream.channels.items()
+        if quantities is None or quantity in quantities
+    }
+
+
+def closing_checks(recording: Recording) -> list[Check]:
+    """Whether the recording's writer closed it."""
+    if recording.complete:
+        return []
+    return [raised("recording-not-closed", f"{recording.label} was not closed in order: its end may be missing")]
+
+
+def recording_checks(
+    recording: Recording,
+    streams: Mapping[str, StreamQuality] | None = None,
+    columns: Mapping[tuple[str, str], tuple[ColumnQuality, ...]] | None = None,
+    label: str = "",
+) -> list[Check]:
+    """What a recording says of itself.
+
+    Args:
+        recording: as read.
+        streams: its `stream_qualities`, where they are known already.
+        columns: its `column_qualities`, where they are known already.
+        label: names the recording among several.
+    """
+    streams = stream_qualities(recording) if streams is None else streams
+    columns = column_qualities(recording, MOTOR_SIGNALS) if columns is None else columns
+    of = f"{label}: " if label else ""
+    checks = closing_checks(recording)
+    for event in recording.events:
+        if event.source == IMPORT and event.level == "warning":
+            checks.append(raised("import-warning", f"{of}import: {event.message}"))
+    for name, quality in streams.items():
+        if quality.lost:
+            share = 100.0 * quality.lost / (quality.samples + quality.lost)
+            text = f"{of}{name}: {quality.lost} samples lost ({share:.2g} %) in {len(quality.gaps)} gaps"
+            checks.append(raised("samples-lost", text))
+        if quality.duplicates:
+            checks.append(raised("repeated-stamps", f"{of}{name}: {quality.duplicates} stamps do not increase"))
+        if quality.jitter_ms * quality.rate_hz > JITTER_SHARE * 1e3:
+            period = 1e3 / quality.rate_hz
+            text = f"{of}{name}: stamps jitter by {quality.jitter_ms:.2g} ms at a period of {period:.2g} ms"
+            checks.append(raised("jittering-stamps", text))
+    for (stream, quantity), qualities in columns.items():
+        clipped = [column for column in qualities if column.clipped_percent > CLIPPED_PERCENT]
+        if quantity in MOTOR_SIGNALS and clipped:
+            figures = ", ".join(f"{column.name} {column.clipped_percent:.2g} %" for column in clipped)
+            text = f"{of}{stream}/{quantity} is clipped: {figures} of the samples; use a slower motion or a wider range"
+            checks.append(raised("signal-clipped", text, [column.name for column in clipped]))
+    return checks

@@ -1,0 +1,276 @@
+"""Every check that there is: its severity, the purposes that it spoils, its meaning and its remedy (docs/checks.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from ident.verdict.check import PURPOSES, Check, Purpose, Severity
+
+
+@dataclass(frozen=True)
+class CheckKind:
+    """What all checks of one name have in common.
+
+    Attributes:
+        name: stable; part of result.json.
+        severity: of every check of this name.
+        purposes: that it spoils; none exactly where it is a note.
+        meaning: what it says, as a clause.
+        remedy: what to do, as a sentence.
+    """
+
+    name: str
+    severity: Severity
+    purposes: tuple[Purpose, ...]
+    meaning: str
+    remedy: str
+
+
+def _note(name: str, meaning: str, remedy: str) -> CheckKind:
+    return CheckKind(name, "note", (), meaning, remedy)
+
+
+ALL = PURPOSES
+PREDICTION: tuple[Purpose, ...] = ("torque_prediction", "collision_detection")
+PARAMETERS: tuple[Purpose, ...] = ("simulation", "payload_estimation")
+"""Purposes that take the parameters one by one: wrong values that cancel in the torque spoil these only."""
+
+_RECORDING = (
+    _note(
+        "recording-not-closed",
+        "the recording was not closed in order",
+        "Its end may be missing; `dynid recover` rescues what was written.",
+    ),
+    _note("import-warning", "the import assumed or repaired something", "Read the sentence and import again."),
+    _note(
+        "samples-lost",
+        "samples of a stream are missing",
+        "Segments end at gaps, and nothing is filled in; see the bus budget and the computer's load.",
+    ),
+    _note("repeated-stamps", "time stamps do not increase", "Import with --repair, or see the clock of the source."),
+    CheckKind(
+        "jittering-stamps",
+        "warning",
+        PREDICTION,
+        "the time stamps jitter",
+        "Use the stamps of the robot's controller, not those of the receiving computer.",
+    ),
+    CheckKind(
+        "signal-clipped",
+        "warning",
+        ALL,
+        "a motor signal is clipped",
+        "Use a slower motion, or a wider range of the signal.",
+    ),
+    CheckKind("no-motion", "serious", ALL, "there is no motion to analyse", "Record an excitation trajectory."),
+    _note(
+        "high-condition",
+        "the condition number of the observation matrix is high",
+        "Record a motion that `dynid excite` designed.",
+    ),
+    _note("slow-motion", "joints use little of their velocity limit", "Record a faster motion."),
+    CheckKind(
+        "torque-beyond-limits",
+        "serious",
+        ALL,
+        "recorded torques are far beyond the joints' limits",
+        "Check the unit of the current (A, not mA), the drive gains, and the torque limits of the robot file.",
+    ),
+    CheckKind(
+        "torque-far-below-limits",
+        "serious",
+        ALL,
+        "recorded torques are orders below the joints' limits",
+        "Check the unit of the current (A, not kA), the drive gains (joint side, gear ratio included), and the limits.",
+    ),
+    CheckKind(
+        "idle-joints",
+        "warning",
+        PARAMETERS,
+        "static friction of resting joints enters the fit",
+        "Move all joints at once, or identify each run with --torques-of its moving joints and merge the models.",
+    ),
+)
+
+_EXCITATION = (
+    CheckKind(
+        "few-equations",
+        "warning",
+        PARAMETERS,
+        "there are few equations per parameter",
+        "Record longer.",
+    ),
+    CheckKind(
+        "few-independent-samples",
+        "warning",
+        PARAMETERS,
+        "there are few independent equations per parameter",
+        "Record longer, and other motions rather than more of the same.",
+    ),
+    CheckKind(
+        "few-blocks",
+        "warning",
+        PARAMETERS,
+        "the error bars rest on few blocks",
+        "Record longer: the standard deviations are themselves uncertain.",
+    ),
+    CheckKind(
+        "unexcited-parameters",
+        "warning",
+        PARAMETERS,
+        "the motion does not excite some base parameters",
+        "Record a motion that `dynid excite` designed.",
+    ),
+    CheckKind(
+        "insignificant-parameters",
+        "warning",
+        PARAMETERS,
+        "many base parameters are smaller than their standard deviation",
+        "Record a more exciting motion.",
+    ),
+    _note(
+        "few-moves-for-energy",
+        "the energy model has one equation for all joints together",
+        "Record many different moves rather than a periodic motion, or use --method wls.",
+    ),
+    CheckKind(
+        "not-in-energy-model",
+        "warning",
+        ALL,
+        "the energy model cannot identify some base parameters",
+        "Use --method wls.",
+    ),
+    CheckKind(
+        "joints-locked",
+        "warning",
+        ALL,
+        "the model holds with some joints fixed where they were",
+        "Move all joints, or name what is locked on purpose with --locked.",
+    ),
+    CheckKind(
+        "resting-motor-torque",
+        "warning",
+        PARAMETERS,
+        "the torque of a motor at rest is used",
+        "Leave it out with --torques-of: static friction or a brake may carry any part of it.",
+    ),
+)
+
+_MODEL = (
+    CheckKind(
+        "negative-friction",
+        "warning",
+        PARAMETERS,
+        "friction came out negative (not dissipative)",
+        "Check the sign of the drive gain; the model may lack a friction term.",
+    ),
+    CheckKind(
+        "negative-motor-inertia",
+        "warning",
+        PARAMETERS,
+        "a motor inertia came out negative",
+        "Set `inertia: false` where torque sensors sit behind the gearbox, or use --no-motor-inertia.",
+    ),
+    CheckKind(
+        "gravity-opposite",
+        "serious",
+        ALL,
+        "gravity of the opposite sign fits the data better",
+        "Check `model.gravity`, how the arm is mounted, and the signs of the drive gains.",
+    ),
+    CheckKind(
+        "gravity-other-axis",
+        "serious",
+        ALL,
+        "gravity along another axis fits the data better",
+        "Check `model.gravity` and how the arm is mounted.",
+    ),
+    CheckKind(
+        "torque-sign",
+        "serious",
+        ALL,
+        "a torque of the opposite sign fits the data better",
+        "Check the sign of this joint's drive gain.",
+    ),
+    CheckKind(
+        "torques-exchanged",
+        "serious",
+        ALL,
+        "two torques fit the data better exchanged",
+        "Check the order of the torque or current columns.",
+    ),
+    CheckKind(
+        "inconsistent-gain",
+        "warning",
+        PARAMETERS,
+        "the drive gain of a joint does not agree with the other joints",
+        "Identify the drive gains with a known load (`dynid gains`).",
+    ),
+    CheckKind(
+        "friction-near-reversals",
+        "warning",
+        PARAMETERS,
+        "the friction estimate changes without the equations near velocity reversals",
+        "Compare --leave-out-reversals 0.2.",
+    ),
+    CheckKind(
+        "indefinite-inertia",
+        "serious",
+        ("simulation",),
+        "the identified inertia matrix is not positive definite",
+        "Good for predicting torque, not for forward simulation: excite the arm more, or use consistent parameters.",
+    ),
+)
+
+_VALIDATION = (
+    CheckKind(
+        "overfitting",
+        "warning",
+        ALL,
+        "the validation error is much larger than the identification's",
+        "The model overfits, or the other motion shows effects that this one does not; record a richer motion.",
+    ),
+    CheckKind(
+        "not-validated",
+        "warning",
+        ALL,
+        "nothing was held out to validate the model with",
+        "Validate it with another recording (--validate).",
+    ),
+)
+
+_MERGE = (
+    CheckKind(
+        "contradicting-models",
+        "warning",
+        ALL,
+        "the merged models contradict each other",
+        "Another arm, load, temperature or drive gains, or error bars that are too small.",
+    ),
+    CheckKind(
+        "partial-model",
+        "warning",
+        ("simulation", "payload_estimation"),
+        "the experiments show only some of the arm's base parameters",
+        "Record an experiment with the other joints moving, and merge it, too.",
+    ),
+    _note("checks-of-a-part", "a merged model has checks of its own", "Read them in its own result."),
+)
+
+CATALOGUE: dict[str, CheckKind] = {
+    kind.name: kind for kind in (*_RECORDING, *_EXCITATION, *_MODEL, *_VALIDATION, *_MERGE)
+}
+"""Every check by its name."""
+
+
+def raised(name: str, text: str, joints: Iterable[str] = ()) -> Check:
+    """A check of the catalogue.
+
+    Args:
+        name: in the catalogue.
+        text: what was seen, with its figures, and what to do.
+        joints: names of those that it concerns.
+    """
+    kind = CATALOGUE[name]
+    return Check(kind.name, kind.severity, kind.purposes, text, tuple(joints))
