@@ -18,6 +18,7 @@ from ident.assessment.delay import DelaySearch, search_delay
 from ident.assessment.excitation import ExcitationReached, excitation_reached
 from ident.assessment.recorded_motion import RecordedMotion, recorded_motion
 from ident.assessment.recording_checks import column_qualities, recording_checks, stream_qualities
+from ident.assessment.torque_level import torque_level_checks
 from ident.excite.sufficiency import (
     Sufficiency,
     TimesNeeded,
@@ -88,6 +89,8 @@ def recording_info(
     if sufficiency is not None and wanted_rsd_percent is not None:
         times = times_needed(sufficiency, wanted_rsd_percent)
     checks = recording_checks(recording, streams, columns) + _excitation_checks(recording, excitation)
+    if motion is not None and motion.measured is not None:
+        checks += torque_level_checks(robot_file.robot, motion.model, motion.measured.torque)
     return RecordingInfo(
         recording, robot_file.robot.name, streams, columns, excitation, delay, sufficiency, times, judge(checks, None)
     )

@@ -85,6 +85,13 @@ _RECORDING = (
         "Check the unit of the current (A, not kA), the drive gains (joint side, gear ratio included), and the limits.",
     ),
     CheckKind(
+        "implausible-load",
+        "serious",
+        ALL,
+        "recorded torques would hold a mass that no arm of this size has",
+        "Check the unit of the current (A, not mA) and the drive gains.",
+    ),
+    CheckKind(
         "idle-joints",
         "warning",
         PARAMETERS,

@@ -1,0 +1,78 @@
+"""Joints that rest most of the time: static friction carries an unknown part of their load, and enters the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.streams import FloatArray
+from ident.regression.comparison import TorqueSeries
+from ident.signals.motion_masks import SHORTEST_REST
+from ident.verdict.catalogue import raised
+from ident.verdict.check import Check
+
+MOSTLY = 0.5
+"""Share of a joint's equations at rest beyond which they, and not those in motion, decide on its parameters."""
+
+
+def idle_share(series: Sequence[TorqueSeries], rest_velocity: float) -> FloatArray:
+    """Share (n,) of each joint's equations at which it has been at rest for `SHORTEST_REST` or longer."""
+    resting = np.sum([np.sum(idle_mask(part, rest_velocity) & part.used, axis=1) for part in series], axis=0)
+    return np.asarray(resting / max(1, sum(int(part.used.sum()) for part in series)))
+
+
+def idle_mask(part: TorqueSeries, rest_velocity: float) -> npt.NDArray[np.bool_]:
+    """(n, M) samples within a rest of `SHORTEST_REST` or longer; shorter ones are velocity reversals."""
+    slow = np.abs(part.velocity) < rest_velocity
+    if len(part.time) < 2:
+        return slow
+    shortest = SHORTEST_REST / float(np.median(np.diff(part.time)))
+    for row in slow:
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))
+        for start, stop in edges.reshape(-1, 2):
+            if stop - start < shortest:
+                row[start:stop] = False
+    return slow
+
+
+def idle_joint_checks(
+    names: Sequence[str],
+    series: Sequence[TorqueSeries],
+    rest_velocity: float,
+    coulomb: FloatArray,
+    coulomb_std: FloatArray,
+    joints: Sequence[int],
+) -> list[Check]:
+    """Joints that mostly rest, and whose static friction is larger than the residual that they leave in motion.
+
+    A joint without dry friction may rest as long as it likes.
+
+    Args:
+        names: of the joints.
+        series: measured and predicted torques.
+        rest_velocity: below which a joint rests [rad/s or m/s].
+        coulomb: (n,) Coulomb friction [N·m]; 0 where the model has none.
+        coulomb_std: (n,) its standard deviation [N·m].
+        joints: that move in some run, and whose torques are used.
+    """
+    share = idle_share(series, rest_velocity)
+    found = []
+    for joint in joints:
+        moving = np.concatenate(
+            [part.residual[joint][part.used & ~idle_mask(part, rest_velocity)[joint]] for part in series]
+        )
+        noise = float(np.sqrt(np.mean(moving**2))) if len(moving) else 0.0
+        dry = abs(float(coulomb[joint]))
+        if share[joint] > MOSTLY and dry > max(noise, 3.0 * float(coulomb_std[joint])):
+            found.append(joint)
+    if not found:
+        return []
+    figures = ", ".join(f"{names[j]} {100.0 * share[j]:.0f} % (friction {abs(coulomb[j]):.2g} N·m)" for j in found)
+    text = (
+        f"joints rest for most of the data: {figures}; static friction carries an unknown part of their load, which "
+        "the error bars do not cover: move all joints at once, or identify each run with --torques-of its moving "
+        "joints and merge the models"
+    )
+    return [raised("idle-joints", text, [names[j] for j in found])]
