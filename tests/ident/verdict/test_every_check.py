@@ -1,0 +1,302 @@
+"""Every check of the catalogue: a recording (or a model) that raises it, and one that does not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from daq.recording.recording import JOINTS_STREAM, Event, Recording
+from daq.robot.loader import RobotFile, parse_robot
+from ident.assessment.recording_checks import recording_checks
+from ident.checks.recording_check import recording_info
+from ident.experiments.merged_result import merge_results
+from ident.identify.identification import IdentifyChoices, ModelChoices
+from ident.identify.identify import identify
+from ident.identify.summary import summarise
+from ident.model.dynamic_model import build_model
+from ident.regression.observability import ExperimentChoices
+from ident.result.schema import Result
+from ident.signals.pipeline import PreprocessChoices
+from ident.verdict.catalogue import CATALOGUE
+from sim_drivers.plant.altered_arm import with_load
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
+
+PERIOD = 10.0
+Names = frozenset[str]
+
+
+def changed(recording: Recording, change: Callable[[np.ndarray], np.ndarray], quantity: str = "current") -> Recording:
+    """The recording with other values (N, n) of one quantity."""
+    stream = recording.streams[JOINTS_STREAM]
+    channel = stream.channels[quantity]
+    channels = dict(stream.channels) | {quantity: replace(channel, values=change(channel.values.copy()))}
+    return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+
+
+def stamped(recording: Recording, change: Callable[[np.ndarray], np.ndarray]) -> Recording:
+    """The recording with other stamps (N,)."""
+    stream = recording.streams[JOINTS_STREAM]
+    time = change(stream.time.copy())
+    return replace(recording, streams={JOINTS_STREAM: replace(stream, time=time, host_time=time)})
+
+
+def cut(recording: Recording, kept: np.ndarray) -> Recording:
+    """Some of the samples."""
+    stream = recording.streams[JOINTS_STREAM]
+    channels = {name: replace(channel, values=channel.values[kept]) for name, channel in stream.channels.items()}
+    stream = replace(stream, time=stream.time[kept], host_time=stream.host_time[kept], channels=channels)
+    return replace(recording, streams={JOINTS_STREAM: stream})
+
+
+class Bench:
+    """Recordings of one simulated arm, and what is found wrong with them; each is made once."""
+
+    def __init__(self, arm: RobotFile) -> None:
+        self.arm = arm
+        self.recorded = cache(self._recorded)
+        self.clean = cache(lambda: self.found())
+        self.clean_info = cache(lambda: self.info(self.recorded()))
+        self.parts = cache(self._parts)
+        self.clean_merge = cache(lambda: self.merged(self.result(self.recorded()), self.result(self.recorded(4))))
+
+    def _recorded(
+        self, seed: int = 1, seconds: float = 30.0, shares: tuple[float, ...] = (1, 1, 1), at: float = 0.4
+    ) -> Recording:
+        """Joint k moves with a share of the usual amplitude."""
+        motion = random_fourier_motion(build_model(self.arm), PERIOD, seed, candidates=3)
+        for joint, share in enumerate(shares):
+            motion.sine[joint] *= share
+            motion.cosine[joint] *= share
+            motion.offset[joint] = motion.offset[joint] if share == 1 else at
+        return simulate_recording(self.arm, motion, seconds, seed)
+
+    def said(self, replacements: dict[str, str]) -> RobotFile:
+        """The robot file with other lines."""
+        text = self.arm.text
+        for old, new in replacements.items():
+            assert old in text
+            text = text.replace(old, new)
+        return parse_robot(text, where="said", folder=None)
+
+    def names(self, recording: Recording) -> Names:
+        """Checks of a recording alone."""
+        return frozenset(check.name for check in recording_checks(recording))
+
+    def info(self, recording: Recording) -> Names:
+        """Checks of `dynid info`."""
+        return frozenset(check.name for check in recording_info(recording, self.arm).verdict.checks)
+
+    def found(
+        self,
+        *recordings: Recording,
+        robot_file: RobotFile | None = None,
+        validation: tuple[Recording, ...] = (),
+        **options: object,
+    ) -> Names:
+        """Checks of an identification."""
+        choices = IdentifyChoices(**({"search_delay": False} | options))
+        used = recordings or (self.recorded(),)
+        return frozenset(check.name for check in identify(used, validation, choices, robot_file).checks)
+
+    def result(self, recording: Recording, **experiment: tuple[str, ...]) -> Result:
+        """What `identify` writes."""
+        choices = IdentifyChoices(search_delay=False, experiment=ExperimentChoices(**experiment))
+        return summarise(identify([recording], [], choices), [recording], [])
+
+    def merged(self, *results: Result, held_out: Recording | None = None) -> Names:
+        """Checks of a merge."""
+        result, _ = merge_results([(f"part {i}", part) for i, part in enumerate(results)], held_out)
+        return frozenset(check.name for check in result.verdict.checks)
+
+    def _parts(self) -> tuple[Result, Result]:
+        """Joint 3 locked; joint 3's own torque."""
+        arm = self.result(self.recorded(1, shares=(1, 1, 0)), locked=("j3",))
+        return arm, self.result(self.recorded(2), torques_of=("j3",))
+
+    def single_joint_runs(self) -> list[Recording]:
+        """One joint after the other, the others held by static friction."""
+        generator = np.random.default_rng(1)
+        runs = []
+        for moving in range(3):
+            shares = tuple(float(joint == moving) for joint in range(3))
+            held = generator.uniform(-1.0, 1.0, 3) * np.array([0.6, 0.9, 0.5])  # [A], within the Coulomb friction
+            held[moving] = 0.0
+            runs.append(changed(self.recorded(10 + moving, 12.0, shares), lambda values, held=held: values + held))
+        return runs
+
+    def sticking(self) -> Recording:
+        """Friction that sticks at reversals."""
+        recording = self.recorded()
+        stream = recording.streams[JOINTS_STREAM]
+        speed = np.gradient(stream.channels["position"].values, stream.time, axis=0)
+        slow = np.abs(speed) < 0.1 * np.sqrt(np.mean(speed**2, axis=0))
+        return changed(recording, lambda i: i - np.where(slow, 0.3 * np.abs(i).mean(axis=0) * np.sign(speed), 0.0))
+
+    def without_motor_torque(self) -> Recording:
+        """A torque from which more than the motors' inertia torque was taken away."""
+        recording = self.recorded()
+        stream = recording.streams[JOINTS_STREAM]
+        step = stream.time[1] - stream.time[0]
+        kernel = np.hanning(41) / np.hanning(41).sum()
+        position = stream.channels["position"].values
+        smooth = np.array([np.convolve(column, kernel, mode="same") for column in position.T]).T
+        acceleration = np.gradient(np.gradient(smooth, step, axis=0), step, axis=0)
+        acceleration[:100] = acceleration[-100:] = 0.0
+        return changed(recording, lambda i: i - 2.5 * acceleration / np.array([10.0, -8.0, 4.0]))
+
+
+def exchanged(values: np.ndarray) -> np.ndarray:
+    """Torques of joints 2 and 3 exchanged: in N·m, gains -8 and 4."""
+    return values[:, [0, 2, 1]] * np.array([1.0, -0.5, -2.0])
+
+
+def noisy(values: np.ndarray) -> np.ndarray:
+    """A current with much noise."""
+    return values + 40.0 * np.random.default_rng(1).standard_normal(values.shape)
+
+
+def drifting(values: np.ndarray) -> np.ndarray:
+    """A current that drifts slowly, as no model does."""
+    return values + 3.0 * np.sin(np.linspace(0.0, 7.0, len(values)))[:, None]
+
+
+def spoilt_end(values: np.ndarray) -> np.ndarray:
+    """A held-out part that nothing explains."""
+    values[int(0.75 * len(values)) :] += 3.0
+    return values
+
+
+CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
+    "recording-not-closed": (lambda b: b.names(replace(b.recorded(), complete=False)), lambda b: b.names(b.recorded())),
+    "import-warning": (
+        lambda b: b.names(replace(b.recorded(), events=(Event(0.0, "warning", "import", "sort: 3 samples"),))),
+        lambda b: b.names(replace(b.recorded(), events=(Event(0.0, "info", "import", "time converted"),))),
+    ),
+    "samples-lost": (
+        lambda b: b.names(cut(b.recorded(), np.r_[0:1000, 1100:6000])),
+        lambda b: b.names(b.recorded()),
+    ),
+    "repeated-stamps": (
+        lambda b: b.names(stamped(b.recorded(), lambda t: np.r_[t[:1000], t[999], t[1001:]])),
+        lambda b: b.names(b.recorded()),
+    ),
+    "jittering-stamps": (
+        lambda b: b.names(stamped(b.recorded(), lambda t: t + 4e-3 * np.random.default_rng(1).random(len(t)))),
+        lambda b: b.names(stamped(b.recorded(), lambda t: t + 2e-4 * np.random.default_rng(1).random(len(t)))),
+    ),
+    "signal-clipped": (
+        lambda b: b.names(changed(b.recorded(), lambda i: np.clip(i, -0.5 * i.max(axis=0), 0.5 * i.max(axis=0)))),
+        lambda b: b.names(b.recorded()),
+    ),
+    "no-motion": (
+        lambda b: b.info(changed(b.recorded(), lambda q: np.zeros_like(q), "position")),
+        lambda b: b.clean_info(),
+    ),
+    "high-condition": (
+        lambda b: b.info(b.recorded(1, 30.0, (1, 0.02, 1))),
+        lambda b: b.clean_info(),
+    ),
+    "slow-motion": (
+        lambda b: b.info(b.recorded(1, 30.0, (0.1, 0.1, 0.1))),
+        lambda b: b.clean_info(),
+    ),
+    "torque-beyond-limits": (lambda b: b.info(changed(b.recorded(), lambda i: 1e3 * i)), lambda b: b.clean_info()),
+    "torque-far-below-limits": (lambda b: b.found(changed(b.recorded(), lambda i: 1e-3 * i)), lambda b: b.clean()),
+    "implausible-load": (
+        lambda b: b.found(
+            changed(b.recorded(), lambda i: 1e3 * i),
+            robot_file=b.said({", torque: 100}": "}", ", torque: 50}": "}"}),
+        ),
+        lambda b: b.found(robot_file=b.said({", torque: 100}": "}", ", torque: 50}": "}"})),
+    ),
+    "idle-joints": (lambda b: b.found(*b.single_joint_runs()), lambda b: b.clean()),
+    "few-equations": (lambda b: b.found(b.recorded(1, 12.0)), lambda b: b.clean()),
+    "few-independent-samples": (lambda b: b.found(changed(b.recorded(), drifting)), lambda b: b.clean()),
+    "few-blocks": (
+        lambda b: b.found(b.recorded(1, 4.5), preprocess=PreprocessChoices(decimate=16)),
+        lambda b: b.clean(),
+    ),
+    "unexcited-parameters": (lambda b: b.found(b.recorded(1, 30.0, (1, 3e-3, 1))), lambda b: b.clean()),
+    "insignificant-parameters": (lambda b: b.found(changed(b.recorded(), noisy)), lambda b: b.clean()),
+    "few-moves-for-energy": (lambda b: b.found(changed(b.recorded(), noisy), method="power"), lambda b: b.clean()),
+    "joints-locked": (
+        lambda b: b.found(b.recorded(1, 30.0, (1, 0, 1))),
+        lambda b: b.found(b.recorded(1, 30.0, (1, 0, 1)), experiment=ExperimentChoices(locked=("j2",))),
+    ),
+    "resting-motor-torque": (
+        lambda b: b.found(b.recorded(1, 30.0, (1, 0, 1)), experiment=ExperimentChoices(torques_of=("j1", "j2", "j3"))),
+        lambda b: b.clean(),
+    ),
+    "negative-friction": (lambda b: b.found(changed(b.recorded(), lambda i: i * [-1, 1, 1])), lambda b: b.clean()),
+    "negative-motor-inertia": (
+        lambda b: b.found(b.without_motor_torque(), model=ModelChoices(motor_inertia=True)),
+        lambda b: b.clean(),
+    ),
+    "gravity-opposite": (
+        lambda b: b.found(robot_file=b.said({"model:\n": "model:\n  gravity: [0, 0, 9.81]\n"})),
+        lambda b: b.clean(),
+    ),
+    "gravity-other-axis": (
+        lambda b: b.found(robot_file=b.said({"model:\n": "model:\n  gravity: [0, 9.81, 0]\n"})),
+        lambda b: b.clean(),
+    ),
+    "torque-sign": (lambda b: b.found(changed(b.recorded(), lambda i: i * [1, -1, 1])), lambda b: b.clean()),
+    "torques-exchanged": (lambda b: b.found(changed(b.recorded(), exchanged)), lambda b: b.clean()),
+    "inconsistent-gain": (lambda b: b.found(changed(b.recorded(), lambda i: i * [1, 1, 1.6])), lambda b: b.clean()),
+    "friction-near-reversals": (lambda b: b.found(b.sticking()), lambda b: b.clean()),
+    "indefinite-inertia": (lambda b: b.found(changed(b.recorded(), lambda i: i * [-1, 1, 1])), lambda b: b.clean()),
+    "overfitting": (lambda b: b.found(changed(b.recorded(), spoilt_end)), lambda b: b.clean()),
+    "not-validated": (
+        lambda b: b.clean_merge(),
+        lambda b: b.merged(*b.parts(), held_out=b.recorded(3)),
+    ),
+    "contradicting-models": (
+        lambda b: b.merged(
+            b.result(b.recorded()),
+            b.result(
+                simulate_recording(
+                    with_load(b.arm, 0.5, (0.3, 0.0, 0.0), (1e-3, 0.0, 0.0, 1e-3, 0.0, 1e-3)),
+                    random_fourier_motion(build_model(b.arm), PERIOD, 4, candidates=3),
+                    30.0,
+                    4,
+                )
+            ),
+        ),
+        lambda b: b.clean_merge(),
+    ),
+    "partial-model": (
+        lambda b: b.merged(
+            b.parts()[0],
+            b.result(b.recorded(5, shares=(1, 1, 0)), locked=("j3",)),
+        ),
+        lambda b: b.clean_merge(),
+    ),
+    "checks-of-a-part": (
+        lambda b: b.merged(b.result(b.recorded()), b.result(b.recorded(4, 12.0))),
+        lambda b: b.clean_merge(),
+    ),
+}
+"""Name → what raises it, what does not."""
+
+
+@pytest.fixture(scope="module")
+def bench(three_joint: RobotFile) -> Bench:
+    return Bench(three_joint)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_each_check_is_raised_where_it_should_and_nowhere_else(bench: Bench, name: str) -> None:
+    raising, silent = CASES[name]
+    assert name in raising(bench)
+    assert name not in silent(bench)
+
+
+def test_a_sound_recording_raises_nothing(bench: Bench) -> None:
+    assert bench.clean() == frozenset()
+    assert bench.clean_info() == frozenset()
+    assert bench.clean_merge() == {"not-validated"}

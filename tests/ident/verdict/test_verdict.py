@@ -1,0 +1,125 @@
+"""The verdict follows from the checks and the errors, and cannot contradict them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import TypeAdapter
+
+from ident.verdict.catalogue import CATALOGUE, markdown_table, raised
+from ident.verdict.check import PURPOSE_WORDS, PURPOSES, Check
+from ident.verdict.verdict import AT_BEST, GRADES, Errors, Verdict, judge, together
+
+JOINTS = ("j1", "j2", "j3")
+DOCS = Path(__file__).parents[3] / "docs" / "checks.md"
+
+ratios = st.none() | st.floats(0.0, 2.0) | st.just(float("nan"))
+errors = st.none() | st.builds(Errors, ratios, st.fixed_dictionaries(dict.fromkeys(JOINTS, ratios)))
+checks = st.lists(
+    st.builds(raised, st.sampled_from(sorted(CATALOGUE)), st.text(max_size=5), st.lists(st.sampled_from(JOINTS))),
+    max_size=6,
+)
+
+
+def badness(grade: str) -> int:
+    return GRADES.index(grade)  # type: ignore[arg-type]
+
+
+def grades(verdict: Verdict) -> dict[str, int]:
+    """How bad every purpose and every joint is."""
+    return {name: badness(one.grade) for name, one in verdict.purposes.items()} | {
+        one.joint: badness(one.grade) for one in verdict.joints
+    }
+
+
+@given(checks, checks, errors)
+def test_more_checks_never_improve_anything(some: list[Check], more: list[Check], known: Errors | None) -> None:
+    before, after = grades(judge(some, known)), grades(judge([*some, *more], known))
+    assert all(after[name] >= before[name] for name in before)
+
+
+@given(checks, errors)
+def test_what_a_check_spoils_is_no_better_than_its_severity_allows(some: list[Check], known: Errors | None) -> None:
+    verdict = judge(some, known)
+    for check in some:
+        for purpose in check.purposes:
+            assert badness(verdict.purposes[purpose].grade) >= badness(AT_BEST[check.severity])
+            assert verdict.purposes[purpose].grade != "good"
+
+
+@given(checks, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_a_larger_error_never_improves_anything(some: list[Check], one: float, other: float) -> None:
+    small, large = (Errors(error, dict.fromkeys(JOINTS, error)) for error in sorted((one, other)))
+    before, after = grades(judge(some, small)), grades(judge(some, large))
+    assert all(after[name] >= before[name] for name in before)
+
+
+@given(checks, errors)
+def test_every_purpose_has_a_reason_and_stands_in_the_headline(some: list[Check], known: Errors | None) -> None:
+    verdict = judge(some, known)
+    assert set(verdict.purposes) == set(PURPOSES)
+    headline = verdict.headline.lower()
+    for purpose, judged in verdict.purposes.items():
+        assert judged.because
+        before, _, _ = headline.partition(PURPOSE_WORDS[purpose])
+        assert before.rfind(judged.grade) == max(before.rfind(grade) for grade in GRADES)
+    order = [badness(one.grade) for one in verdict.joints]
+    assert order == sorted(order, reverse=True)
+    assert list(verdict.checks) == sorted(verdict.checks, key=lambda check: -badness(AT_BEST[check.severity]))
+
+
+@given(checks, errors)
+def test_a_verdict_survives_json(some: list[Check], known: Errors | None) -> None:
+    verdict, adapter = judge(some, known, "On val.h5."), TypeAdapter(Verdict)
+    assert adapter.validate_json(adapter.dump_json(verdict)) == verdict
+    assert set(asdict(verdict)) == {"headline", "purposes", "joints", "checks", "basis"}
+
+
+@given(st.lists(st.tuples(checks, errors), min_size=1, max_size=3))
+def test_several_together_are_as_bad_as_the_worst(parts: list[tuple[list[Check], Errors | None]]) -> None:
+    apart = [judge(some, known) for some, known in parts]
+    whole = together([(f"file {i}", verdict) for i, verdict in enumerate(apart)])
+    for purpose in PURPOSES:
+        worst = max(badness(verdict.purposes[purpose].grade) for verdict in apart)
+        assert badness(whole.purposes[purpose].grade) == worst
+    assert set(whole.checks) == {check for verdict in apart for check in verdict.checks}
+
+
+def test_a_good_model_is_called_good() -> None:
+    verdict = judge([], Errors(0.02, {"j1": 0.03, "j2": 0.05}))
+    assert {one.grade for one in verdict.purposes.values()} == {"good"}
+    assert verdict.headline.startswith("Good for torque prediction and feed-forward, simulation, collision detection")
+    assert verdict.joints[0].joint == "j2"
+
+
+def test_nothing_held_out_is_not_good() -> None:
+    assert judge([], Errors(None, {"j1": None})).purposes["simulation"].grade == "usable"
+
+
+def test_one_bad_joint_spoils_collision_detection_alone() -> None:
+    verdict = judge([], Errors(0.03, {"j1": 0.02, "j2": 0.4}))
+    assert verdict.purposes["torque_prediction"].grade == "good"
+    assert verdict.purposes["collision_detection"].grade == "poor"
+    assert "j2" in verdict.purposes["collision_detection"].because
+
+
+def test_a_check_about_a_joint_is_in_its_verdict() -> None:
+    verdict = judge([raised("torque-sign", "check it", ["j2"])], Errors(0.01, {"j1": 0.2, "j2": 0.01}))
+    assert [(one.joint, one.grade) for one in verdict.joints] == [("j2", "poor"), ("j1", "usable")]
+
+
+@pytest.mark.parametrize("kind", CATALOGUE.values(), ids=list(CATALOGUE))
+def test_a_note_spoils_nothing_and_all_else_spoils_something(kind) -> None:
+    assert bool(kind.purposes) is (kind.severity != "note")
+    assert kind.remedy.endswith(".")
+    assert not kind.meaning.endswith(".")
+    assert kind.name == kind.name.lower().replace("_", "-")
+
+
+def test_the_docs_have_the_catalogue() -> None:
+    """`python studies/checks_table.py` writes it."""
+    assert markdown_table() in DOCS.read_text(encoding="utf-8")
