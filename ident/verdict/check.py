@@ -10,7 +10,7 @@ Purpose = Literal["torque_prediction", "simulation", "collision_detection", "pay
 
 PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
 PURPOSE_WORDS: dict[Purpose, str] = {
-    "torque_prediction": "torque prediction and feed-forward",
+    "torque_prediction": "torque prediction (feed-forward)",
     "simulation": "simulation",
     "collision_detection": "collision detection",
     "payload_estimation": "payload estimation",

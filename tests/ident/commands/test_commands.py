@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import html
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
+from daq.recording.reader import read_recording
+from daq.recording.recording import Event
 from daq.recording.writer import write_recording
 from daq.robot.loader import load_robot
 from dynid import command
@@ -93,6 +97,41 @@ def test_identify_validates_writes_and_prints(monkeypatch, capsys, folder):
     assert status == 0
     again = json.loads(out)["full"]
     assert again["relative_error"] == pytest.approx(result["validation"]["relative_error"], rel=1e-6)
+
+    status, out, _ = run(monkeypatch, capsys, folder, "validate", "model", "val.h5", "run.h5", "--json")
+    assert status == 0
+    judged = json.loads(out)
+    assert [one["recording"].rpartition("/")[2] for one in judged["recordings"]] == ["val.h5", "run.h5"]
+    assert judged["recordings"][0]["full"] == again
+    order = ("good", "usable", "poor")
+    for purpose, verdict in judged["verdict"]["purposes"].items():
+        apart = [one["verdict"]["purposes"][purpose]["grade"] for one in judged["recordings"]]
+        assert verdict["grade"] == max(apart, key=order.index)
+    status, out, _ = run(monkeypatch, capsys, folder, "validate", "model", "val.h5", "run.h5")
+    assert status == 0
+    assert judged["verdict"]["headline"] in out
+
+
+def test_the_same_verdict_stands_in_json_on_the_terminal_and_in_the_report(monkeypatch, capsys, folder):
+    _, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--validate", "val.h5", "-o", "same")
+    verdict = json.loads((folder / "same" / "result.json").read_text())["verdict"]
+    report = html.unescape((folder / "same" / "report.html").read_text(encoding="utf-8"))
+    assert verdict["headline"] in out
+    assert verdict["headline"] in report
+    for check in verdict["checks"]:
+        assert f"{check['severity']}: {check['text']} [{check['name']}]" in out
+        assert check["text"] in report
+
+
+def test_info_begins_with_its_verdict_and_remembers_the_import(monkeypatch, capsys, folder):
+    recording = read_recording(folder / "run.h5")
+    noted = replace(recording, events=(Event(0.0, "warning", "import", "sort: time went backward 3 times"),))
+    write_recording(folder / "noted.h5", noted)
+    _, out, _ = run(monkeypatch, capsys, folder, "info", "noted.h5")
+    assert "As far as the recording goes: Good for" in out.splitlines()[1]
+    assert "note: import: sort: time went backward 3 times [import-warning]" in out
+    _, out, _ = run(monkeypatch, capsys, folder, "info", "noted.h5", "--json")
+    assert [check["name"] for check in json.loads(out)["verdict"]["checks"]] == ["import-warning"]
 
 
 def test_identify_json_is_the_result_and_nothing_else(monkeypatch, capsys, folder):

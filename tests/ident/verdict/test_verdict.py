@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
@@ -36,6 +36,7 @@ def grades(verdict: Verdict) -> dict[str, int]:
     }
 
 
+@settings(max_examples=50)
 @given(checks, checks, errors)
 def test_more_checks_never_improve_anything(some: list[Check], more: list[Check], known: Errors | None) -> None:
     before, after = grades(judge(some, known)), grades(judge([*some, *more], known))
@@ -92,7 +93,7 @@ def test_several_together_are_as_bad_as_the_worst(parts: list[tuple[list[Check],
 def test_a_good_model_is_called_good() -> None:
     verdict = judge([], Errors(0.02, {"j1": 0.03, "j2": 0.05}))
     assert {one.grade for one in verdict.purposes.values()} == {"good"}
-    assert verdict.headline.startswith("Good for torque prediction and feed-forward, simulation, collision detection")
+    assert verdict.headline.startswith("Good for torque prediction (feed-forward), simulation, collision detection")
     assert verdict.joints[0].joint == "j2"
 
 
