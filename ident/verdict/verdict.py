@@ -71,7 +71,7 @@ class Verdict:
     """What follows from the checks and the held-out errors.
 
     Attributes:
-        headline: one sentence.
+        headline: what it is good, usable and poor for, and why; the worst joint if it is not good.
         purposes: by the purpose's name.
         joints: worst first.
         checks: all that were raised, the most serious first.
@@ -128,7 +128,7 @@ def judge(checks: Iterable[Check], errors: Errors | None, basis: str = "") -> Ve
     ordered = tuple(sorted(dict.fromkeys(checks), key=lambda check: -SEVERITIES.index(check.severity)))
     joints = () if errors is None else _joints(ordered, errors)
     purposes = {purpose: _purpose(purpose, ordered, errors, joints) for purpose in PURPOSES}
-    return Verdict(_headline(purposes), purposes, joints, ordered, basis)
+    return Verdict(_headline(purposes, joints), purposes, joints, ordered, basis)
 
 
 def together(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
@@ -155,7 +155,7 @@ def together(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
     ordered = tuple(sorted(checks, key=lambda check: -SEVERITIES.index(check.severity)))
     basis = " ".join(f"{label}: {verdict.basis}" for label, verdict in verdicts if verdict.basis)
     worst_first = tuple(sorted(joints.values(), key=lambda one: _negative(_badness(one))))
-    return Verdict(_headline(purposes), purposes, worst_first, ordered, basis)
+    return Verdict(_headline(purposes, worst_first), purposes, worst_first, ordered, basis)
 
 
 def _joints(checks: Sequence[Check], errors: Errors) -> tuple[JointVerdict, ...]:
@@ -226,8 +226,8 @@ def _percent(error: float) -> str:
     return f"{100.0 * error:.2g} %" if error < 0.1 else f"{100.0 * error:.0f} %"
 
 
-def _headline(purposes: dict[Purpose, PurposeVerdict]) -> str:
-    """One sentence: what the model is good, usable and poor for, and the reason of the worst."""
+def _headline(purposes: dict[Purpose, PurposeVerdict], joints: Sequence[JointVerdict]) -> str:
+    """What the model is good, usable and poor for, the reason of the worst, and the worst joint if it is not good."""
     parts = []
     for grade in GRADES:
         of_grade = [PURPOSE_WORDS[purpose] for purpose in PURPOSES if purposes[purpose].grade == grade]
@@ -236,7 +236,8 @@ def _headline(purposes: dict[Purpose, PurposeVerdict]) -> str:
     worst = max(purposes.values(), key=lambda judged: GRADES.index(judged.grade))
     text = "; ".join(parts)
     text = text[0].upper() + text[1:]
-    return f"{text}: {worst.because}."
+    joint = f" Worst joint: {joints[0].joint}, {joints[0].because}." if joints and joints[0].grade != "good" else ""
+    return f"{text}: {worst.because}.{joint}"
 
 
 def _listed(words: Sequence[str]) -> str:
