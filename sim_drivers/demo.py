@@ -29,7 +29,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.velocity_reversals import ADVISED_SHARE
-from ident.report import TruthTable, write_report
+from ident.report import TruthTable, recorded_runs, write_report
 from ident.result.schema import Result, write_result
 from sim_drivers.simulated_arm import Record, over_rtde
 
@@ -136,7 +136,15 @@ def run_demo(
     result = summarise(identification, recordings[0], recordings[1])
     write_result(folder / "result.json", result)
     table = TruthTable(names=base.names, values=truth)
-    write_report(folder / "report.html", result, identification.fit_series, identification.validation_series, table)
+    recorded = recorded_runs(identification, recordings[0], recordings[1])
+    write_report(
+        folder / "report.html",
+        result,
+        identification.fit_series,
+        identification.validation_series,
+        table,
+        recorded,
+    )
     return Demo(identification, result, truth, folder, lost, samples)
 
 

@@ -1,6 +1,7 @@
 """The HTML report: one self-contained file, a list of small sections (see `ident.report.page` for their order)."""
 
 from ident.report.page import render_report, write_report
+from ident.report.recorded_runs import RecordedRuns, recorded_runs
 from ident.report.section import TruthTable
 
-__all__ = ["TruthTable", "render_report", "write_report"]
+__all__ = ["RecordedRuns", "TruthTable", "recorded_runs", "render_report", "write_report"]

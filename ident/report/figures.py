@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from markupsafe import Markup
@@ -27,7 +27,15 @@ KIND_STYLES: dict[str, tuple[str, str, str]] = {
 }
 """Label, colour and marker of each kind: palette of Okabe and Ito, distinguishable by colour-blind readers."""
 
+SERIES_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7C828A")
+"""Lines of one panel, of the same palette."""
+
 LEFT, RIGHT, TOP, BOTTOM = 64, 16, 54, 48
+NARROW_LEFT, NARROW_RIGHT, NARROW_TOP = 50, 12, 84
+"""Margins [px]. On a phone the legend stands below the tool bar, not beside it."""
+
+LOG_AXIS: dict[str, Any] = {"type": "log", "tickformat": "~g"}
+"""A logarithmic axis whose ticks are numbers: 0.01, 0.1, 1."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +47,7 @@ class Figure:
         height: [px].
         data, layout: what Plotly.newPlot takes.
         caption: what is shown, and what was left out.
+        narrow: keys of the layout that are others on a phone's width, its height included; see `narrow_layout`.
     """
 
     anchor: str
@@ -46,11 +55,22 @@ class Figure:
     data: Sequence[Mapping[str, Any]]
     layout: Mapping[str, Any]
     caption: str
+    narrow: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def narrow_height(self) -> int:
+        """Height on a phone's width [px]."""
+        return int(self._narrow["height"])
+
+    @property
+    def _narrow(self) -> dict[str, Any]:
+        return {**narrow_layout(self.height), **self.narrow}
 
     @property
     def json(self) -> Markup:
         """The figure as strict JSON that may stand within a script element."""
-        text = json.dumps({"data": list(self.data), "layout": self.layout}, allow_nan=False, separators=(",", ":"))
+        content = {"data": list(self.data), "layout": self.layout, "narrow": self._narrow}
+        text = json.dumps(content, allow_nan=False, separators=(",", ":"))
         for character in "<>&":
             text = text.replace(character, f"\\u{ord(character):04x}")
         return Markup(text)
@@ -73,8 +93,21 @@ def base_layout(height: int, **more: Any) -> dict[str, Any]:
         "margin": {"l": LEFT, "r": RIGHT, "t": TOP, "b": BOTTOM},
         "legend": {"orientation": "h", "x": 0, "xanchor": "left", "y": 1, "yanchor": "top", "yref": "container"},
         "hovermode": "closest",
+        "dragmode": "zoom",
         **more,
     }
+
+
+def narrow_layout(height: int) -> dict[str, Any]:
+    """Layout keys that all figures share on a phone; a finger scrolls the page until the tool bar is asked for zoom."""
+    return {
+        "height": height,
+        "margin": {"l": NARROW_LEFT, "r": NARROW_RIGHT, "t": NARROW_TOP, "b": BOTTOM},
+        "legend": {
+            "orientation": "h", "x": 0, "xanchor": "left", "y": 1 - 28 / height, "yanchor": "top", "yref": "container",
+        },
+        "dragmode": False,
+    }  # fmt: skip
 
 
 def row_domains(rows: int, height: int, gap: int) -> list[tuple[float, float]]:

@@ -47,6 +47,11 @@ def with_error(value: float | None, std: float | None) -> str:
     return _digits(value, half)
 
 
+def half_interval(std: float | None) -> float | str:
+    """Half the 95 % interval of a standard deviation; nothing where it is not known."""
+    return "" if std is None or not math.isfinite(std) else WITHIN_95_PERCENT * std
+
+
 def setting(value: float | int | str | bool | None) -> str:
     """An option's or a setting's value."""
     if value is None:

@@ -7,11 +7,15 @@ from pathlib import Path
 
 from ident.regression.comparison import TorqueSeries
 from ident.report.html_file import page_templates, write_html
+from ident.report.recorded_runs import RecordedRuns
 from ident.report.section import ReportData, ReportSection, TruthTable
 from ident.report.sections import (
+    correlation,
     data_quality,
     excitation,
+    friction,
     merge,
+    motion,
     parameters,
     provenance,
     residuals,
@@ -28,9 +32,12 @@ SECTIONS: tuple[Callable[[ReportData], ReportSection | None], ...] = (
     torques_validation.section,
     torques_fit.section,
     residuals.section,
+    friction.section,
     parameters.section,
     truth.section,
+    correlation.section,
     excitation.section,
+    motion.section,
     data_quality.section,
     provenance.section,
 )
@@ -43,6 +50,7 @@ def write_report(
     fit: tuple[TorqueSeries, ...],
     validation: tuple[TorqueSeries, ...],
     truth: TruthTable | None = None,
+    recorded: RecordedRuns | None = None,
 ) -> None:
     """Write report.html.
 
@@ -52,11 +60,12 @@ def write_report(
         fit: measured and predicted torques of the identification data.
         validation: the same of held-out data; empty where there are none.
         truth: true base parameters of a simulated arm.
+        recorded: motion and temperatures of the recordings; without them, the section on the motion is left out.
 
     Raises:
         UsageError: the file cannot be written.
     """
-    write_html(path, render_report(ReportData(result, fit, validation, truth)))
+    write_html(path, render_report(ReportData(result, fit, validation, truth, recorded or RecordedRuns())))
 
 
 def render_report(data: ReportData) -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from drivers.streams import FloatArray
 from ident.regression.comparison import TorqueSeries
+from ident.report.recorded_runs import RecordedRuns
 from ident.result.schema import Result
 
 
@@ -37,12 +39,14 @@ class ReportData:
         fit: torques of the identification data, one series per gap-free segment.
         validation: torques of the held-out data; empty where nothing was held out.
         truth: true parameters, for simulated arms only.
+        recorded: motion and temperatures of the recordings.
     """
 
     result: Result
     fit: tuple[TorqueSeries, ...]
     validation: tuple[TorqueSeries, ...]
     truth: TruthTable | None = None
+    recorded: RecordedRuns = field(default_factory=RecordedRuns)
 
     def __post_init__(self) -> None:
         dof = len(self.result.joints)
@@ -52,6 +56,15 @@ class ReportData:
                 raise ValueError(f"torques and velocities of a series must have the shape {shape}")
             if series.used.shape != series.time.shape:
                 raise ValueError("`used` needs one entry per sample")
+
+    @property
+    def worst_first(self) -> list[int]:
+        """Joint numbers by falling relative error: of the held-out data, or of the fit where nothing was held out."""
+        errors = self.result.validation or self.result.fit
+        known = errors.joint_relative_error if errors is not None else []
+        ranked = [known[joint] if joint < len(known) else None for joint in range(len(self.result.joints))]
+        falling = [math.inf if error is None else -error for error in ranked]
+        return sorted(range(len(falling)), key=falling.__getitem__)
 
 
 @dataclass(frozen=True)

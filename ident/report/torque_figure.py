@@ -2,52 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ident.regression.comparison import TorqueSeries
-from ident.report.figures import (
-    BOTTOM,
-    MEASURED,
-    PREDICTED,
-    RESIDUAL,
-    TOP,
-    Figure,
-    axis_name,
-    axis_ref,
-    base_layout,
-    note,
-    plain,
-    row_domains,
-    vertical_line,
-)
+from ident.report.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain, shortened
 from ident.report.number_text import number, percent, whole
+from ident.report.panels import Panel, panel_figure
 from ident.report.traces import broken_line, lay_out, packed, points_per_trace
 from ident.result.schema import Fit
 
-PANEL, GAP = 150, 30
+PANEL = 150
+"""Height of a panel [px]."""
 
 
-def torque_figure(anchor: str, joints: Sequence[str], series: Sequence[TorqueSeries], fit: Fit | None) -> Figure | None:
-    """One panel a joint; None where there is no sample to show."""
+def torque_figure(
+    anchor: str, joints: Sequence[str], order: Sequence[int], series: Sequence[TorqueSeries], fit: Fit | None
+) -> Figure | None:
+    """One panel per joint, in the `order` of joint numbers; None where there is no sample to show."""
     series = [segment for segment in series if len(segment.time)]
     if not series or not joints:
         return None
-    timeline = lay_out(series)
+    timeline = lay_out([segment.time for segment in series])
     times = [segment.time + offset for segment, offset in zip(series, timeline.offsets, strict=True)]
-    height = TOP + BOTTOM + PANEL * len(joints) + GAP * (len(joints) - 1)
-    domains = row_domains(len(joints), height, GAP)
     points = points_per_trace(len(joints))
-    data: list[dict[str, Any]] = []
-    axes: dict[str, Any] = {
-        "xaxis": {"title": {"text": "time [s]"}, "anchor": axis_ref("y", len(joints)), "zeroline": False}
-    }
-    notes = []
-    for joint, (name, domain) in enumerate(zip(joints, domains, strict=True)):
-        axes[axis_name("y", joint + 1)] = {"title": {"text": "N·m"}, "domain": list(domain), "anchor": "x", "nticks": 5}
-        notes.append(note(f"<b>{plain(name)}</b>{_figures(fit, joint)}", 0, domain[1]))
+    borders: Mapping[float, Mapping[str, Any]] = {x: {"dash": "dot", "width": 1} for x in timeline.borders}
+    panels = []
+    for joint in order:
         residuals = [
             np.where(segment.used, segment.measured[joint] - segment.predicted[joint], np.nan) for segment in series
         ]
@@ -56,33 +39,50 @@ def torque_figure(anchor: str, joints: Sequence[str], series: Sequence[TorqueSer
             ("measured", 1, [segment.measured[joint] for segment in series], MEASURED, 2.0),
             ("predicted", 2, [segment.predicted[joint] for segment in series], PREDICTED, 1.2),
         )
+        traces = []
         for label, rank, values, colour, width in lines:
             x, y = broken_line(times, values, points)
-            data.append(
+            traces.append(
                 {
                     "type": "scatter",
                     "mode": "lines",
                     "name": label,
                     "legendgroup": label,
                     "legendrank": rank,
-                    "showlegend": joint == 0,
+                    "showlegend": joint == order[0],
                     "x": packed(x),
                     "y": packed(y),
-                    "xaxis": "x",
-                    "yaxis": axis_ref("y", joint + 1),
                     "line": {"color": colour, "width": width},
                     "hovertemplate": "%{y:.4g} N·m",
                 }
             )
-    borders = [vertical_line(x, dash="dot", width=1) for x in timeline.borders]
-    layout = base_layout(height, hovermode="x unified", annotations=notes, shapes=borders, **axes)
-    return Figure(anchor, height, data, layout, _caption(series, points, len(timeline.borders)))
+        name = joints[joint]
+        panels.append(
+            Panel(
+                name,
+                f"<b>{plain(name)}</b>{_errors(fit, joint)}",
+                traces,
+                f"<b>{plain(shortened(name, 20))}</b>{_errors_in_short(fit, joint)}",
+                x={"title": {"text": "time [s]"}, "zeroline": False},
+                y={"title": {"text": "N·m"}},
+                vertical=borders,
+                height=PANEL,
+            )
+        )
+    caption = _caption(series, points, len(timeline.borders))
+    return panel_figure(anchor, [[panel] for panel in panels], caption, linked=True, hovermode="x unified")
 
 
-def _figures(fit: Fit | None, joint: int) -> str:
+def _errors(fit: Fit | None, joint: int) -> str:
     if fit is None or joint >= min(len(fit.rmse), len(fit.joint_relative_error)):
         return ""
     return f"   RMSE {number(fit.rmse[joint], 3)} N·m, relative error {percent(fit.joint_relative_error[joint])}"
+
+
+def _errors_in_short(fit: Fit | None, joint: int) -> str:
+    if fit is None or joint >= min(len(fit.rmse), len(fit.joint_relative_error)):
+        return ""
+    return f"  {number(fit.rmse[joint], 2)} N·m, {percent(fit.joint_relative_error[joint], 2)}"
 
 
 def _caption(series: Sequence[TorqueSeries], points: int, borders: int) -> str:

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.streams import FloatArray
-from ident.regression.comparison import TorqueSeries
 
 POINTS_PER_TRACE = 4000
 """A trace holds about this many points at most."""
@@ -41,21 +40,25 @@ class Timeline:
     borders: tuple[float, ...]
 
 
-def lay_out(series: Sequence[TorqueSeries]) -> Timeline:
-    """Keep short gaps as they are; draw side by side what another recording or a long pause separates."""
-    length = sum(float(segment.time[-1] - segment.time[0]) for segment in series if len(segment.time))
+def lay_out(times: Sequence[FloatArray]) -> Timeline:
+    """Keep short gaps as they are; draw side by side what another recording or a long pause separates.
+
+    Args:
+        times: (M,) of each series [s].
+    """
+    length = sum(float(time[-1] - time[0]) for time in times if len(time))
     offsets, borders = [], []
     offset, end = 0.0, None
-    for segment in series:
-        if len(segment.time):
-            start = float(segment.time[0])
+    for time in times:
+        if len(time):
+            start = float(time[0])
             if end is None:
                 offset = -start
             elif not 0.0 <= start + offset - end <= LONGEST_PAUSE:
                 border = end + SIDE_BY_SIDE * length
                 offset = border - start
                 borders.append(border)
-            end = float(segment.time[-1]) + offset
+            end = float(time[-1]) + offset
         offsets.append(offset)
     return Timeline(tuple(offsets), tuple(borders))
 

@@ -18,7 +18,7 @@ from ident.regression.comparison import TorqueSeries
 from ident.regression.least_squares import Method
 from ident.regression.observability import ExperimentChoices
 from ident.regression.pruning import SIGNIFICANT_RSD
-from ident.report import write_report
+from ident.report import RecordedRuns, recorded_runs, write_report
 from ident.result.model import Model, result_path
 from ident.result.schema import Fit, Result, check_folder, read_result, result_json, write_result
 from ident.result.tables import Cell, Table, table_of_rows
@@ -35,6 +35,7 @@ class IdentificationResult:
         result: all of it, as `result.json` holds it.
         fit_series, validation_series: measured and predicted torques [N·m], for the report; empty for results that
             were read from a file.
+        recorded: motion and temperatures of the recordings, for the report.
 
     Example:
         >>> import dynid
@@ -50,11 +51,13 @@ class IdentificationResult:
         result: Result,
         fit_series: Sequence[TorqueSeries] = (),
         validation_series: Sequence[TorqueSeries] = (),
+        recorded: RecordedRuns | None = None,
     ) -> None:
         """Hold a result with the torques behind it."""
         self.result: Result = result
         self.fit_series = tuple(fit_series)
         self.validation_series = tuple(validation_series)
+        self.recorded = recorded or RecordedRuns()
 
     @property
     def verdict(self) -> Verdict:
@@ -154,7 +157,7 @@ class IdentificationResult:
             write_result(path / "result.json", self.result)
         except OSError as error:
             raise UsageError(f"cannot be written: {error.strerror}", where=str(path)) from error
-        write_report(path / "report.html", self.result, self.fit_series, self.validation_series)
+        write_report(path / "report.html", self.result, self.fit_series, self.validation_series, recorded=self.recorded)
 
     def to_json(self) -> str:
         """The text of `result.json`."""
@@ -273,7 +276,8 @@ def identify(
     robot_file = None if robot is None else load_robot(robot)
     identification = identify_recordings(recordings, held_out, choices, robot_file, progress)
     result = summarise(identification, recordings, held_out)
-    return IdentificationResult(result, identification.fit_series, identification.validation_series)
+    recorded = recorded_runs(identification, recordings, held_out)
+    return IdentificationResult(result, identification.fit_series, identification.validation_series, recorded)
 
 
 def check_significance(percent: float) -> None:

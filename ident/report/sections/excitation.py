@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ident.report.figures import ACCENT, BOTTOM, TOP, Figure, base_layout
+from ident.report.figures import ACCENT, BOTTOM, LOG_AXIS, TOP, Figure, base_layout
 from ident.report.number_text import number
 from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.schema import Result
@@ -49,12 +49,7 @@ def _figure(result: Result) -> Figure | None:
         height,
         showlegend=False,
         xaxis={"title": {"text": "number"}, "zeroline": False},
-        yaxis={
-            "title": {"text": "singular value"},
-            "type": "log",
-            "exponentformat": "power",
-            "dtick": 1 if max(values) > 1e3 * min(values) else "D2",
-        },
+        yaxis={**LOG_AXIS, "title": {"text": "singular value"}},
     )
     caption = (
         "Singular values of the column-normalised W; their largest ratio is the condition number. A "

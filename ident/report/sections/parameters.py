@@ -7,33 +7,29 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.report.figures import (
-    BOTTOM,
-    KIND_STYLES,
-    REFERENCE,
-    RESIDUAL,
-    TOP,
-    Figure,
-    base_layout,
-    kind_markers,
-    note,
-    vertical_line,
-)
-from ident.report.number_text import number, setting
+from ident.report.figures import KIND_STYLES, RESIDUAL, Figure, plain
+from ident.report.number_text import setting
+from ident.report.panels import Panel, panel_figure
+from ident.report.reference_values import ReferenceValues, reference_values
 from ident.report.section import ReportData, ReportSection
 from ident.result.schema import BaseParameterResult, Result
 
 ROW = 15
+"""Height of a parameter's line [px]."""
+
+REFERENCE_MARKER = "#7C828A"
 
 
 def section(data: ReportData) -> ReportSection:
-    """Base parameters with their error bars, friction of each joint, standard parameters where there are any."""
+    """Base parameters with their error bars, standard parameters where there are any."""
     result = data.result
+    reference = reference_values(data)
     context = {
         "parameters": result.base_parameters,
         "kinds": {kind: words for kind, (words, _, _) in KIND_STYLES.items()},
-        "figure": _figure(result),
-        "friction": result.friction,
+        "figure": _figure(result, reference),
+        "reference": reference,
+        "reference_words": _reference_words(reference) if reference is not None else "",
         "threshold": _threshold(result),
         "correction": result.residuals.correction,
         "essential": result.essential,
@@ -48,49 +44,85 @@ def _threshold(result: Result) -> float | None:
     return float(value) if isinstance(value, int | float) and value > 0 else None
 
 
-def _ratio(parameter: BaseParameterResult) -> float | None:
-    """|value| / σ; None where either is missing."""
-    if parameter.value is None or not parameter.std or parameter.value == 0:
+def _figure(result: Result, reference: ReferenceValues | None) -> Figure | None:
+    """Values with their intervals: a panel per kind and unit, so that values of one panel can be compared."""
+    groups: dict[tuple[str, str], list[BaseParameterResult]] = {}
+    for parameter in result.base_parameters:
+        if parameter.value is not None:
+            groups.setdefault((parameter.kind, parameter.unit), []).append(parameter)
+    if not groups:
         return None
-    return abs(parameter.value) / parameter.std
-
-
-def _figure(result: Result) -> Figure | None:
-    shown = [(parameter, ratio) for parameter in result.base_parameters if (ratio := _ratio(parameter)) is not None]
-    if not shown:
-        return None
-    data, names = kind_markers(shown, "%{y}: |value| = %{x:.3g} σ<extra></extra>")
-    lines = [(WITHIN_95_PERCENT, "95 %", REFERENCE)]
-    threshold = _threshold(result)
-    if threshold is not None:
-        lines.append((100.0 / threshold, "significant", RESIDUAL))
-    reach = [*(ratio for _, ratio in shown), *(x for x, _, _ in lines)]
-    height = TOP + BOTTOM + ROW * len(shown)
-    layout = base_layout(
-        height,
-        xaxis={
-            "title": {"text": "|value| / σ"},
-            "type": "log",
-            "range": [math.log10(min(reach)) - 0.3, math.log10(max(reach)) + 0.3],
-            "dtick": 1,
-            "exponentformat": "power",
-        },
-        yaxis=names,
-        shapes=[vertical_line(x, color=colour, width=1.5, dash="dash") for x, _, colour in lines],
-        annotations=[_line_label(x, text, lines) for x, text, _ in lines],
-    )
-    significance = "" if threshold is None else f", and the threshold of significance (RSD {number(threshold, 3)} %)"
+    known = {} if reference is None else reference.values
+    first = next((group for group, entries in groups.items() if any(p.name in known for p in entries)), None)
+    rows = [
+        [_panel(kind, unit, entries, known, reference.label if reference and (kind, unit) == first else "")]
+        for (kind, unit), entries in groups.items()
+    ]
+    compared = f" Open diamond: {_reference_words(reference)}." if known and reference is not None else ""
     caption = (
-        f"Distance of each value from 0 in standard deviations, on a logarithmic scale. Dashed: {WITHIN_95_PERCENT} σ, "
-        f"below which the 95 % interval contains 0{significance}."
+        "Values of the full model with their 95 % intervals. An interval that contains 0 belongs to a parameter that "
+        f"this recording does not show to exist.{compared}"
     )
-    return Figure("parameters-plot", height, data, layout, caption)
+    return panel_figure("parameters-plot", rows, caption)
 
 
-def _line_label(x: float, text: str, lines: Sequence[tuple[float, str, str]]) -> dict[str, Any]:
-    """Above its line, to the side that is free."""
-    left = x == min(position for position, _, _ in lines) and len(lines) > 1
-    return note(text, math.log10(x), 1.0, xref="x", xanchor="right" if left else "left", font={"size": 11})
+def _reference_words(reference: ReferenceValues) -> str:
+    return "the true value" if reference.label == "True value" else "what the robot file says of the links"
+
+
+def _panel(
+    kind: str, unit: str, entries: Sequence[BaseParameterResult], known: Mapping[str, float], legend: str
+) -> Panel:
+    words, colour, symbol = KIND_STYLES[kind]
+    names = [plain(parameter.name) for parameter in entries]
+    half = [
+        WITHIN_95_PERCENT * parameter.std if parameter.std is not None and math.isfinite(parameter.std) else 0.0
+        for parameter in entries
+    ]
+    traces: list[dict[str, Any]] = [
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": "estimate ± 95 %",
+            "showlegend": bool(legend),
+            "x": [parameter.value for parameter in entries],
+            "y": names,
+            "marker": {"color": colour, "symbol": symbol, "size": 6},
+            "error_x": {"type": "data", "array": half, "thickness": 1.5, "width": 3, "color": colour},
+            "hovertemplate": f"%{{y}}: %{{x:.4g}} {unit}<extra></extra>",
+        }
+    ]
+    having = [(name, known[p.name]) for name, p in zip(names, entries, strict=True) if p.name in known]
+    if having:
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": legend.lower() or "reference",
+                "showlegend": bool(legend),
+                "x": [value for _, value in having],
+                "y": [name for name, _ in having],
+                "marker": {"color": REFERENCE_MARKER, "symbol": "diamond-open", "size": 9, "line": {"width": 1.5}},
+                "hovertemplate": f"{legend.lower() or 'reference'} of %{{y}}: %{{x:.4g}} {unit}<extra></extra>",
+            }
+        )
+    return Panel(
+        f"{words} [{unit}]",
+        f"<b>{words}</b> [{unit}]",
+        traces,
+        x={"title": {"text": unit}},
+        y={
+            "type": "category",
+            "categoryorder": "array",
+            "categoryarray": names,
+            "range": [len(names) - 0.4, -0.6],
+            "dtick": 1,
+            "tickfont": {"size": 10},
+            "automargin": True,
+        },
+        vertical={0.0: {"color": RESIDUAL, "width": 1}},
+        height=ROW * len(names) + 16,
+    )
 
 
 def _standard(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -12,7 +12,9 @@ def section(data: ReportData) -> ReportSection:
     source = result.validation_source or "held-out data"
     context = {
         "intro": f"Held out: {source}. These are the errors to believe." if data.validation else "",
-        "figure": torque_figure("torques-validation-plot", result.joints, data.validation, result.validation),
+        "figure": torque_figure(
+            "torques-validation-plot", result.joints, data.worst_first, data.validation, result.validation
+        ),
         "empty": "Nothing was held out of the identification, so nothing here can say how far to trust the model. "
         "Record a second motion and name it with --validate.",
     }

@@ -29,7 +29,7 @@ def series(start: float = 0.0, samples: int = 300, *, rate: float = 100.0, seed:
 @given(st.lists(st.tuples(st.floats(-1e9, 1e9), st.integers(0, 50)), max_size=6))
 def test_shown_time_only_grows(segments: list[tuple[float, int]]) -> None:
     parts = [series(start, samples) for start, samples in segments]
-    timeline = lay_out(parts)
+    timeline = lay_out([part.time for part in parts])
     shown = [part.time + offset for part, offset in zip(parts, timeline.offsets, strict=True) if len(part.time)]
     if not shown:
         return

@@ -1,0 +1,145 @@
+"""A figure of many plots: a grid of panels in a window, one below the other on a phone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from ident.report.figures import (
+    BOTTOM,
+    NARROW_TOP,
+    TOP,
+    Figure,
+    axis_name,
+    axis_ref,
+    base_layout,
+    narrow_layout,
+    note,
+)
+
+HEADING, EDGE, TICKS, TITLE = 24, 6, 22, 18
+"""Room of a heading above a panel, and below it of nothing, of tick labels, of an axis title [px]."""
+
+COLUMN_GAP = 0.07
+"""Between two columns, relative to the plot's width: it holds the tick labels of the right one."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One plot with axes of its own.
+
+    Attributes:
+        name: what it shows, for files of its data.
+        heading: above it, in plotly's markup.
+        traces: without their axes.
+        stacked_heading: above it where panels stand one below the other; the same where empty.
+        x, y: further keys of its axes.
+        vertical, horizontal: position → style of lines across it.
+        height: [px].
+    """
+
+    name: str
+    heading: str
+    traces: Sequence[Mapping[str, Any]]
+    stacked_heading: str = ""
+    x: Mapping[str, Any] = field(default_factory=dict)
+    y: Mapping[str, Any] = field(default_factory=dict)
+    vertical: Mapping[float, Mapping[str, Any]] = field(default_factory=dict)
+    horizontal: Mapping[float, Mapping[str, Any]] = field(default_factory=dict)
+    height: int = 140
+
+
+def panel_figure(
+    anchor: str, rows: Sequence[Sequence[Panel]], caption: str, *, linked: bool = False, **layout: Any
+) -> Figure:
+    """A figure of rows of panels.
+
+    Args:
+        anchor: its id within the page.
+        rows: of panels; the first one says how many columns there are.
+        caption: what is shown.
+        linked: zooming one horizontal axis zooms all.
+        layout: further keys of the layout.
+    """
+    panels = [panel for row in rows for panel in row]
+    columns = max(len(row) for row in rows)
+    data = [
+        {**trace, "xaxis": axis_ref("x", k), "yaxis": axis_ref("y", k), "meta": {"panel": panel.name}}
+        for k, panel in enumerate(panels, 1)
+        for trace in panel.traces
+    ]
+    shapes = [shape for k, panel in enumerate(panels, 1) for shape in _lines(panel, k)]
+    wide, height = _arranged(rows, columns, TOP, linked)
+    stacked, narrow_height = _arranged([[panel] for panel in panels], 1, NARROW_TOP, linked)
+    return Figure(
+        anchor,
+        height,
+        data,
+        base_layout(height, shapes=shapes, **wide, **layout),
+        caption,
+        {**narrow_layout(narrow_height), **stacked},
+    )
+
+
+def _arranged(rows: Sequence[Sequence[Panel]], columns: int, top: int, linked: bool) -> tuple[dict[str, Any], int]:
+    """Axes and headings of the panels, and the figure's height [px]."""
+    ends = [_last_of_its_axis(rows, row, column) for row, column in _places(rows)]
+    below = [_room_below(rows, row, linked) for row in range(len(rows))]
+    heights = [max(panel.height for panel in row) for row in rows]
+    inner = sum(heights) + sum(below[:-1]) + HEADING * (len(rows) - 1)
+    width = (1.0 - COLUMN_GAP * (columns - 1)) / columns
+    axes: dict[str, Any] = {}
+    notes = []
+    upper = float(inner)
+    k = 0
+    for row, panels in enumerate(rows):
+        for column, panel in enumerate(panels):
+            titled = ends[k]
+            k += 1
+            left = column * (width + COLUMN_GAP)
+            domain = [max(0.0, (upper - panel.height) / inner), min(1.0, upper / inner)]
+            axes[axis_name("x", k)] = {
+                "nticks": 6,
+                **panel.x,
+                "domain": [left, min(1.0, left + width)],
+                "anchor": axis_ref("y", k),
+                **({} if titled else {"title": {"text": ""}}),
+                **({"showticklabels": False} if linked and not titled else {}),
+                **({"matches": "x"} if linked and k > 1 else {}),
+            }
+            axes[axis_name("y", k)] = {"nticks": 5, **panel.y, "domain": domain, "anchor": axis_ref("x", k)}
+            heading = panel.stacked_heading or panel.heading if columns == 1 else panel.heading
+            notes.append(note(heading, left, domain[1], font={"size": 11 if columns == 1 else 12}))
+        upper -= heights[row] + below[row] + HEADING
+    return {**axes, "annotations": notes}, top + BOTTOM + inner
+
+
+def _places(rows: Sequence[Sequence[Panel]]) -> list[tuple[int, int]]:
+    return [(row, column) for row, panels in enumerate(rows) for column in range(len(panels))]
+
+
+def _last_of_its_axis(rows: Sequence[Sequence[Panel]], row: int, column: int) -> bool:
+    """Whether no panel below repeats this panel's horizontal axis."""
+    if row + 1 == len(rows) or column >= len(rows[row + 1]):
+        return True
+    return rows[row][column].x.get("title") != rows[row + 1][column].x.get("title")
+
+
+def _room_below(rows: Sequence[Sequence[Panel]], row: int, linked: bool) -> int:
+    if any(_last_of_its_axis(rows, row, column) for column in range(len(rows[row]))):
+        return TICKS + TITLE
+    return EDGE if linked else TICKS
+
+
+def _lines(panel: Panel, k: int) -> list[dict[str, Any]]:
+    x, y = axis_ref("x", k), axis_ref("y", k)
+    upright = [
+        {"type": "line", "xref": x, "x0": at, "x1": at, "yref": f"{y} domain", "y0": 0, "y1": 1, "line": dict(line)}
+        for at, line in panel.vertical.items()
+    ]
+    level = [
+        {"type": "line", "xref": f"{x} domain", "x0": 0, "x1": 1, "yref": y, "y0": at, "y1": at, "line": dict(line)}
+        for at, line in panel.horizontal.items()
+    ]
+    return upright + level

@@ -1,0 +1,78 @@
+"""What the report shows of the recordings beside torques: the motion and the temperatures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from daq.recording.recording import Recording
+from drivers.streams import UNITS, FloatArray
+from ident.identify.identification import Identification
+
+
+@dataclass(frozen=True)
+class MotionSegment:
+    """Filtered motion of one gap-free segment.
+
+    Attributes:
+        time: (M,) [s].
+        position: (n, M) [rad or m].
+        velocity: (n, M) [rad/s or m/s].
+        held_out: whether it belongs to the validation data.
+    """
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    held_out: bool
+
+
+@dataclass(frozen=True)
+class TemperatureSeries:
+    """One recorded channel of temperatures.
+
+    Attributes:
+        name: stream and quantity.
+        columns: (k,) joints or sensors.
+        time: (N,) [s].
+        values: (N, k) [°C].
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    time: FloatArray
+    values: FloatArray
+
+
+@dataclass(frozen=True)
+class RecordedRuns:
+    """Motion and temperatures of all recordings used; both empty where a result was read from a file."""
+
+    motion: tuple[MotionSegment, ...] = ()
+    temperatures: tuple[TemperatureSeries, ...] = ()
+
+
+def recorded_runs(
+    identification: Identification, recordings: Sequence[Recording], validation: Sequence[Recording]
+) -> RecordedRuns:
+    """Motion and temperatures of an identification.
+
+    Args:
+        identification: of the recordings.
+        recordings: that it was identified from.
+        validation: held-out recordings, where there are any.
+    """
+    motion = [
+        MotionSegment(segment.time, segment.position, segment.velocity, held_out)
+        for runs, held_out in ((identification.runs, False), (identification.validation_runs, True))
+        for run in runs
+        for segment in run.prepared.segments
+    ]
+    temperatures = [
+        TemperatureSeries(f"{stream.name}/{quantity}", channel.columns, stream.time, channel.values)
+        for recording in (*recordings, *validation)
+        for stream in recording.streams.values()
+        for quantity, channel in stream.channels.items()
+        if channel.unit == UNITS["temperature"]
+    ]
+    return RecordedRuns(tuple(motion), tuple(temperatures))

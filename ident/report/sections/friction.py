@@ -1,0 +1,169 @@
+"""Friction of each joint: coefficients, and the curve against the data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.report.figures import MEASURED, PREDICTED, Figure, plain, shortened
+from ident.report.number_text import whole
+from ident.report.panels import Panel, panel_figure
+from ident.report.section import ReportData, ReportSection
+from ident.report.traces import packed
+from ident.result.schema import JointFrictionResult, Result
+
+KINDS = ("viscous", "coulomb", "offset")
+COLUMNS = 2
+PANEL = 190
+SCATTER_POINTS = 1200
+PAGE_SCATTER_POINTS = 12_000
+CURVE_POINTS = 60
+"""Per direction of motion."""
+
+
+def section(data: ReportData) -> ReportSection:
+    """Coefficients with their intervals, and a curve per joint."""
+    context = {"friction": [data.result.friction[joint] for joint in _order(data)], "figure": _figure(data)}
+    return ReportSection("Friction", "friction", "friction.html.j2", context)
+
+
+def _order(data: ReportData) -> list[int]:
+    return [joint for joint in data.worst_first if joint < len(data.result.friction)]
+
+
+def _figure(data: ReportData) -> Figure | None:
+    result = data.result
+    if not any(series.used.any() for series in data.fit):
+        return None
+    joints = [
+        joint for joint in _order(data) if any(getattr(result.friction[joint], kind) is not None for kind in KINDS)
+    ]
+    if not joints:
+        return None
+    points = min(SCATTER_POINTS, PAGE_SCATTER_POINTS // len(joints))
+    panels = [_panel(data, joint, points) for joint in joints]
+    rows = [panels[start : start + COLUMNS] for start in range(0, len(panels), COLUMNS)]
+    samples = sum(int(series.used.sum()) for series in data.fit)
+    sampled = f" (a random {whole(points)} of {whole(samples)} samples)" if samples > points else ""
+    caption = (
+        "Points: measured torque minus all that the model predicts but friction and offset, that is, the residual plus "
+        f"the curve{sampled}. Line: viscous and Coulomb friction and offset as identified. Band: 95 % interval of the "
+        "line from the parameters' covariance. Points that bend away from the line are friction that the model has not."
+    )
+    return panel_figure("friction-plot", rows, caption)
+
+
+def _panel(data: ReportData, joint: int, points: int) -> Panel:
+    result = data.result
+    name = result.joints[joint]
+    velocity = np.concatenate([series.velocity[joint, series.used] for series in data.fit])
+    residual = np.concatenate([series.residual[joint, series.used] for series in data.fit])
+    known = np.flatnonzero(np.isfinite(residual))
+    if len(known) > points:
+        known = np.sort(np.random.default_rng(0).choice(known, points, replace=False))
+    velocity, residual = velocity[known], residual[known]
+    curve = _curve_velocity(velocity)
+    coefficients = _coefficients(result.friction[joint])
+    torque = coefficients @ _columns(curve, result.model_options.smoothing)
+    data_torque = residual + coefficients @ _columns(velocity, result.model_options.smoothing)
+    traces: list[dict[str, Any]] = []
+    covariance = _covariance(result, name)
+    if covariance is not None:
+        columns = _columns(curve, result.model_options.smoothing)
+        half = WITHIN_95_PERCENT * np.sqrt(np.einsum("ik,ij,jk->k", columns, covariance, columns))
+        traces += _band(curve, torque, half)
+    traces += [
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": "data",
+            "x": packed(velocity),
+            "y": packed(data_torque),
+            "marker": {"size": 3, "color": MEASURED, "opacity": 0.45},
+            "hovertemplate": "%{x:.3g} rad/s<br>%{y:.3g} N·m<extra></extra>",
+        },
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": "model",
+            "x": packed(curve),
+            "y": packed(torque),
+            "line": {"color": PREDICTED, "width": 2},
+            "hovertemplate": "%{x:.3g} rad/s<br>%{y:.3g} N·m<extra></extra>",
+        },
+    ]
+    first = joint == _order(data)[0]
+    traces = [{"legendgroup": trace["name"], "showlegend": first, **trace} for trace in traces]
+    return Panel(
+        name,
+        f"<b>{plain(shortened(name, 36))}</b>",
+        traces,
+        x={"title": {"text": "velocity [rad/s]"}},
+        y={"title": {"text": "N·m"}},
+        height=PANEL,
+    )
+
+
+def _band(curve: FloatArray, torque: FloatArray, half: FloatArray) -> list[dict[str, Any]]:
+    """A closed outline per direction of motion: nan in the curve separates them."""
+    bands = []
+    for side in (curve < 0, curve > 0):
+        x = curve[side]
+        outline = np.concatenate([(torque + half)[side], (torque - half)[side][::-1]])
+        bands.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": "95 % interval",
+                "x": packed(np.concatenate([x, x[::-1]])),
+                "y": packed(outline),
+                "fill": "toself",
+                "fillcolor": "rgba(213,94,0,0.28)",
+                "line": {"width": 0},
+                "hoverinfo": "skip",
+            }
+        )
+    bands[1]["showlegend"] = False
+    return bands
+
+
+def _curve_velocity(velocity: FloatArray) -> FloatArray:
+    """Velocities [rad/s] of the curve over the data's range, nan at the step at 0."""
+    low, high = min(float(velocity.min(initial=0.0)), -1e-6), max(float(velocity.max(initial=0.0)), 1e-6)
+    # Closer together near 0, where a smoothed sign turns.
+    shape = np.linspace(0.0, 1.0, CURVE_POINTS + 1)[1:] ** 2
+    return np.concatenate([low * shape[::-1], [np.nan], high * shape])
+
+
+def _columns(velocity: FloatArray, smoothing: float) -> FloatArray:
+    """Regressor (3, N) of viscous friction, Coulomb friction and offset."""
+    direction = np.tanh(velocity / smoothing) if smoothing > 0 else np.sign(velocity)
+    return np.array([velocity, direction, np.ones_like(velocity)])
+
+
+def _coefficients(friction: JointFrictionResult) -> FloatArray:
+    """(3,) of the joint; 0 where the model has no such column."""
+    return np.array([getattr(friction, kind) or 0.0 for kind in KINDS])
+
+
+def _covariance(result: Result, joint: str) -> FloatArray | None:
+    """Covariance (3, 3) of a joint's coefficients, 0 for those that the model lacks; None where it is not stored."""
+    if result.estimate is None:
+        return None
+    names: Sequence[str | None] = [
+        next((p.name for p in result.base_parameters if p.joint == joint and p.kind == kind), None) for kind in KINDS
+    ]
+    places = [result.estimate.parameters.index(name) if name in result.estimate.parameters else None for name in names]
+    covariance = np.zeros((len(KINDS), len(KINDS)))
+    for i, row in enumerate(places):
+        for j, column in enumerate(places):
+            if row is not None and column is not None:
+                value = result.estimate.covariance[row][column]
+                if value is None:
+                    return None
+                covariance[i, j] = value
+    return covariance

@@ -1,0 +1,124 @@
+"""Positions, velocities and temperatures of the data that were used."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from drivers.streams import FloatArray
+from ident.report.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
+from ident.report.panels import Panel, panel_figure
+from ident.report.recorded_runs import MotionSegment, TemperatureSeries
+from ident.report.section import ReportData, ReportSection
+from ident.report.traces import Timeline, broken_line, lay_out, packed
+
+PAGE_POINTS = 60_000
+MOST_POINTS = 2000
+PANEL, TEMPERATURE_PANEL = 110, 200
+TIME = {"title": {"text": "time [s]"}, "zeroline": False}
+
+
+def section(data: ReportData) -> ReportSection | None:
+    """Positions and velocities per joint, temperatures where they were recorded; None without either."""
+    recorded = data.recorded
+    if not recorded.motion and not recorded.temperatures:
+        return None
+    context = {
+        "motion": _motion(data.result.joints, recorded.motion) if recorded.motion else None,
+        "temperatures": _temperatures(recorded.temperatures) if recorded.temperatures else None,
+    }
+    return ReportSection("Motion", "motion", "motion.html.j2", context)
+
+
+def _motion(joints: Sequence[str], segments: Sequence[MotionSegment]) -> Figure:
+    timeline = lay_out([segment.time for segment in segments])
+    points = min(MOST_POINTS, PAGE_POINTS // (4 * len(joints)))
+    rows = [
+        [
+            _panel(
+                joints, joint, "position", [segment.position[joint] for segment in segments], segments, timeline, points
+            ),
+            _panel(
+                joints, joint, "velocity", [segment.velocity[joint] for segment in segments], segments, timeline, points
+            ),
+        ]
+        for joint in range(len(joints))
+    ]
+    caption = (
+        "Filtered positions and the velocities derived from them (or recorded, where the preprocessing says so), "
+        f"as the regressor uses them; each line has about {points} points at most, all peaks kept."
+    )
+    return panel_figure("motion-plot", rows, caption, linked=True, hovermode="x")
+
+
+def _panel(
+    joints: Sequence[str],
+    joint: int,
+    quantity: str,
+    values: Sequence[FloatArray],
+    segments: Sequence[MotionSegment],
+    timeline: Timeline,
+    points: int,
+) -> Panel:
+    unit = {"position": "rad", "velocity": "rad/s"}[quantity]
+    traces: list[dict[str, Any]] = []
+    for held_out, label, colour in ((False, "identification", MEASURED), (True, "validation", PREDICTED)):
+        kept = [index for index, segment in enumerate(segments) if segment.held_out == held_out]
+        if not kept:
+            continue
+        x, y = broken_line(
+            [segments[index].time + timeline.offsets[index] for index in kept],
+            [values[index] for index in kept],
+            points,
+        )
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": label,
+                "legendgroup": label,
+                "showlegend": joint == 0 and quantity == "position",
+                "x": packed(x),
+                "y": packed(y),
+                "line": {"color": colour, "width": 1.3},
+                "hovertemplate": f"%{{y:.4g}} {unit}",
+            }
+        )
+    name = f"<b>{plain(shortened(joints[joint], 24))}</b>"
+    return Panel(
+        f"{joints[joint]}: {quantity} [{unit}]",
+        f"{name}: position [{unit}]" if quantity == "position" else f"velocity [{unit}]",
+        traces,
+        f"{name}: {quantity} [{unit}]",
+        x=TIME,
+        y={"nticks": 4},
+        height=PANEL,
+    )
+
+
+def _temperatures(channels: Sequence[TemperatureSeries]) -> Figure:
+    rows = []
+    for name in dict.fromkeys(channel.name for channel in channels):
+        parts = [channel for channel in channels if channel.name == name]
+        timeline = lay_out([part.time for part in parts])
+        times = [part.time + offset for part, offset in zip(parts, timeline.offsets, strict=True)]
+        traces = []
+        for index, column in enumerate(dict.fromkeys(column for part in parts for column in part.columns)):
+            having = [k for k, part in enumerate(parts) if column in part.columns]
+            values = [parts[k].values[:, parts[k].columns.index(column)] for k in having]
+            x, y = broken_line([times[k] for k in having], values, MOST_POINTS)
+            traces.append(
+                {
+                    "type": "scatter",
+                    "mode": "lines",
+                    "name": plain(shortened(column, 24)),
+                    "x": packed(x),
+                    "y": packed(y),
+                    "line": {"color": SERIES_COLOURS[index % len(SERIES_COLOURS)], "width": 1.3},
+                    "hovertemplate": "%{y:.2f} °C",
+                }
+            )
+        heading = f"<b>{plain(shortened(name, 32))}</b>"
+        rows.append([Panel(name, heading, traces, x=TIME, y={"title": {"text": "°C"}}, height=TEMPERATURE_PANEL)])
+    caption = "As recorded. Friction falls as gears and grease warm up; the parameters hold for these temperatures."
+    return panel_figure("temperature-plot", rows, caption, hovermode="x unified")
