@@ -136,14 +136,13 @@ def run_demo(
     result = summarise(identification, recordings[0], recordings[1])
     write_result(folder / "result.json", result)
     table = TruthTable(names=base.names, values=truth)
-    recorded = recorded_runs(identification, recordings[0], recordings[1])
     write_report(
         folder / "report.html",
         result,
         identification.fit_series,
         identification.validation_series,
         table,
-        recorded,
+        recorded_runs(identification, recordings[0], recordings[1]),
     )
     return Demo(identification, result, truth, folder, lost, samples)
 

@@ -22,12 +22,13 @@ from ident.excite.page.plots import Shown, part_shown, path_until
 from ident.model.dynamic_model import build_model
 from ident.model.joints import BASE_INDEX, Joint
 from ident.report.figures import ACCENT, MEASURED, PREDICTED, RESIDUAL, Figure, base_layout, plain
+from ident.report.panels import ROOM, WIDE_ROOM, legend_rows
 from ident.report.traces import packed
 
 FRAMES = 100
 """Frames of the animation at most."""
 
-_SCENE_HEIGHT = 640
+_SCENE_HEIGHT, _NARROW_SCENE_HEIGHT = 640, 600
 _GRID_COLOUR = "#A9AEB5"
 """Readable on a light and on a dark page: scenes do not take the page's colours."""
 _SIDES = 6
@@ -97,19 +98,28 @@ def arm_figure(robot_file: RobotFile, motion: Motion, shown: Shown) -> AnimatedF
             }
         )  # fmt: skip
     wait = 1000.0 * end / (count - 1)
+    names = [str(trace["name"]) for trace in data]
     layout = base_layout(
         _SCENE_HEIGHT,
         scene=_scene(low, high),
         updatemenus=[_buttons(wait)],
         sliders=[_slider(moments.time)],
-        margin={"l": 0, "r": 0, "t": 30, "b": 90},
+        margin={"l": 0, "r": 0, "t": 30 + legend_rows(names, WIDE_ROOM), "b": 90},
+        dragmode="orbit",
     )
+    # On a phone the slider has a line of its own below the buttons, and a finger turns the arm.
+    narrow = {
+        "height": _NARROW_SCENE_HEIGHT,
+        "margin": {"l": 0, "r": 0, "t": 60 + legend_rows(names, ROOM), "b": 150},
+        "sliders": [{**_slider(moments.time), "x": 0.04, "len": 0.9, "pad": {"t": 75}}],
+        "dragmode": "orbit",
+    }
     caption = (
         "Lines through the origins of the joints' frames to the tool point, around them the capsules that are checked; "
         f"{count} moments, played in real time. Mounting surface and obstacles are shown where the arm is. "
         f"Drag to turn, scroll to zoom. {part_shown(shown)}"
     )
-    return AnimatedFigure("arm-plot", _SCENE_HEIGHT, data, layout, caption, frames)
+    return AnimatedFigure("arm-plot", _SCENE_HEIGHT, data, layout, caption, narrow, frames)
 
 
 @dataclass(frozen=True)

@@ -21,29 +21,18 @@ from ident.excite.prior import Prior
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
-from ident.report.figures import (
-    BOTTOM,
-    MEASURED,
-    PREDICTED,
-    RESIDUAL,
-    TOP,
-    Figure,
-    axis_name,
-    axis_ref,
-    base_layout,
-    note,
-    plain,
-    row_domains,
-)
+from ident.report.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
+from ident.report.panels import Panel, panel_figure
 from ident.report.traces import packed
 
 POINTS = 1200
 """Points per line."""
 
-PANEL, GAP = 110, 34
-_COLUMN_GAP = 0.07
-_COLOURS = (MEASURED, PREDICTED, "#009E73", "#CC79A7", "#E69F00", "#56B4E9", RESIDUAL)
-"""Of lines that share a panel (Okabe and Ito); they repeat."""
+PANEL, TOOL_PANEL, CLEARANCE_PANEL = 110, 150, 300
+"""Heights of a plot [px]."""
+
+_TIME = {"title": {"text": "time [s]"}, "zeroline": False}
+_LIMIT = {"color": PREDICTED, "width": 1, "dash": "dash"}
 
 
 @dataclass(frozen=True)
@@ -86,43 +75,35 @@ def joints_figure(joints: Sequence[JointLimits], prismatic: Sequence[bool], show
     columns: list[tuple[str, FloatArray]] = [("position", shown.path.position), ("velocity", shown.path.velocity)]
     if shown.torque is not None:
         columns.append(("torque", shown.torque))
-    height = TOP + BOTTOM + PANEL * len(joints) + GAP * (len(joints) - 1)
-    rows = row_domains(len(joints), height, GAP)
-    width = (1.0 - _COLUMN_GAP * (len(columns) - 1)) / len(columns)
-    axes: dict[str, Any] = {}
-    data: list[dict[str, Any]] = []
-    shapes, notes = [], []
-    for column, (quantity, values) in enumerate(columns):
-        left = column * (width + _COLUMN_GAP)
-        axes[axis_name("x", column + 1)] = {
-            "domain": [left, min(1.0, left + width)],
-            "anchor": axis_ref("y", column * len(joints) + len(joints)),
-            "title": {"text": "time [s]"},
-            "zeroline": False,
-            **({"matches": "x"} if column else {}),
-        }
-        for row, (limits, domain) in enumerate(zip(joints, rows, strict=True)):
-            index = column * len(joints) + row + 1
-            x, y = axis_ref("x", column + 1), axis_ref("y", index)
-            unit = _unit(quantity, prismatic[row])
-            axes[axis_name("y", index)] = {"domain": list(domain), "anchor": x, "nticks": 4, "zeroline": False}
-            data.append(
-                {
-                    "type": "scatter", "mode": "lines", "name": plain(f"{quantity} of {limits.name}"),
-                    "showlegend": False, "x": packed(shown.path.time), "y": packed(values[row]), "xaxis": x, "yaxis": y,
-                    "line": {"color": MEASURED, "width": 1.5}, "hovertemplate": f"%{{y:.4g}} {unit}",
-                }
-            )  # fmt: skip
-            heading = f"<b>{plain(limits.name)}</b> [{unit}]" if column == 0 else f"[{unit}]"
-            notes.append(note(f"{quantity} · {heading}" if row == 0 else heading, left, domain[1], font={"size": 11}))
-            shapes += [_limit_line(x, y, limit) for limit in _limits(quantity, limits)]
-            # Shapes do not widen an axis: invisible points at the limits do.
-            if _limits(quantity, limits):
-                data.append(_invisible(x, y, shown.path.time[0], _limits(quantity, limits)))
-    layout = base_layout(height, showlegend=False, hovermode="x", annotations=notes, shapes=shapes, **axes)
+    rows = [
+        [
+            _joint_panel(limits, quantity, _unit(quantity, prismatic[row]), shown.path.time, values[row])
+            for quantity, values in columns
+        ]
+        for row, limits in enumerate(joints)
+    ]
     torques = " Torques are those of the prior parameters." if shown.torque is not None else ""
-    return Figure(
-        "joints-plot", height, data, layout, f"Dashed: limits of the robot file.{torques} {part_shown(shown)}"
+    caption = f"Dashed: limits of the robot file.{torques} {part_shown(shown)}"
+    return panel_figure("joints-plot", rows, caption, linked=True, showlegend=False, hovermode="x")
+
+
+def _joint_panel(limits: JointLimits, quantity: str, unit: str, time: FloatArray, values: FloatArray) -> Panel:
+    name = f"<b>{plain(shortened(limits.name, 24))}</b>"
+    bounds = _limits(quantity, limits)
+    line = {
+        "type": "scatter", "mode": "lines", "name": plain(f"{quantity} of {limits.name}"), "x": packed(time),
+        "y": packed(values), "line": {"color": MEASURED, "width": 1.5}, "hovertemplate": f"%{{y:.4g}} {unit}",
+    }  # fmt: skip
+    # Shapes do not widen an axis: invisible points at the limits do.
+    return Panel(
+        f"{limits.name}: {quantity} [{unit}]",
+        f"{name}: {quantity} [{unit}]" if quantity == "position" else f"{quantity} [{unit}]",
+        [line, _invisible(time[0], bounds)] if bounds else [line],
+        f"{name}: {quantity} [{unit}]",
+        x=_TIME,
+        y={"nticks": 4, "zeroline": False},
+        horizontal=[(bound, _LIMIT) for bound in bounds],
+        height=PANEL,
     )
 
 
@@ -144,17 +125,10 @@ def _limits(quantity: str, limits: JointLimits) -> tuple[float, ...]:
     return () if size is None else (-size, size)
 
 
-def _limit_line(x: str, y: str, value: float) -> dict[str, Any]:
+def _invisible(time: float, values: Sequence[float]) -> dict[str, Any]:
     return {
-        "type": "line", "xref": f"{x} domain", "x0": 0, "x1": 1, "yref": y, "y0": value, "y1": value,
-        "line": {"color": PREDICTED, "width": 1, "dash": "dash"},
-    }  # fmt: skip
-
-
-def _invisible(x: str, y: str, time: float, values: Sequence[float]) -> dict[str, Any]:
-    return {
-        "type": "scatter", "mode": "markers", "x": [float(time)] * len(values), "y": list(values), "xaxis": x,
-        "yaxis": y, "showlegend": False, "hoverinfo": "skip", "marker": {"opacity": 0},
+        "type": "scatter", "mode": "markers", "x": [float(time)] * len(values), "y": list(values),
+        "showlegend": False, "hoverinfo": "skip", "marker": {"opacity": 0},
     }  # fmt: skip
 
 
@@ -163,32 +137,27 @@ def tool_figure(robot_file: RobotFile, shown: Shown) -> Figure:
     model = build_model(robot_file)
     workspace = robot_file.robot.workspace
     tool = tool_point(model, place_arm(model, shown.path.position), workspace.tool)
-    panels = (
-        ("distance from the base's z axis [m]", np.hypot(tool[0], tool[1]), workspace.radius),
-        ("height [m]", tool[2], workspace.height),
-    )
-    height = TOP + BOTTOM + 150 * len(panels) + GAP
-    axes: dict[str, Any] = {"xaxis": {"title": {"text": "time [s]"}, "anchor": "y2", "zeroline": False}}
-    data: list[dict[str, Any]] = []
-    shapes, notes = [], []
-    domains = row_domains(len(panels), height, GAP)
-    for index, ((label, values, limits), domain) in enumerate(zip(panels, domains, strict=True), 1):
-        y = axis_ref("y", index)
-        axes[axis_name("y", index)] = {"domain": list(domain), "anchor": "x", "nticks": 5, "zeroline": False}
-        data.append(
-            {
-                "type": "scatter", "mode": "lines", "name": label, "x": packed(shown.path.time), "y": packed(values),
-                "yaxis": y, "line": {"color": MEASURED, "width": 1.5}, "hovertemplate": "%{y:.3f} m",
-            }
-        )  # fmt: skip
-        notes.append(note(f"<b>{label}</b>", 0, domain[1], font={"size": 11}))
-        if limits is not None:
-            shapes += [_limit_line("x", y, limit) for limit in limits]
-            data.append(_invisible("x", y, shown.path.time[0], limits))
-    layout = base_layout(height, showlegend=False, hovermode="x", annotations=notes, shapes=shapes, **axes)
+    distance = _tool_panel("distance from the base's z axis [m]", shown, np.hypot(tool[0], tool[1]), workspace.radius)
+    height = _tool_panel("height [m]", shown, tool[2], workspace.height)
     dashed = " Dashed: limits of the robot file's workspace." if workspace.radius or workspace.height else ""
     caption = f"The tool point, {_tool_words(robot_file)}.{dashed} {part_shown(shown)}"
-    return Figure("tool-plot", height, data, layout, caption)
+    return panel_figure("tool-plot", [[distance], [height]], caption, linked=True, showlegend=False, hovermode="x")
+
+
+def _tool_panel(label: str, shown: Shown, values: FloatArray, limits: tuple[float, float] | None) -> Panel:
+    line = {
+        "type": "scatter", "mode": "lines", "name": label, "x": packed(shown.path.time), "y": packed(values),
+        "line": {"color": MEASURED, "width": 1.5}, "hovertemplate": "%{y:.3f} m",
+    }  # fmt: skip
+    return Panel(
+        label,
+        f"<b>{label}</b>",
+        [line] if limits is None else [line, _invisible(shown.path.time[0], limits)],
+        x=_TIME,
+        y={"zeroline": False},
+        horizontal=[(limit, _LIMIT) for limit in limits or ()],
+        height=TOOL_PANEL,
+    )
 
 
 def _tool_words(robot_file: RobotFile) -> str:
@@ -209,25 +178,27 @@ def clearance_figure(robot_file: RobotFile, shown: Shown) -> Figure | None:
             lines.append(("links from each other", constraint.distances(shown.path).min(axis=0), 0.0))
     if not lines:
         return None
-    height = TOP + BOTTOM + 300
-    data, shapes = [], []
+    traces, kept_lines = [], []
     for index, (name, distance, kept) in enumerate(lines):
-        colour = _COLOURS[index % len(_COLOURS)]
-        data.append(
+        colour = SERIES_COLOURS[index % len(SERIES_COLOURS)]
+        traces.append(
             {
-                "type": "scatter", "mode": "lines", "name": plain(name), "x": packed(shown.path.time),
-                "y": packed(distance), "xaxis": "x", "yaxis": "y", "line": {"color": colour, "width": 1.5},
-                "hovertemplate": "%{y:.3f} m",
+                "type": "scatter", "mode": "lines", "name": plain(shortened(name, 30)), "x": packed(shown.path.time),
+                "y": packed(distance), "line": {"color": colour, "width": 1.5}, "hovertemplate": "%{y:.3f} m",
             }
         )  # fmt: skip
-        shapes.append({**_limit_line("x", "y", kept), "line": {"color": colour, "width": 1, "dash": "dash"}})
-    axes = {
-        "xaxis": {"title": {"text": "time [s]"}, "anchor": "y", "zeroline": False},
-        "yaxis": {"title": {"text": "clearance [m]"}, "anchor": "x", "rangemode": "tozero", "zeroline": False},
-    }
-    layout = base_layout(height, hovermode="x", shapes=shapes, **axes)
+        kept_lines.append((kept, {"color": colour, "width": 1, "dash": "dash"}))
+    panel = Panel(
+        "clearance [m]",
+        "<b>clearance</b> [m]",
+        traces,
+        x=_TIME,
+        y={"rangemode": "tozero", "zeroline": False},
+        horizontal=kept_lines,
+        height=CLEARANCE_PANEL,
+    )
     caption = (
         "Distance of the nearest link, its thickness included. Dashed: the clearance that is kept; two links must not "
         f"touch. {part_shown(shown)}"
     )
-    return Figure("clearance-plot", height, data, layout, caption)
+    return panel_figure("clearance-plot", [[panel]], caption, hovermode="x")

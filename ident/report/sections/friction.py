@@ -52,7 +52,7 @@ def _figure(data: ReportData) -> Figure | None:
     caption = (
         "Points: measured torque minus all that the model predicts but friction and offset, that is, the residual plus "
         f"the curve{sampled}. Line: viscous and Coulomb friction and offset as identified. Band: 95 % interval of the "
-        "line from the parameters' covariance. Points that bend away from the line are friction that the model has not."
+        "line from the parameters' covariance. Where points bend away from the line, the model lacks a term."
     )
     return panel_figure("friction-plot", rows, caption)
 
@@ -97,11 +97,11 @@ def _panel(data: ReportData, joint: int, points: int) -> Panel:
         },
     ]
     first = joint == _order(data)[0]
-    traces = [{"legendgroup": trace["name"], "showlegend": first, **trace} for trace in traces]
+    shown = [{"legendgroup": trace["name"], "showlegend": first, **trace} for trace in traces]
     return Panel(
         name,
         f"<b>{plain(shortened(name, 36))}</b>",
-        traces,
+        shown,
         x={"title": {"text": "velocity [rad/s]"}},
         y={"title": {"text": "N·m"}},
         height=PANEL,
@@ -110,7 +110,7 @@ def _panel(data: ReportData, joint: int, points: int) -> Panel:
 
 def _band(curve: FloatArray, torque: FloatArray, half: FloatArray) -> list[dict[str, Any]]:
     """A closed outline per direction of motion: nan in the curve separates them."""
-    bands = []
+    bands: list[dict[str, Any]] = []
     for side in (curve < 0, curve > 0):
         x = curve[side]
         outline = np.concatenate([(torque + half)[side], (torque - half)[side][::-1]])
@@ -125,9 +125,9 @@ def _band(curve: FloatArray, torque: FloatArray, half: FloatArray) -> list[dict[
                 "fillcolor": "rgba(213,94,0,0.28)",
                 "line": {"width": 0},
                 "hoverinfo": "skip",
+                **({"showlegend": False} if bands else {}),
             }
         )
-    bands[1]["showlegend"] = False
     return bands
 
 

@@ -110,7 +110,6 @@ def _panel(
         f"{words} [{unit}]",
         f"<b>{words}</b> [{unit}]",
         traces,
-        x={"title": {"text": unit}},
         y={
             "type": "category",
             "categoryorder": "array",

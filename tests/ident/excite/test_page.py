@@ -95,10 +95,10 @@ def test_every_figure_has_its_place_and_axes(usual):
 def test_limits_are_drawn(usual, three_joint):
     lines = {(shape["yref"], shape["y0"]) for shape in usual.figures["joints-plot"]["layout"]["shapes"]}
     for row, limits in enumerate(three_joint.robot.joints):
-        first = "y" if row == 0 else f"y{row + 1}"
-        assert {(first, limits.position[0]), (first, limits.position[1])} <= lines
-        assert (f"y{row + 4}", limits.velocity) in lines
-        assert (f"y{row + 7}", -limits.torque) in lines
+        position = "y" if row == 0 else f"y{3 * row + 1}"
+        assert {(position, limits.position[0]), (position, limits.position[1])} <= lines
+        assert (f"y{3 * row + 2}", limits.velocity) in lines
+        assert (f"y{3 * row + 3}", -limits.torque) in lines
     heights = {shape["y0"] for shape in usual.figures["tool-plot"]["layout"]["shapes"]}
     assert heights == {0.05, 2.0, -1.0}
 

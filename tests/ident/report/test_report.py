@@ -41,6 +41,7 @@ ANCHORS = [
     "torques-validation",
     "torques-fit",
     "residuals",
+    "friction",
     "parameters",
     "excitation",
     "data-quality",
