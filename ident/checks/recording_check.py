@@ -51,6 +51,7 @@ class RecordingInfo:
         sufficiency: error bars expected from the motion; None where nothing could be analysed.
         times: how long it must last for a wanted RSD; None where none was asked for.
         verdict: what a model that is identified from it can be good for, at best, with all checks.
+        motion: prepared as `dynid identify` would; None where nothing could be analysed.
     """
 
     recording: Recording
@@ -62,6 +63,7 @@ class RecordingInfo:
     sufficiency: Sufficiency | None
     times: TimesNeeded | None
     verdict: Verdict
+    motion: RecordedMotion | None = None
 
 
 def recording_info(
@@ -91,8 +93,9 @@ def recording_info(
     checks = recording_checks(recording, streams, columns) + _excitation_checks(recording, excitation)
     if motion is not None and motion.measured is not None:
         checks += torque_level_checks(robot_file.robot, motion.model, motion.measured.torque)
+    verdict = judge(checks, None)
     return RecordingInfo(
-        recording, robot_file.robot.name, streams, columns, excitation, delay, sufficiency, times, judge(checks, None)
+        recording, robot_file.robot.name, streams, columns, excitation, delay, sufficiency, times, verdict, motion
     )
 
 

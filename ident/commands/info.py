@@ -20,20 +20,29 @@ def info(
         "--wanted-rsd",
         help="Estimate how long this motion must be recorded for this relative standard deviation [%].",
     ),
+    page: Path = typer.Option(None, "--page", help="Folder for info.json and info.html, a page to look at."),
+    force: bool = typer.Option(False, "--force", help="Overwrite the files of --page."),
     as_json: bool = JSON,
 ) -> None:
     """Show a recording's streams, clock and signal quality, and how well its motion excites the arm.
 
-    Example: dynid info run.h5 --wanted-rsd 5
+    Example: dynid info run.h5 --wanted-rsd 5 --page run-info
     """
     from daq.commands.console import print_json
     from daq.recording.reader import read_recording
     from daq.robot.loader import load_robot
+    from ident.checks.page.page import JSON_FILE, PAGE_FILE, check_page_folder, write_page
     from ident.checks.recording_check import info_object, print_info, recording_info
 
+    if page is not None:
+        check_page_folder(page, overwrite=force)
     read = read_recording(recording)
     checked = recording_info(read, load_robot(robot) if robot else read.robot(), wanted_rsd)
+    if page is not None:
+        write_page(page, checked, str(recording))
     if as_json:
         print_json(info_object(checked, str(recording)))
-    else:
-        print_info(checked, str(recording))
+        return
+    print_info(checked, str(recording))
+    if page is not None:
+        print(f"\n{page / JSON_FILE}\n{page / PAGE_FILE}")

@@ -34,8 +34,8 @@ LEFT, RIGHT, TOP, BOTTOM = 64, 16, 54, 48
 NARROW_LEFT, NARROW_RIGHT, NARROW_TOP = 50, 12, 84
 """Margins [px]. On a phone the legend stands below the tool bar, not beside it."""
 
-LOG_AXIS: dict[str, Any] = {"type": "log", "tickformat": "~g"}
-"""A logarithmic axis whose ticks are numbers: 0.01, 0.1, 1."""
+LOG_AXIS: dict[str, Any] = {"type": "log", "tickformat": "~g", "nticks": 3}
+"""A logarithmic axis whose ticks are numbers: 0.01, 0.1, 1. With more of them, 0.8, 0.9 and 1 lie on each other."""
 
 
 @dataclass(frozen=True)

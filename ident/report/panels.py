@@ -21,6 +21,12 @@ from ident.report.figures import (
 HEADING, EDGE, TICKS, TITLE = 24, 6, 22, 18
 """Room of a heading above a panel, and below it of nothing, of tick labels, of an axis title [px]."""
 
+WIDE_ROOM, ROOM = 700, 300
+"""For a legend in a window, beside the tool bar, and on a phone [px]."""
+
+LEGEND_MARK, LEGEND_LETTER, LEGEND_ROW = 50, 7, 19
+"""Widths of an entry's line and of a letter, height of a row [px]."""
+
 COLUMN_GAP = 0.07
 """Between two columns, relative to the plot's width: it holds the tick labels of the right one."""
 
@@ -70,16 +76,27 @@ def panel_figure(
         for trace in panel.traces
     ]
     shapes = [shape for k, panel in enumerate(panels, 1) for shape in _lines(panel, k)]
-    wide, height = _arranged(rows, columns, TOP, linked)
-    stacked, narrow_height = _arranged([[panel] for panel in panels], 1, NARROW_TOP, linked)
+    entries = [str(trace.get("name", "")) for trace in data if trace.get("showlegend", layout.get("showlegend", True))]
+    top, narrow_top = (least + _legend_rows(entries, room) for least, room in ((TOP, WIDE_ROOM), (NARROW_TOP, ROOM)))
+    wide, height = _arranged(rows, columns, top, linked)
+    stacked, narrow_height = _arranged([[panel] for panel in panels], 1, narrow_top, linked)
+    common = base_layout(height, shapes=shapes, **wide, **layout)
+    narrow = narrow_layout(narrow_height)
     return Figure(
         anchor,
         height,
         data,
-        base_layout(height, shapes=shapes, **wide, **layout),
+        {**common, "margin": {**common["margin"], "t": top}},
         caption,
-        {**narrow_layout(narrow_height), **stacked},
+        {**narrow, **stacked, "margin": {**narrow["margin"], "t": narrow_top}},
     )
+
+
+def _legend_rows(entries: Sequence[str], room: int) -> int:
+    """Height [px] of a legend's rows but the first; all entries are as wide as the widest."""
+    widest = LEGEND_MARK + LEGEND_LETTER * max(map(len, entries), default=0)
+    columns = max(1, int(room / widest))
+    return LEGEND_ROW * (-(-len(entries) // columns) - 1) if entries else 0
 
 
 def _arranged(rows: Sequence[Sequence[Panel]], columns: int, top: int, linked: bool) -> tuple[dict[str, Any], int]:

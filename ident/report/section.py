@@ -59,12 +59,14 @@ class ReportData:
 
     @property
     def worst_first(self) -> list[int]:
-        """Joint numbers by falling relative error: of the held-out data, or of the fit where nothing was held out."""
-        errors = self.result.validation or self.result.fit
+        """Joint numbers in the verdict's order; by falling relative error where it judges no joints."""
+        result = self.result
+        judged = {one.joint: place for place, one in enumerate(result.verdict.joints)}
+        errors = result.validation or result.fit
         known = errors.joint_relative_error if errors is not None else []
-        ranked = [known[joint] if joint < len(known) else None for joint in range(len(self.result.joints))]
-        falling = [math.inf if error is None else -error for error in ranked]
-        return sorted(range(len(falling)), key=falling.__getitem__)
+        falling = [math.inf if error is None else -error for error in known]
+        falling += [math.inf] * (len(result.joints) - len(falling))
+        return sorted(range(len(result.joints)), key=lambda j: (judged.get(result.joints[j], len(judged)), falling[j]))
 
 
 @dataclass(frozen=True)

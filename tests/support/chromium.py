@@ -81,6 +81,17 @@ class BrowserPage:
         for kind, px, py in (*steps, ("mouseReleased", to_x, to_y)):
             self.send("Input.dispatchMouseEvent", type=kind, x=px, y=py, button="left", buttons=1, clickCount=1)
 
+    def downloads(self, folder: Path, expression: str) -> list[Path]:
+        """Files that an expression makes the page offer, saved into a folder."""
+        folder.mkdir(parents=True)
+        self._browser.finished.clear()
+        self._browser.send(
+            "Browser.setDownloadBehavior", behavior="allow", downloadPath=str(folder), eventsEnabled=True
+        )
+        self.evaluate(expression)
+        self._browser.wait_for_download()
+        return list(folder.iterdir())
+
     def screenshot(self, path: Path) -> None:
         """The whole page as PNG."""
         size = self.send("Page.getLayoutMetrics")["cssContentSize"]
@@ -104,6 +115,7 @@ class Chromium:
         self._last = 0
         self._pages: dict[str, BrowserPage] = {}
         self.loaded: set[str] = set()
+        self.finished: list[str] = []
 
     def send(self, method: str, session: str | None = None, **parameters: Any) -> Any:
         """Send a command and wait for its answer; events that come first are kept."""
@@ -123,6 +135,11 @@ class Chromium:
     def wait_for_load(self, session: str) -> None:
         while session not in self.loaded:
             self._receive("load")
+
+    def wait_for_download(self) -> None:
+        while not self.finished:
+            self._receive("download")
+        assert self.finished == ["completed"]
 
     def new_page(self) -> BrowserPage:
         target = self.send("Target.createTarget", url="about:blank")["targetId"]
@@ -147,6 +164,8 @@ class Chromium:
 
     def _note(self, message: dict[str, Any]) -> None:
         session, method, parameters = message.get("sessionId", ""), message.get("method"), message.get("params", {})
+        if method == "Browser.downloadProgress" and parameters["state"] != "inProgress":
+            self.finished.append(parameters["state"])
         page = self._pages.get(session)
         if page is None:
             return

@@ -1,0 +1,104 @@
+"""The page of a recording, as `dynid info --page` writes it: one self-contained HTML file beside its JSON."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from daq.commands.console import json_text
+from daq.recording.recording import JOINTS_STREAM
+from drivers.errors import UsageError
+from ident.checks.page.plots import intervals_figure, shown_unit, signals_figure, spectra_figure
+from ident.checks.recording_check import RecordingInfo, info_object
+from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.report.html_file import page_templates, write_html
+from ident.report.number_text import DASH, number, percent, whole
+from ident.report.section import Tile
+
+JSON_FILE = "info.json"
+PAGE_FILE = "info.html"
+MOST_GAPS = 50
+"""Gaps in the page's table; a recording that lost samples all the time has thousands."""
+
+
+def check_page_folder(folder: Path, *, overwrite: bool) -> None:
+    """Whether the page can be written, before anything is computed for it.
+
+    Raises:
+        UsageError: the folder is a file, or holds a page already that must not be overwritten.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--page {folder} is a file; a folder is needed")
+    for name in (JSON_FILE, PAGE_FILE):
+        if (folder / name).exists() and not overwrite:
+            raise UsageError("exists already", where=str(folder / name), hint="overwrite it with --force")
+
+
+def write_page(folder: Path, info: RecordingInfo, file: str) -> None:
+    """Write info.json and info.html into a folder.
+
+    Args:
+        folder: made where it does not exist.
+        info: of the recording.
+        file: what the recording is called.
+
+    Raises:
+        UsageError: they cannot be written.
+    """
+    page = render_page(info, file)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"cannot be written: {error.strerror}", where=str(folder)) from error
+    write_html(folder / JSON_FILE, json_text(info_object(info, file)) + "\n")
+    write_html(folder / PAGE_FILE, page)
+
+
+def render_page(info: RecordingInfo, file: str) -> str:
+    """The page as text."""
+    recording = info.recording
+    joints = recording.streams[JOINTS_STREAM].channels["position"].columns if info.excitation is not None else ()
+    gaps = [(name, gap) for name, quality in info.streams.items() for gap in quality.gaps]
+    return (
+        page_templates("ident.checks.page")
+        .get_template("recording_page.html.j2")
+        .render(
+            file=file,
+            info=info,
+            recording=recording,
+            shown_unit=shown_unit,
+            tiles=_tiles(info),
+            joints=joints,
+            gaps=gaps[:MOST_GAPS],
+            gap_count=len(gaps),
+            signals=signals_figure(recording),
+            intervals=intervals_figure(recording, info.streams),
+            spectra=None if info.motion is None else spectra_figure(info.motion),
+        )
+    )
+
+
+def _tiles(info: RecordingInfo) -> list[Tile]:
+    streams = info.streams
+    main = streams.get(JOINTS_STREAM)
+    lost = sum(quality.lost for quality in streams.values())
+    samples = sum(quality.samples for quality in streams.values())
+    tiles = [
+        Tile("Duration", f"{number(main.duration, 4)} s", f"{whole(main.samples)} samples of the joints")
+        if main is not None
+        else Tile("Streams", str(len(streams))),
+        Tile("Rate", f"{number(main.rate_hz, 4)} Hz", f"jitter {number(main.jitter_ms, 2)} ms")
+        if main is not None
+        else Tile("Rate", DASH),
+        Tile("Samples lost", whole(lost), f"{percent(lost / max(1, lost + samples), 2)} of all streams"),
+    ]
+    if info.excitation is not None:
+        note = "column-normalised; below 50 is good"
+        tiles.append(Tile("Condition of the motion", number(info.excitation.scaled_condition, 3), note))
+    if info.sufficiency is not None:
+        known = [p.rsd_percent for p in info.sufficiency.forecast.parameters if p.rsd_percent is not None]
+        significant = sum(value < SIGNIFICANT_RSD for value in known)
+        if known:
+            tiles.append(
+                Tile("Significant", str(significant), f"of {len(known)}: predicted RSD below {SIGNIFICANT_RSD:g} %")
+            )
+    return tiles

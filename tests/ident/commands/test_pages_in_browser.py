@@ -1,0 +1,199 @@
+"""Every page that dynid writes, opened in headless Chromium at the width of a window and of a phone."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chromium import BrowserPage, chromium, chromium_path
+from page_layout import COLLIDING_TEXTS, OVERFLOW
+
+from daq.motion.trajectories import RestToRest
+from daq.recording.recording import Recording
+from daq.robot.loader import load_robot
+from drivers.streams import FloatArray
+from ident.checks.page.page import PAGE_FILE as INFO_PAGE
+from ident.checks.page.page import write_page as write_info_page
+from ident.checks.recording_check import recording_info
+from ident.excite.forecast import excitation_figures
+from ident.excite.page.page import write_page as write_excitation_page
+from ident.excite.prior import find_prior
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamic_model import build_model
+from ident.model.true_parameters import truth_vector
+from ident.report import TruthTable, write_report
+from ident.tasks.identification import identify
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
+
+pytestmark = [pytest.mark.realtime, pytest.mark.slow]
+
+ARM = "ur5e"
+WINDOW, PHONE = 1400, 400
+MOST_PRINTED_PAGES = 4
+
+
+def recorded(seed: int, samples: slice | FloatArray = slice(None)) -> Recording:
+    """A simulated recording with temperatures."""
+    robot_file = load_robot(ARM)
+    motion = random_fourier_motion(build_model(robot_file), 8.0, seed=seed, candidates=2)
+    stream = simulate_recording(robot_file, motion, 12.0, seed=seed, rate=125.0).streams["joints"]
+    time = stream.time[samples]
+    return Recording.from_arrays(
+        robot_file,
+        time=time,
+        position=stream.channels["position"].values[samples],
+        current=stream.channels["current"].values[samples],
+        temperature=30.0 + 0.1 * time[:, None] + np.arange(6),
+    )
+
+
+def identification_page(folder: Path) -> Path:
+    robot_file = load_robot(ARM)
+    base = base_parameters(build_model(robot_file))
+    found = identify(recorded(1), validation=recorded(2))
+    truth = TruthTable(base.names, base.projection @ truth_vector(robot_file))
+    path = folder / "identification.html"
+    write_report(path, found.result, found.fit_series, found.validation_series, truth, found.recorded)
+    return path
+
+
+def excitation_page(folder: Path) -> Path:
+    robot_file = load_robot(ARM)
+    motion = RestToRest(random_fourier_motion(build_model(robot_file), 8.0, seed=1, candidates=2), 2, 1.0)
+    prior = find_prior(robot_file)
+    path = folder / "excitation.html"
+    write_excitation_page(
+        path, robot_file, motion, prior, excitation_figures(robot_file, motion, prior), [("Kind", "fourier")]
+    )
+    return path
+
+
+def recording_page(folder: Path) -> Path:
+    kept = np.delete(np.arange(1500), [*range(300, 420), 900, 901])
+    recording = recorded(3, kept)
+    write_info_page(folder / "info", recording_info(recording, recording.robot()), "run.h5")
+    return folder / "info" / INFO_PAGE
+
+
+PAGES: dict[str, Callable[[Path], Path]] = {
+    "identification": identification_page,
+    "excitation": excitation_page,
+    "recording": recording_page,
+}
+"""What writes each page into a folder; a new page is one line here."""
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[BrowserPage]:
+    """One page of one browser for all tests."""
+    program = chromium_path()
+    if program is None:
+        pytest.skip("no Chromium on this machine: apt-get install chromium fonts-dejavu-core")
+    with chromium(program) as browser:
+        yield browser.new_page()
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """The file of a page, written once."""
+    files: dict[str, Path] = {}
+
+    def file(name: str) -> Path:
+        if name not in files:
+            files[name] = PAGES[name](tmp_path_factory.mktemp(name))
+        return files[name]
+
+    return file
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_page(page: BrowserPage, written: Callable[[str], Path], tmp_path: Path, name: str) -> None:
+    page.open(written(name), PHONE)
+    drawn = page.evaluate("document.querySelectorAll('.plot .main-svg').length")
+    assert drawn >= page.evaluate("document.querySelectorAll('.plot').length") > 0
+    check_layout(page)
+    check_zoom(page, PHONE)
+    # Figures are rearranged when the window becomes wide.
+    page.resize(WINDOW)
+    page.evaluate(SETTLED)
+    check_layout(page)
+    check_zoom(page, WINDOW)
+    check_sorting(page)
+    check_downloads(page, tmp_path)
+    if name == "identification":
+        check_parameters_print(page)
+    assert page.problems == []
+
+
+def check_layout(page: BrowserPage) -> None:
+    assert page.evaluate(OVERFLOW) == []
+    assert page.evaluate(COLLIDING_TEXTS) == []
+
+
+SETTLED = """Promise.all(Array.from(document.querySelectorAll(".plot"), (plot) =>
+  new Promise((done) => requestAnimationFrame(() => done(plot._promises ? Promise.all(plot._promises) : true)))))"""
+
+LAST_PLANE_FIGURE = """(() => {
+  const plot = Array.from(document.querySelectorAll(".plot")).filter((one) => one.querySelector(".nsewdrag")).at(-1);
+  plot.scrollIntoView({ block: "start" });
+  window.zoomed = plot;
+  const box = plot.querySelector(".nsewdrag").getBoundingClientRect();
+  return [box.left, box.top, box.width, box.height];
+})()"""
+
+
+def check_zoom(page: BrowserPage, width: int) -> None:
+    """Dragging across a figure narrows its axis; a phone asks for it in the tool bar, so that a finger can scroll."""
+    left, top, across, down = page.evaluate(LAST_PLANE_FIGURE)
+    before = page.evaluate("window.zoomed._fullLayout.xaxis.range.slice()")
+    if width == PHONE:
+        assert page.evaluate("window.zoomed._fullLayout.dragmode") is False
+        page.evaluate("window.zoomed.querySelector('.modebar-btn[data-val=zoom]').click()")
+    y = top + down / 2
+    page.drag(left + 0.3 * across, y, left + 0.6 * across, y)
+    page.evaluate(SETTLED)
+    after = page.evaluate("window.zoomed._fullLayout.xaxis.range.slice()")
+    assert after != before
+    share = (after[1] - after[0]) / (before[1] - before[0])
+    assert share == pytest.approx(0.3, abs=0.1)
+
+
+def check_sorting(page: BrowserPage) -> None:
+    """A click on a heading of numbers sorts its table by them, a second one the other way."""
+    column = """(() => {
+      const table = document.querySelector("table.sortable");
+      const place = Array.from(table.tHead.rows[0].cells).findIndex((cell) => cell.classList.contains("number"));
+      table.tHead.rows[0].cells[place].querySelector("button").click();
+      const raw = Array.from(table.tBodies[0].rows, (row) => row.cells[place].dataset.sort);
+      return raw.filter((text) => text !== "").map(Number);
+    })()"""
+    rising, falling = page.evaluate(column), page.evaluate(column)
+    assert len(rising) > 1
+    assert rising == sorted(rising)
+    assert falling == rising[::-1]
+
+
+def check_downloads(page: BrowserPage, folder: Path) -> None:
+    """The buttons give CSV files of the tables and of the figures' data."""
+    names = page.evaluate("Array.from(document.querySelectorAll('button.download')).length")
+    assert names >= page.evaluate("document.querySelectorAll('figure, table.sortable').length")
+    for place, button in (("table", ".downloads .download"), ("figure", "figure .download")):
+        (file,) = page.downloads(folder / place, f"document.querySelector('{button}').click()")
+        with file.open(encoding="utf-8-sig", newline="") as opened:
+            heading, *rows = csv.reader(opened)
+        assert rows
+        assert all(len(row) == len(heading) for row in rows)
+        assert any(re.fullmatch(r"-?\d+(\.\d+)?(e-?\d+)?", cell) for row in rows for cell in row)
+
+
+def check_parameters_print(page: BrowserPage) -> None:
+    """The table of 58 parameters takes four pages at most. What else is on the page is lost."""
+    others = "main > section:not(#parameters), #parameters figure"
+    page.evaluate(f"document.querySelectorAll('{others}').forEach((one) => one.remove())")
+    printed = page.pdf()
+    assert 1 <= len(re.findall(rb"/Type\s*/Page\b", printed)) <= MOST_PRINTED_PAGES
