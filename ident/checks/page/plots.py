@@ -17,6 +17,9 @@ from ident.report.panels import Panel, panel_figure
 from ident.report.traces import broken_line, envelope_indices, packed
 from ident.signals.resampling import gap_free_segments
 
+MOST_COLUMNS = 32
+"""Lines of one panel; a channel of more columns is shown in part."""
+
 MOST_POINTS = 3000
 PAGE_POINTS = 150_000
 """Of all signals together, and of one line at most."""
@@ -43,7 +46,7 @@ def signals_figure(recording: Recording) -> Figure | None:
     ]
     if not channels:
         return None
-    lines = sum(len(channel.columns) for _, channel in channels)
+    lines = sum(min(MOST_COLUMNS, len(channel.columns)) for _, channel in channels)
     points = min(MOST_POINTS, max(200, PAGE_POINTS // lines))
     colours = _colours(recording)
     named: set[str] = set()
@@ -51,7 +54,8 @@ def signals_figure(recording: Recording) -> Figure | None:
     for stream, channel in channels:
         pieces, time = _pieces(stream), _shown_time(recording, stream)
         traces = []
-        for column, values in zip(channel.columns, channel.values.T, strict=True):
+        shown = channel.columns[:MOST_COLUMNS]
+        for column, values in zip(shown, channel.values.T, strict=False):
             x, y = broken_line([time[piece] for piece in pieces], [values[piece] for piece in pieces], points)
             traces.append(
                 {
@@ -69,7 +73,8 @@ def signals_figure(recording: Recording) -> Figure | None:
             named.add(column)
         label = f"{stream.name}/{channel.quantity}"
         unit = f" [{plain(shown_unit(channel.unit))}]" if channel.unit else ""
-        heading = f"<b>{plain(shortened(label, 34))}</b>{unit}"
+        part = f" ({len(shown)} of {len(channel.columns)} columns)" if len(shown) < len(channel.columns) else ""
+        heading = f"<b>{plain(shortened(label, 34))}</b>{unit}{part}"
         rows.append([Panel(label, heading, traces, x=TIME, y={"zeroline": False}, height=SIGNAL_PANEL)])
     caption = (
         f"As recorded, not filtered. Each line has at most about {points} points, the least and the largest value of "
