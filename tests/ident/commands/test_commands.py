@@ -81,6 +81,18 @@ def run(monkeypatch, capsys, folder: Path, *arguments: str) -> tuple[int, str, s
     return int(stopped.value.code or 0), captured.out, captured.err
 
 
+def test_info_writes_a_page_once(monkeypatch, capsys, folder):
+    status, out, _ = run(monkeypatch, capsys, folder, "info", "run.h5", "--page", "run-info")
+    assert status == 0
+    assert out.endswith("run-info/info.json\nrun-info/info.html\n")
+    status, _, err = run(monkeypatch, capsys, folder, "info", "run.h5", "--page", "run-info")
+    assert status == 2
+    assert "exists already" in err
+    status, out, _ = run(monkeypatch, capsys, folder, "info", "run.h5", "--page", "run-info", "--force", "--json")
+    assert status == 0
+    assert json.loads(out) == json.loads((folder / "run-info" / "info.json").read_text(encoding="utf-8"))
+
+
 def test_identify_validates_writes_and_prints(monkeypatch, capsys, folder):
     status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--validate", "val.h5", "-o", "model")
     assert status == 0

@@ -148,6 +148,14 @@ def test_motion_and_temperature_are_shown_as_they_are(data: ReportData):
     assert "No temperature was recorded" in Page(render_report(replace(data, recorded=RecordedRuns(motion)))).words
 
 
+def test_a_saved_report_has_all_figures(identified, tmp_path):
+    identified.save(tmp_path)
+    page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert {"friction-plot", "motion-plot", "correlation-plot", "parameters-plot"} < set(page.figures)
+    assert "temperature-plot" not in page.figures
+    assert page.traces("motion-plot", "validation")
+
+
 def test_the_worst_joint_comes_first(data: ReportData):
     result = data.result
     order = [judged.joint for judged in result.verdict.joints]
