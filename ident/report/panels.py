@@ -69,7 +69,6 @@ def panel_figure(
         layout: further keys of the layout.
     """
     panels = [panel for row in rows for panel in row]
-    columns = max(len(row) for row in rows)
     data = [
         {**trace, "xaxis": axis_ref("x", k), "yaxis": axis_ref("y", k), "meta": {"panel": panel.name}}
         for k, panel in enumerate(panels, 1)
@@ -78,8 +77,8 @@ def panel_figure(
     shapes = [shape for k, panel in enumerate(panels, 1) for shape in _lines(panel, k)]
     entries = [str(trace.get("name", "")) for trace in data if trace.get("showlegend", layout.get("showlegend", True))]
     top, narrow_top = (least + _legend_rows(entries, room) for least, room in ((TOP, WIDE_ROOM), (NARROW_TOP, ROOM)))
-    wide, height = _arranged(rows, columns, top, linked)
-    stacked, narrow_height = _arranged([[panel] for panel in panels], 1, narrow_top, linked)
+    wide, height = _arranged(rows, top, linked, stacked=False)
+    below, narrow_height = _arranged([[panel] for panel in panels], narrow_top, linked, stacked=True)
     common = base_layout(height, shapes=shapes, **wide, **layout)
     narrow = narrow_layout(narrow_height)
     return Figure(
@@ -88,7 +87,7 @@ def panel_figure(
         data,
         {**common, "margin": {**common["margin"], "t": top}},
         caption,
-        {**narrow, **stacked, "margin": {**narrow["margin"], "t": narrow_top}},
+        {**narrow, **below, "margin": {**narrow["margin"], "t": narrow_top}},
     )
 
 
@@ -99,8 +98,9 @@ def _legend_rows(entries: Sequence[str], room: int) -> int:
     return LEGEND_ROW * (-(-len(entries) // columns) - 1) if entries else 0
 
 
-def _arranged(rows: Sequence[Sequence[Panel]], columns: int, top: int, linked: bool) -> tuple[dict[str, Any], int]:
+def _arranged(rows: Sequence[Sequence[Panel]], top: int, linked: bool, *, stacked: bool) -> tuple[dict[str, Any], int]:
     """Axes and headings of the panels, and the figure's height [px]."""
+    columns = max(len(row) for row in rows)
     ends = [_last_of_its_axis(rows, row, column) for row, column in _places(rows)]
     below = [_room_below(rows, row, linked) for row in range(len(rows))]
     heights = [max(panel.height for panel in row) for row in rows]
@@ -126,8 +126,8 @@ def _arranged(rows: Sequence[Sequence[Panel]], columns: int, top: int, linked: b
                 **({"matches": "x"} if linked and k > 1 else {}),
             }
             axes[axis_name("y", k)] = {"nticks": 5, **panel.y, "domain": domain, "anchor": axis_ref("x", k)}
-            heading = panel.stacked_heading or panel.heading if columns == 1 else panel.heading
-            notes.append(note(heading, left, domain[1], font={"size": 11 if columns == 1 else 12}))
+            heading = panel.stacked_heading or panel.heading if stacked else panel.heading
+            notes.append(note(heading, left, domain[1], font={"size": 11 if stacked else 12}))
         upper -= heights[row] + below[row] + HEADING
     return {**axes, "annotations": notes}, top + BOTTOM + inner
 

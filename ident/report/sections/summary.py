@@ -19,7 +19,7 @@ def section(data: ReportData) -> ReportSection:
         "verdict": result.verdict,
         "purpose_words": PURPOSE_WORDS,
         "tiles": _tiles(result),
-        "rows": [_row(result, joint) for joint in range(len(result.joints))],
+        "rows": [_row(result, joint) for joint in data.worst_first],
         "low_speed": LOW_SPEED,
         "validated": result.validation is not None,
         "validation_source": result.validation_source,
