@@ -31,6 +31,10 @@ COLUMN_GAP = 0.07
 """Between two columns, relative to the plot's width: it holds the tick labels of the right one."""
 
 
+Line = tuple[float, Mapping[str, Any]]
+"""Where a line lies in a panel, and its style."""
+
+
 @dataclass(frozen=True)
 class Panel:
     """One plot with axes of its own.
@@ -41,7 +45,7 @@ class Panel:
         traces: without their axes.
         stacked_heading: above it where panels stand one below the other; the same where empty.
         x, y: further keys of its axes.
-        vertical, horizontal: position → style of lines across it.
+        vertical, horizontal: lines across it, a position and a style each.
         height: [px].
     """
 
@@ -51,8 +55,8 @@ class Panel:
     stacked_heading: str = ""
     x: Mapping[str, Any] = field(default_factory=dict)
     y: Mapping[str, Any] = field(default_factory=dict)
-    vertical: Mapping[float, Mapping[str, Any]] = field(default_factory=dict)
-    horizontal: Mapping[float, Mapping[str, Any]] = field(default_factory=dict)
+    vertical: Sequence[Line] = ()
+    horizontal: Sequence[Line] = ()
     height: int = 140
 
 
@@ -76,7 +80,7 @@ def panel_figure(
     ]
     shapes = [shape for k, panel in enumerate(panels, 1) for shape in _lines(panel, k)]
     entries = [str(trace.get("name", "")) for trace in data if trace.get("showlegend", layout.get("showlegend", True))]
-    top, narrow_top = (least + _legend_rows(entries, room) for least, room in ((TOP, WIDE_ROOM), (NARROW_TOP, ROOM)))
+    top, narrow_top = (least + legend_rows(entries, room) for least, room in ((TOP, WIDE_ROOM), (NARROW_TOP, ROOM)))
     wide, height = _arranged(rows, top, linked, stacked=False)
     below, narrow_height = _arranged([[panel] for panel in panels], narrow_top, linked, stacked=True)
     common = base_layout(height, shapes=shapes, **wide, **layout)
@@ -91,7 +95,7 @@ def panel_figure(
     )
 
 
-def _legend_rows(entries: Sequence[str], room: int) -> int:
+def legend_rows(entries: Sequence[str], room: int) -> int:
     """Height [px] of a legend's rows but the first; all entries are as wide as the widest."""
     widest = LEGEND_MARK + LEGEND_LETTER * max(map(len, entries), default=0)
     columns = max(1, int(room / widest))
@@ -153,10 +157,10 @@ def _lines(panel: Panel, k: int) -> list[dict[str, Any]]:
     x, y = axis_ref("x", k), axis_ref("y", k)
     upright = [
         {"type": "line", "xref": x, "x0": at, "x1": at, "yref": f"{y} domain", "y0": 0, "y1": 1, "line": dict(line)}
-        for at, line in panel.vertical.items()
+        for at, line in panel.vertical
     ]
     level = [
         {"type": "line", "xref": f"{x} domain", "x0": 0, "x1": 1, "yref": y, "y0": at, "y1": at, "line": dict(line)}
-        for at, line in panel.horizontal.items()
+        for at, line in panel.horizontal
     ]
     return upright + level

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -28,7 +27,7 @@ def torque_figure(
     timeline = lay_out([segment.time for segment in series])
     times = [segment.time + offset for segment, offset in zip(series, timeline.offsets, strict=True)]
     points = points_per_trace(len(joints))
-    borders: Mapping[float, Mapping[str, Any]] = {x: {"dash": "dot", "width": 1} for x in timeline.borders}
+    borders = [(x, {"dash": "dot", "width": 1}) for x in timeline.borders]
     panels = []
     for joint in order:
         residuals = [

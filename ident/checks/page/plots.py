@@ -13,7 +13,7 @@ from drivers.streams import UNITS, FloatArray
 from ident.assessment.recorded_motion import RecordedMotion
 from ident.report.figures import LOG_AXIS, PREDICTED, RESIDUAL, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.number_text import number
-from ident.report.panels import Panel, panel_figure
+from ident.report.panels import Line, Panel, panel_figure
 from ident.report.traces import broken_line, envelope_indices, packed
 from ident.signals.resampling import gap_free_segments
 
@@ -113,7 +113,7 @@ def intervals_figure(recording: Recording, streams: Mapping[str, StreamQuality])
                     lines,
                     x=TIME,
                     y={**LOG_AXIS, "title": {"text": "ms"}, "range": [np.log10(low), np.log10(high)]},
-                    horizontal={LOST_FROM * period: {"color": PREDICTED, "width": 1, "dash": "dash"}},
+                    horizontal=[(LOST_FROM * period, {"color": PREDICTED, "width": 1, "dash": "dash"})],
                     height=INTERVAL_PANEL,
                 )
             ]
@@ -131,8 +131,8 @@ def spectra_figure(motion: RecordedMotion) -> Figure:
     """Amplitude spectral density of positions and torques with the cut-offs that identification would choose."""
     cutoffs = motion.prepared.cutoffs
     names, time = motion.positions.joint_names, motion.positions.time
-    position_lines = {cutoffs.band: BAND, cutoffs.position: POSITION_CUTOFF}
-    torque_lines = {cutoffs.band: BAND, cutoffs.torque: TORQUE_CUTOFF}
+    position_lines = [(cutoffs.band, BAND), (cutoffs.position, POSITION_CUTOFF)]
+    torque_lines = [(cutoffs.band, BAND), (cutoffs.torque, TORQUE_CUTOFF)]
     rows = [[_spectrum_panel("position", "rad", names, time, motion.positions.position, position_lines)]]
     if motion.measured is not None:
         rows.append([_spectrum_panel("torque", "N·m", names, time, motion.measured.torque, torque_lines)])
@@ -151,7 +151,7 @@ def _spectrum_panel(
     names: Sequence[str],
     time: FloatArray,
     values: FloatArray,
-    lines: Mapping[float, Mapping[str, Any]],
+    lines: Sequence[Line],
 ) -> Panel:
     frequency, density = _density(time, values)
     traces = [
@@ -174,7 +174,7 @@ def _spectrum_panel(
         traces,
         x={**LOG_AXIS, "nticks": 6, "title": {"text": "frequency [Hz]"}},
         y={**LOG_AXIS, "automargin": True},
-        vertical={at: line for at, line in lines.items() if at > 0},
+        vertical=[(at, line) for at, line in lines if at > 0],
         height=SPECTRUM_PANEL,
     )
 

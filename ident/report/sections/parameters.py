@@ -119,7 +119,7 @@ def _panel(
             "tickfont": {"size": 10},
             "automargin": True,
         },
-        vertical={0.0: {"color": RESIDUAL, "width": 1}},
+        vertical=[(0.0, {"color": RESIDUAL, "width": 1})],
         height=ROW * len(names) + 16,
     )
 
