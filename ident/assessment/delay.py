@@ -1,7 +1,8 @@
-"""Delay of the recorded torque against the recorded position.
+"""Delay of the recorded torque against the recorded position, used only where it predicts held-out torque better.
 
-To first order τ(t + δ) = τ + δ·τ̇, so with both τ and τ̇ reduced beside W the delay with the smallest residual follows
-in closed form; a few such steps (Gauss-Newton) find it whatever its size.
+It is estimated from the equations that no velocity reversal affects, since a joint that sticks at a reversal passes its
+torque on late or early, which looks like a delay of many milliseconds. It is judged by all equations of all joints:
+by blocks of the recording that had no part in finding it (delete-block cross-validation).
 """
 
 from __future__ import annotations
@@ -10,29 +11,61 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from ident.linear_algebra.triangular import triangular
+from drivers.streams import FloatArray
+from ident.assessment.delay_equations import (
+    FEWEST_BLOCKS,
+    DelayEquations,
+    DelayFit,
+    contiguous_blocks,
+    delay_equations,
+    fit_delays,
+    held_out_errors,
+    recorded_weights,
+    torque_slopes,
+)
 from ident.model.regressor import RegressorKernel
-from ident.regression.autocorrelation import independent_share, residual_autocorrelation
-from ident.regression.comparison import compare_torques
-from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.regression.least_squares import excited_columns, ordinary_least_squares
-from ident.regression.observation_matrix import Reduction, only_torques, reduce_segments
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
-from ident.signals.resampling import shift_torque
+from ident.signals.repetition import IntArray
+from ident.verdict.catalogue import raised
+from ident.verdict.check import Check
 
 WORTHWHILE_GAIN = 0.01
-"""A delay is used only if it lowers the residual's norm by at least this share."""
+"""A delay is used only if it lowers the error on held-out blocks by at least this share."""
 
-SURE_DEVIATIONS = 4.0
-"""… and if it is this many σ from 0."""
+LEVEL = 0.05
+"""Significance level: of a delay's interval, and of a fall of the error over the blocks (paired t-test, one-sided)."""
 
 LONGEST = 0.1
 """Delays beyond this [s] are not a drive's: something else is wrong with the stamps."""
 
-_STEPS = 6
+LEAST_DRIFT = 1e-3
+"""A drift over the recording by less than this [s] is not reported."""
+
+SURE = 2.0
+"""A drift is reported where it is beyond so many times its interval."""
+
+_STEPS = 10
 _SETTLED = 1e-5
+
+
+@dataclass(frozen=True)
+class JointDelay:
+    """Delay of one joint's torque.
+
+    Attributes:
+        joint: its name.
+        best: estimate for this joint alone [s]; nan where its torque shows none.
+        interval: half of its 95 % interval [s].
+        used: the delay to use [s].
+    """
+
+    joint: str
+    best: float
+    interval: float
+    used: float
 
 
 @dataclass(frozen=True)
@@ -40,18 +73,36 @@ class DelaySearch:
     """Outcome of the search.
 
     Attributes:
-        best: delay [s] with the smallest residual, positive where the torque lags; nan where none was found.
-        std: its standard deviation [s], corrected for the residuals' autocorrelation; nan where none was found.
-        gain: share by which it lowers the residual's norm.
-        used: the delay to use [s]: `best` where it is worthwhile, else 0.
+        best: delay [s] that all joints share, positive where the torque lags; nan where none was found.
+        std: its standard deviation [s], by delete-block jackknife; nan where none was found.
+        interval: half of its 95 % interval [s]; nan where none was found.
+        gain: share by which the best delay lowers the error over all equations of held-out blocks.
+        used: the delay to use [s]: `best` where it helps, else 0.
+        joints: of each joint; `used` differs from that of all joints where a joint has a delay of its own.
+        leads: whether the torque is ahead of its motion beyond the interval, which no drive can bring about.
+        drift: growth of the delay with time [s/s]; nan where none was found.
+        drift_interval: half of its 95 % interval [s/s].
+        drifts: whether the drift is significant and matters.
         note: the outcome in words.
     """
 
     best: float
     std: float
+    interval: float
     gain: float
     used: float
+    joints: tuple[JointDelay, ...]
+    leads: bool
+    drift: float
+    drift_interval: float
+    drifts: bool
     note: str
+
+    @property
+    def joint_delays(self) -> tuple[float, ...] | None:
+        """The delay to use for each joint [s] where they differ; None where `used` holds for all."""
+        delays = tuple(joint.used for joint in self.joints)
+        return delays if any(delay != self.used for delay in delays) else None
 
 
 def search_delay(
@@ -60,63 +111,234 @@ def search_delay(
     parallel_filter: ZeroPhaseFilter,
     torques_of: Sequence[int] | None = None,
 ) -> DelaySearch:
-    """Find the delay by which the torque of all segments lags their motion (prepared with delay 0).
+    """Find the delay by which the torque of all segments lags their motion, and say whether it helps.
 
     Args:
         kernel: of the base columns.
-        segments: prepared with delay 0.
+        segments: prepared with delay 0; all their equations count, near velocity reversals too.
         parallel_filter: for τ and W.
         torques_of: numbers of the joints whose torques are looked at; all where None.
     """
-    joints = list(range(kernel.model.dof) if torques_of is None else torques_of)
-    delay = 0.0
-    at_zero = float("nan")
+    dof = kernel.model.dof
+    seen = np.isin(np.arange(dof), range(dof) if torques_of is None else list(torques_of))
+    data = _Data(kernel, segments, parallel_filter, seen, contiguous_blocks(segments, parallel_filter))
+    if data.count < FEWEST_BLOCKS:
+        return _none_found(kernel, f"too few samples to search a delay: fewer than {FEWEST_BLOCKS} blocks; none used")
+    if not any(np.ptp(segment.torque[seen], axis=1).any() for segment in segments):
+        return _none_found(kernel, "the torque does not change: no delay can be seen")
+    common = _settled(data, tuple(0 if joint else None for joint in seen), np.zeros(dof))
+    if common is None:
+        return _none_found(kernel, f"no delay within ±{LONGEST * 1e3:g} ms fits; none used")
+    return _judged(data, common)
+
+
+def delay_checks(search: DelaySearch | None) -> list[Check]:
+    """A torque that is ahead of its motion where that matters, and a delay that drifts."""
+    if search is None:
+        return []
+    checks = []
+    if search.leads and search.gain >= WORTHWHILE_GAIN:
+        text = (
+            f"the torque is ahead of the motion by {_milliseconds(-search.best, search.interval)}, which no drive can "
+            "bring about: check the clocks of position and torque, a filter of the positions in the controller, and "
+            f"friction (not compensated, although the error on held-out blocks would fall by {search.gain * 100:.1f} %)"
+        )
+        checks.append(raised("torque-ahead", text))
+    if search.drifts:
+        text = (
+            f"the delay of the torque changes by {search.drift * 1e3:.3g} ± {search.drift_interval * 1e3:.2g} ms per "
+            f"second: the clocks of torque and position differ by the factor {1.0 + search.drift:.6g}; check how "
+            "the recording's signals were brought together"
+        )
+        checks.append(raised("clocks-drift", text))
+    return checks
+
+
+@dataclass(frozen=True, eq=False)
+class _Data:
+    """What is searched: which torques (n,) are `seen`, and each filtered sample's block."""
+
+    kernel: RegressorKernel
+    segments: Sequence[Segment]
+    parallel_filter: ZeroPhaseFilter
+    seen: npt.NDArray[np.bool_]
+    blocks: tuple[tuple[IntArray, ...], int]
+
+    @property
+    def count(self) -> int:
+        """Number of blocks."""
+        return self.blocks[1]
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """Delays that joints share.
+
+    Attributes:
+        equations: at these delays.
+        fit: on all blocks.
+        without: (B, n) delays [s], found without each block.
+    """
+
+    equations: DelayEquations
+    fit: DelayFit
+    without: FloatArray
+
+    @property
+    def std(self) -> FloatArray:
+        """Jackknife standard deviations (n,) of the delays [s]."""
+        return _jackknife(self.without)
+
+
+def _settled(data: _Data, groups: Sequence[int | None], start: FloatArray) -> _Candidate | None:
+    """Newton from `start` (n,) [s]; None where it leaves ±LONGEST or does not settle."""
+    delays = start
     for _ in range(_STEPS):
-        torques = []
-        for segment in segments:
-            shifted = shift_torque(segment.torque, segment.rate, delay)
-            torques.append(np.vstack([shifted, np.gradient(shifted, 1.0 / segment.rate, axis=1)]))
-        reduction = only_torques(reduce_segments(kernel, segments, parallel_filter, torques), joints)
-        active = excited_columns(reduction)
-        stacked = reduction.stacked()
-        rest = triangular(stacked[:, [*active, -2, -1]])[len(active) :, -2:]
-        residual, slope = rest[:, 0], rest[:, 1]
-        norm = float(np.linalg.norm(residual))
-        if np.isnan(at_zero):
-            at_zero = norm
-        steepness = float(slope @ slope)
-        if steepness == 0.0 or at_zero == 0.0:
-            return DelaySearch(float("nan"), float("nan"), 0.0, 0.0, "the torque does not change: no delay can be seen")
-        step = -float(slope @ residual) / steepness
-        if abs(step) < _SETTLED:
-            break
-        delay += step
-        if abs(delay) > LONGEST:
-            note = f"no delay within ±{LONGEST * 1e3:g} ms fits; none used"
-            return DelaySearch(float("nan"), float("nan"), 0.0, 0.0, note)
-    gain = 1.0 - norm / at_zero
-    std = _standard_deviation(kernel, segments, parallel_filter, reduction, steepness, joints)
-    side = "lags" if delay > 0 else "leads"
-    lag = f"torque {side} the motion by {abs(delay) * 1e3:.2f} ± {WITHIN_95_PERCENT * std * 1e3:.2f} ms"
-    if abs(delay) < SURE_DEVIATIONS * std:
-        return DelaySearch(delay, std, gain, 0.0, f"{lag}: less than {SURE_DEVIATIONS:g} σ, none used")
-    lag += f" (residual {gain * 100:.1f} % smaller)"
-    if gain < WORTHWHILE_GAIN:
-        return DelaySearch(delay, std, gain, 0.0, f"{lag}: too small to matter, none used")
-    return DelaySearch(delay, std, gain, delay, lag)
+        equations = delay_equations(
+            data.kernel, data.segments, data.parallel_filter, data.blocks, delays, seen=data.seen
+        )
+        fit = fit_delays(equations, groups)
+        if np.max(np.abs(fit.delays)) > LONGEST:
+            return None
+        if np.max(np.abs(fit.delays - delays)) < _SETTLED:
+            return _candidate(equations, groups)
+        delays = fit.delays
+    return None
 
 
-def _standard_deviation(
-    kernel: RegressorKernel,
-    segments: Sequence[Segment],
-    parallel_filter: ZeroPhaseFilter,
-    reduction: Reduction,
-    steepness: float,
-    joints: list[int],
-) -> float:
-    """Of the delay [s]: the classical one over the square root of the share of independent rows (AR(1) residuals)."""
-    solution = ordinary_least_squares(reduction, excited_columns(reduction))
-    series = compare_torques(kernel.model, kernel.columns, solution.parameters, segments, parallel_filter)
-    share = independent_share(residual_autocorrelation(series)[joints])
-    freedom = reduction.rows - len(solution.active)
-    return float(np.sqrt(solution.residual_sum / freedom / steepness / share))
+def _candidate(equations: DelayEquations, groups: Sequence[int | None]) -> _Candidate:
+    """The delays of `groups`, from equations near them."""
+    fit = fit_delays(equations, groups)
+    without = [
+        fit_delays(equations, groups, without=block, weights=fit.weights).delays for block in range(equations.blocks)
+    ]
+    return _Candidate(equations, fit, np.array(without))
+
+
+def _judged(data: _Data, common: _Candidate) -> DelaySearch:
+    """Whether the common delay helps, and beside it delays of single joints."""
+    count, dof = data.count, data.kernel.model.dof
+    quantile = _t_quantile(1.0 - LEVEL / 2.0, count)
+    first = int(np.flatnonzero(data.seen)[0])
+    best, std = float(common.fit.delays[first]), float(common.std[first])
+    interval = quantile * std
+    weights = recorded_weights(common.equations, data.seen)
+    errors = held_out_errors(common.equations, None, weights)
+    delayed = held_out_errors(common.equations, common.without, weights)
+    gain = _gain(errors, delayed)
+    used, helps = 0.0, best > interval and _falls(errors, delayed)
+    if helps:
+        used, errors = best, delayed
+    alone = _candidate(common.equations, [joint if seen else None for joint, seen in enumerate(data.seen)])
+    delays = np.full(dof, used)
+    own = _own_delays(data, alone, used, helps)
+    if own is not None and _falls(errors, held_out_errors(own.equations, own.without, weights)):
+        delays = own.fit.delays
+        used = float(delays[_sharing(data, alone, used)][0]) if helps else 0.0
+    drift, drift_interval = _drift(common, quantile)
+    seconds = float(data.segments[-1].time[-1] - data.segments[0].time[0])
+    values = np.where(torque_slopes(common.equations) > 0.0, alone.fit.delays, np.nan)
+    joints = tuple(
+        JointDelay(name, float(value), float(quantile * deviation), float(delay))
+        for name, value, deviation, delay in zip(data.kernel.model.joint_names, values, alone.std, delays, strict=True)
+    )
+    return DelaySearch(
+        best=best,
+        std=std,
+        interval=interval,
+        gain=gain,
+        used=used,
+        joints=joints,
+        leads=best < -interval,
+        drift=drift,
+        drift_interval=drift_interval,
+        drifts=abs(drift) > SURE * drift_interval and abs(drift) * seconds > LEAST_DRIFT,
+        note=_in_words(best, interval, gain, helps, used, joints),
+    )
+
+
+def _sharing(data: _Data, alone: _Candidate, shared: float) -> npt.NDArray[np.bool_]:
+    """(n,) joints whose delay does not differ significantly from the shared one, or that lead; all n tested at once."""
+    tests = int(data.seen.sum())
+    far = np.abs(alone.fit.delays - shared) > _t_quantile(1.0 - LEVEL / 2.0 / tests, data.count) * alone.std
+    leads = alone.fit.delays < -_t_quantile(1.0 - LEVEL / 2.0, data.count) * alone.std
+    return data.seen & (~far | leads)
+
+
+def _own_delays(data: _Data, alone: _Candidate, shared: float, helps: bool) -> _Candidate | None:
+    """Joints that differ from the shared delay get one of their own, not below 0; None where none differs."""
+    sharing = _sharing(data, alone, shared)
+    own = data.seen & ~sharing
+    lagging = own & (alone.fit.delays > 0.0)
+    if not own.any() or not sharing.any() or not (lagging.any() or helps):
+        return None
+    start = np.where(lagging, np.clip(alone.fit.delays, 0.0, LONGEST), np.where(sharing, shared, 0.0))
+    groups: list[int | None] = [
+        joint + 1 if lagging[joint] else 0 if sharing[joint] and helps else None for joint in range(len(own))
+    ]
+    return _settled(data, groups, start)
+
+
+def _drift(common: _Candidate, quantile: float) -> tuple[float, float]:
+    """Growth of the common delay with time [s/s], and half of its 95 % interval."""
+    equations, weights = common.equations, common.fit.weights
+    groups = [0 if weight > 0.0 else None for weight in weights]
+    drift = fit_delays(equations, groups, weights=weights, drift=True).drift
+    without = [
+        fit_delays(equations, groups, without=block, weights=weights, drift=True).drift
+        for block in range(equations.blocks)
+    ]
+    return drift, quantile * float(_jackknife(np.array(without)))
+
+
+def _jackknife(without: FloatArray) -> FloatArray:
+    """Standard deviation of an estimate (…) from its values (B, …) without each block."""
+    count = len(without)
+    return np.asarray(np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0)))
+
+
+def _gain(errors: FloatArray, other: FloatArray) -> float:
+    """Share by which `other` is below `errors`, sums of squares (B,) of all blocks, as norms."""
+    total = float(errors.sum())
+    return 1.0 - float(np.sqrt(other.sum() / total)) if total > 0.0 else 0.0
+
+
+def _falls(errors: FloatArray, other: FloatArray) -> bool:
+    """Whether errors (B,) of the blocks fall, significantly and by a share that matters."""
+    fall = errors - other
+    deviation = float(np.std(fall, ddof=1)) / np.sqrt(len(fall))
+    significant = float(fall.mean()) > _t_quantile(1.0 - LEVEL, len(fall)) * deviation
+    return significant and _gain(errors, other) >= WORTHWHILE_GAIN
+
+
+def _t_quantile(probability: float, blocks: int) -> float:
+    from scipy.special import stdtrit
+
+    return float(stdtrit(blocks - 1, probability))
+
+
+def _milliseconds(value: float, interval: float) -> str:
+    return f"{value * 1e3:.2f} ± {interval * 1e3:.2f} ms"
+
+
+def _in_words(best: float, interval: float, gain: float, helps: bool, used: float, joints: Sequence[JointDelay]) -> str:
+    text = f"torque {'lags' if best > 0 else 'leads'} the motion by {_milliseconds(abs(best), interval)}"
+    effect = f"error on held-out blocks {abs(gain) * 100:.1f} % {'smaller' if gain > 0 else 'larger'} with it"
+    if helps:
+        text += f" ({effect})"
+    elif best < -interval:
+        text += f": suspicious (clock, filter in the controller, friction; {effect}), none used"
+    elif best <= interval:
+        text += ": not significant, none used"
+    else:
+        text += f": it does not help ({effect}), none used"
+    own = [f"{joint.joint} {joint.used * 1e3:.2f} ms" for joint in joints if joint.used != used]
+    if own:
+        text += f"; of their own: {', '.join(own)}"
+    return text
+
+
+def _none_found(kernel: RegressorKernel, note: str) -> DelaySearch:
+    nan = float("nan")
+    joints = tuple(JointDelay(name, nan, nan, 0.0) for name in kernel.model.joint_names)
+    return DelaySearch(nan, nan, nan, 0.0, 0.0, joints, False, nan, nan, False, note)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from daq.recording.recording import Recording
 from daq.recording.signal_quality import ColumnQuality, channel_quality
 from daq.recording.stream_quality import StreamQuality, stream_quality
+from ident.assessment.time_axis import time_axis_checks
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -78,6 +79,7 @@ def recording_checks(
             period = 1e3 / quality.rate_hz
             text = f"{of}{name}: stamps jitter by {quality.jitter_ms:.2g} ms at a period of {period:.2g} ms"
             checks.append(raised("jittering-stamps", text))
+    checks += time_axis_checks(recording, of)
     for (stream, quantity), qualities in columns.items():
         clipped = [column for column in qualities if column.clipped_percent > CLIPPED_PERCENT]
         if quantity in MOTOR_SIGNALS and clipped:

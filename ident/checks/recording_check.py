@@ -14,7 +14,7 @@ from daq.recording.signal_quality import ColumnQuality
 from daq.recording.stream_quality import StreamQuality
 from daq.robot.loader import RobotFile
 from drivers.errors import DynidError
-from ident.assessment.delay import DelaySearch, search_delay
+from ident.assessment.delay import DelaySearch, delay_checks, search_delay
 from ident.assessment.excitation import ExcitationReached, excitation_reached
 from ident.assessment.recorded_motion import RecordedMotion, recorded_motion
 from ident.assessment.recording_checks import column_qualities, recording_checks, stream_qualities
@@ -27,7 +27,7 @@ from ident.excite.sufficiency import (
     times_needed,
 )
 from ident.regression.pruning import SIGNIFICANT_RSD
-from ident.regression.velocity_reversals import without_reversals
+from ident.signals.options import PreprocessChoices
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 from ident.verdict.verdict import Verdict, judge
@@ -87,10 +87,11 @@ def recording_info(
     if motion is not None:
         excitation = excitation_reached(motion)
         delay = _delay(motion)
-        sufficiency = motion_sufficiency(motion, delay.used if delay is not None else 0.0)
+        sufficiency = motion_sufficiency(motion, _delays(delay))
     if sufficiency is not None and wanted_rsd_percent is not None:
         times = times_needed(sufficiency, wanted_rsd_percent)
-    checks = recording_checks(recording, streams, columns) + _excitation_checks(recording, excitation)
+    checks = recording_checks(recording, streams, columns) + delay_checks(delay)
+    checks += _excitation_checks(recording, excitation)
     if motion is not None and motion.measured is not None:
         checks += torque_level_checks(robot_file.robot, motion.model, motion.measured.torque)
     verdict = judge(checks, None)
@@ -103,10 +104,16 @@ def _delay(motion: RecordedMotion) -> DelaySearch | None:
     if motion.measured is None:  # `identify` says why
         return None
     try:
-        segments = without_reversals(motion.kernel, motion.prepared.segments)
-        return search_delay(motion.kernel, segments, motion.prepared.parallel_filter)
+        return search_delay(motion.kernel, motion.prepared.segments, motion.prepared.parallel_filter)
     except DynidError:  # too short for an estimate
         return None
+
+
+def _delays(search: DelaySearch | None) -> PreprocessChoices | None:
+    """The default preprocessing with the delays that are used; None where there are none."""
+    if search is None or not any(joint.used for joint in search.joints):
+        return None
+    return PreprocessChoices(delay=search.used, joint_delays=search.joint_delays)
 
 
 def _excitation_checks(recording: Recording, excitation: ExcitationReached | None) -> list[Check]:

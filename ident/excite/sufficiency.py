@@ -17,7 +17,6 @@ from ident.regression.comparison import compare_torques
 from ident.regression.jackknife import FilteredRun, block_jackknife
 from ident.regression.least_squares import weighted_least_squares
 from ident.regression.pruning import SIGNIFICANT_RSD
-from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
 
@@ -75,27 +74,24 @@ class TimesNeeded:
     sentence: str
 
 
-def motion_sufficiency(motion: RecordedMotion, delay: float = 0.0) -> Sufficiency | None:
+def motion_sufficiency(motion: RecordedMotion, choices: PreprocessChoices | None = None) -> Sufficiency | None:
     """Expected error bars of a recorded motion; None without knowledge of parameters and noise.
 
     Both come from a quick identification of all of it, or from the robot file where no torque is known.
 
     Args:
         motion: of a recording.
-        delay: of the torque [s].
+        choices: its preprocessing; as `motion` was prepared where None.
     """
     if motion.measured is not None:
         with suppress(DynidError):  # too short to identify anything from
-            return _from_torque(motion if delay == 0.0 else _shifted(motion, motion.measured, delay))
+            prepared = motion.prepared if choices is None else prepare(motion.measured, choices)
+            return _from_torque(replace(motion, prepared=prepared))
     try:
         prior = find_prior(motion.robot_file)
     except DynidError:
         return None
     return _summary(motion, prior)
-
-
-def _shifted(motion: RecordedMotion, measured: JointSignals, delay: float) -> RecordedMotion:
-    return replace(motion, prepared=prepare(measured, PreprocessChoices(delay=delay)))
 
 
 def _summary(motion: RecordedMotion, prior: Prior, repetitions: float = 1.0) -> Sufficiency:

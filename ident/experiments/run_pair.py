@@ -27,7 +27,6 @@ from ident.regression.autocorrelation import residual_autocorrelation
 from ident.regression.comparison import TorqueSeries, compare_torques
 from ident.regression.jackknife import block_count, block_length, distinct_samples, rows_by_block
 from ident.regression.observation_matrix import Reduction, reduce_segments, stack_reductions
-from ident.regression.velocity_reversals import without_reversals
 from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
@@ -144,8 +143,8 @@ def prepare_pair(
     first = prepare(motions[FREE], PreprocessChoices(delay=delay or 0.0))
     choices, note = first.choices, "as given, not searched"
     if delay is None:
-        search = search_delay(kernel, without_reversals(kernel, first.segments), first.parallel_filter)
-        choices, note = replace(choices, delay=search.used), search.note
+        search = search_delay(kernel, first.segments, first.parallel_filter)
+        choices, note = replace(choices, delay=search.used, joint_delays=search.joint_delays), search.note
     runs = []
     for motion in motions:
         prepared = prepare(motion, choices)

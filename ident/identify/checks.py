@@ -11,6 +11,7 @@ from daq.recording.recording import Recording
 from drivers.errors import IdentificationError
 from ident.assessment.channels import channel_checks, opposite_gravity
 from ident.assessment.idle_joints import idle_joint_checks
+from ident.assessment.delay import delay_checks
 from ident.assessment.plausibility import (
     POSES,
     fits_opposite_gravity,
@@ -58,6 +59,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     checks = [check for one in recordings for check in recording_checks(one, label=one.label if several else "")]
     torque = np.concatenate([run.signals.torque for run in identification.runs])
     checks += torque_level_checks(identification.robot_file.robot, identification.model, torque)
+    checks += delay_checks(identification.delay)
     checks += _size_checks(identification)
     checks += _experiment_checks(identification)
     checks += _excitation_checks(identification)

@@ -11,7 +11,7 @@ from ident.identify.data_split import DataSplit, RunWindow
 from ident.identify.identification import IdentifyChoices, PreparedRun
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
-from ident.regression.velocity_reversals import leave_out_reversals, without_reversals
+from ident.regression.velocity_reversals import leave_out_reversals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
 
@@ -57,9 +57,8 @@ def prepare_data(
     resolved, delay = first.choices, None
     if choices.search_delay:
         progress("delay")
-        segments = without_reversals(kernel, first.segments)
-        delay = search_delay(kernel, segments, first.parallel_filter, torques)
-        resolved = replace(resolved, delay=delay.used)
+        delay = search_delay(kernel, first.segments, first.parallel_filter, torques)
+        resolved = replace(resolved, delay=delay.used, joint_delays=delay.joint_delays)
     runs = [_prepare_run(run, resolved, torques) for run in data.identification]
     return PreparedData(
         runs=tuple(replace(run, prepared=leave_out_reversals(kernel, run.prepared, choices.reversals)) for run in runs),

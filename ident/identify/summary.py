@@ -14,6 +14,7 @@ import numpy as np
 from daq.recording.recording import Recording, software_versions
 from daq.robot.schema import Robot
 from drivers.streams import FloatArray
+from ident.assessment.delay import DelaySearch
 from ident.assessment.validation import FitFigures
 from ident.identify.identification import Identification, PreparedRun
 from ident.model.base_parameters import BaseParameters
@@ -33,6 +34,7 @@ from ident.result.schema import (
     Excitation,
     ExperimentResult,
     Fit,
+    JointDelayFigures,
     JointFrictionResult,
     ModelOptions,
     ProcessingStep,
@@ -73,11 +75,7 @@ def summarise(
                 _experiment_step(identification),
             )
         ],
-        delay=DelayFigures(
-            used=identification.choices.preprocess.delay,
-            best=None if identification.delay is None else identification.delay.best,
-            note="as given, not searched" if identification.delay is None else identification.delay.note,
-        ),
+        delay=delay_figures(identification.choices.preprocess.delay, identification.delay),
         base_parameters=parameter_results(
             model, base, solution, identification.std, pruned, identification.choices.significant_rsd
         ),
@@ -116,6 +114,21 @@ def summarise(
         verdict=_verdict(identification),
         experiments=[experiment_result(model, identification.experiment)],
         estimate=estimate_result(identification.estimate, base.names),
+    )
+
+
+def delay_figures(used: float, search: DelaySearch | None) -> DelayFigures:
+    """The delay that was used [s] and, where it was searched, what was found."""
+    if search is None:
+        return DelayFigures(used=used, best=None, note="as given, not searched")
+    return DelayFigures(
+        used=used,
+        best=search.best,
+        note=search.note,
+        interval=search.interval,
+        gain=search.gain,
+        leads=search.leads,
+        joints=[JointDelayFigures.model_validate(joint, from_attributes=True) for joint in search.joints],
     )
 
 
@@ -201,7 +214,7 @@ def _significant(identification: Identification) -> np.ndarray[tuple[int], np.dt
     )
 
 
-def _options(identification: Identification) -> dict[str, float | int | str | bool | None]:
+def _options(identification: Identification) -> dict[str, float | int | str | bool | list[float] | None]:
     """What the run was asked for, cut-offs resolved, so that it can be repeated and a new recording treated alike."""
     choices = identification.choices
     return {

@@ -52,7 +52,7 @@ def half_interval(std: float | None) -> float | str:
     return "" if std is None or not math.isfinite(std) else WITHIN_95_PERCENT * std
 
 
-def setting(value: float | int | str | bool | None) -> str:
+def setting(value: float | int | str | bool | list[float] | None) -> str:
     """An option's or a setting's value."""
     if value is None:
         return DASH

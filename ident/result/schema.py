@@ -204,12 +204,25 @@ class RecordingUse(_Part):
     torques_of: list[str] = Field(default=[], description="motors whose torques were used")
 
 
+class JointDelayFigures(_Part):
+    """One joint's torque against its position [s]; positive where the torque lags."""
+
+    joint: str
+    used: float
+    best: Number = Field(description="estimate for this joint alone; null where its torque shows none")
+    interval: Number = Field(description="half of its 95 % interval")
+
+
 class DelayFigures(_Part):
     """Torque against position [s]; positive where the torque lags."""
 
-    used: float
-    best: Number = Field(description="the delay with the smallest residual; null where it was not searched")
+    used: float = Field(description="of all joints that have none of their own")
+    best: Number = Field(description="the delay that fits best for all joints together; null where it was not searched")
     note: str
+    interval: Number = Field(default=None, description="half of the 95 % interval of `best`")
+    gain: Number = Field(default=None, description="share by which `best` lowers the error on blocks held out")
+    leads: bool = Field(default=False, description="the torque is ahead of its motion beyond the interval")
+    joints: list[JointDelayFigures] = Field(default=[], description="empty where it was not searched")
 
 
 class ModelOptions(_Part):
@@ -233,7 +246,7 @@ class Result(_Part):
     urdf: str
     joints: list[str]
     method: str
-    options: dict[str, float | int | str | bool | None]
+    options: dict[str, float | int | str | bool | list[float] | None]
     model_options: ModelOptions
     preprocessing: list[ProcessingStep]
     delay: DelayFigures

@@ -33,6 +33,7 @@ class PreprocessChoices:
             the Butterworth is then left out unless `position_cutoff` is given.
         filter_kind: of the parallel filter.
         delay: τ(t + delay) is compared with q(t) [s]; positive where the torque lags.
+        joint_delays: (n,) the same for each joint, in place of `delay`, where joints differ.
         measured_velocity: use the recorded velocity for q̇ instead of the positions' derivative.
         start: of the window, from the recording's first stamp [s].
         stop: of the window, from the recording's first stamp [s].
@@ -46,6 +47,7 @@ class PreprocessChoices:
     position_decimate: int = 1
     filter_kind: FilterKind = "butterworth"
     delay: float = 0.0
+    joint_delays: tuple[float, ...] | None = None
     measured_velocity: bool = False
     start: float | None = None
     stop: float | None = None
@@ -57,6 +59,8 @@ class PreprocessChoices:
             value = getattr(self, field.name)
             if isinstance(value, float) and not math.isfinite(value):
                 raise UsageError(f"{value} is not a number that can be used", where=field.name)
+        if not all(math.isfinite(delay) for delay in self.joint_delays or ()):
+            raise UsageError("a joint's delay is not a number that can be used", where="joint_delays")
         for name in ("position_cutoff", "torque_cutoff"):
             value = getattr(self, name)
             if value is not None and value <= 0:

@@ -74,7 +74,7 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
     windowed, window_step = _windowed(signals, choices)
     irregularity = measure_irregularity(windowed.time)
     uniform, resample_step = _uniform(windowed, irregularity)
-    aligned, delay_step = _aligned(uniform, choices.delay)
+    aligned, delay_step = _aligned(uniform, signals.joint_names, choices)
     band = _motion_band(aligned)
     decimated, decimation_step = _decimated(aligned, band, choices.position_decimate)
     rate = decimated[0].rate
@@ -214,21 +214,43 @@ def _kept(segment: UniformSegment, columns: slice | np.ndarray[tuple[int], np.dt
     )
 
 
-def _aligned(segments: tuple[UniformSegment, ...], delay: float) -> tuple[tuple[UniformSegment, ...], Step | None]:
-    """Step 'delay': the torque moved against the position, ends without a torque cut off."""
-    if delay == 0.0:
+def _aligned(
+    segments: tuple[UniformSegment, ...], joint_names: Sequence[str], choices: PreprocessChoices
+) -> tuple[tuple[UniformSegment, ...], Step | None]:
+    """Step 'delay': the torques moved against the positions, ends without a torque cut off."""
+    delays = (choices.delay,) * len(joint_names) if choices.joint_delays is None else choices.joint_delays
+    if len(delays) != len(joint_names):
+        raise UsageError(f"{len(delays)} delays for {len(joint_names)} joints", where="joint_delays")
+    if not any(delays):
         return segments, None
-    measured = [shiftable(len(segment.time), segment.rate, delay) for segment in segments]
+    measured = [_shiftable(segment, delays) for segment in segments]
     aligned = tuple(
-        _kept(replace(segment, torque=shift_torque(segment.torque, segment.rate, delay)), columns)
+        _kept(replace(segment, torque=_shifted(segment, delays)), columns)
         for segment, columns in zip(segments, measured, strict=True)
         if columns.stop - columns.start >= SHORTEST_SEGMENT
     )
     if not aligned:
-        raise UsageError(f"a delay of {delay:g} s is longer than the recording", where="delay", hint="give seconds")
-    sign = "later" if delay > 0 else "earlier"
-    text = f"position compared with the torque {1e3 * abs(delay):.4g} ms {sign}, ends cut off"
-    return aligned, Step("delay", {"delay_s": delay}, text)
+        longest = max(delays, key=abs)
+        raise UsageError(f"a delay of {longest:g} s is longer than the recording", where="delay", hint="give seconds")
+    if choices.joint_delays is None:
+        sign = "later" if choices.delay > 0 else "earlier"
+        text = f"position compared with the torque {1e3 * abs(choices.delay):.4g} ms {sign}, ends cut off"
+        return aligned, Step("delay", {"delay_s": choices.delay}, text)
+    of_joints = ", ".join(f"{name} {1e3 * delay:.4g} ms" for name, delay in zip(joint_names, delays, strict=True))
+    settings = {f"delay_s_{name}": delay for name, delay in zip(joint_names, delays, strict=True)}
+    return aligned, Step("delay", settings, f"position compared with the torque later by {of_joints}; ends cut off")
+
+
+def _shifted(segment: UniformSegment, delays: Sequence[float]) -> FloatArray:
+    rows = [shift_torque(row[None], segment.rate, delay) for row, delay in zip(segment.torque, delays, strict=True)]
+    return np.concatenate(rows)
+
+
+def _shiftable(segment: UniformSegment, delays: Sequence[float]) -> slice:
+    """The columns in which every joint's torque comes from measured samples; may be empty."""
+    parts = [shiftable(len(segment.time), segment.rate, delay) for delay in set(delays)]
+    start = max(part.start for part in parts)
+    return slice(start, max(start, min(part.stop for part in parts)))
 
 
 def _motion_band(segments: Sequence[UniformSegment]) -> float:

@@ -57,6 +57,32 @@ _RECORDING = (
         "Use the stamps of the robot's controller, not those of the receiving computer.",
     ),
     CheckKind(
+        "wrong-time-axis",
+        "serious",
+        ALL,
+        "the time stamps are off by a constant factor",
+        "Import again with the right --time-unit or --rate; the factor is in the sentence.",
+    ),
+    _note(
+        "velocity-scale",
+        "the recorded velocity of some joints is not the change of their position",
+        "It is not used unless --measured-velocity is given; check its unit and gear ratio.",
+    ),
+    CheckKind(
+        "clocks-drift",
+        "warning",
+        ALL,
+        "two clocks drift apart",
+        "Use one clock for all signals, or correct the stamps by the factor in the sentence.",
+    ),
+    CheckKind(
+        "torque-ahead",
+        "warning",
+        PARAMETERS,
+        "the torque is ahead of its motion, which no drive can bring about",
+        "Check the clocks of position and torque, a filter of the positions in the controller, and friction.",
+    ),
+    CheckKind(
         "signal-clipped",
         "warning",
         ALL,

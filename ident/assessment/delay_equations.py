@@ -1,0 +1,331 @@
+"""The equations that a search for the torque's delay solves, summed up block by block.
+
+With τ and its derivative taken at a delay d, τ(t + δ) = τ(t + d) + (δ − d)·τ̇(t + d) to first order: beside the base
+parameters, corrections of the delays are linear unknowns. Of each joint and each block of consecutive samples the Gram
+matrix of [W τ…] is kept, so that estimates without a block, and errors on it, cost no further pass over the data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.streams import FloatArray
+from ident.model.regressor import RegressorKernel
+from ident.regression.jackknife import rows_by_block
+from ident.regression.velocity_reversals import ADVISED_SHARE, reversal_mask
+from ident.signals.filters import ZeroPhaseFilter
+from ident.signals.prepared import Segment
+from ident.signals.repetition import IntArray, motion_phases
+from ident.signals.resampling import shift_torque
+
+BLOCKS = 20
+FEWEST_BLOCKS = 5
+LEAST_SAMPLES = 4
+"""Of a block, after the parallel filter."""
+
+MEMORY = 0.1
+"""What a velocity reversal adds to the filtered torque is down to this share where equations count again: a Butterworth
+filter has it one period of its cut-off later."""
+
+RECORDED, SHIFTED, SLOPE, DRIFTING, CURVATURE = range(5)
+"""Torques of every equation: as recorded, at the delay d, its derivative there, this times the time, and the second
+derivative."""
+
+_TORQUES = 5
+_ROUNDING = 1e-7
+_INDEPENDENT = 1e-10
+_WEIGHT_STEPS = 5
+_CONVEX = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class DelayEquations:
+    """Gram matrices of [W_j τ…] at given delays; w_j is the number of joint j's structurally non-zero base columns.
+
+    Attributes:
+        delays: (n,) d [s].
+        columns: of each joint, the base columns in its equations.
+        column_count: number of base columns b.
+        every: of each joint (B, w_j + 5, w_j + 5), over all equations of each block.
+        sliding: the same without the equations that a velocity reversal affects.
+        every_rows, sliding_rows: (B, n) number of equations.
+    """
+
+    delays: FloatArray
+    columns: tuple[tuple[int, ...], ...]
+    column_count: int
+    every: tuple[FloatArray, ...]
+    sliding: tuple[FloatArray, ...]
+    every_rows: FloatArray
+    sliding_rows: FloatArray
+
+    @property
+    def blocks(self) -> int:
+        """B."""
+        return len(self.every_rows)
+
+
+@dataclass(frozen=True, eq=False)
+class DelayFit:
+    """A solution on the sliding equations.
+
+    Attributes:
+        delays: (n,) [s].
+        drift: by how much the delay grows with time [s/s]; 0 where it was not estimated.
+        weights: (n,) one over each joint's residual [1/(N·m)]; 0 for joints that are left out.
+    """
+
+    delays: FloatArray
+    drift: float
+    weights: FloatArray
+
+
+def contiguous_blocks(
+    segments: Sequence[Segment], parallel_filter: ZeroPhaseFilter
+) -> tuple[tuple[IntArray, ...], int]:
+    """Number (M,) of each filtered sample's block, and how many there are; repetitions of a motion share blocks."""
+    phases = motion_phases([segment.velocity[:, :: parallel_filter.factor] for segment in segments])
+    used = [phase[segment.used[:: parallel_filter.factor]] for phase, segment in zip(phases, segments, strict=True)]
+    different = np.unique(np.concatenate(used))
+    count = max(1, min(BLOCKS, len(different) // LEAST_SAMPLES))
+    numbers = [np.searchsorted(different, phase) * count // max(1, len(different)) for phase in phases]
+    return tuple(np.minimum(number, count - 1) for number in numbers), count
+
+
+def delay_equations(
+    kernel: RegressorKernel,
+    segments: Sequence[Segment],
+    parallel_filter: ZeroPhaseFilter,
+    blocks: tuple[tuple[IntArray, ...], int],
+    delays: FloatArray,
+    seen: npt.NDArray[np.bool_],
+) -> DelayEquations:
+    """Sum up the equations of `segments` (prepared with delay 0).
+
+    Args:
+        kernel: of the base columns.
+        segments: motion and torque.
+        parallel_filter: for τ and W.
+        blocks: as of `contiguous_blocks`.
+        delays: (n,) at which the joints' torques are taken [s].
+        seen: (n,) joints whose equations count.
+    """
+    numbers, count = blocks
+    dof = kernel.model.dof
+    widths = [len(joint.columns) + _TORQUES for joint in kernel.joint_rows]
+    every = tuple(np.zeros((count, width, width)) for width in widths)
+    sliding = tuple(np.zeros((count, width, width)) for width in widths)
+    every_rows, sliding_rows = np.zeros((count, dof)), np.zeros((count, dof))
+    middle = 0.5 * (segments[0].time[0] + segments[-1].time[-1])
+    for segment, number in zip(segments, numbers, strict=True):
+        slides = ~_reversing(kernel, segment, parallel_filter)
+        torques = _torques(segment, delays, middle)
+        whole = replace(segment, reversing=None)
+        for part in rows_by_block(kernel, whole, parallel_filter, number, torques):
+            for joint in np.flatnonzero(seen):
+                packed = kernel.joint_rows[joint]
+                rows = np.concatenate([part.regressor[packed.rows], part.torque[joint::dof]])
+                kept = rows[:, slides[joint, part.samples]]
+                every[joint][part.block] += rows @ rows.T
+                sliding[joint][part.block] += kept @ kept.T
+                every_rows[part.block, joint] += rows.shape[1]
+                sliding_rows[part.block, joint] += kept.shape[1]
+    columns = tuple(tuple(joint.columns) for joint in kernel.joint_rows)
+    return DelayEquations(delays, columns, len(kernel.columns), every, sliding, every_rows, sliding_rows)
+
+
+def _torques(segment: Segment, delays: FloatArray, middle: float) -> FloatArray:
+    shifted = np.vstack(
+        [shift_torque(row[None], segment.rate, delay) for row, delay in zip(segment.torque, delays, strict=True)]
+    )
+    slope = np.gradient(shifted, 1.0 / segment.rate, axis=1)
+    curvature = np.gradient(slope, 1.0 / segment.rate, axis=1)
+    return np.vstack([segment.torque, shifted, slope, (segment.time - middle) * slope, curvature])
+
+
+def _reversing(kernel: RegressorKernel, segment: Segment, parallel_filter: ZeroPhaseFilter) -> npt.NDArray[np.bool_]:
+    """(n, M) equations near a velocity reversal, and those into which the parallel filter carries it."""
+    reach = parallel_filter.settling_samples(MEMORY)
+    mask = reversal_mask(kernel, segment, ADVISED_SHARE)
+    reversals = np.cumsum(np.pad(mask.astype(np.int64), ((0, 0), (reach + 1, reach))), axis=1)
+    near = reversals[:, 2 * reach + 1 :] - reversals[:, : -2 * reach - 1]
+    return np.asarray(near[:, :: parallel_filter.factor] > 0)
+
+
+def fit_delays(
+    equations: DelayEquations,
+    groups: Sequence[int | None],
+    *,
+    without: int | None = None,
+    weights: FloatArray | None = None,
+    drift: bool = False,
+) -> DelayFit:
+    """Base parameters and delays by weighted least squares on the sliding equations.
+
+    Args:
+        equations: at delays near the solution.
+        groups: of each joint, the number of the delay that it shares with others; None keeps the equations' delay.
+        without: a block that is left out.
+        weights: (n,) of the joints' equations; iterated from equal relative ones where None. 0 leaves a joint out.
+        drift: whether a drift that all joints share is estimated, too.
+    """
+    grams = _totals(equations.sliding, without)
+    rows = equations.sliding_rows.sum(axis=0)
+    iterated = weights is None
+    if weights is None:
+        weights = _weights(grams, rows, SHIFTED)
+    numbers = sorted({group for group in groups if group is not None})
+    base, count = equations.column_count, len(numbers) + drift
+    design = []
+    for columns, group in zip(equations.columns, groups, strict=True):
+        # The residual, as a combination of the rows of [W_j τ…]: τ(d) − matrix @ unknowns.
+        matrix = np.zeros((len(columns) + _TORQUES, base + count))
+        matrix[range(len(columns)), list(columns)] = 1.0
+        if group is not None:
+            matrix[SLOPE - _TORQUES, base + numbers.index(group)] = -1.0
+        if drift:
+            matrix[DRIFTING - _TORQUES, -1] = -1.0
+        design.append(matrix)
+    curvature = np.zeros((count, count))
+    solution = np.zeros(base + count)
+    for _ in range(_WEIGHT_STEPS if iterated else 2):
+        normal, right = np.zeros((base + count, base + count)), np.zeros(base + count)
+        for matrix, gram, weight in zip(design, grams, weights, strict=True):
+            weighted = weight**2 * matrix.T @ gram
+            normal += weighted @ matrix
+            right += weighted[:, SHIFTED - _TORQUES]
+        solution = _newton_step(normal, right, curvature)
+        residuals = [_unit(gram, SHIFTED) - matrix @ solution for gram, matrix in zip(grams, design, strict=True)]
+        if iterated:
+            sums = np.array([_square(gram, residual) for gram, residual in zip(grams, residuals, strict=True)])
+            weights = _inverse_deviation(sums, grams, rows, weights > 0)
+        curvature = np.zeros((count, count))
+        for group, gram, residual, weight in zip(groups, grams, residuals, weights, strict=True):
+            if group is not None:
+                number = numbers.index(group)
+                curvature[number, number] += weight**2 * float(residual @ gram[:, CURVATURE - _TORQUES])
+    found = [0.0 if group is None else float(solution[base + numbers.index(group)]) for group in groups]
+    return DelayFit(equations.delays + np.array(found), float(solution[-1]) if drift else 0.0, weights)
+
+
+def _newton_step(normal: FloatArray, right: FloatArray, curvature: FloatArray) -> FloatArray:
+    """Least squares whose last unknowns, the delays, have this second-order term; without it where it is not convex.
+
+    The term takes the torque's noise out of the slope's square: with the square alone, steps and intervals come out too
+    small where the parallel filter lets much noise pass.
+    """
+    base = len(normal) - len(curvature)
+    inverse = _inverse(normal[:base, :base])
+    across = normal[:base, base:]
+    first = normal[base:, base:] - across.T @ inverse @ across
+    lengths = np.sqrt(np.maximum(np.diag(first), np.finfo(np.float64).tiny))
+    second = first + curvature
+    convex = float(np.linalg.eigvalsh(second / np.outer(lengths, lengths))[0]) > _CONVEX if len(curvature) else True
+    delays = _inverse(second if convex else first) @ (right[base:] - across.T @ inverse @ right[:base])
+    return np.concatenate([inverse @ (right[:base] - across @ delays), delays])
+
+
+def held_out_errors(equations: DelayEquations, delays: FloatArray | None, weights: FloatArray) -> FloatArray:
+    """Weighted sum of squared errors (B,) over all equations of each block, parameters from the other blocks.
+
+    Args:
+        equations: at delays near `delays`.
+        delays: (B, n) [s], found without each block; None compares the torque as recorded.
+        weights: (n,) of the joints' equations.
+    """
+    errors = []
+    for block in range(equations.blocks):
+        grams = _totals(equations.every, block)
+        combined = [
+            _unit(gram, RECORDED)
+            if delays is None
+            else _unit(gram, SHIFTED) + (delays[block, joint] - equations.delays[joint]) * _unit(gram, SLOPE)
+            for joint, gram in enumerate(grams)
+        ]
+        parameters = _parameters(equations, grams, combined, weights)
+        error = 0.0
+        for joint, torque in enumerate(combined):
+            rest = torque.copy()
+            rest[: len(equations.columns[joint])] -= parameters[list(equations.columns[joint])]
+            error += weights[joint] ** 2 * _square(equations.every[joint][block], rest)
+        errors.append(error)
+    return np.array(errors)
+
+
+def recorded_weights(equations: DelayEquations, used: npt.NDArray[np.bool_]) -> FloatArray:
+    """(n,) one over each joint's residual over all equations, torque as recorded; 0 for joints not `used` (n,)."""
+    grams = _totals(equations.every, None)
+    rows = equations.every_rows.sum(axis=0)
+    weights = np.where(used, _weights(grams, rows, RECORDED), 0.0)
+    recorded = [_unit(gram, RECORDED) for gram in grams]
+    for _ in range(_WEIGHT_STEPS):
+        parameters = _parameters(equations, grams, recorded, weights)
+        sums = []
+        for gram, torque, columns in zip(grams, recorded, equations.columns, strict=True):
+            rest = torque.copy()
+            rest[: len(columns)] -= parameters[list(columns)]
+            sums.append(_square(gram, rest))
+        weights = _inverse_deviation(np.array(sums), grams, rows, used)
+    return weights
+
+
+def torque_slopes(equations: DelayEquations) -> FloatArray:
+    """(n,) sum of τ̇² over the sliding equations; 0 where a joint's torque shows no delay."""
+    return np.array([_square(gram, _unit(gram, SLOPE)) for gram in _totals(equations.sliding, None)])
+
+
+def _parameters(
+    equations: DelayEquations, grams: Sequence[FloatArray], torques: Sequence[FloatArray], weights: FloatArray
+) -> FloatArray:
+    """Base parameters (b,) by weighted least squares; `torques` are combinations of the rows of each [W_j τ…]."""
+    normal = np.zeros((equations.column_count, equations.column_count))
+    right = np.zeros(equations.column_count)
+    for gram, torque, columns, weight in zip(grams, torques, equations.columns, weights, strict=True):
+        chosen, width = list(columns), len(columns)
+        normal[np.ix_(chosen, chosen)] += weight**2 * gram[:width, :width]
+        right[chosen] += weight**2 * gram[:width] @ torque
+    return np.asarray(_inverse(normal) @ right)
+
+
+def _totals(grams: Sequence[FloatArray], without: int | None) -> list[FloatArray]:
+    return [gram.sum(axis=0) - (0.0 if without is None else gram[without]) for gram in grams]
+
+
+def _unit(gram: FloatArray, torque: int) -> FloatArray:
+    """The combination of the rows of [W_j τ…] that is one of its torques."""
+    unit = np.zeros(len(gram))
+    unit[torque - _TORQUES] = 1.0
+    return unit
+
+
+def _square(gram: FloatArray, combination: FloatArray) -> float:
+    return max(0.0, float(combination @ gram @ combination))
+
+
+def _weights(grams: Sequence[FloatArray], rows: FloatArray, torque: int) -> FloatArray:
+    sums = np.array([_square(gram, _unit(gram, torque)) for gram in grams])
+    return _inverse_deviation(sums, grams, rows, np.ones(len(rows), dtype=np.bool_))
+
+
+def _inverse_deviation(
+    sums: FloatArray, grams: Sequence[FloatArray], rows: FloatArray, used: npt.NDArray[np.bool_]
+) -> FloatArray:
+    """One over the root mean square of the residuals, no smaller than the torque's rounding."""
+    torque = np.sqrt(np.array([_square(gram, _unit(gram, SHIFTED)) for gram in grams]) / np.maximum(rows, 1.0))
+    floor = _ROUNDING * np.maximum(torque, 1e-9 * torque.max())
+    deviation = np.maximum(np.sqrt(sums / np.maximum(rows, 1.0)), floor)
+    used = used & (rows > 0) & (deviation > 0.0)
+    return np.asarray(np.divide(1.0, deviation, out=np.zeros_like(deviation), where=used))
+
+
+def _inverse(normal: FloatArray) -> FloatArray:
+    """Inverse of a normal matrix, column-normalised first; 0 for unknowns that the data do not determine."""
+    lengths = np.sqrt(np.maximum(np.diag(normal), 0.0))
+    scale = np.where(lengths > 0.0, lengths, 1.0)
+    values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
+    inverse = np.where(values > _INDEPENDENT, 1.0 / np.maximum(values, _INDEPENDENT), 0.0)
+    return np.asarray((vectors * inverse) @ vectors.T / np.outer(scale, scale))
