@@ -36,7 +36,7 @@ WORTHWHILE_GAIN = 0.01
 """A delay is used only if it lowers the error on held-out blocks by at least this share."""
 
 LEVEL = 0.05
-"""Significance level: of a delay's interval, and of a fall of the error over the blocks (paired t-test, one-sided)."""
+"""Significance level of a delay; of the delays of single joints, all tested at once."""
 
 LONGEST = 0.1
 """Delays beyond this [s] are not a drive's: something else is wrong with the stamps."""
@@ -47,7 +47,8 @@ LEAST_DRIFT = 1e-3
 SURE = 2.0
 """A drift is reported where it is beyond so many times its interval."""
 
-_STEPS = 10
+_STEPS = 25
+_LONGEST_STEP = 0.01
 _SETTLED = 1e-5
 
 
@@ -198,11 +199,12 @@ def _settled(data: _Data, groups: Sequence[int | None], start: FloatArray) -> _C
             data.kernel, data.segments, data.parallel_filter, data.blocks, delays, seen=data.seen
         )
         fit = fit_delays(equations, groups)
-        if np.max(np.abs(fit.delays)) > LONGEST:
-            return None
-        if np.max(np.abs(fit.delays - delays)) < _SETTLED:
+        steps = fit.delays - delays
+        if np.max(np.abs(steps)) < _SETTLED:
             return _candidate(equations, groups)
-        delays = fit.delays
+        delays = delays + np.clip(steps, -_LONGEST_STEP, _LONGEST_STEP)
+        if np.max(np.abs(delays)) > LONGEST:
+            return None
     return None
 
 
@@ -226,15 +228,16 @@ def _judged(data: _Data, common: _Candidate) -> DelaySearch:
     errors = held_out_errors(common.equations, None, weights)
     delayed = held_out_errors(common.equations, common.without, weights)
     gain = _gain(errors, delayed)
-    used, helps = 0.0, best > interval and _falls(errors, delayed)
+    used, helps = 0.0, best > interval and gain >= WORTHWHILE_GAIN
     if helps:
         used, errors = best, delayed
     alone = _candidate(common.equations, [joint if seen else None for joint, seen in enumerate(data.seen)])
     delays = np.full(dof, used)
-    own = _own_delays(data, alone, used, helps)
-    if own is not None and _falls(errors, held_out_errors(own.equations, own.without, weights)):
-        delays = own.fit.delays
-        used = float(delays[_sharing(data, alone, used)][0]) if helps else 0.0
+    sharing = _sharing(data, alone, helps)
+    own = _own_delays(data, alone, sharing, used)
+    if own is not None and _gain(errors, held_out_errors(own.equations, own.without, weights)) >= WORTHWHILE_GAIN:
+        delays = np.where(data.seen, own.fit.delays, used)
+        used = float(delays[sharing][0]) if used else 0.0
     drift, drift_interval = _drift(common, quantile)
     seconds = float(data.segments[-1].time[-1] - data.segments[0].time[0])
     values = np.where(torque_slopes(common.equations) > 0.0, alone.fit.delays, np.nan)
@@ -257,26 +260,39 @@ def _judged(data: _Data, common: _Candidate) -> DelaySearch:
     )
 
 
-def _sharing(data: _Data, alone: _Candidate, shared: float) -> npt.NDArray[np.bool_]:
-    """(n,) joints whose delay does not differ significantly from the shared one, or that lead; all n tested at once."""
-    tests = int(data.seen.sum())
-    far = np.abs(alone.fit.delays - shared) > _t_quantile(1.0 - LEVEL / 2.0 / tests, data.count) * alone.std
-    leads = alone.fit.delays < -_t_quantile(1.0 - LEVEL / 2.0, data.count) * alone.std
-    return data.seen & (~far | leads)
+def _sharing(data: _Data, alone: _Candidate, helps: bool) -> npt.NDArray[np.bool_]:
+    """(n,) joints whose delay does not differ significantly from most others', or from 0 where the common is not used.
+
+    The others' is the median weighted by the inverse variances: a joint with another delay moves the common one.
+    """
+    reference = 0.0
+    if helps:
+        order = np.flatnonzero(data.seen & (alone.std > 0.0))
+        order = order[np.argsort(alone.fit.delays[order])]
+        share = np.cumsum(alone.std[order] ** -2.0)
+        reference = float(alone.fit.delays[order[np.searchsorted(share, 0.5 * share[-1])]]) if len(order) else 0.0
+    return data.seen & (np.abs(alone.fit.delays - reference) <= _all_joints_quantile(data) * alone.std)
 
 
-def _own_delays(data: _Data, alone: _Candidate, shared: float, helps: bool) -> _Candidate | None:
-    """Joints that differ from the shared delay get one of their own, not below 0; None where none differs."""
-    sharing = _sharing(data, alone, shared)
+def _own_delays(data: _Data, alone: _Candidate, sharing: npt.NDArray[np.bool_], shared: float) -> _Candidate | None:
+    """Joints that share no delay get one of their own, 0 where they lead; None where there are none."""
     own = data.seen & ~sharing
     lagging = own & (alone.fit.delays > 0.0)
-    if not own.any() or not sharing.any() or not (lagging.any() or helps):
+    if not lagging.any() and not (own.any() and shared):
         return None
     start = np.where(lagging, np.clip(alone.fit.delays, 0.0, LONGEST), np.where(sharing, shared, 0.0))
     groups: list[int | None] = [
-        joint + 1 if lagging[joint] else 0 if sharing[joint] and helps else None for joint in range(len(own))
+        joint + 1 if lagging[joint] else 0 if sharing[joint] and shared else None for joint in range(len(own))
     ]
-    return _settled(data, groups, start)
+    found = _settled(data, groups, start)
+    beyond = _all_joints_quantile(data)
+    if found is None or not np.all(found.fit.delays[lagging] > beyond * found.std[lagging]):
+        return None
+    return found
+
+
+def _all_joints_quantile(data: _Data) -> float:
+    return _t_quantile(1.0 - LEVEL / 2.0 / int(data.seen.sum()), data.count)
 
 
 def _drift(common: _Candidate, quantile: float) -> tuple[float, float]:
@@ -301,14 +317,6 @@ def _gain(errors: FloatArray, other: FloatArray) -> float:
     """Share by which `other` is below `errors`, sums of squares (B,) of all blocks, as norms."""
     total = float(errors.sum())
     return 1.0 - float(np.sqrt(other.sum() / total)) if total > 0.0 else 0.0
-
-
-def _falls(errors: FloatArray, other: FloatArray) -> bool:
-    """Whether errors (B,) of the blocks fall, significantly and by a share that matters."""
-    fall = errors - other
-    deviation = float(np.std(fall, ddof=1)) / np.sqrt(len(fall))
-    significant = float(fall.mean()) > _t_quantile(1.0 - LEVEL, len(fall)) * deviation
-    return significant and _gain(errors, other) >= WORTHWHILE_GAIN
 
 
 def _t_quantile(probability: float, blocks: int) -> float:

@@ -27,10 +27,6 @@ FEWEST_BLOCKS = 5
 LEAST_SAMPLES = 4
 """Of a block, after the parallel filter."""
 
-MEMORY = 0.1
-"""What a velocity reversal adds to the filtered torque is down to this share where equations count again: a Butterworth
-filter has it one period of its cut-off later."""
-
 RECORDED, SHIFTED, SLOPE, DRIFTING, CURVATURE = range(5)
 """Torques of every equation: as recorded, at the delay d, its derivative there, this times the time, and the second
 derivative."""
@@ -148,12 +144,27 @@ def _torques(segment: Segment, delays: FloatArray, middle: float) -> FloatArray:
 
 
 def _reversing(kernel: RegressorKernel, segment: Segment, parallel_filter: ZeroPhaseFilter) -> npt.NDArray[np.bool_]:
-    """(n, M) equations near a velocity reversal, and those into which the parallel filter carries it."""
-    reach = parallel_filter.settling_samples(MEMORY)
+    """(n, M) equations near a velocity reversal, and those into which the parallel filter carries it.
+
+    It does for about one period of its cut-off: with half a period, simulated joints that stick still bias the delay.
+    """
+    reach = _cutoff_period(parallel_filter)
     mask = reversal_mask(kernel, segment, ADVISED_SHARE)
     reversals = np.cumsum(np.pad(mask.astype(np.int64), ((0, 0), (reach + 1, reach))), axis=1)
     near = reversals[:, 2 * reach + 1 :] - reversals[:, : -2 * reach - 1]
     return np.asarray(near[:, :: parallel_filter.factor] > 0)
+
+
+def _cutoff_period(parallel_filter: ZeroPhaseFilter) -> int:
+    """Samples in a period of the frequency at which the filter's gain is one half; 0 without a filter."""
+    from scipy.signal import sosfreqz
+
+    if len(parallel_filter.sos) == 0:
+        return 0
+    cycles = np.geomspace(1e-6, 0.5, 2000)  # a sample
+    _, response = sosfreqz(parallel_filter.sos, 2.0 * np.pi * cycles)
+    passed = np.flatnonzero(np.abs(response) ** 2 >= 0.5 * parallel_filter.gain_at_rest())
+    return int(np.ceil(1.0 / cycles[passed[-1]]))
 
 
 def fit_delays(

@@ -1,7 +1,7 @@
-"""Whether time stamps can be right: recorded velocity against the change of position, source clocks against the host's.
+"""Whether time stamps can be right: recorded velocity against change of position, source clocks against the host's.
 
-Stamps that are off by a constant factor make velocities wrong by it and accelerations by its square, and the model still
-fits its own data: the parameters absorb the factor.
+Stamps that are off by a constant factor make velocities wrong by it and accelerations by its square, and the model
+still fits its own data: the parameters absorb the factor.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
 SAME_FACTOR = 0.02
-"""Ratios of position change to ∫velocity dt within this share of each other are one factor, and within it of 1 right."""
+"""Ratios of position change to ∫velocity dt within this share of each other are one factor; within it of 1, right."""
 
 CLOCK_DRIFT = 1e-3
 """Drift [s/s] from which on a clock is wrong; quartz clocks drift by 1e-4 at most."""
@@ -41,7 +41,7 @@ class TimeAxis:
 
     @property
     def factor(self) -> float | None:
-        """By what all stamps [s] should be multiplied by the recorded velocities; None where they agree or say nothing."""
+        """By what all stamps should be multiplied, by the recorded velocities; None where they agree or say nothing."""
         ratios = np.array(list(self.velocity_ratios.values()))
         if len(ratios) < 2 or np.min(ratios) <= 0.0:
             return None
@@ -79,9 +79,8 @@ def time_axis_checks(recording: Recording, of: str = "") -> list[Check]:
     checks = []
     if axis.factor is not None:
         text = (
-            f"{of}positions change by {axis.factor:.4g} times what the recorded velocities say, in all joints: the time "
-            f"stamps look {1.0 / axis.factor:.4g} times too long, unless the velocity has another unit; check the unit "
-            "of the stamps, or the rate"
+            f"{of}in all joints, positions change by {axis.factor:.4g} times what the recorded velocities say: unless "
+            f"these have another unit, the stamps should be multiplied by {axis.factor:.4g}; check their unit and rate"
         )
         checks.append(raised("wrong-time-axis", text))
     else:

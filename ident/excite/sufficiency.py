@@ -85,8 +85,9 @@ def motion_sufficiency(motion: RecordedMotion, choices: PreprocessChoices | None
     """
     if motion.measured is not None:
         with suppress(DynidError):  # too short to identify anything from
-            prepared = motion.prepared if choices is None else prepare(motion.measured, choices)
-            return _from_torque(replace(motion, prepared=prepared))
+            if choices is None:
+                return _from_torque(motion)
+            return _from_torque(replace(motion, prepared=prepare(motion.measured, choices)))
     try:
         prior = find_prior(motion.robot_file)
     except DynidError:

@@ -180,7 +180,7 @@ def test_missing_keys_and_wrong_types_are_named(tmp_path_factory, content, data)
     if wrong == "missing":
         del broken[key]
     else:
-        broken[key] = [{}] if wrong == "list" else {"x": [1]}
+        broken[key] = [{}] if wrong == "list" else {"x": {"y": 1}}
     path = tmp_path_factory.mktemp("broken") / "r.json"
     path.write_text(json.dumps(broken))
     with pytest.raises(ResultFileError) as caught:
