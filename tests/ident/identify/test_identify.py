@@ -14,10 +14,13 @@ from drivers.errors import DataError, IdentificationError, RecordingError, Usage
 from ident.assessment.validation import HELD_OUT_SHARE
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import apply_model_choices, identify
+from ident.identify.revalidate import stored_choices
+from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression.observability import ExperimentChoices
+from ident.result.schema import Result
 from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
@@ -222,6 +225,20 @@ def test_a_delay_is_found_and_used(recorded, three_joint):
     assert found.validation.relative_error < ignored.validation.relative_error
     given = identify([late], [], IdentifyChoices(search_delay=False, preprocess=PreprocessChoices(delay=0.010)))
     assert given.validation.relative_error == pytest.approx(found.validation.relative_error, rel=0.1)
+
+
+def test_a_joint_that_is_later_than_the_others_gets_its_own_delay_in_the_result_too(recorded, three_joint):
+    late = recorded(20.0)
+    current = late.streams[JOINTS_STREAM].channels["current"].values
+    current[:, 1] = np.roll(current[:, 1], 4)  # 20 ms
+    found = identify([late], [], IdentifyChoices())
+    first, second, third = found.choices.preprocess.joint_delays
+    assert second == pytest.approx(0.020, abs=1.5e-3)
+    assert max(abs(first), abs(third)) < 3e-3
+    result = Result.model_validate_json(summarise(found, [late], []).model_dump_json())
+    assert [joint.used for joint in result.delay.joints] == [first, second, third]
+    assert result.options["joint_delays"] == [first, second, third]
+    assert stored_choices(result).joint_delays == (first, second, third)
 
 
 def test_short_recordings_are_warned_of(recorded, clean):

@@ -24,6 +24,7 @@ from ident.result.schema import (
     Essential,
     Excitation,
     Fit,
+    JointDelayFigures,
     JointFrictionResult,
     ModelOptions,
     ProcessingStep,
@@ -109,7 +110,17 @@ def result(**changes: Any) -> Result:
             smoothing=0.0,
         ),
         preprocessing=[ProcessingStep(name="filter", settings={"cutoff": 12.5}, text="low-passed at 12.5 Hz")],
-        delay=DelayFigures(used=0.004, best=None, note="as given, not searched"),
+        delay=DelayFigures(
+            used=0.004,
+            best=0.004,
+            note="torque lags the motion by 4.00 ± 0.30 ms",
+            interval=0.0003,
+            gain=0.05,
+            joints=[
+                JointDelayFigures(joint=JOINTS[0], used=0.004, best=None, interval=None),
+                JointDelayFigures(joint=JOINTS[1], used=0.00625, best=0.00625, interval=0.0004),
+            ],
+        ),
         base_parameters=[
             parameter("ZZ1R"),
             parameter("XX2R", value=None, std=None),

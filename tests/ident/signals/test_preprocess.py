@@ -155,6 +155,25 @@ def test_delay_brings_torque_and_position_together(recording: tuple[np.ndarray, 
         assert (error < 1e-4) == smaller
 
 
+def test_each_joint_may_have_a_delay_of_its_own(recording: tuple[np.ndarray, ...]) -> None:
+    time, position, torque, _ = recording
+    delays = (0.0075, 0.0, -0.004)
+    (segment,) = prepare(time, position, torque, PreprocessChoices(joint_delays=delays)).segments
+    for joint, delay in enumerate(delays):
+        (alone,) = prepare(time, position, torque, PreprocessChoices(delay=delay)).segments
+        _, mine, theirs = np.intersect1d(segment.time, alone.time, return_indices=True)
+        assert len(mine) > 0.9 * len(segment.time)
+        np.testing.assert_allclose(segment.torque[joint, mine], alone.torque[joint, theirs], atol=1e-9)
+
+
+def test_delays_for_another_number_of_joints_are_refused(recording: tuple[np.ndarray, ...]) -> None:
+    time, position, torque, _ = recording
+    with pytest.raises(UsageError, match="2 delays for 3 joints"):
+        prepare(time, position, torque, PreprocessChoices(joint_delays=(0.001, 0.002)))
+    with pytest.raises(UsageError, match="not a number"):
+        PreprocessChoices(joint_delays=(0.0, float("nan")))
+
+
 def test_measured_velocity_only_on_request(recording: tuple[np.ndarray, ...]) -> None:
     time, position, torque, velocity = recording
     wrong = velocity * np.array([1.0, 1.0, 1.1])
