@@ -10,8 +10,8 @@ import numpy as np
 from daq.recording.recording import Recording
 from drivers.errors import IdentificationError
 from ident.assessment.channels import channel_checks, opposite_gravity
-from ident.assessment.idle_joints import idle_joint_checks
 from ident.assessment.delay import delay_checks
+from ident.assessment.idle_joints import idle_joint_checks
 from ident.assessment.plausibility import (
     POSES,
     fits_opposite_gravity,
