@@ -1,10 +1,12 @@
-"""Why a controlled arm's intervals hold the truth too seldom, and what helps: reversals of the joints.
+"""How much of each velocity reversal to leave out: coverage and held-out error, on simulated and on recorded arms.
 
-A UR5e under its own controller, with friction before sliding, noise and ripple, plays a d-optimal excitation: two
-periods of 15 s. Prints, over all base parameters and seeds, the share of 95 % intervals that hold the truth, the root
-mean square of error over standard deviation, and the parameters that are off the most on average: with equations left
-out (`--leave-out-reversals`) and kept, and for an arm that follows the motion exactly. `python studies/reversals.py
-12` takes some minutes.
+Simulated arms under their own controllers, with friction before sliding, noise and ripple, once with the friction of
+their files and once with a Stribeck term of 0.3 of Coulomb friction, play d-optimal excitations (15 s, two periods) and
+are judged on a motion of another criterion and seed. Prints, for each share of `--leave-out-reversals`, the part of the
+95 % intervals that contain the true value, over all base parameters and over those without friction, the RMS of error
+over σ, the median σ, and the held-out error (root mean square over the recordings). Then the held-out error of the
+public recordings in the folder `DYNID_DATA`: first 70 % identified, last 30 % compared.
+`python studies/reversals.py 12`: 12 recordings per arm and friction, some minutes.
 """
 
 from __future__ import annotations
@@ -12,14 +14,19 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+import yaml
 
+from daq.importers import ImportChoices, import_file
 from daq.motion.trajectories import Motion
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
-from daq.robot.loader import RobotFile, load_robot
+from daq.robot.loader import RobotFile, load_robot, parse_robot
+from drivers.errors import DynidError
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
@@ -30,13 +37,32 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.signals.options import PreprocessChoices
 from sim_drivers.plant.plant import Plant
-from sim_drivers.synthetic.measurement import simulate_recording
 
-ROBOT = "ur5e"
+ROBOTS = ("ur5e", "panda")
+MOTIONS = 3
 RATE = 500.0
-SHARES = (0.0, 0.05, 0.1, 0.2)
-SHOWN = 4
+SHARES = (0.0, 0.02, 0.05, 0.1, 0.2)
+STRIBECK = 0.3
+STRIBECK_VELOCITY = 0.1
+FRICTION = ("viscous", "coulomb", "offset", "coupling")
+
+PUBLIC = {
+    "ur10": ("ur10_unisa1.npz", "shoulder_pan shoulder_lift elbow wrist_1 wrist_2 wrist_3", "{}_joint", True),
+    "panda": ("panda_gaz1.npz", "1 2 3 4 5 6 7", "panda_joint{}", False),
+}
+"""Recording, joints, and whether the torque is that of motors, whose inertia it shows."""
+TX40_MOVES = 7.45
+"""The TX40's recording stands still after this time [s]."""
+
+
+def with_stribeck(robot_file: RobotFile) -> RobotFile:
+    """The arm with more friction at low speed."""
+    robot = yaml.safe_load(robot_file.text)
+    for joint in robot["truth"]["joints"].values():
+        joint |= {"stribeck": STRIBECK * joint["coulomb"], "stribeck_velocity": STRIBECK_VELOCITY}
+    return parse_robot(yaml.safe_dump(robot), where=robot["name"], folder=None)
 
 
 def controlled(robot_file: RobotFile, motion: Motion, seed: int) -> Recording:
@@ -51,41 +77,91 @@ def controlled(robot_file: RobotFile, motion: Motion, seed: int) -> Recording:
         samples.append(plant.measure())
     stamps = np.array([sample.time for sample in samples])
     names = robot_file.robot.joint_names
+    (signal,) = {robot_file.robot.drive(name).signal for name in names}
+    unit = {"current": "A", "voltage": "V", "torque": "N*m"}[signal]
     channels = {
         "position": Channel("position", np.array([sample.position for sample in samples]), "rad", names),
-        "current": Channel("current", np.array([sample.current for sample in samples]), "A", names),
+        signal: Channel(signal, np.array([sample.current for sample in samples]), unit, names),
     }
     return Recording(robot_file.text, {JOINTS_STREAM: Stream(JOINTS_STREAM, stamps, stamps, channels)})
 
 
-def line(robot_file: RobotFile, recordings: Sequence[Recording], share: float) -> str:
-    """Identify each recording; the figures over all of them."""
+def motions(robot_file: RobotFile) -> tuple[list[Motion], Motion]:
+    """Excitations, and one by another criterion to validate with."""
+    prior = find_prior(robot_file)
+    excitation = DesignChoices(period=15.0, periods=2, ramp=2.0, margin=0.2)
+    other = replace(excitation, criterion="condition", periods=1)
+    designs = [
+        design(robot_file, prior, choices, SearchChoices(seed=seed, starts=1, workers=1)).motion
+        for seed, choices in enumerate([excitation] * MOTIONS + [other], start=1)
+    ]
+    return designs[:-1], designs[-1]
+
+
+def line(robot_file: RobotFile, pairs: Sequence[tuple[Recording, Recording]], share: float) -> str:
+    """Identify each recording and validate it with its partner; the figures over all of them."""
     base = base_parameters(build_model(robot_file))
     truth = base.projection @ truth_vector(robot_file)
-    off, deviations = [], []
-    for recording in recordings:
-        found = identify([recording], [], IdentifyChoices(reversals=share))
+    off, deviations, errors = [], [], []
+    for recording, other in pairs:
+        found = identify([recording], [other], IdentifyChoices(reversals=share))
         off.append((found.solution.parameters - truth) / found.std)
         deviations.append(found.std)
+        errors.append(found.validation.relative_error)
     ratio, mean = np.array(off), np.mean(off, axis=0)
-    worst = ", ".join(f"{base.names[i]} {mean[i]:+.1f}" for i in np.argsort(-np.abs(mean))[:SHOWN])
-    inside = np.mean(np.abs(ratio) <= WITHIN_95_PERCENT)
-    rms = np.sqrt(np.mean(ratio**2))
-    return f"{inside:8.1%} {rms:12.2f} {np.median(deviations):14.3g}   {worst}"
+    inside = np.abs(ratio) <= WITHIN_95_PERCENT
+    rigid = [i for i in range(base.count) if base.kinds[i] not in FRICTION]
+    worst = ", ".join(f"{base.names[i]} {mean[i]:+.1f}" for i in np.argsort(-np.abs(mean))[:2])
+    return (
+        f"{inside.mean():8.1%} {inside[:, rigid].mean():8.1%} {np.sqrt(np.mean(ratio**2)):8.2f} "
+        f"{np.median(deviations):9.3g} {100 * np.sqrt(np.mean(np.square(errors))):9.2f} %   {worst}"
+    )
+
+
+def public_recordings(folder: Path) -> dict[str, tuple[Recording, PreprocessChoices]]:
+    """The recordings of `shared/data`, with the window in which the arm moves."""
+    recordings = {}
+    for name, (file, joints, pattern, motors) in PUBLIC.items():
+        names = [pattern.format(joint) for joint in joints.split()]
+        limits = "\n".join(f"  - {{name: {joint}, position: [-6.2832, 6.2832], velocity: 6}}" for joint in names)
+        drives = "\n".join(f"  - {{joint: {joint}, signal: torque, inertia: {str(motors).lower()}}}" for joint in names)
+        text = f"name: {name}\nmodel: {{urdf: {name}.urdf}}\njoints:\n{limits}\ndrives:\n{drives}\n"
+        robot_file = parse_robot(text, where=name, folder=folder)
+        recordings[name] = import_file(folder / file, robot_file, ImportChoices()), PreprocessChoices()
+    text = (Path(__file__).parents[1] / "examples" / "tx40.yaml").read_text(encoding="utf-8")
+    tx40 = import_file(folder / "tx40_t1.npz", parse_robot(text, where="tx40", folder=folder), ImportChoices())
+    recordings["tx40"] = tx40, PreprocessChoices(stop=TX40_MOVES)
+    return recordings
 
 
 def main(seeds: int = 12) -> None:
     """Print a line for each case."""
-    robot_file = load_robot(ROBOT)
-    choices = DesignChoices(period=15.0, periods=2, ramp=2.0, margin=0.2)
-    found = design(robot_file, find_prior(robot_file), choices, SearchChoices(seed=1, starts=1, workers=1))
-    motion = found.family.trajectory(found.variables, robot_file.robot.name, "").motion()
-    print(f"{'left out below':28} {'inside':>8} {'rms error/σ':>12} {'median σ':>14}   mean error/σ, the largest")
-    recordings = [controlled(robot_file, motion, seed) for seed in range(seeds)]
-    for share in SHARES:
-        print(f"{f'{share:g} of the rms velocity':28} {line(robot_file, recordings, share)}", flush=True)
-    exact = [simulate_recording(robot_file, motion, motion.duration, seed) for seed in range(seeds)]
-    print(f"{'nothing, motion exact':28} {line(robot_file, exact, 0.0)}")
+    head = f"{'left out':>9} {'held':>8} {'rigid':>8} {'rms e/σ':>8} {'median σ':>9} {'held out':>11}"
+    for robot in ROBOTS:
+        plain = load_robot(robot)
+        excitations, validation = motions(plain)
+        for name, arm in (("friction of the file", plain), ("with Stribeck friction", with_stribeck(plain))):
+            print(f"\n{robot}, {name}, {seeds} recordings\n{head}   mean error/σ, the largest", flush=True)
+            pairs = [
+                (controlled(arm, excitations[seed % MOTIONS], seed), controlled(arm, validation, seeds + seed))
+                for seed in range(seeds)
+            ]
+            for share in SHARES:
+                print(f"{share:9g} {line(plain, pairs, share)}", flush=True)
+    folder = Path(os.environ.get("DYNID_DATA", "../shared/data"))
+    if not folder.is_dir():
+        print(f"\nno public recordings: {folder} is no folder")
+        return
+    print(f"\n{'left out':>9} " + " ".join(f"{f'{share:g}':>8}" for share in SHARES))
+    for name, (recording, preprocess) in public_recordings(folder).items():
+        cells = []
+        for share in SHARES:
+            try:
+                found = identify([recording], [], IdentifyChoices(preprocess=preprocess, reversals=share))
+                cells.append(f"{found.validation.relative_error:8.2%}")
+            except DynidError as error:
+                cells.append(f"{type(error).__name__:>8}")
+        print(f"{name:>9} " + " ".join(cells), flush=True)
 
 
 if __name__ == "__main__":

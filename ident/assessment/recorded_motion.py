@@ -17,6 +17,7 @@ from ident.regression.observation_matrix import Reduction, reduce_segments
 from ident.signals.joint_signals import JointPositions, JointSignals, joint_positions, read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
+from ident.signals.played_motion import played_window
 from ident.signals.prepared import Prepared
 
 
@@ -31,7 +32,7 @@ class RecordedMotion:
         kernel: of their columns.
         positions: as recorded.
         measured: positions and torques as recorded; None where no torque is known.
-        prepared: by the default choices, torque not shifted; the torque is 0 where none is known.
+        prepared: the played motion by the default choices, torque not shifted; the torque is 0 where none is known.
     """
 
     robot_file: RobotFile
@@ -57,7 +58,9 @@ def recorded_motion(recording: Recording, robot_file: RobotFile) -> RecordedMoti
     try:
         positions = joint_positions(recording, robot_file.robot)
         measured = _measured(recording, robot_file)
-        prepared = prepare(_without_torque(positions) if measured is None else measured, PreprocessChoices())
+        start, stop = played_window(recording)
+        signals = _without_torque(positions) if measured is None else measured
+        prepared = prepare(signals, PreprocessChoices(start=start, stop=stop))
         model = build_model(robot_file)
     except (DataError, UsageError, RobotFileError):
         return None

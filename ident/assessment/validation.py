@@ -29,9 +29,10 @@ class FitFigures:
     """Errors of filtered torques.
 
     Attributes:
-        relative_error: ‖τ − Ŵx‖ / ‖τ‖ over all samples of the joints whose torque is predicted.
+        relative_error: ‖τ − Ŵx‖ / ‖τ‖ over all samples of the joints whose torque is predicted, where they do not rest.
         joint_relative_error: (n,) the same of each joint; nan where it carries no torque.
-        rmse: (n,) root mean square error [N·m]; nan, as all errors, where the model predicts no torque.
+        rmse: (n,) root mean square error [N·m]; nan, as all errors, where the model predicts no torque, or where the
+            joint rests throughout.
         low_speed_rmse, high_speed_rmse: (n,) below and above `LOW_SPEED` [N·m]; nan where there is no such sample.
         max_error: (n,) largest error [N·m].
         samples: filtered samples that count.
@@ -52,22 +53,24 @@ def fit_figures(series: Sequence[TorqueSeries]) -> FitFigures:
     Raises:
         DataError: no sample counts (the arm never moves).
     """
+    counted = np.concatenate([part.counted[:, part.used] for part in series], axis=1)
     measured = np.concatenate([part.measured[:, part.used] for part in series], axis=1)
     error = measured - np.concatenate([part.predicted[:, part.used] for part in series], axis=1)
     speed = np.abs(np.concatenate([part.velocity[:, part.used] for part in series], axis=1))
-    if measured.shape[1] == 0:
+    if not counted.any():
         raise DataError("the arm does not move in these data", hint="choose another window with --start and --stop")
     slow = speed < LOW_SPEED
+    measured, error = np.where(counted, measured, 0.0), np.where(counted, error, 0.0)
     torque_norms, error_norms = np.linalg.norm(measured, axis=1), np.linalg.norm(error, axis=1)
     predicted = ~np.isnan(error_norms)
     total = float(np.linalg.norm(torque_norms[predicted]))
     return FitFigures(
         relative_error=float(np.linalg.norm(error_norms[predicted])) / total if total > 0 else float("nan"),
         joint_relative_error=_ratio(error_norms, torque_norms),
-        rmse=np.sqrt(np.mean(error**2, axis=1)),
-        low_speed_rmse=_rmse_where(error, slow),
-        high_speed_rmse=_rmse_where(error, ~slow),
-        max_error=np.max(np.abs(error), axis=1),
+        rmse=_rmse_where(error, counted),
+        low_speed_rmse=_rmse_where(error, counted & slow),
+        high_speed_rmse=_rmse_where(error, counted & ~slow),
+        max_error=np.where(counted.any(axis=1), np.max(np.abs(error), axis=1), np.nan),
         samples=measured.shape[1],
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,9 +12,9 @@ from daq.robot.schema import Robot
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.assessment.validation import HELD_OUT_SHARE
-from ident.identify.played_motion import played_window
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import PreprocessChoices
+from ident.signals.played_motion import played_window
 
 
 @dataclass(frozen=True)
@@ -24,11 +24,13 @@ class RunWindow:
     Attributes:
         signals: as recorded.
         start, stop: of the window, from the recording's first stamp [s]; None where the recording begins or ends.
+        played: whether the window follows from the player's events.
     """
 
     signals: JointSignals
     start: float | None
     stop: float | None
+    played: bool = False
 
     @property
     def duration(self) -> float:
@@ -93,12 +95,12 @@ def split_data(
 
 
 def _run_window(recording: Recording, robot: Robot, chosen: PreprocessChoices) -> RunWindow:
-    """As the user says, else the played motion where joints that are locked move on their way to it."""
+    """The window that the user chose, else the played motion."""
     signals = read_joint_signals(recording, robot)
-    start, stop = chosen.start, chosen.stop
-    if start is None and stop is None:
-        start, stop = played_window(recording, signals.position)
-    return RunWindow(signals, start, stop)
+    if chosen.start is not None or chosen.stop is not None:
+        return RunWindow(signals, chosen.start, chosen.stop)
+    start, stop = played_window(recording)
+    return RunWindow(signals, start, stop, played=start is not None)
 
 
 def _split(run: RunWindow, split: float | None) -> tuple[RunWindow, RunWindow]:
@@ -116,4 +118,4 @@ def _split(run: RunWindow, split: float | None) -> tuple[RunWindow, RunWindow]:
             f"--split {border:g} s is outside the data, which last from {start:g} to {stop:g} s",
             hint="leave it out to hold out the last 30 %",
         )
-    return RunWindow(run.signals, start, border), RunWindow(run.signals, border, run.stop)
+    return replace(run, start=start, stop=border), replace(run, start=border)

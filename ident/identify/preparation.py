@@ -11,9 +11,10 @@ from ident.identify.data_split import DataSplit, RunWindow
 from ident.identify.identification import IdentifyChoices, PreparedRun
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
-from ident.regression.velocity_reversals import leave_out_reversals
+from ident.regression.velocity_reversals import leave_out_rest, leave_out_reversals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
+from ident.signals.prepared import Step
 
 Progress = Callable[[str], None]
 """Told what is done next, in words."""
@@ -53,17 +54,17 @@ def prepare_data(
         choices: the user's.
         progress: called before the search for the delay.
     """
-    first = _prepare_run(data.identification[0], choices.preprocess, torques).prepared
+    first = _prepare_run(kernel, data.identification[0], choices.preprocess, torques).prepared
     resolved, delay = first.choices, None
     if choices.search_delay:
         progress("delay")
         delay = search_delay(kernel, first.segments, first.parallel_filter, torques)
         resolved = replace(resolved, delay=delay.used, joint_delays=delay.joint_delays)
-    runs = [_prepare_run(run, resolved, torques) for run in data.identification]
+    runs = [_prepare_run(kernel, run, resolved, torques) for run in data.identification]
     return PreparedData(
         runs=tuple(replace(run, prepared=leave_out_reversals(kernel, run.prepared, choices.reversals)) for run in runs),
         validation_runs=tuple(
-            _prepare_run(run, resolved, predictable)
+            _prepare_run(kernel, run, resolved, predictable)
             for run, predictable in zip(data.held_out, held_out_torques, strict=True)
         ),
         delay=delay,
@@ -71,9 +72,20 @@ def prepare_data(
     )
 
 
-def _prepare_run(run: RunWindow, resolved: PreprocessChoices, torques: Sequence[int]) -> PreparedRun:
+def _prepare_run(
+    kernel: RegressorKernel, run: RunWindow, resolved: PreprocessChoices, torques: Sequence[int]
+) -> PreparedRun:
     choices = replace(resolved, start=run.start, stop=run.stop)
-    return PreparedRun(run.signals, choices, prepare(run.signals, choices), tuple(torques))
+    prepared = leave_out_rest(kernel, prepare(run.signals, choices))
+    if run.played:
+        steps = (_played(step) if step.name == "window" else step for step in prepared.steps)
+        prepared = replace(prepared, steps=tuple(steps))
+    return PreparedRun(run.signals, choices, prepared, tuple(torques))
+
+
+def _played(window: Step) -> Step:
+    """The step 'window' with its reason."""
+    return replace(window, text=f"{window.text}: the played motion, without the approach to its start")
 
 
 def compare_run(kernel: RegressorKernel, parameters: FloatArray, run: PreparedRun) -> tuple[TorqueSeries, ...]:

@@ -11,15 +11,17 @@ from daq.recording.recording import Recording
 from drivers.errors import ResultFileError
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.validation import FitFigures, fit_figures, overfitting_checks
-from ident.identify.played_motion import played_window
 from ident.identify.summary import held_out_errors
+from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
 from ident.regression.observability import predictable_torques
+from ident.regression.velocity_reversals import leave_out_rest
 from ident.result.schema import Fit, Result
 from ident.result.stored_model import stored_model
 from ident.signals.joint_signals import read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
+from ident.signals.played_motion import played_window
 from ident.verdict.verdict import Verdict, judge
 
 CHECKS_OF_VALIDATION = ("overfitting", "not-validated")
@@ -57,9 +59,9 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
     full = np.array([stored[name].value or 0.0 for name in base.names])
     essential = np.array([stored[name].essential_value or 0.0 for name in base.names])
     motion = read_joint_signals(recording, stored_parts.robot_file.robot)
-    start, stop = played_window(recording, motion.position)
+    start, stop = played_window(recording)
     choices = replace(stored_choices(result), start=start, stop=stop)
-    prepared = prepare(motion, choices)
+    prepared = leave_out_rest(RegressorKernel(model, base.columns), prepare(motion, choices))
     seconds = motion.time - motion.time[0]
     inside = (seconds >= (start or 0.0)) & (seconds <= (np.inf if stop is None else stop))
     torques = predictable_torques(model, stored_parts.experiments, motion.label, motion.position[inside])

@@ -25,6 +25,7 @@ class TorqueSeries:
         predicted: (n, M) [N·m]; nan for joints whose torque the model does not predict.
         velocity: (n, M) [rad/s or m/s].
         used: (M,) whether the sample counts (the arm moves).
+        resting: (n, M) motors at rest, whose static friction no model knows; None where none was looked for.
     """
 
     time: FloatArray
@@ -32,11 +33,18 @@ class TorqueSeries:
     predicted: FloatArray
     velocity: FloatArray
     used: npt.NDArray[np.bool_]
+    resting: npt.NDArray[np.bool_] | None = None
+
+    @property
+    def counted(self) -> npt.NDArray[np.bool_]:
+        """(n, M) whether a joint's torque counts."""
+        everywhere = np.broadcast_to(self.used, self.measured.shape)
+        return everywhere if self.resting is None else everywhere & ~self.resting
 
     @property
     def residual(self) -> FloatArray:
-        """Measured minus predicted torque (n, M) [N·m]; 0 where the sample does not count."""
-        return np.where(self.used, self.measured - self.predicted, 0.0)
+        """Measured minus predicted torque (n, M) [N·m]; 0 where it does not count."""
+        return np.where(self.counted, self.measured - self.predicted, 0.0)
 
 
 def compare_torques(
@@ -58,6 +66,7 @@ def compare_torques(
                 predicted=parallel_filter.apply(predicted),
                 velocity=segment.velocity[:, every],
                 used=segment.used[every],
+                resting=None if segment.resting is None else segment.resting[:, every],
             )
         )
     return tuple(series)

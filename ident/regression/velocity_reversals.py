@@ -1,35 +1,75 @@
-"""Equations near velocity reversals, where Coulomb friction is not well defined.
+"""Equations near velocity reversals and of motors at rest, where Coulomb friction is not well defined.
 
 A joint that reverses stands still for a while; meanwhile friction takes any value between its two limits, and a static
-model does not hold (AUBO .IV: below 0.1 rad/s). Filters carry the error into the neighbouring samples.
+model does not hold (AUBO .IV: below 0.1 rad/s). Filters carry the error into the neighbouring samples. A motor that
+rests while others move holds its load by a friction that says nothing of the load.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import binary_dilation
 
 from drivers.errors import UsageError
+from drivers.streams import FloatArray
 from ident.model.joint_columns import combined
 from ident.model.regressor import RegressorKernel
+from ident.signals.motion_masks import moving_mask
 from ident.signals.prepared import Prepared, Segment, Step
 
 ADVISED_SHARE = 0.2
 """Of a velocity's root mean square: below it a motor is near a reversal (docs/excitation.md has the figures)."""
 
 
+REST_REACH = 0.5
+"""Periods of the parallel filter's cut-off by which a rest reaches into the motion before and after it: half the width
+of the filter's impulse response."""
+
+
+def leave_out_rest(kernel: RegressorKernel, prepared: Prepared) -> Prepared:
+    """The same data without the torques of motors at rest, unless samples at rest are to be kept.
+
+    A motor rests where a velocity whose sign is in its equation stays below the rest velocity as long as a window
+    without motion lasts (see `moving_mask`).
+    """
+    if prepared.choices.keep_rest:
+        return prepared
+    reach = REST_REACH / prepared.cutoffs.torque
+    segments = []
+    for part in prepared.segments:
+        resting = _rest_mask(kernel, part, prepared.rest_velocity, round(reach * part.rate))
+        reversing = resting if part.reversing is None else resting | part.reversing
+        segments.append(replace(part, resting=resting, reversing=reversing))
+    counted = sum(int(part.used.sum()) for part in segments) * kernel.model.dof
+    left_out = sum(int((part.resting & part.used).sum()) for part in segments if part.resting is not None)
+    if not left_out:
+        return prepared
+    share = left_out / max(1, counted)
+    step = Step(
+        "motors at rest",
+        {"rest_velocity": prepared.rest_velocity, "left_out": share},
+        f"left out where a motor rests while others move: {share:.2%} of all torques",
+    )
+    return replace(prepared, segments=tuple(segments), steps=(*prepared.steps, step))
+
+
 def without_reversals(
     kernel: RegressorKernel, segments: Sequence[Segment], share: float = ADVISED_SHARE
 ) -> tuple[Segment, ...]:
-    """Segments without the equations of motors slower than `share` of their velocity's root mean square.
+    """Segments without the equations of motors slower than `share` of their velocity's root mean square, nor at rest.
 
     The search of a delay takes these: a joint that sticks at a reversal passes its torque on late, which
     looks like a delay of many milliseconds.
     """
-    return tuple(replace(part, reversing=reversal_mask(kernel, part, share)) for part in segments)
+    masks = (reversal_mask(kernel, part, share) for part in segments)
+    return tuple(
+        replace(part, reversing=mask if part.reversing is None else mask | part.reversing)
+        for part, mask in zip(segments, masks, strict=True)
+    )
 
 
 def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: float) -> Prepared:
@@ -52,8 +92,8 @@ def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: floa
     step = Step(
         "reversals",
         {"share": share, "left_out": left_out / max(1, counted)},
-        f"left out where a motor is slower than {share:g} of its root mean square: {left_out / max(1, counted):.1%} "
-        "of all equations",
+        f"left out where a motor is slower than {share:g} of its root mean square, or rests: "
+        f"{left_out / max(1, counted):.1%} of all equations",
     )
     return replace(prepared, segments=segments, steps=(*prepared.steps, step))
 
@@ -71,10 +111,23 @@ def check_share(share: float) -> None:
 def reversal_mask(kernel: RegressorKernel, segment: Segment, share: float) -> npt.NDArray[np.bool_]:
     """(n, N) motors near a reversal: a velocity whose sign is in their equation is below `share` of its rms."""
     reversing = np.zeros((kernel.model.dof, segment.velocity.shape[1]), dtype=np.bool_)
-    for row in kernel.joint_parameter_rows:
-        if row.column.quantity != "coulomb":
-            continue
-        motor = next(joint for joint, rows in enumerate(kernel.joint_rows) if row.row < rows.rows.stop)
-        speed = np.abs(combined(row.column.motion, segment.velocity))
+    for motor, velocity in _rubbing(kernel, segment):
+        speed = np.abs(velocity)
         reversing[motor] |= speed < share * np.sqrt(np.mean(np.square(speed[segment.used])))
     return reversing
+
+
+def _rest_mask(kernel: RegressorKernel, segment: Segment, rest_velocity: float, reach: int) -> npt.NDArray[np.bool_]:
+    """(n, N) motors at rest, and `reach` samples before and after."""
+    resting = np.zeros((kernel.model.dof, segment.velocity.shape[1]), dtype=np.bool_)
+    for motor, velocity in _rubbing(kernel, segment):
+        resting[motor] |= ~moving_mask(velocity[None], segment.rate, rest_velocity)
+    return np.asarray(binary_dilation(resting, np.ones((1, 2 * reach + 1), dtype=np.bool_)))
+
+
+def _rubbing(kernel: RegressorKernel, segment: Segment) -> Iterator[tuple[int, FloatArray]]:
+    """Motors and the velocities (N,) whose signs are in their equations."""
+    for row in kernel.joint_parameter_rows:
+        if row.column.quantity == "coulomb":
+            motor = next(joint for joint, rows in enumerate(kernel.joint_rows) if row.row < rows.rows.stop)
+            yield motor, combined(row.column.motion, segment.velocity)

@@ -43,6 +43,8 @@ class Segment:
         used: (N,) whether the sample counts: in a window with motion, away from the ends.
         reversing: (n, N) motors near a velocity reversal, whose equations are left out (see `velocity_reversals`);
             None where all equations are used.
+        resting: (n, N) motors at rest, among those of `reversing`; their torque is not compared with a prediction
+            either (see `velocity_reversals`). None where none was looked for.
     """
 
     time: FloatArray
@@ -53,6 +55,7 @@ class Segment:
     rate: float
     used: npt.NDArray[np.bool_]
     reversing: npt.NDArray[np.bool_] | None = None
+    resting: npt.NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, eq=False)

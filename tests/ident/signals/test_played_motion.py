@@ -10,11 +10,11 @@ import pytest
 from daq.recording.recording import JOINTS_STREAM, Event
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
-from ident.identify.played_motion import MOTION_BEGINS, MOTION_ENDS, played_window
 from ident.identify.revalidate import revalidate
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.regression.observability import ExperimentChoices
+from ident.signals.played_motion import MOTION_BEGINS, MOTION_ENDS, played_window
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
@@ -51,32 +51,45 @@ def approached(three_joint):
 
 
 def test_the_motion_is_taken_out_of_its_approach(approached):
-    position = approached.streams[JOINTS_STREAM].channels["position"].values
-    assert played_window(approached, position) == pytest.approx((APPROACH, 28.0))
+    assert played_window(approached) == pytest.approx((APPROACH, 28.0))
     found = identify([approached], [], IdentifyChoices(experiment=ExperimentChoices(locked=("j2",))))
     assert found.experiment.locked == (1,)
     assert found.runs[0].choices.start == pytest.approx(APPROACH)
     assert found.validation_runs[0].choices.stop == pytest.approx(28.0)
     assert found.validation.relative_error < 0.05
+    (window,) = [step for step in found.runs[0].prepared.steps if step.name == "window"]
+    assert "without the approach" in window.text
     again = revalidate(summarise(found, [approached], []), approached)
     assert np.isnan(again.full.rmse[1])
     assert again.full.relative_error < 0.05
 
 
+def test_joints_that_all_move_are_cut_too(approached):
+    """A hold with a torque that no model explains, outside the motion, changes nothing."""
+    stream = approached.streams[JOINTS_STREAM]
+    outside = (stream.time < 100.0 + APPROACH) | (stream.time >= 128.0)
+    (signal,) = set(stream.channels) & {"current", "torque", "voltage"}
+    channel = stream.channels[signal]
+    disturbed = replace(channel, values=channel.values + 50.0 * outside[:, None])
+    stream = replace(stream, channels={**stream.channels, signal: disturbed})
+    found, expected = (
+        identify([run], [], IdentifyChoices(search_delay=False))
+        for run in (replace(approached, streams={JOINTS_STREAM: stream}), approached)
+    )
+    assert np.array_equal(found.solution.parameters, expected.solution.parameters)
+    assert found.validation.relative_error == expected.validation.relative_error
+
+
 def test_without_an_end_it_lasts_to_the_recording_s(approached):
-    position = approached.streams[JOINTS_STREAM].channels["position"].values
-    cut = replace(approached, events=approached.events[:1])
-    assert played_window(cut, position) == (pytest.approx(APPROACH), None)
+    assert played_window(replace(approached, events=approached.events[:1])) == (pytest.approx(APPROACH), None)
 
 
-def test_where_it_makes_no_difference_the_whole_recording_counts(approached):
-    position = approached.streams[JOINTS_STREAM].channels["position"].values
-    moving = position.copy()
-    moving[:, 1] += 0.1 * np.sin(np.arange(len(moving)) / 50.0)
-    assert played_window(approached, moving) == (None, None)
-    assert played_window(replace(approached, events=()), position) == (None, None)
+def test_without_events_of_the_player_the_whole_recording_counts(approached):
+    assert played_window(replace(approached, events=())) == (None, None)
+    others = tuple(replace(event, source="import") for event in approached.events)
+    assert played_window(replace(approached, events=others)) == (None, None)
     late = tuple(replace(event, time=event.time + 1e6) for event in approached.events)
-    assert played_window(replace(approached, events=late), position) == (None, None)
+    assert played_window(replace(approached, events=late)) == (None, None)
 
 
 def test_a_window_of_the_user_s_goes_before(approached):
