@@ -28,7 +28,6 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.regression.velocity_reversals import ADVISED_SHARE
 from ident.report import TruthTable, recorded_runs, write_report
 from ident.result.schema import Result, write_result
 from sim_drivers.simulated_arm import Record, over_rtde
@@ -132,7 +131,7 @@ def run_demo(
             samples += recorded.samples
     # From here on it is what a user does: two recordings on disk, nothing known but their content.
     recordings = [[read_recording(path)] for path in paths]
-    identification = identify(recordings[0], recordings[1], IdentifyChoices(reversals=ADVISED_SHARE), progress=progress)
+    identification = identify(recordings[0], recordings[1], IdentifyChoices(), progress=progress)
     result = summarise(identification, recordings[0], recordings[1])
     write_result(folder / "result.json", result)
     table = TruthTable(names=base.names, values=truth)

@@ -4,9 +4,9 @@ Simulated arms under their own controllers, with friction before sliding, noise 
 their files and once with a Stribeck term of 0.3 of Coulomb friction, play d-optimal excitations (15 s, two periods) and
 are judged on a motion of another criterion and seed. Prints, for each share of `--leave-out-reversals`, the part of the
 95 % intervals that contain the true value, over all base parameters and over those without friction, the RMS of error
-over σ, the median σ, and the held-out error (root mean square over the recordings). Then the held-out error of the
-public recordings in the folder `DYNID_DATA`: first 70 % identified, last 30 % compared.
-`python studies/reversals.py 12`: 12 recordings per arm and friction, some minutes.
+over σ, the median σ, and the held-out error (root mean square over the recordings), of all samples and of those above
+0.1 rad/s. Then the held-out errors of the public recordings in the folder `DYNID_DATA`: first 70 % identified, last
+30 % compared. `python studies/reversals.py 12`: 12 recordings per arm and friction, some minutes.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from daq.importers import ImportChoices, import_file
 from daq.motion.trajectories import Motion
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.errors import DynidError
+from ident.assessment.validation import LOW_SPEED
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
 from ident.excite.search.search import SearchChoices
-from ident.identify.identification import IdentifyChoices
+from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
@@ -50,7 +50,7 @@ FRICTION = ("viscous", "coulomb", "offset", "coupling")
 
 PUBLIC = {
     "ur10": ("ur10_unisa1.npz", "shoulder_pan shoulder_lift elbow wrist_1 wrist_2 wrist_3", "{}_joint", True),
-    "panda": ("panda_gaz1.npz", "1 2 3 4 5 6 7", "panda_joint{}", False),
+    "panda": ("panda_gaz1.npz", "1 2 3 4 5 6 7", "joint_{}", False),
 }
 """Recording, joints, and whether the torque is that of motors, whose inertia it shows."""
 TX40_MOVES = 7.45
@@ -107,15 +107,30 @@ def line(robot_file: RobotFile, pairs: Sequence[tuple[Recording, Recording]], sh
         found = identify([recording], [other], IdentifyChoices(reversals=share))
         off.append((found.solution.parameters - truth) / found.std)
         deviations.append(found.std)
-        errors.append(found.validation.relative_error)
+        errors.append(held_out_errors(found))
     ratio, mean = np.array(off), np.mean(off, axis=0)
     inside = np.abs(ratio) <= WITHIN_95_PERCENT
     rigid = [i for i in range(base.count) if base.kinds[i] not in FRICTION]
     worst = ", ".join(f"{base.names[i]} {mean[i]:+.1f}" for i in np.argsort(-np.abs(mean))[:2])
     return (
         f"{inside.mean():8.1%} {inside[:, rigid].mean():8.1%} {np.sqrt(np.mean(ratio**2)):8.2f} "
-        f"{np.median(deviations):9.3g} {100 * np.sqrt(np.mean(np.square(errors))):9.2f} %   {worst}"
+        f"{np.median(deviations):9.3g} {percent(np.sqrt(np.mean(np.square(errors), axis=0)))}   {worst}"
     )
+
+
+def percent(errors: Sequence[float]) -> str:
+    """Held-out errors of all and of fast samples."""
+    return " ".join(f"{error:8.2%}" for error in errors)
+
+
+def held_out_errors(found: Identification) -> tuple[float, float]:
+    """Relative error of the held-out torques, and of those of joints above `LOW_SPEED`."""
+    series = found.validation_series
+    measured = np.concatenate([part.measured for part in series], axis=1)
+    residual = np.concatenate([part.residual for part in series], axis=1)
+    counted = np.concatenate([part.counted for part in series], axis=1)
+    fast = counted & (np.abs(np.concatenate([part.velocity for part in series], axis=1)) >= LOW_SPEED)
+    return tuple(float(np.linalg.norm(residual[mask]) / np.linalg.norm(measured[mask])) for mask in (counted, fast))
 
 
 def public_recordings(folder: Path) -> dict[str, tuple[Recording, PreprocessChoices]]:
@@ -136,7 +151,7 @@ def public_recordings(folder: Path) -> dict[str, tuple[Recording, PreprocessChoi
 
 def main(seeds: int = 12) -> None:
     """Print a line for each case."""
-    head = f"{'left out':>9} {'held':>8} {'rigid':>8} {'rms e/σ':>8} {'median σ':>9} {'held out':>11}"
+    head = f"{'left out':>9} {'held':>8} {'rigid':>8} {'rms e/σ':>8} {'median σ':>9} {'held out':>8} {'fast':>8}"
     for robot in ROBOTS:
         plain = load_robot(robot)
         excitations, validation = motions(plain)
@@ -152,16 +167,11 @@ def main(seeds: int = 12) -> None:
     if not folder.is_dir():
         print(f"\nno public recordings: {folder} is no folder")
         return
-    print(f"\n{'left out':>9} " + " ".join(f"{f'{share:g}':>8}" for share in SHARES))
     for name, (recording, preprocess) in public_recordings(folder).items():
-        cells = []
+        print(f"\n{name}\n{'left out':>9} {'held out':>8} {'fast':>8}")
         for share in SHARES:
-            try:
-                found = identify([recording], [], IdentifyChoices(preprocess=preprocess, reversals=share))
-                cells.append(f"{found.validation.relative_error:8.2%}")
-            except DynidError as error:
-                cells.append(f"{type(error).__name__:>8}")
-        print(f"{name:>9} " + " ".join(cells), flush=True)
+            found = identify([recording], [], IdentifyChoices(preprocess=preprocess, reversals=share))
+            print(f"{share:9g} {percent(held_out_errors(found))}", flush=True)
 
 
 if __name__ == "__main__":

@@ -34,10 +34,15 @@ def identify_recordings(
     torques_of: str = typer.Option(
         None, "--torques-of", help="Joints whose motor torques are used; all moving motors if absent."
     ),
+    rest_tolerance: float = typer.Option(
+        None,
+        "--rest-tolerance",
+        help="A joint that stays within this range [rad or m] counts as locked; default 0.005.",
+    ),
     reversals: float = typer.Option(
-        0.0,
+        None,
         "--leave-out-reversals",
-        help="Leave out velocity reversals: motors slower than this share of their RMS velocity, such as 0.2.",
+        help="Leave out velocity reversals: motors slower than this share of their RMS velocity; default 0.2.",
     ),
     energy_window: float = typer.Option(
         None, "--energy-window", help="Mean duration of the windows of --method energy [s]."
@@ -80,6 +85,7 @@ def identify_recordings(
             measured_velocity=measured_velocity,
             locked=joints_option(locked, "--locked") or (),
             torques_of=joints_option(torques_of, "--torques-of") or (),
+            rest_tolerance=rest_tolerance,
             leave_out_reversals=reversals,
             energy_window=energy_window,
             start=start,

@@ -30,7 +30,7 @@ from ident.regression.least_squares import ENERGY_METHODS, ordinary_least_square
 from ident.regression.observability import experiment_states, moving_motors, whole_arm
 from ident.regression.observation_matrix import only_torques
 from ident.regression.pruning import relative_std
-from ident.regression.velocity_reversals import ADVISED_SHARE, leave_out_reversals
+from ident.regression.velocity_reversals import REVERSAL_SHARE, leave_out_reversals
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -205,10 +205,10 @@ def _experiment_checks(identification: Identification) -> list[Check]:
 def _reversal_checks(identification: Identification) -> list[Check]:
     """A friction estimate that changes without the equations near velocity reversals."""
     choices, base, before = identification.choices, identification.base, identification.solution
-    if choices.method in ENERGY_METHODS or choices.reversals:
+    if choices.method in ENERGY_METHODS or choices.reversal_share:
         return []
     kernel = RegressorKernel(identification.model, base.columns)
-    parts = [leave_out_reversals(kernel, run.prepared, ADVISED_SHARE) for run in identification.runs]
+    parts = [leave_out_reversals(kernel, run.prepared, REVERSAL_SHARE) for run in identification.runs]
     estimator = estimator_of(choices.method, kernel, parts, None)
     try:
         after = estimator.solve(only_torques(estimator.reduce(parts), identification.experiment.torques), before.active)
@@ -228,7 +228,7 @@ def _reversal_checks(identification: Identification) -> list[Check]:
     changes = ", ".join(f"{base.names[i]} by {changed[i]:+.1f} σ" for i in largest)
     text = (
         "Coulomb friction is not well defined near velocity reversals: without those equations the friction estimate "
-        f"changes ({changes}), which the error bars do not cover; compare --leave-out-reversals {ADVISED_SHARE:g}"
+        f"changes ({changes}), which the error bars do not cover; compare --leave-out-reversals {REVERSAL_SHARE:g}"
     )
     return [raised("friction-near-reversals", text)]
 

@@ -21,7 +21,7 @@ from ident.regression.least_squares import ENERGY_METHODS, LeastSquares, Method
 from ident.regression.observability import Experiment, ExperimentChoices
 from ident.regression.observation_matrix import Reduction
 from ident.regression.pruning import SIGNIFICANT_RSD, Pruned
-from ident.regression.velocity_reversals import check_share
+from ident.regression.velocity_reversals import REVERSAL_SHARE, check_share
 from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared
@@ -60,7 +60,8 @@ class IdentifyChoices:
         significant_rsd: threshold of significance [%].
         energy_window: mean duration of the energy method's windows [s]; None takes it from the parallel filter.
         experiment: joints that must be locked, and motors whose torques are used.
-        reversals: equations of a motor slower than this share of its root mean square are left out; 0 keeps all.
+        reversals: equations of a motor slower than this share of its root mean square are left out; 0 keeps all, None
+            is `REVERSAL_SHARE` for methods with an equation per motor.
     """
 
     method: Method = "wls"
@@ -71,10 +72,10 @@ class IdentifyChoices:
     significant_rsd: float = SIGNIFICANT_RSD
     energy_window: float | None = None
     experiment: ExperimentChoices = field(default_factory=ExperimentChoices)
-    reversals: float = 0.0
+    reversals: float | None = None
 
     def __post_init__(self) -> None:
-        check_share(self.reversals)
+        check_share(self.reversal_share)
         if self.method in ENERGY_METHODS and self.reversals:
             raise UsageError(
                 f"--leave-out-reversals has no meaning for --method {self.method}, whose equation is the whole arm's",
@@ -91,6 +92,13 @@ class IdentifyChoices:
             raise UsageError("energy windows belong to the method energy", where="energy_window")
         if not (np.isfinite(self.energy_window) and self.energy_window > 0):
             raise UsageError(f"windows of {self.energy_window:g} s hold no samples", where="energy_window")
+
+    @property
+    def reversal_share(self) -> float:
+        """Share of its root mean square below which a motor's equation is left out."""
+        if self.reversals is not None:
+            return self.reversals
+        return 0.0 if self.method in ENERGY_METHODS else REVERSAL_SHARE
 
 
 def apply_model_choices(model: DynamicModel, choices: ModelChoices) -> DynamicModel:

@@ -58,7 +58,10 @@ def identify(
     progress("base parameters")
     positions = [(run.signals.label, run.position) for run in data.identification]
     experiment = find_experiment(model, positions, choices.experiment)
-    predictable = [predictable_torques(model, [experiment], run.signals.label, run.position) for run in data.held_out]
+    tolerance = choices.experiment.rest_tolerance
+    predictable = [
+        predictable_torques(model, [experiment], run.signals.label, run.position, tolerance) for run in data.held_out
+    ]
     base = experiment_base(model, [experiment])
     kernel = RegressorKernel(model, base.columns)
 

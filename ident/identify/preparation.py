@@ -62,7 +62,9 @@ def prepare_data(
         resolved = replace(resolved, delay=delay.used, joint_delays=delay.joint_delays)
     runs = [_prepare_run(kernel, run, resolved, torques) for run in data.identification]
     return PreparedData(
-        runs=tuple(replace(run, prepared=leave_out_reversals(kernel, run.prepared, choices.reversals)) for run in runs),
+        runs=tuple(
+            replace(run, prepared=leave_out_reversals(kernel, run.prepared, choices.reversal_share)) for run in runs
+        ),
         validation_runs=tuple(
             _prepare_run(kernel, run, resolved, predictable)
             for run, predictable in zip(data.held_out, held_out_torques, strict=True)

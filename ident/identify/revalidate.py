@@ -14,7 +14,7 @@ from ident.assessment.validation import FitFigures, fit_figures, overfitting_che
 from ident.identify.summary import held_out_errors
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
-from ident.regression.observability import predictable_torques
+from ident.regression.observability import REST_TOLERANCE, predictable_torques
 from ident.regression.velocity_reversals import leave_out_rest
 from ident.result.schema import Fit, Result
 from ident.result.stored_model import stored_model
@@ -64,7 +64,8 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
     prepared = leave_out_rest(RegressorKernel(model, base.columns), prepare(motion, choices))
     seconds = motion.time - motion.time[0]
     inside = (seconds >= (start or 0.0)) & (seconds <= (np.inf if stop is None else stop))
-    torques = predictable_torques(model, stored_parts.experiments, motion.label, motion.position[inside])
+    tolerance = stored_rest_tolerance(result)
+    torques = predictable_torques(model, stored_parts.experiments, motion.label, motion.position[inside], tolerance)
     full_series, essential_series = (
         tuple(
             only_predicted(part, torques)
@@ -103,3 +104,9 @@ def stored_choices(result: Result) -> PreprocessChoices:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(part) for part in first["loc"])
         raise ResultFileError(first["msg"], where=f"options.{key}", hint="identify again") from error
+
+
+def stored_rest_tolerance(result: Result) -> float:
+    """The rest tolerance of the identification [rad or m]; the default's where the result is older than the option."""
+    stored = result.options.get("rest_tolerance")
+    return float(stored) if isinstance(stored, (int, float)) and np.isfinite(stored) else REST_TOLERANCE

@@ -172,14 +172,19 @@ def _torque_step(identification: Identification) -> Step:
 
 def _experiment_step(identification: Identification) -> Step:
     """The experiment among the steps."""
-    names = identification.model.joint_names
+    names, experiment = identification.model.joint_names, identification.experiment
+    tolerance = identification.choices.experiment.rest_tolerance
+    text = describe(identification.model, experiment)
+    if experiment.locked:
+        text += f" (locked: within the rest tolerance of {tolerance:g} rad or m, or within the encoder's noise)"
     return Step(
         "experiment",
         {
-            "locked": ", ".join(names[joint] for joint in identification.experiment.locked),
-            "torques_of": ", ".join(names[motor] for motor in identification.experiment.torques),
+            "locked": ", ".join(names[joint] for joint in experiment.locked),
+            "torques_of": ", ".join(names[motor] for motor in experiment.torques),
+            "rest_tolerance": tolerance,
         },
-        describe(identification.model, identification.experiment),
+        text,
     )
 
 
@@ -222,7 +227,8 @@ def _options(identification: Identification) -> dict[str, float | int | str | bo
         "split": choices.split,
         "significant_rsd": choices.significant_rsd,
         "energy_window": choices.energy_window,
-        "reversals": choices.reversals,
+        "reversals": choices.reversal_share,
+        "rest_tolerance": choices.experiment.rest_tolerance,
     }
 
 

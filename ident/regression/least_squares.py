@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -48,6 +48,7 @@ class LeastSquares:
         scaled_condition: the same with columns of unit length.
         residual_sum: Σ ρ² of the weighted system.
         iterations: of the weights; 1 for OLS.
+        settled: whether the weights converged; else these are the last iterate's.
     """
 
     method: Method
@@ -62,6 +63,7 @@ class LeastSquares:
     scaled_condition: float
     residual_sum: float
     iterations: int
+    settled: bool = True
 
     @property
     def std(self) -> FloatArray:
@@ -95,10 +97,11 @@ def ordinary_least_squares(reduction: Reduction, active: Sequence[int]) -> Least
 def weighted_least_squares(reduction: Reduction, active: Sequence[int]) -> LeastSquares:
     """WLS: each joint's rows divided by its residual's standard deviation, iterated until the weights settle.
 
-    σ_j² = ‖Γ_j − W_j θ‖² / (N_j − b·N_j/r) (ROCR6 eq. 11 with the joint's share of the parameters as r_j).
+    σ_j² = ‖Γ_j − W_j θ‖² / (N_j − b·N_j/r) (ROCR6 eq. 11 with the joint's share of the parameters as r_j). Where they
+    do not settle, the last iterate is given, marked: every iterate is unbiased, whatever its weights.
 
     Raises:
-        IdentificationError: as for OLS, or the weights do not converge.
+        IdentificationError: as for OLS.
     """
     solution = ordinary_least_squares(reduction, active)
     floor, used = _rounding_floor(reduction), _with_rows(reduction)
@@ -109,9 +112,7 @@ def weighted_least_squares(reduction: Reduction, active: Sequence[int]) -> Least
         solution = refined
         if change < WLS_TOLERANCE:
             return solution
-    raise IdentificationError(
-        f"the joint weights did not settle in {WLS_ITERATIONS} iterations", hint="use --method ols, or record longer"
-    )
+    return replace(solution, settled=False)
 
 
 def _with_rows(reduction: Reduction) -> npt.NDArray[np.bool_]:

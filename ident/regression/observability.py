@@ -30,8 +30,15 @@ from ident.model.base_parameters import (
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel, evaluate_in_chunks
 
-STILL = 1e-3
-"""A joint whose position stays within this range [rad or m] is locked: brakes and controllers give way by less."""
+REST_TOLERANCE = 5e-3
+"""Default range [rad or m] within which a joint counts as locked.
+
+A joint on its brake sags by the backlash of its gear, some milliradians, while others move. Taken as fixed half a
+tolerance away, a moment of gravity of 100 N·m is off by 0.25 N·m, less than residuals are; a joint that is meant to
+move does so over a hundred times as much."""
+
+LARGEST_REST_TOLERANCE = 0.1
+"""A joint that moves farther [rad or m] is not at rest by any standard."""
 
 NOISE_DEVIATIONS = 10.0
 """… or within so many standard deviations of its encoder's noise: the range of a million normal values."""
@@ -51,10 +58,23 @@ class ExperimentChoices:
     Attributes:
         locked: names of joints that must not move; whichever others stand still are found from the data.
         torques_of: names of the joints whose motors' torques are used; all that turn where empty.
+        rest_tolerance: range of positions within which a joint counts as locked [rad or m].
+
+    Raises:
+        UsageError: the tolerance is not within 0 and `LARGEST_REST_TOLERANCE`.
     """
 
     locked: tuple[str, ...] = ()
     torques_of: tuple[str, ...] = ()
+    rest_tolerance: float = REST_TOLERANCE
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.rest_tolerance <= LARGEST_REST_TOLERANCE:
+            raise UsageError(
+                f"a joint that moves over {self.rest_tolerance:g} rad is not at rest",
+                where="--rest-tolerance",
+                hint=f"give 0 to {LARGEST_REST_TOLERANCE:g} rad (or m)",
+            )
 
 
 @dataclass(frozen=True)
@@ -92,22 +112,23 @@ def find_experiment(
         UsageError: a name that no joint has.
     """
     named = joint_numbers(model, choices.locked, "--locked")
-    still = np.all([ranges(position)[0] <= ranges(position)[1] for _, position in positions], axis=0)
-    for label, position in positions:
-        moved, allowed = ranges(position)
+    spans = [(label, *ranges(position, choices.rest_tolerance)) for label, position in positions]
+    still = np.all([moved <= allowed for _, moved, allowed in spans], axis=0)
+    for label, moved, allowed in spans:
         for joint in named:
             if moved[joint] > allowed[joint]:
                 unit = _unit(model, joint)
                 raise DataError(
                     f"joint {model.joint_names[joint]} is said to be locked and moves over {moved[joint]:.3g} {unit}; "
-                    f"up to {allowed[joint]:.2g} {unit} would be encoder noise or a brake that gives way",
+                    f"the tolerance is {allowed[joint]:.2g} {unit}",
                     where=label,
-                    hint="leave it out of --locked, or choose a window with --start and --stop",
+                    hint="leave it out of --locked, choose a window with --start and --stop, or give a larger "
+                    "--rest-tolerance",
                 )
     locked = () if bool(np.all(still)) else tuple(int(joint) for joint in np.flatnonzero(still))
     poses: list[tuple[float, ...]] = []
     for _, position in positions:
-        pose = _pose(model, position, locked)
+        pose = _pose(model, position, locked, choices.rest_tolerance)
         if not any(np.allclose(pose, other, rtol=0.0, atol=SAME_POSE) for other in poses):
             poses.append(pose)
     torques = joint_numbers(model, choices.torques_of, "--torques-of")
@@ -136,16 +157,17 @@ def moving_motors(model: DynamicModel, locked: Sequence[int]) -> tuple[int, ...]
     return tuple(int(motor) for motor in np.flatnonzero(np.any(model.transmission.coupling[:, free] != 0.0, axis=1)))
 
 
-def ranges(position: FloatArray) -> tuple[FloatArray, FloatArray]:
+def ranges(position: FloatArray, rest_tolerance: float) -> tuple[FloatArray, FloatArray]:
     """Largest minus smallest position (n,) of a recording (N, n), and the range up to which a joint stands still.
 
-    The encoder's noise comes from third differences, which smooth motion barely affects: of white noise of standard
-    deviation σ they have the variance 20 σ².
+    That is the tolerance [rad or m], or what the encoder's noise alone explains. The noise comes from third
+    differences, which smooth motion barely affects: of white noise of standard deviation σ they have the variance
+    20 σ².
     """
     nothing = np.zeros(position.shape[1])
     noise = np.std(np.diff(position, 3, axis=0), axis=0) / np.sqrt(20.0) if len(position) > 3 else nothing
     moved = np.ptp(position, axis=0) if len(position) else nothing
-    return moved, np.maximum(STILL, NOISE_DEVIATIONS * noise)
+    return moved, np.maximum(rest_tolerance, NOISE_DEVIATIONS * noise)
 
 
 def experiment_base(model: DynamicModel, experiments: Sequence[Experiment]) -> BaseParameters:
@@ -209,9 +231,20 @@ def experiment_states(
 
 
 def predictable_torques(
-    model: DynamicModel, experiments: Sequence[Experiment], label: str, position: FloatArray
+    model: DynamicModel,
+    experiments: Sequence[Experiment],
+    label: str,
+    position: FloatArray,
+    rest_tolerance: float = REST_TOLERANCE,
 ) -> tuple[int, ...]:
     """Numbers of the motors whose torque a model from these experiments predicts along a recording (N, n).
+
+    Args:
+        model: the arm.
+        experiments: that the model was identified from.
+        label: of the recording.
+        position: (N, n) as recorded [rad or m].
+        rest_tolerance: range of positions within which a joint counts as locked [rad or m].
 
     Raises:
         DataError: none, since the recording moves a joint that was locked, or has it elsewhere.
@@ -220,9 +253,8 @@ def predictable_torques(
         return tuple(range(model.dof))
     shown: set[int] = set()
     reasons = []
-    moved, allowed = ranges(position)
     for experiment in experiments:
-        reason = _difference(model, experiment, position, moved, allowed)
+        reason = _difference(model, experiment, position, rest_tolerance)
         if reason is None:
             shown.update(experiment.torques)
         else:
@@ -237,15 +269,14 @@ def predictable_torques(
     return tuple(sorted(shown))
 
 
-def _difference(
-    model: DynamicModel, experiment: Experiment, position: FloatArray, moved: FloatArray, allowed: FloatArray
-) -> str | None:
+def _difference(model: DynamicModel, experiment: Experiment, position: FloatArray, rest_tolerance: float) -> str | None:
     """Why a recording is not of the kind that an experiment was; None where it is."""
+    moved, allowed = ranges(position, rest_tolerance)
     for joint in experiment.locked:
         if moved[joint] > allowed[joint]:
             name, unit = model.joint_names[joint], _unit(model, joint)
             return f"it moves {name} over {moved[joint]:.3g} {unit}, and {name} was locked"
-    pose = _pose(model, position, experiment.locked)
+    pose = _pose(model, position, experiment.locked, rest_tolerance)
     if any(np.allclose(pose, other, rtol=0.0, atol=SAME_POSE) for other in experiment.poses):
         return None
     standing = ", ".join(
@@ -270,13 +301,15 @@ def describe(model: DynamicModel, experiment: Experiment) -> str:
     return (f"locked: {'; or '.join(poses)}; " if experiment.locked else "") + f"torques of {torques}"
 
 
-def _pose(model: DynamicModel, position: FloatArray, locked: Sequence[int]) -> tuple[float, ...]:
+def _pose(model: DynamicModel, position: FloatArray, locked: Sequence[int], rest_tolerance: float) -> tuple[float, ...]:
+    """Where the locked joints stood: the median, or the right angle that it cannot be told apart from."""
     values = []
     for joint in locked:
         value = float(np.median(position[:, joint]))
         nearest = float(np.round(value / (np.pi / 2.0)) * (np.pi / 2.0))
+        near = max(RIGHT_ANGLE, min(rest_tolerance, float(np.ptp(position[:, joint]))))
         revolute = not model.joints[model.active[joint]].prismatic
-        values.append(nearest if revolute and abs(value - nearest) < RIGHT_ANGLE else value)
+        values.append(nearest if revolute and abs(value - nearest) < near else value)
     return tuple(values)
 
 

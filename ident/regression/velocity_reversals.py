@@ -21,8 +21,9 @@ from ident.model.regressor import RegressorKernel
 from ident.signals.motion_masks import moving_mask
 from ident.signals.prepared import Prepared, Segment, Step
 
-ADVISED_SHARE = 0.2
-"""Of a velocity's root mean square: below it a motor is near a reversal (docs/excitation.md has the figures)."""
+REVERSAL_SHARE = 0.2
+"""Of a velocity's root mean square: below it a motor is near a reversal, and its equation is left out by default, in
+the identification and in the search of a delay (docs/identification.md has the figures)."""
 
 
 REST_REACH = 0.5
@@ -58,7 +59,7 @@ def leave_out_rest(kernel: RegressorKernel, prepared: Prepared) -> Prepared:
 
 
 def without_reversals(
-    kernel: RegressorKernel, segments: Sequence[Segment], share: float = ADVISED_SHARE
+    kernel: RegressorKernel, segments: Sequence[Segment], share: float = REVERSAL_SHARE
 ) -> tuple[Segment, ...]:
     """Segments without the equations of motors slower than `share` of their velocity's root mean square, nor at rest.
 

@@ -16,7 +16,7 @@ from ident.identify.identify import identify as identify_recordings
 from ident.identify.summary import summarise
 from ident.regression.comparison import TorqueSeries
 from ident.regression.least_squares import Method
-from ident.regression.observability import ExperimentChoices
+from ident.regression.observability import REST_TOLERANCE, ExperimentChoices
 from ident.regression.pruning import SIGNIFICANT_RSD
 from ident.report import RecordedRuns, recorded_runs, write_report
 from ident.result.model import Model, result_path
@@ -193,7 +193,8 @@ def identify(
     measured_velocity: bool = False,
     locked: Sequence[str] = (),
     torques_of: Sequence[str] = (),
-    leave_out_reversals: float = 0.0,
+    rest_tolerance: float | None = None,
+    leave_out_reversals: float | None = None,
     energy_window: float | None = None,
     start: float | None = None,
     stop: float | None = None,
@@ -224,8 +225,9 @@ def identify(
         measured_velocity: use the recorded velocity.
         locked: names of joints that must not move.
         torques_of: names of the joints whose motors' torques are used; all moving motors where empty.
+        rest_tolerance: range of positions within which a joint counts as locked [rad or m]; 0.005 where None.
         leave_out_reversals: leave out velocity reversals: motors slower than this share
-            of their RMS velocity, such as 0.2.
+            of their RMS velocity; 0 leaves out none, None is 0.2 for the methods "ols" and "wls".
         energy_window: mean duration of the windows of the method "energy" [s].
         start: leave out samples before this time [s from the first stamp].
         stop: leave out samples after this time [s from the first stamp].
@@ -269,7 +271,11 @@ def identify(
         split=split,
         significant_rsd=significance,
         energy_window=energy_window,
-        experiment=ExperimentChoices(_names(locked, "locked"), _names(torques_of, "torques_of")),
+        experiment=ExperimentChoices(
+            _names(locked, "locked"),
+            _names(torques_of, "torques_of"),
+            REST_TOLERANCE if rest_tolerance is None else rest_tolerance,
+        ),
         reversals=leave_out_reversals,
     )
     recordings, held_out = recordings_of(runs), recordings_of(validation)

@@ -13,8 +13,8 @@ from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import regressor
 from ident.regression.observability import (
+    REST_TOLERANCE,
     RIGHT_ANGLE,
-    STILL,
     Experiment,
     ExperimentChoices,
     describe,
@@ -61,7 +61,7 @@ def test_a_recording_without_motion_locks_nothing(ur, samples):
 
 def test_a_creeping_joint_is_not_locked(ur):
     run = positions(ur, (3,), (0.3,))
-    run[:, 3] += np.linspace(0.0, 2 * STILL, len(run))
+    run[:, 3] += np.linspace(0.0, 2 * REST_TOLERANCE, len(run))
     assert find_experiment(ur, [("run", run)], ExperimentChoices()) == whole_arm(ur)
 
 
