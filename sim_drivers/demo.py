@@ -15,12 +15,10 @@ from daq.recording.reader import read_recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
-from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
 from ident.excite.search.search import SearchChoices
-from ident.excite.search.start import random_start
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
@@ -33,7 +31,10 @@ from ident.result.schema import Result, write_result
 from sim_drivers.simulated_arm import Record, over_rtde
 
 PERIOD = 15.0
-"""Period of the demonstration's motions [s]."""
+"""Period of the identification motion [s]."""
+
+VALIDATION_PERIOD = 10.0
+"""Of the other motion, which is designed alike from another seed: what `dynid excite --seed 2` makes for a user."""
 
 RAMP = 2.0
 """From rest into the periodic motion and back [s]."""
@@ -43,9 +44,6 @@ MARGIN = 0.2
 
 STARTS = 1
 """Of the excitation's design: the first start already comes within a tenth of the best of many."""
-
-DRAWS = 1000
-"""Random motions that are tried until one keeps all limits."""
 
 
 @dataclass(frozen=True)
@@ -111,11 +109,12 @@ def run_demo(
     folder.mkdir(parents=True, exist_ok=True)
     periods = max(1, round(duration / PERIOD))
     period = duration / periods
-    progress("designing an excitation trajectory")
+    progress("designing an excitation trajectory, and another one to validate with")
     choices = DesignChoices(period=period, periods=periods, ramp=RAMP, margin=MARGIN)
+    other = replace(choices, period=min(period, VALIDATION_PERIOD), periods=1)
     trajectories = {
         "identification": _excitation(robot_file, choices, seed),
-        "validation": _validation(robot_file, replace(choices, periods=1), seed + 1),
+        "validation": _excitation(robot_file, other, seed + 1),
     }
     paths = []
     lost = samples = 0
@@ -151,13 +150,6 @@ def _excitation(robot_file: RobotFile, choices: DesignChoices, seed: int) -> str
     designed = design(robot_file, find_prior(robot_file), choices, SearchChoices(seed=seed, starts=STARTS, workers=1))
     comment = f"designed by dynid demo, condition number {designed.condition:.3g}"
     return dump_trajectory(designed.family.trajectory(designed.variables, robot_file.robot.name, comment))
-
-
-def _validation(robot_file: RobotFile, choices: DesignChoices, seed: int) -> str:
-    """The trajectory file of a motion that was not made for identification: a random one that keeps the same limits."""
-    problem = build_problem(robot_file, find_prior(robot_file), choices)
-    variables = problem.family.begun_near_middle(random_start(problem, [seed], DRAWS))
-    return dump_trajectory(problem.family.trajectory(variables, robot_file.robot.name, "random, for validation"))
 
 
 def print_demo(demo: Demo, as_json: bool) -> None:

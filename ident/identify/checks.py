@@ -61,6 +61,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     checks += torque_level_checks(identification.robot_file.robot, identification.model, torque)
     checks += delay_checks(identification.delay)
     checks += _size_checks(identification)
+    checks += _convergence_checks(identification)
     checks += _experiment_checks(identification)
     checks += _excitation_checks(identification)
     checks += sign_checks(identification.base, identification.solution.parameters, identification.std)
@@ -76,7 +77,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
             "predicting torque, not for forward simulation"
         )
         checks.append(raised("indefinite-inertia", text))
-    return checks + overfitting_checks(identification.fit.relative_error, identification.validation.relative_error)
+    return checks + overfitting_checks(identification.fit, identification.validation)
 
 
 def _size_checks(identification: Identification) -> list[Check]:
@@ -85,12 +86,7 @@ def _size_checks(identification: Identification) -> list[Check]:
     count = len(solution.active)
     checks = []
     if solution.rows < ROWS_PER_PARAMETER * count:
-        more = "take shorter windows" if identification.choices.method == "energy" else "decimate less"
-        text = (
-            f"only {solution.rows} equations for {count} parameters; {ROWS_PER_PARAMETER} per parameter are advised: "
-            f"record longer or {more}"
-        )
-        checks.append(raised("few-equations", text))
+        checks.append(raised("few-equations", _few_equations(identification, ROWS_PER_PARAMETER * count)))
     prepared = identification.runs[0].prepared
     # The lag-one autocorrelation of a residual sampled far above its band says nothing about its memory.
     sampled_for_its_band = prepared.filtered_rate <= MOST_OVERSAMPLED * prepared.cutoffs.torque
@@ -108,6 +104,26 @@ def _size_checks(identification: Identification) -> list[Check]:
         )
         checks.append(raised("few-blocks", text))
     return checks
+
+
+def _few_equations(identification: Identification, advised: int) -> str:
+    """How much motion gives the equations that are advised."""
+    solution, first = identification.solution, identification.runs[0].prepared
+    seconds = sum(int(part.used.sum()) / part.rate for run in identification.runs for part in run.prepared.segments)
+    needed = seconds * advised / solution.rows
+    if identification.choices.method == "energy":
+        more = "or take shorter windows (--energy-window)"
+    elif identification.choices.preprocess.decimate is not None:
+        more = f"or decimate by less than {first.parallel_filter.factor} (--decimate)"
+    else:
+        more = (
+            f"or a faster motion: the parallel filter ({first.cutoffs.torque:.3g} Hz, from the motion's band) leaves "
+            f"{first.filtered_rate:.3g} equations per second and joint"
+        )
+    return (
+        f"only {solution.rows} equations for {len(solution.active)} parameters; {ROWS_PER_PARAMETER} per parameter are "
+        f"advised: identify from {needed:.0f} s of motion instead of {seconds:.0f} s, {more}"
+    )
 
 
 def _arrangement_checks(identification: Identification) -> list[Check]:
@@ -145,6 +161,18 @@ def _idle_joint_checks(identification: Identification) -> list[Check]:
         deviation,
         [joint for joint in identification.experiment.torques if joint not in identification.experiment.locked],
     )
+
+
+def _convergence_checks(identification: Identification) -> list[Check]:
+    """Weights of the joints that do not settle."""
+    solution = identification.solution
+    if solution.settled:
+        return []
+    text = (
+        f"the joints' weights did not settle in {solution.iterations - 1} iterations, the last ones are used: values "
+        "and error bars depend on where they stopped; compare --method ols, or record longer"
+    )
+    return [raised("weights-not-settled", text)]
 
 
 def _excitation_checks(identification: Identification) -> list[Check]:

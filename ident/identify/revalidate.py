@@ -24,7 +24,7 @@ from ident.signals.pipeline import prepare
 from ident.signals.played_motion import played_window
 from ident.verdict.verdict import Verdict, judge
 
-CHECKS_OF_VALIDATION = ("overfitting", "not-validated")
+CHECKS_OF_VALIDATION = ("overfitting", "errors-near-standstill", "not-validated")
 """Checks that depend on what was held out."""
 
 
@@ -87,8 +87,8 @@ def validation_verdict(result: Result, recording: Recording, fit: Fit) -> Verdic
         fit: its errors there.
     """
     kept = [check for check in result.verdict.checks if check.name not in CHECKS_OF_VALIDATION]
-    fitted = None if result.fit is None else result.fit.relative_error
-    checks = [*kept, *recording_checks(recording), *overfitting_checks(fitted, fit.relative_error)]
+    overfitting = [] if result.fit is None else overfitting_checks(result.fit, fit)
+    checks = [*kept, *recording_checks(recording), *overfitting]
     error = "" if fit.relative_error is None else f" by {100.0 * fit.relative_error:.1f} %"
     basis = f"On {recording.label}, predicted torque differs from measured torque{error}."
     return judge(checks, held_out_errors(result.joints, fit), basis)

@@ -135,6 +135,13 @@ _EXCITATION = (
         "Record longer.",
     ),
     CheckKind(
+        "weights-not-settled",
+        "warning",
+        PARAMETERS,
+        "the joints' weights do not settle",
+        "Compare --method ols, or record longer: the values are those of the last iterate.",
+    ),
+    CheckKind(
         "few-independent-samples",
         "warning",
         PARAMETERS,
@@ -250,6 +257,11 @@ _MODEL = (
 )
 
 _VALIDATION = (
+    _note(
+        "errors-near-standstill",
+        "the validation's errors are larger than the identification's below 0.1 rad/s only",
+        "Friction near standstill is no constant: expect such errors where joints start, stop and reverse.",
+    ),
     CheckKind(
         "overfitting",
         "warning",
