@@ -98,7 +98,7 @@ def weighted_least_squares(reduction: Reduction, active: Sequence[int]) -> Least
     """WLS: each joint's rows divided by its residual's standard deviation, iterated until the weights settle.
 
     σ_j² = ‖Γ_j − W_j θ‖² / (N_j − b·N_j/r) (ROCR6 eq. 11 with the joint's share of the parameters as r_j). Where they
-    do not settle, the last iterate is given, marked: every iterate is unbiased, whatever its weights.
+    do not settle, the last iterate is given, marked: it is a weighted solution, too, with weights that are not final.
 
     Raises:
         IdentificationError: as for OLS.

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import DataError
-from ident.assessment.validation import LOW_SPEED, fit_figures
+from ident.assessment.validation import LOW_SPEED, fit_figures, overfitting_checks
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression.comparison import TorqueSeries, compare_torques
@@ -105,3 +105,40 @@ def test_speed_is_judged_joint_by_joint():
 def test_nothing_that_counts_is_an_error_in_words():
     with pytest.raises(DataError, match="does not move"):
         fit_figures([series([[1, 1]], [[1, 1]], [[0, 0]], [False, False])])
+
+
+def test_a_resting_joint_s_torque_is_not_compared():
+    torques = series([[3, 3, 9], [1, 1, 1]], [[3, 2, 0], [1, 1, 1]], [[1, 1, 0], [1, 1, 1]])
+    resting = replace(torques, resting=np.array([[False, False, True], [False, False, False]]))
+    figures = fit_figures([resting])
+    assert figures.rmse == pytest.approx([np.sqrt(1 / 2), 0])
+    assert figures.max_error == pytest.approx([1, 0])
+    assert figures.relative_error == pytest.approx(1 / np.sqrt(18 + 3))
+    assert np.array_equal(resting.residual, [[0, 1, 0], [0, 0, 0]])
+    throughout = fit_figures([replace(torques, resting=np.array([[True] * 3, [False] * 3]))])
+    assert np.isnan([throughout.rmse[0], throughout.max_error[0], throughout.joint_relative_error[0]]).all()
+    assert throughout.relative_error == 0.0
+    with pytest.raises(DataError, match="does not move"):
+        fit_figures([replace(torques, resting=np.ones((2, 3), dtype=bool))])
+
+
+@given(size=st.floats(0.1, 10.0))
+def test_less_torque_is_no_overfitting(size):
+    """The same errors in N·m on a motion that takes less torque: a larger relative error, and no check."""
+    error, velocity = [[0.1, -0.1, 0.1, -0.1]], [[1.0, 1.0, 0.05, 0.05]]
+    fitted = fit_figures([series([[10.0] * 4], np.add([[10.0] * 4], error), velocity)])
+    held_out = fit_figures([series([[size] * 4], np.add([[size] * 4], error), velocity)])
+    assert overfitting_checks(fitted, held_out) == []
+
+
+@pytest.mark.parametrize(
+    ("error", "name"),
+    [([0.3, -0.3, 0.3, -0.3], "overfitting"), ([0.1, -0.1, 0.9, -0.9], "errors-near-standstill")],
+)
+def test_larger_errors_are_told_by_their_cause(error, name):
+    velocity = [[1.0, 1.0, 0.05, 0.05]]
+    fitted = fit_figures([series([[5.0] * 4], np.add([[5.0] * 4], [[0.1, -0.1, 0.1, -0.1]]), velocity)])
+    held_out = fit_figures([series([[5.0] * 4], np.add([[5.0] * 4], [error]), velocity)])
+    (check,) = overfitting_checks(fitted, held_out)
+    assert check.name == name
+    assert f"{held_out.rmse[0] / fitted.rmse[0]:.1f} times" in check.text

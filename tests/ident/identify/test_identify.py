@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -14,11 +15,12 @@ from drivers.errors import DataError, IdentificationError, RecordingError, Usage
 from ident.assessment.validation import HELD_OUT_SHARE
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import apply_model_choices, identify
-from ident.identify.revalidate import stored_choices
+from ident.identify.revalidate import revalidate, stored_choices
 from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
+from ident.regression import least_squares
 from ident.regression.observability import ExperimentChoices
 from ident.result.schema import Result
 from ident.signals.pipeline import PreprocessChoices
@@ -241,10 +243,55 @@ def test_a_joint_that_is_later_than_the_others_gets_its_own_delay_in_the_result_
     assert stored_choices(result).joint_delays == (first, second, third)
 
 
-def test_short_recordings_are_warned_of(recorded, clean):
-    assert any("equations for 25 parameters" in text for text in clean.warnings)
-    long = identify([recorded(40.0)], [], IdentifyChoices(preprocess=PreprocessChoices(decimate=1)))
-    assert not any("equations for" in text for text in long.warnings)
+def test_short_recordings_are_told_how_long_they_should_be(recorded, clean):
+    (text,) = [check.text for check in clean.checks if check.name == "few-equations"]
+    assert "equations for 25 parameters" in text
+    assert "decimate" not in text  # nobody but the parallel filter did
+    needed = float(re.search(r"identify from (\d+) s of motion", text)[1])
+    share = 1.0 - HELD_OUT_SHARE
+    enough = identify([recorded(1.1 * needed / share)], [], IdentifyChoices())
+    assert "few-equations" not in {check.name for check in enough.checks}
+    decimated = identify([recorded()], [], IdentifyChoices(preprocess=PreprocessChoices(decimate=5, torque_cutoff=5.0)))
+    assert any("decimate by less than 5" in check.text for check in decimated.checks)
+
+
+def test_weights_that_do_not_settle_are_a_check(recorded, clean, monkeypatch):
+    assert "weights-not-settled" not in {check.name for check in clean.checks}
+    monkeypatch.setattr(least_squares, "WLS_ITERATIONS", 2)
+    found = identify([recorded()], [], IdentifyChoices())
+    (check,) = [check for check in found.checks if check.name == "weights-not-settled"]
+    assert "in 2 iterations" in check.text
+    assert found.validation.relative_error == pytest.approx(clean.validation.relative_error, rel=0.1)
+
+
+def test_a_joint_that_sags_on_its_brake_is_locked_within_the_tolerance(three_joint):
+    """By 3 mrad, while the others move; the held-out part too, and another recording with the stored model."""
+    motion = random_fourier_motion(build_model(three_joint), 10.0, seed=1)
+    motion.sine[1] = motion.cosine[1] = 0.0
+    recording = simulate_recording(three_joint, motion, 20.0, seed=1)
+    position = recording.streams[JOINTS_STREAM].channels["position"].values
+    position[:, 1] += 1.5e-3 * np.sin(0.7 * recording.streams[JOINTS_STREAM].time)
+    said = IdentifyChoices(experiment=ExperimentChoices(locked=("j2",)), search_delay=False)
+    found = identify([recording], [], said)
+    assert found.experiment.locked == (1,)
+    assert found.validation.relative_error < 0.05
+    result = summarise(found, [recording], [])
+    (step,) = [step for step in result.preprocessing if step.name == "experiment"]
+    assert "rest tolerance of 0.005" in step.text
+    assert np.isnan(revalidate(result, recording).full.rmse[1])
+    strict = replace(said, experiment=replace(said.experiment, rest_tolerance=1e-3))
+    with pytest.raises(DataError, match=r"moves over 0\.003 rad; the tolerance is 0\.001 rad") as caught:
+        identify([recording], [], strict)
+    assert "--rest-tolerance" in (caught.value.hint or "")
+    stored = result.model_copy(update={"options": {**result.options, "rest_tolerance": 1e-3}})
+    with pytest.raises(DataError, match="was locked"):
+        revalidate(stored, recording)
+
+
+@pytest.mark.parametrize("tolerance", [-1e-3, 0.2, float("nan")])
+def test_a_rest_tolerance_that_is_a_motion_is_refused(tolerance):
+    with pytest.raises(UsageError, match="is not at rest"):
+        ExperimentChoices(rest_tolerance=tolerance)
 
 
 def test_recordings_that_were_not_closed_are_warned_of(recorded):

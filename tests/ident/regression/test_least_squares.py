@@ -14,6 +14,7 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel, regressor
 from ident.model.true_parameters import truth_vector
+from ident.regression import least_squares
 from ident.regression.least_squares import excited_columns, ordinary_least_squares, weighted_least_squares
 from ident.regression.observation_matrix import only_torques, reduce_segments
 from ident.signals.filters import no_filter
@@ -129,6 +130,16 @@ def test_columns_that_others_explain_are_not_excited(dense_reduction):
     _, joints = systems(3)
     joints = [(np.column_stack([W, W[:, 0] - 2 * W[:, 3], np.zeros(len(W)), 1e-6 * W[:, 1]]), t) for W, t in joints]
     assert excited_columns(dense_reduction(joints)) == (0, 1, 2, 3, 4)
+
+
+def test_weights_that_do_not_settle_give_the_last_iterate(dense_reduction, monkeypatch):
+    _, joints = systems(4)
+    assert weighted_least_squares(dense_reduction(joints), range(5)).settled
+    monkeypatch.setattr(least_squares, "WLS_ITERATIONS", 1)
+    last = weighted_least_squares(dense_reduction(joints), range(5))
+    assert not last.settled
+    W, torque = stacked(joints, 1.0 / ordinary_least_squares(dense_reduction(joints), range(5)).joint_std)
+    assert np.allclose(last.parameters, np.linalg.lstsq(W, torque, rcond=None)[0], rtol=1e-8, atol=1e-10)
 
 
 @pytest.mark.parametrize("method", [ordinary_least_squares, weighted_least_squares])
