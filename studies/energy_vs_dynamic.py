@@ -68,7 +68,9 @@ def identified(
     """The model; None where the data do not determine it."""
     filters = PreprocessChoices(position_cutoff=position_cutoff)
     try:
-        return identify([recording], [held_out], IdentifyChoices(method, preprocess=filters, search_delay=False))
+        return identify(
+            [recording], [held_out], IdentifyChoices(method, preprocess=filters, search_delay=False, reversals=0.0)
+        )
     except IdentificationError:
         return None
 

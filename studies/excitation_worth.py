@@ -72,7 +72,7 @@ def errors(robot_file: RobotFile, motion: Motion, seeds: int) -> npt.NDArray[np.
     found = []
     for seed in range(seeds):
         recording = simulate_recording(robot_file, motion, motion.duration, seed=seed)
-        result = identify([recording], [validation], IdentifyChoices(), robot_file=robot_file)
+        result = identify([recording], [validation], IdentifyChoices(reversals=0.0), robot_file=robot_file)
         found.append(np.abs(result.solution.parameters - truth) / scale)
     return np.array(found)
 

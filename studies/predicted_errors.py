@@ -50,7 +50,7 @@ def earlier_result(robot_file: RobotFile, recording: Recording) -> Prior:
     """What an identification of an earlier recording tells."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "result.json"
-        found = identify([recording], [], IdentifyChoices(), robot_file=robot_file)
+        found = identify([recording], [], IdentifyChoices(reversals=0.0), robot_file=robot_file)
         write_result(path, summarise(found, [recording], []))
         return find_prior(robot_file, path)
 
@@ -71,7 +71,7 @@ def compare(label: str, robot_file: RobotFile, count: int) -> None:
     for seed in range(count):
         recording = simulate_recording(robot_file, motion, motion.duration, seed=seed)
         # Validated on the other recording, so that all of this one identifies.
-        found = identify([recording], [earlier], IdentifyChoices(), robot_file=robot_file)
+        found = identify([recording], [earlier], IdentifyChoices(reversals=0.0), robot_file=robot_file)
         errors.append(found.solution.parameters - truth)
         if seed < ASKED:
             forecast = motion_sufficiency(recorded_motion(recording, robot_file)).forecast

@@ -84,7 +84,7 @@ def recorded(robot_file: RobotFile, seed: int, moves: int) -> Recording:
 
 def identified(robot_file: RobotFile, seed: int, moves: int) -> Identification:
     run, held_out = recorded(robot_file, seed, moves), recorded(robot_file, seed + 1, moves // 2)
-    return identify([run], [held_out], IdentifyChoices(method="wls"))
+    return identify([run], [held_out], IdentifyChoices(method="wls", reversals=0.0))
 
 
 def drawn_gains(robot_file: RobotFile, seed: int) -> dict[str, float]:

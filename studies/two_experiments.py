@@ -73,7 +73,8 @@ def recorded(robot_file: RobotFile, seed: int, moves: int, moving: tuple[str, ..
 
 
 def result_of(recording: Recording, torques_of: tuple[str, ...] = (), method: Method = "wls") -> Result:
-    choices = IdentifyChoices(method, experiment=ExperimentChoices(torques_of=torques_of), search_delay=False)
+    experiment = ExperimentChoices(torques_of=torques_of)
+    choices = IdentifyChoices(method, experiment=experiment, search_delay=False, reversals=0.0)
     return summarise(identify([recording], [], choices), [recording], [])
 
 

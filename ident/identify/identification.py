@@ -203,4 +203,5 @@ class Identification:
         if self.choices.method not in ENERGY_METHODS:
             return np.where(self.solution.weights > 0, self.solution.joint_std, np.nan)
         squares = sum(np.sum(part.residual**2, axis=1) for part in self.fit_series)
-        return np.asarray(np.sqrt(squares / max(1, sum(int(part.used.sum()) for part in self.fit_series))))
+        counts = sum(np.sum(part.counted, axis=1) for part in self.fit_series)
+        return np.asarray(np.sqrt(squares / np.maximum(1, counts)))

@@ -47,7 +47,7 @@ class JointResidual:
 
 def joint_residual(series: Sequence[TorqueSeries], joint: int, lags: int) -> JointResidual:
     """Describe the residual of joint number `joint`; `lags` autocorrelations, never across a gap."""
-    used = [segment.used for segment in series]
+    used = [segment.counted[joint] for segment in series]
     velocity = _joined([segment.velocity[joint, mask] for segment, mask in zip(series, used, strict=True)])
     segments = [segment.measured[joint] - segment.predicted[joint] for segment in series]
     residual = _joined([segment[mask] for segment, mask in zip(segments, used, strict=True)])

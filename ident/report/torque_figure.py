@@ -31,7 +31,8 @@ def torque_figure(
     panels = []
     for joint in order:
         residuals = [
-            np.where(segment.used, segment.measured[joint] - segment.predicted[joint], np.nan) for segment in series
+            np.where(segment.counted[joint], segment.measured[joint] - segment.predicted[joint], np.nan)
+            for segment in series
         ]
         lines = (
             ("residual", 3, residuals, RESIDUAL, 1.0),
@@ -92,8 +93,8 @@ def _caption(series: Sequence[TorqueSeries], points: int, borders: int) -> str:
             f"Each line is decimated to about {whole(points)} points, the smallest and the largest value of every "
             "interval, which keeps all peaks."
         )
-    if not all(bool(segment.used.all()) for segment in series):
-        text.append("Samples not used (the arm at rest, the ends of a segment) have no residual.")
+    if not all(bool(segment.counted.all()) for segment in series):
+        text.append("Samples not used (a joint at rest, the ends of a segment) have no residual.")
     if borders:
         text.append(
             "Dotted: start of a segment that does not follow in time (another recording, or a pause of more than a "
