@@ -44,12 +44,13 @@ def excitation_reached(motion: RecordedMotion) -> ExcitationReached:
     factor = motion.reduction.stacked()[:, active]
     singular = np.linalg.svd(factor, compute_uv=False)
     speed = np.max([np.max(np.abs(segment.velocity), axis=1) for segment in motion.prepared.segments], axis=0)
+    position = np.concatenate([segment.position for segment in motion.prepared.segments], axis=1)
     limits = np.array([joint.velocity for joint in motion.robot_file.robot.joints])
     return ExcitationReached(
         condition=float(singular[0] / singular[-1]) if len(active) else float("inf"),
         scaled_condition=scaled_condition(factor) if len(active) else float("inf"),
         unexcited=[base.names[i] for i in range(base.count) if i not in active],
-        position_range=np.ptp(motion.positions.position, axis=0).tolist(),
+        position_range=np.ptp(position, axis=1).tolist(),
         velocity_reached=speed.tolist(),
         velocity_share_percent=(100.0 * speed / limits).tolist(),
     )

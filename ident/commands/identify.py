@@ -49,7 +49,9 @@ def identify_recordings(
     ),
     start: float = typer.Option(None, "--start", help="Leave out samples before this time [s from the first stamp]."),
     stop: float = typer.Option(None, "--stop", help="Leave out samples after this time [s from the first stamp]."),
-    keep_rest: bool = typer.Option(False, "--keep-rest", help="Keep segments in which no joint moves."),
+    keep_rest: bool = typer.Option(
+        False, "--keep-rest", help="Keep samples at rest: segments in which no joint moves, motors at rest."
+    ),
     significance: float = SIGNIFICANCE,
     as_json: bool = JSON,
 ) -> None:

@@ -231,7 +231,7 @@ def identify(
         energy_window: mean duration of the windows of the method "energy" [s].
         start: leave out samples before this time [s from the first stamp].
         stop: leave out samples after this time [s from the first stamp].
-        keep_rest: keep segments in which no joint moves.
+        keep_rest: keep segments in which no joint moves, and torques of motors at rest.
         significance: threshold of the relative standard deviation [%].
         progress: called with the name of each step before it begins.
 
