@@ -18,8 +18,8 @@ MOSTLY = 0.5
 
 
 def idle_share(series: Sequence[TorqueSeries], rest_velocity: float) -> FloatArray:
-    """Share (n,) of each joint's equations at which it has been at rest for `SHORTEST_REST` or longer."""
-    resting = np.sum([np.sum(idle_mask(part, rest_velocity) & part.used, axis=1) for part in series], axis=0)
+    """Share (n,) of the samples whose equation is used although the joint rests, for `SHORTEST_REST` or longer."""
+    resting = np.sum([np.sum(idle_mask(part, rest_velocity) & part.counted, axis=1) for part in series], axis=0)
     return np.asarray(resting / max(1, sum(int(part.used.sum()) for part in series)))
 
 
