@@ -87,7 +87,7 @@ def recording_info(
     if motion is not None:
         excitation = excitation_reached(motion)
         delay = _delay(motion)
-        sufficiency = motion_sufficiency(motion, _delays(delay))
+        sufficiency = motion_sufficiency(motion, _delays(motion, delay))
     if sufficiency is not None and wanted_rsd_percent is not None:
         times = times_needed(sufficiency, wanted_rsd_percent)
     checks = recording_checks(recording, streams, columns) + delay_checks(delay)
@@ -109,11 +109,12 @@ def _delay(motion: RecordedMotion) -> DelaySearch | None:
         return None
 
 
-def _delays(search: DelaySearch | None) -> PreprocessChoices | None:
-    """The default preprocessing with the delays that are used; None where there are none."""
+def _delays(motion: RecordedMotion, search: DelaySearch | None) -> PreprocessChoices | None:
+    """The default preprocessing of the played motion with the delays that are used; None where there are none."""
     if search is None or not any(joint.used for joint in search.joints):
         return None
-    return PreprocessChoices(delay=search.used, joint_delays=search.joint_delays)
+    chosen = motion.prepared.choices
+    return PreprocessChoices(delay=search.used, joint_delays=search.joint_delays, start=chosen.start, stop=chosen.stop)
 
 
 def _excitation_checks(recording: Recording, excitation: ExcitationReached | None) -> list[Check]:
