@@ -30,7 +30,7 @@ from ident.regression.least_squares import ENERGY_METHODS, ordinary_least_square
 from ident.regression.observability import experiment_states, moving_motors, whole_arm
 from ident.regression.observation_matrix import only_torques
 from ident.regression.pruning import relative_std
-from ident.regression.velocity_reversals import REVERSAL_SHARE, leave_out_reversals
+from ident.regression.velocity_reversals import REVERSAL_SHARE, all_equations, leave_out_reversals
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -133,7 +133,7 @@ def _arrangement_checks(identification: Identification) -> list[Check]:
         checks = channel_checks(
             identification.model,
             identification.experiment,
-            [run.prepared for run in identification.runs],
+            [all_equations(run.prepared) for run in identification.runs],
             identification.base.columns,
             identification.solution.active,
             identification.solution.weights,
