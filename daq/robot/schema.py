@@ -16,6 +16,7 @@ from daq.robot.loops import BASE as BASE
 from daq.robot.loops import Loop, check_coupling, check_drives, check_pairs, passive_joints
 from daq.robot.magnitudes import PositionLimit, TableAngle, VelocityLimit
 from daq.robot.references import OF_JOINTS, JointNames, name_problems, row_problems
+from daq.robot.prior import Known, Prior
 from daq.robot.section import Angle, Finite, NonNegative, NotTruthValue, Positive, Section, Vector3
 from daq.robot.workspace import Mounting, Workspace
 from drivers.yaml_file import SeveralProblems
@@ -247,6 +248,10 @@ class Robot(Section):
     joints: tuple[JointLimits, ...] = Field(min_length=1)
     drives: tuple[Drive, ...] = ()
     friction: Friction = Field(default_factory=Friction)
+    known: dict[str, Known] = Field(
+        default_factory=dict, description="standard parameter, or total_mass → its value or its range"
+    )
+    prior: Prior = Field(default_factory=Prior)
     workspace: Workspace = Field(default_factory=Workspace)
     poses: dict[str, tuple[Angle, ...]] = Field(
         default_factory=dict, description="name → positions of all joints [rad or m], to compare with the pendant"
@@ -277,6 +282,7 @@ class Robot(Section):
             keys=tuple((".".join(path), tuple(reduce(getattr, path, whole))) for path in OF_JOINTS),
             link_keys=(
                 ("truth.links", tuple(self.truth.links)),
+                ("prior.links", tuple(self.prior.links)),
                 *((section, (key,)) for section, key in self.workspace.named_links()),
             ),
             poses=tuple((name, len(pose)) for name, pose in self.poses.items()),

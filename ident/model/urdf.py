@@ -75,6 +75,23 @@ def urdf_model(xml: str, names: Sequence[str], locked: Mapping[str, float], wher
     return _lock(full, names, locked, where)
 
 
+def urdf_inertias(
+    xml: str, names: Sequence[str], locked: Mapping[str, float], where: str
+) -> tuple[tuple[float, np.ndarray, np.ndarray] | None, ...]:
+    """Mass [kg], centre of mass (3,) [m] and inertia (3, 3) about it [kg·m²] of what each joint of `names` moves.
+
+    In the joint's frame; None for a body without mass.
+
+    Raises:
+        RobotFileError: not a URDF; a joint is missing, or neither named nor locked.
+    """
+    model = urdf_model(xml, names, locked, where)
+    bodies = (model.inertias[model.getJointId(name)] for name in names)
+    return tuple(
+        (float(body.mass), np.array(body.lever), np.array(body.inertia)) if body.mass > 0 else None for body in bodies
+    )
+
+
 def _lock(full: Any, names: Sequence[str], locked: Mapping[str, float], where: str) -> Any:
     import pinocchio as pin
 

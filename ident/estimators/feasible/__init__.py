@@ -1,0 +1,1 @@
+"""Standard parameters of bodies that can exist, from identified base parameters."""

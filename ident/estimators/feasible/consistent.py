@@ -1,0 +1,163 @@
+"""Physically consistent standard parameters that explain an estimate of base parameters best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq.robot.loader import RobotFile
+from drivers.errors import RobotFileError
+from drivers.streams import FloatArray
+from ident.estimators.feasible.interior_point import BoolArray, Minimum, minimise, strictly_inside
+from ident.estimators.feasible.prior import link_priors
+from ident.estimators.feasible.problem import Problem, build_problem
+from ident.model.base_parameters import BaseParameters
+from ident.model.dynamic_model import DynamicModel
+from ident.regression.estimate import Estimate
+
+DETERMINED = 0.99
+"""A standard parameter counts as identified where this share of it, in units of its prior, is seen by the data."""
+
+ON_BOUNDARY = 0.05
+"""A link lies on the boundary where the smallest eigenvalue of its pseudo-inertia, over its prior's, is below this."""
+
+AT_LIMIT = 0.01
+"""A range is hit where its slack, in units of the parameter, is below this."""
+
+RESISTING = 0.05
+"""Conditions that resist with more than this share of the greatest force cannot hold together."""
+
+PRECISION = 1e6
+"""Torques count as no more exact than this share of their size: noise-free data would leave the prior no digits."""
+
+SINGULAR = 1e-10
+"""Singular values of the scaled system below this share of the largest are rounding."""
+
+
+@dataclass(frozen=True)
+class ConsistentParameters:
+    """Standard parameters of bodies that can exist.
+
+    Attributes:
+        values: (p,) in column order.
+        std: (p,) standard deviations of what the data determine; nan for the rest.
+        determined: (p,) share of each that the data determine; the rest comes from the prior.
+        known: (p,) whether the robot file names its value.
+        base: (b,) the base parameters of `values`.
+        base_covariance: (b, b).
+        sources: (k,) where each link's prior comes from.
+        misfit: rise of the sum of squared residuals, each of unit variance, over that of the estimate.
+        boundary: numbers of the links that the conditions hold near the boundary.
+        limits_hit: what the file's ranges hold.
+        steps: Newton steps.
+    """
+
+    values: FloatArray
+    std: FloatArray
+    determined: FloatArray
+    known: BoolArray
+    base: FloatArray
+    base_covariance: FloatArray
+    sources: tuple[str, ...]
+    misfit: float
+    boundary: tuple[int, ...]
+    limits_hit: tuple[str, ...]
+    steps: int
+
+
+def consistent_parameters(
+    model: DynamicModel, base: BaseParameters, estimate: Estimate, robot_file: RobotFile
+) -> ConsistentParameters:
+    """Least squares on the estimate's triangular factor, with positive links, inertias and friction.
+
+    The sum of squares is that of the estimator, with its weights, so that it does not matter how long the recording
+    was.
+
+    Args:
+        model: the arm.
+        base: base parameters of the experiment.
+        estimate: of them.
+        robot_file: for `known`, `prior` and the URDF's bodies.
+
+    Raises:
+        RobotFileError: what the file says is known cannot hold, alone or together.
+        IdentificationError: no minimum was reached.
+    """
+    root = estimate.root * min(1.0, PRECISION / max(float(np.linalg.norm(estimate.root @ estimate.values)), 1e-300))
+    estimate = replace(estimate, root=root)
+    system, target = root @ estimate.combinations(base.projection), root @ estimate.values
+    priors = link_priors(model, robot_file, system, target)
+    problem = build_problem(model, robot_file, base, estimate, priors)
+    start, forces = strictly_inside(problem.conditions, problem.start, problem.free)
+    if np.any(forces > 0):
+        resisting = [n for n, force in zip(problem.names, forces, strict=True) if force > RESISTING * forces.max()]
+        raise RobotFileError(
+            f"no body meets these at once: {', '.join(dict.fromkeys(resisting))}",
+            where=robot_file.robot.name,
+            hint="widen a range of 'known' or 'prior'",
+        )
+    scaled = system * problem.scale
+    minimum = minimise(
+        np.vstack([scaled, problem.rows]),
+        np.concatenate([target, problem.values]),
+        problem.conditions,
+        start,
+        problem.free,
+    )
+    values = problem.scale * minimum.y
+    spread = problem.scale[:, None] * _spread(minimum, scaled, estimate, problem.free)
+    determined = _determined(scaled, problem.free)
+    of_base = base.projection @ spread
+    misfit = system @ values - target
+    return ConsistentParameters(
+        values=values,
+        std=np.where(determined >= DETERMINED, np.linalg.norm(spread, axis=1), np.nan),
+        determined=determined,
+        known=~problem.free,
+        base=base.projection @ values,
+        base_covariance=of_base @ of_base.T,
+        sources=priors.sources,
+        misfit=float(misfit @ misfit),
+        boundary=_boundary(problem, minimum),
+        limits_hit=_limits_hit(problem, minimum),
+        steps=minimum.steps,
+    )
+
+
+def _boundary(problem: Problem, minimum: Minimum) -> tuple[int, ...]:
+    matrices = problem.conditions.matrices(minimum.y)
+    prior = problem.conditions.matrices(problem.start)
+    relative = np.linalg.eigvals(np.linalg.solve(prior, matrices)).real.min(axis=1)
+    return tuple(int(link) for link in np.flatnonzero(relative < ON_BOUNDARY))
+
+
+def _limits_hit(problem: Problem, minimum: Minimum) -> tuple[str, ...]:
+    near = problem.ranges & (problem.conditions.slacks(minimum.y) < AT_LIMIT)
+    names = problem.names[len(problem.conditions.least) :]
+    return tuple(dict.fromkeys(name for name, hit in zip(names, near, strict=True) if hit))
+
+
+def _spread(minimum: Minimum, scaled: FloatArray, estimate: Estimate, free: BoolArray) -> FloatArray:
+    """(p, a) how the scaled parameters move with the estimate, times a root of its corrected covariance.
+
+    The minimum is a smooth function of the estimate, so its jackknife covariance carries over (delta method).
+    """
+    from scipy.linalg import solve_triangular
+
+    covariance = np.where(np.isfinite(estimate.covariance), estimate.covariance, 0.0)
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    moved = scaled[:, np.flatnonzero(free)].T @ (estimate.root @ (vectors * np.sqrt(np.clip(values, 0.0, None))))
+    spread = np.zeros((scaled.shape[1], len(values)))
+    halfway = solve_triangular(minimum.root, moved, trans="T")
+    spread[np.flatnonzero(free)] = solve_triangular(minimum.root, halfway)
+    return spread
+
+
+def _determined(scaled: FloatArray, free: BoolArray) -> FloatArray:
+    """Share (p,) of each scaled parameter that lies in the row space of the system (m, p)."""
+    shares = np.zeros(scaled.shape[1])
+    _, singular, rows = np.linalg.svd(scaled[:, np.flatnonzero(free)], full_matrices=False)
+    if len(singular):
+        shares[np.flatnonzero(free)] = np.sum(rows[singular > SINGULAR * singular[0]] ** 2, axis=0)
+    return shares

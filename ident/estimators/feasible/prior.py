@@ -1,0 +1,138 @@
+"""What is assumed of links where the data say nothing: bodies of the robot file, of the URDF, or of even density.
+
+Torques never reveal all of a link's ten parameters. Those that they leave open are taken from a prior, a body that can
+exist for every link. It is never mixed up with what was identified: see `ConsistentParameters.determined`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.robot.loader import RobotFile
+from daq.robot.prior import PriorLink
+from drivers.errors import RobotFileError
+from drivers.streams import FloatArray
+from ident.estimators.feasible.pseudo_inertia import pseudo_inertia, standard_parameters
+from ident.model.dynamic_model import DynamicModel
+from ident.model.parameters import link_parameters
+from ident.model.urdf import urdf_inertias
+
+SLENDERNESS = 0.05
+"""Radius of an assumed link over the length of the whole arm."""
+
+LEAST_SPREAD = 1e-3
+"""[m]; bodies of a URDF whose mass is spread less far than this about their centre are taken as assumed."""
+
+LEAST_RADIUS = 0.03
+"""[m] of assumed links."""
+
+DENSITY = 1000.0
+"""[kg/m³] of assumed links where the data do not show how heavy the arm is."""
+
+DENSITIES = (100.0, 8000.0)
+"""[kg/m³] between which the data may choose: hollow, and solid steel."""
+
+
+@dataclass(frozen=True)
+class LinkPriors:
+    """A body for each link of the tree.
+
+    Attributes:
+        links: (k, 10) standard parameters; each link's pseudo-inertia is positive definite.
+        sources: (k,) where each comes from: "robot file", "robot file (mass)", "robot file (mass, centre of mass)",
+            "urdf" or "assumed".
+    """
+
+    links: FloatArray
+    sources: tuple[str, ...]
+
+
+def link_priors(model: DynamicModel, robot_file: RobotFile, system: FloatArray, target: FloatArray) -> LinkPriors:
+    """Prior bodies of an arm.
+
+    Args:
+        model: the arm.
+        robot_file: its file; the links of its `prior`, else those of its URDF, are used where they can exist.
+        system: (m, p) weighted combinations of standard parameters that the data show, their errors of unit variance.
+        target: (m,) their values; the assumed links get the density that fits these best.
+
+    Raises:
+        RobotFileError: a body of `prior` cannot exist.
+    """
+    links, sources = _assumed_links(model, system, target), ["assumed"] * len(model.joints)
+    robot = robot_file.robot
+    if robot_file.urdf_text:
+        bodies = urdf_inertias(robot_file.urdf_text, model.link_names, robot.model.locked, robot.name)
+        for index, body in enumerate(bodies):
+            if body is not None and _extended(body[0], body[2]):
+                xx, xy, xz, yy, yz, zz = body[2][np.triu_indices(3)]
+                links[index] = link_parameters(body[0], tuple(body[1]), (xx, xy, xz, yy, yz, zz))
+                sources[index] = "urdf"
+    for index, name in enumerate(model.link_names):
+        if name in robot.prior.links and robot.prior.links[name].mass is not None:
+            where = f"{robot.name}: prior.links.{name}"
+            links[index], sources[index] = _described(links[index], robot.prior.links[name], where)
+    return LinkPriors(links, tuple(sources))
+
+
+def _described(link: FloatArray, known: PriorLink, where: str) -> tuple[FloatArray, str]:
+    """A link (10,) with the mass, centre and inertia that are known of it, and the words for where it comes from."""
+    if known.mass is None:
+        raise ValueError("of this link nothing is known")
+    scaled = link * (known.mass / link[9])
+    if known.com is None:
+        return scaled, "robot file (mass)"
+    if known.inertia is None:
+        pseudo = pseudo_inertia(scaled)
+        old, new = np.append(scaled[6:9] / known.mass, 1.0), np.append(known.com, 1.0)
+        moved = pseudo + known.mass * (np.outer(new, new) - np.outer(old, old))
+        return standard_parameters(moved), "robot file (mass, centre of mass)"
+    described = link_parameters(known.mass, known.com, known.inertia)
+    xx, xy, xz, yy, yz, zz = known.inertia
+    if not _extended(known.mass, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])):
+        raise RobotFileError(
+            "no body has this inertia: each principal moment must be below the sum of the other two",
+            where=where,
+            hint="give it about the centre of mass, in kg·m², in the axes of the joint's frame",
+        )
+    return described, "robot file"
+
+
+def _extended(mass: float, inertia: FloatArray) -> bool:
+    """Whether a body's mass is spread out in all three directions, so that its pseudo-inertia is positive definite."""
+    if not (mass > 0 and np.all(np.isfinite(inertia))):
+        return False
+    second_moments = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    return bool(np.linalg.eigvalsh(second_moments)[0] > mass * LEAST_SPREAD**2)
+
+
+def _assumed_links(model: DynamicModel, system: FloatArray, target: FloatArray) -> FloatArray:
+    """Standard parameters (k, 10) of round bars from each joint's frame to those of the joints it carries."""
+    children: list[list[FloatArray]] = [[] for _ in model.joints]
+    for joint in model.joints:
+        if joint.parent >= 0:
+            children[joint.parent].append(joint.translation)
+    reach = sum(float(np.linalg.norm(joint.translation)) for joint in model.joints)
+    radius = max(SLENDERNESS * reach, LEAST_RADIUS)
+    bars = np.array([_bars(ends, radius) for ends in children])
+    # The joints' own parameters may take what they like; only what is left of the links' torques shows their density.
+    columns = np.column_stack([system[:, : bars.size] @ bars.ravel(), system[:, bars.size :]])
+    lengths = np.linalg.norm(columns, axis=0)
+    lengths[lengths == 0] = 1.0
+    density = float(np.linalg.lstsq(columns / lengths, target, rcond=None)[0][0] / lengths[0])
+    return bars * (np.clip(density, *DENSITIES) if density > 0 else DENSITY)
+
+
+def _bars(ends: Sequence[FloatArray], radius: float) -> FloatArray:
+    """Standard parameters (10,) of bars of 1 kg/m³ from the origin to `ends`; of a ball where there are none."""
+    pseudo = np.zeros((4, 4))
+    for end in ends or (np.zeros(3),):
+        length = float(np.linalg.norm(end))
+        mass = np.pi * radius**2 * (length + 4 / 3 * radius)
+        centre = np.append(0.5 * end, 1.0)
+        pseudo += mass * np.outer(centre, centre)
+        pseudo[:3, :3] += mass * (np.outer(end, end) / 12 + radius**2 / 4 * np.eye(3))
+    return standard_parameters(pseudo)
