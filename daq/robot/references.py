@@ -84,7 +84,7 @@ def name_problems(names: JointNames) -> tuple[str, ...]:
             if key not in joints and not (section == "drives" and key in names.passive)
         ]
     for section, keys in names.link_keys:
-        known = links if section == "truth.links" else (BASE, *links)
+        known = links if section in ("truth.links", "prior.links") else (BASE, *links)
         problems += [
             f"'{section}' names '{key}', but there are only: {', '.join(known)}" for key in keys if key not in known
         ]
@@ -112,7 +112,7 @@ def names_in(content: Mapping[Any, Any]) -> JointNames | None:
         passive=(),
         driven=_texts(content.get("drives"), "joint"),
         keys=tuple((".".join(path), _keys(content, path)) for path in OF_JOINTS),
-        link_keys=(("truth.links", _keys(content, ("truth", "links"))),),
+        link_keys=tuple((f"{name}.links", _keys(content, (name, "links"))) for name in ("truth", "prior")),
         poses=tuple((str(name), len(pose)) for name, pose in poses.items() if isinstance(pose, list)),
     )
 

@@ -15,8 +15,8 @@ from daq.robot.lengths import with_lengths
 from daq.robot.loops import BASE as BASE
 from daq.robot.loops import Loop, check_coupling, check_drives, check_pairs, passive_joints
 from daq.robot.magnitudes import PositionLimit, TableAngle, VelocityLimit
-from daq.robot.references import OF_JOINTS, JointNames, name_problems, row_problems
 from daq.robot.prior import Known, Prior
+from daq.robot.references import OF_JOINTS, JointNames, name_problems, row_problems
 from daq.robot.section import Angle, Finite, NonNegative, NotTruthValue, Positive, Section, Vector3
 from daq.robot.workspace import Mounting, Workspace
 from drivers.yaml_file import SeveralProblems

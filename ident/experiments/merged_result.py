@@ -11,13 +11,13 @@ import numpy as np
 from daq.recording.recording import Recording, software_versions
 from drivers.streams import FloatArray
 from ident.assessment.plausibility import indefinite_share, sign_checks
+from ident.estimators.feasible.consistent import found_consistent
 from ident.experiments.merge import CONTRADICTING, MergedEstimate, identifiable_columns, merge
 from ident.experiments.merge_input import MergeInput, merge_inputs, used_recordings
 from ident.identify.revalidate import Revalidation, revalidate
 from ident.identify.summary import (
     estimate_result,
     experiment_result,
-    fit_result,
     friction_results,
     gain_results,
     held_out_errors,
@@ -27,6 +27,7 @@ from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.estimate import Estimate
 from ident.regression.pruning import SIGNIFICANT_RSD, Pruned, prune
+from ident.result.consistent_model import consistent_model, fit_result, link_results
 from ident.result.schema import (
     Consistency,
     Contradiction,
@@ -97,6 +98,17 @@ def _result(
     consistency = _consistency(parts, merged)
     checks = _checks(model, base, parts, merged, std, unexcited, consistency)
     singular = np.linalg.svd(merged.root / np.linalg.norm(merged.root, axis=0), compute_uv=False)
+    estimate = Estimate(
+        active=solution.active,
+        values=solution.parameters[list(solution.active)],
+        root=merged.root,
+        covariance=merged.covariance,
+        taken_up=merged.taken_up,
+        blocks=min(part.information.blocks for part in parts),
+    )
+    residuals = _residuals(parts)
+    robot_file = parts[0].stored.robot_file
+    consistent = found_consistent(model, base, estimate, robot_file)
     return Result(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         robot=first.robot,
@@ -114,7 +126,11 @@ def _result(
         delay=DelayFigures(used=first.delay.used, best=first.delay.best, note=f"of {parts[0].label}"),
         base_parameters=parameter_results(model, base, solution, std, pruned, threshold),
         friction=friction_results(model, base, solution, std),
-        drive_gains=gain_results(parts[0].stored.robot_file.robot),
+        standard_parameters=None if consistent is None else link_results(model, consistent),
+        consistent=None
+        if consistent is None
+        else consistent_model(model, base, robot_file, estimate, residuals.effective_rows or 0.0, consistent),
+        drive_gains=gain_results(robot_file.robot),
         fit=None,
         validation=None,
         validation_source="",
@@ -132,7 +148,7 @@ def _result(
             unexcited=unexcited,
         ),
         condition=solution.condition,
-        residuals=_residuals(parts),
+        residuals=residuals,
         rank_margin=base.margin,
         recordings=[use for part in parts for use in used_recordings(part.result)],
         versions=software_versions(),
@@ -151,17 +167,7 @@ def _result(
             ],
             consistency=consistency,
         ),
-        estimate=estimate_result(
-            Estimate(
-                active=solution.active,
-                values=solution.parameters[list(solution.active)],
-                root=merged.root,
-                covariance=merged.covariance,
-                taken_up=merged.taken_up,
-                blocks=min(part.information.blocks for part in parts),
-            ),
-            base.names,
-        ),
+        estimate=estimate_result(estimate, base.names),
     )
 
 
@@ -248,8 +254,8 @@ def _checks(
         checks.append(raised("partial-model", text))
     elif (share := indefinite_share(model, base, merged.solution.parameters)) > 0:
         text = (
-            f"the merged inertia matrix is not positive definite at {share * 100:.0f} % of random poses: good for "
-            "predicting torque, not for forward simulation"
+            f"the inertia matrix of the unconstrained parameters is not positive definite at {share * 100:.0f} % of "
+            "random poses; that of the physically consistent ones is everywhere"
         )
         checks.append(raised("indefinite-inertia", text))
     checks += sign_checks(base, merged.solution.parameters, std)

@@ -12,6 +12,7 @@ from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.assessment.delay import DelaySearch
 from ident.assessment.validation import FitFigures
+from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.comparison import TorqueSeries
@@ -138,6 +139,20 @@ class PreparedRun:
 
 
 @dataclass(frozen=True)
+class ConsistentFit:
+    """The physically consistent model with its errors.
+
+    Attributes:
+        parameters: of the model.
+        fit, validation: errors.
+    """
+
+    parameters: ConsistentParameters
+    fit: FitFigures
+    validation: FitFigures
+
+
+@dataclass(frozen=True)
 class Identification:
     """Everything that an identification holds; `ident.identify.summary` turns it into a Result.
 
@@ -153,6 +168,7 @@ class Identification:
         solution: full model.
         corrected: its covariance for autocorrelated residuals.
         pruned: the essential model.
+        consistent: the physically consistent model; None where none was found.
         fit_series, validation_series: torques of the full model.
         fit, validation, essential_fit, essential_validation: errors; validation is None where nothing was held out.
         validation_source: what was held out, in words.
@@ -171,6 +187,7 @@ class Identification:
     solution: LeastSquares
     corrected: CorrectedCovariance
     pruned: Pruned
+    consistent: ConsistentFit | None
     fit_series: tuple[TorqueSeries, ...]
     validation_series: tuple[TorqueSeries, ...]
     fit: FitFigures

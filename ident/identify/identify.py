@@ -13,14 +13,22 @@ from drivers.errors import UsageError
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.validation import fit_figures
 from ident.estimators.estimator import Estimator, estimable, estimator_of
+from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.identify.checks import identification_checks
 from ident.identify.data_split import split_data
-from ident.identify.identification import Identification, IdentifyChoices, PreparedRun, apply_model_choices
-from ident.identify.preparation import Progress, compare_run, prepare_data
+from ident.identify.identification import (
+    ConsistentFit,
+    Identification,
+    IdentifyChoices,
+    PreparedRun,
+    apply_model_choices,
+)
+from ident.identify.preparation import PreparedData, Progress, compare_run, prepare_data
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
+from ident.regression.estimate import estimate_of
 from ident.regression.jackknife import FilteredRun
 from ident.regression.least_squares import ENERGY_METHODS
 from ident.regression.observability import Experiment, experiment_base, find_experiment, predictable_torques
@@ -87,6 +95,10 @@ def identify(
         choices.significant_rsd,
     )
 
+    progress("physical consistency")
+    estimate = estimate_of(reduction, solution, corrected.covariance, corrected.blocks)
+    consistent = _consistent_fit(found_consistent(model, base, estimate, robot_file), kernel, prepared)
+
     progress("validation")
     fit_series = _flat(fit)
     held_out = prepared.validation_runs
@@ -108,6 +120,7 @@ def identify(
         solution=solution,
         corrected=corrected,
         pruned=pruned,
+        consistent=consistent,
         fit_series=fit_series,
         validation_series=validation_series,
         fit=fit_figures(fit_series),
@@ -120,6 +133,19 @@ def identify(
 
     progress("plausibility")
     return replace(identification, checks=tuple(identification_checks(identification, recordings)))
+
+
+def _consistent_fit(
+    parameters: ConsistentParameters | None, kernel: RegressorKernel, data: PreparedData
+) -> ConsistentFit | None:
+    """The physically consistent model with its errors; None where none was found."""
+    if parameters is None:
+        return None
+    return ConsistentFit(
+        parameters,
+        fit=fit_figures(_flat(compare_run(kernel, parameters.base, run) for run in data.runs)),
+        validation=fit_figures(_flat(compare_run(kernel, parameters.base, run) for run in data.validation_runs)),
+    )
 
 
 def _with_notes(run: PreparedRun, estimator: Estimator) -> PreparedRun:

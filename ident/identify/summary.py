@@ -15,7 +15,6 @@ from daq.recording.recording import Recording, software_versions
 from daq.robot.schema import Robot
 from drivers.streams import FloatArray
 from ident.assessment.delay import DelaySearch
-from ident.assessment.validation import FitFigures
 from ident.identify.identification import Identification, PreparedRun
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
@@ -24,6 +23,7 @@ from ident.regression.estimate import Estimate
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observability import Experiment, describe, whole_arm
 from ident.regression.pruning import Pruned, relative_std
+from ident.result.consistent_model import consistent_model, fit_result, link_results
 from ident.result.schema import (
     UNITS,
     BaseParameterResult,
@@ -80,6 +80,21 @@ def summarise(
             model, base, solution, identification.std, pruned, identification.choices.significant_rsd
         ),
         friction=friction_results(model, base, solution, identification.std),
+        standard_parameters=None
+        if identification.consistent is None
+        else link_results(model, identification.consistent.parameters),
+        consistent=None
+        if identification.consistent is None
+        else consistent_model(
+            model,
+            base,
+            identification.robot_file,
+            identification.estimate,
+            corrected.effective_rows,
+            identification.consistent.parameters,
+            identification.consistent.fit,
+            identification.consistent.validation,
+        ),
         drive_gains=gain_results(robot),
         fit=fit_result(identification.fit),
         validation=fit_result(identification.validation),
@@ -300,11 +315,6 @@ def gain_results(robot: Robot) -> list[DriveGainResult]:
     return [
         DriveGainResult(joint=drive.joint, signal=drive.signal, gain=drive.gain, std=drive.gain_std) for drive in drives
     ]
-
-
-def fit_result(figures: FitFigures) -> Fit:
-    """Errors as they are stored."""
-    return Fit.model_validate(_plain(figures))
 
 
 def _plain(values: object) -> dict[str, Any]:

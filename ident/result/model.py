@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from drivers.errors import ModelError, UsageError
 from drivers.streams import FloatArray
+from ident.estimators.feasible.consistent import ConsistentParameters, consistent_parameters
 from ident.linear_algebra.triangular import triangular
 from ident.model.base_parameters import base_parameters
 from ident.model.inverse_dynamics import InverseDynamics
@@ -48,7 +49,8 @@ class Model:
 
     Attributes:
         result: what the identification wrote.
-        kind: "full", all base parameters, or "essential", the significant ones; the others are then 0.
+        kind: "consistent", of bodies that can exist; "full", all base parameters as estimated; or "essential", the
+            significant ones, the others 0.
 
     Example:
         >>> import dynid
@@ -61,7 +63,7 @@ class Model:
         (100, 6)
     """
 
-    def __init__(self, result: Result, kind: Literal["full", "essential"] = "full") -> None:
+    def __init__(self, result: Result, kind: Parameters = "consistent") -> None:
         """Build the model of a result.
 
         Args:
@@ -73,13 +75,21 @@ class Model:
             ResultFileError: parts of the result do not belong together.
         """
         self.result: Result = result
-        self.kind: Literal["full", "essential"] = kind
+        self.kind: Parameters = kind
         self._stored = stored_model(result)
         self._check_whole_arm(self._stored)
         base = self._base = self._stored.base
         entries = {parameter.name: parameter for parameter in result.base_parameters}
         ordered = [entries[name] for name in base.names]
-        if kind == "full":
+        if kind == "consistent":
+            if result.consistent is None:
+                raise ModelError(
+                    "this result holds no physically consistent parameters",
+                    where=result.robot,
+                    hint='identify again, or take parameters="full"',
+                )
+            values = [result.consistent.base_values.get(name, np.nan) for name in base.names]
+        elif kind == "full":
             values = [np.nan if entry.value is None else entry.value for entry in ordered]
         else:
             values = [0.0 if entry.essential_value is None else entry.essential_value for entry in ordered]
@@ -121,13 +131,13 @@ class Model:
     @property
     def parameters(self) -> Table:
         """The base parameters (b,) in the order of the regressor's columns: value, σ, unit, expression."""
-        full = self.kind == "full"
         entries = {parameter.name: parameter for parameter in self.result.base_parameters}
+        deviations = self._parameter_std()
         rows = [
             (
                 name,
                 None if np.isnan(value) else float(value),
-                entries[name].std if full else entries[name].essential_std,
+                deviations[name],
                 entries[name].unit,
                 entries[name].kind,
                 entries[name].joint,
@@ -137,6 +147,22 @@ class Model:
         ]
         headings = [(name, "") for name in ("name", "value", "std", "unit", "kind", "joint", "expression")]
         return table_of_rows(f"Base parameters of {self.name} ({self.kind} model)", headings, rows)
+
+    def _parameter_std(self) -> dict[str, float | None]:
+        entries = self.result.base_parameters
+        if self.kind == "full":
+            return {entry.name: entry.std for entry in entries}
+        if self.kind == "essential":
+            return {entry.name: entry.essential_std for entry in entries}
+        return dict(zip(self._base.names, np.sqrt(np.diag(self._consistent.base_covariance)).tolist(), strict=True))
+
+    @cached_property
+    def _consistent(self) -> ConsistentParameters:
+        """The consistent parameters found again, with their covariance, which the file does not hold."""
+        stored = self._stored
+        return consistent_parameters(
+            stored.model, self._base, stored_estimate(self.result, self._base), stored.robot_file
+        )
 
     def torque(self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike) -> FloatArray:
         """Joint torque τ [N·m] of a motion, friction and motor inertia included; shape of `q`.
@@ -356,6 +382,8 @@ class Model:
 
     def _covariance(self) -> tuple[tuple[int, ...], FloatArray]:
         """Base parameters that were estimated, and their covariance."""
+        if self.kind == "consistent":
+            return tuple(range(self._base.count)), self._consistent.base_covariance
         estimate = stored_estimate(self.result, self._base)
         if self.kind == "full":
             return estimate.active, estimate.covariance
@@ -390,13 +418,13 @@ def result_path(path: str | PathLike[str]) -> Path:
     return given / "result.json" if given.is_dir() else given
 
 
-def load_model(path: str | PathLike[str], parameters: Parameters = "full") -> Model:
+def load_model(path: str | PathLike[str], parameters: Parameters = "consistent") -> Model:
     """The model that `identify` wrote.
 
     Args:
         path: a folder that `identify`, `merge` or `result.save` wrote, or its result.json.
-        parameters: "full", every base parameter; "essential", the significant ones, the others taken as 0;
-            "consistent", parameters of bodies that can exist, which no result holds yet.
+        parameters: "consistent", those of bodies that can exist, with an inertia matrix that is always positive
+            definite; "full", every base parameter as estimated; "essential", the significant ones, the others 0.
 
     Raises:
         ResultFileError: no such file, or it is no result.
@@ -414,9 +442,5 @@ def load_model(path: str | PathLike[str], parameters: Parameters = "full") -> Mo
     """
     result = read_result(result_path(path))
     if parameters not in get_args(Parameters):
-        raise UsageError(f"there are no '{parameters}' parameters", hint="full or essential")
-    if parameters == "consistent":
-        raise UsageError(
-            "this result holds no physically consistent parameters", where=str(path), hint="full or essential"
-        )
+        raise UsageError(f"there are no '{parameters}' parameters", hint="consistent, full or essential")
     return Model(result, parameters)

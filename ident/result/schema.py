@@ -141,6 +141,43 @@ class ExperimentResult(_Part):
     torques_of: list[str]
 
 
+class LinkResult(_Part):
+    """A link of the physically consistent model, in the frame of its joint."""
+
+    link: str = Field(description="name of the joint that moves it")
+    mass: float = Field(description="[kg]")
+    com: list[float] = Field(description="centre of mass [m]")
+    inertia: dict[str, float] = Field(description="xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²]")
+    prior: str = Field(description="where the body comes from that fills in what the data leave open")
+    identified: float = Field(description="share of its ten parameters that the data determine")
+
+
+class StandardParameterResult(_Part):
+    """One standard parameter of the physically consistent model."""
+
+    name: str
+    unit: str
+    value: float
+    std: Number = Field(description="null where the data do not determine it")
+    determined: float = Field(description="share that the data determine; the rest comes from the prior")
+    known: bool = Field(description="named in the robot file")
+
+
+class ConsistentModel(_Part):
+    """The model whose links, inertias and friction can exist, and what this costs."""
+
+    parameters: list[StandardParameterResult]
+    base_values: dict[str, float] = Field(description="base parameters of these standard parameters, by name")
+    prior_distance: str
+    prior_weight: float = Field(description="in equations of unit variance per link")
+    misfit: float = Field(description="rise of the sum of squared residuals, each of unit variance")
+    p_value: Number = Field(description="probability of a greater rise if the truth is consistent (F-test)")
+    boundary: list[str] = Field(description="links that the conditions hold near the boundary")
+    limits_hit: list[str] = Field(description="ranges of the robot file that hold a parameter")
+    fit: Fit | None
+    validation: Fit | None
+
+
 class EstimateResult(_Part):
     """The estimated values with their whole covariance, for merging; see ident.regression.estimate."""
 
@@ -252,7 +289,10 @@ class Result(_Part):
     delay: DelayFigures
     base_parameters: list[BaseParameterResult]
     friction: list[JointFrictionResult]
-    standard_parameters: list[dict[str, Any]] | None = Field(default=None, description="when physically consistent")
+    standard_parameters: list[LinkResult] | None = Field(
+        default=None, description="of the physically consistent model; null where none was found"
+    )
+    consistent: ConsistentModel | None = None
     drive_gains: list[DriveGainResult]
     fit: Fit | None = Field(description="null for merged models, which are not fitted to recordings")
     validation: Fit | None

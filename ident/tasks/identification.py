@@ -142,7 +142,7 @@ class IdentificationResult:
         Raises:
             ModelError: the recordings identify only some of the base parameters.
         """
-        return Model(self.result)
+        return Model(self.result, "full" if self.result.consistent is None else "consistent")
 
     def save(self, folder: str | PathLike[str]) -> None:
         """Write `result.json` and `report.html` into a folder, as `dynid identify -o` does.

@@ -12,9 +12,9 @@ from drivers.errors import UsageError
 from ident.assessment.validation import fit_figures
 from ident.experiments.merged_result import merge_results
 from ident.identify.revalidate import revalidate, validation_verdict
-from ident.identify.summary import fit_result
 from ident.regression.least_squares import Method
 from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.result.consistent_model import fit_result
 from ident.result.model import Model, result_path
 from ident.result.schema import Fit, Result, read_result
 from ident.result.tables import Cell, Table, table_of_rows

@@ -247,12 +247,34 @@ _MODEL = (
         "the friction estimate changes without the equations near velocity reversals",
         "Compare --leave-out-reversals 0.2.",
     ),
-    CheckKind(
+    _note(
         "indefinite-inertia",
+        "the inertia matrix of the unconstrained parameters is not positive definite",
+        "Simulate with the physically consistent parameters, which are the default.",
+    ),
+    CheckKind(
+        "no-consistent-model",
         "serious",
-        ("simulation",),
-        "the identified inertia matrix is not positive definite",
-        "Good for predicting torque, not for forward simulation: excite the arm more, or use consistent parameters.",
+        PARAMETERS,
+        "no physically consistent parameters were found",
+        "Check the units of the recording, the geometry, and `known` and `prior` of the robot file.",
+    ),
+    CheckKind(
+        "consistency-costs",
+        "warning",
+        PARAMETERS,
+        "the physically consistent model predicts held-out torque clearly worse than the unconstrained one",
+        "The geometry, a drive gain or the signs of the torque may be wrong, or a friction column is missing.",
+    ),
+    _note(
+        "links-on-boundary",
+        "links lie at the boundary of what can exist",
+        "Their inertia comes from the condition rather than from the data: excite them more, or give a prior.",
+    ),
+    _note(
+        "range-hit",
+        "a range of the robot file holds a parameter",
+        "Widen the range if it was a guess.",
     ),
 )
 

@@ -13,6 +13,7 @@ import dynid
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import build_model
+from ident.model.parameters import INERTIAL, link_parameters
 from ident.model.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.rigid_body import rigid_arm
@@ -34,7 +35,7 @@ def arm(name: str) -> RobotFile:
 
 @functools.cache
 def true_model(name: str) -> dynid.Model:
-    return dynid.Model(true_result(arm(name)))
+    return dynid.Model(true_result(arm(name)), "full")
 
 
 def states(name: str, count: int, seed: int = 3) -> list[np.ndarray]:
@@ -145,7 +146,7 @@ def test_an_identified_model_has_the_values_of_its_result(result, kind):
 
 
 def test_full_and_essential_models_differ_by_less_than_their_errors(result):
-    full, essential = result.model, dynid.Model(result.result, "essential")
+    full, essential = dynid.Model(result.result, "full"), dynid.Model(result.result, "essential")
     q, dq, ddq = states("ur5e", 50)
     difference = np.sqrt(np.mean((full.torque(q, dq, ddq) - essential.torque(q, dq, ddq)) ** 2, axis=0))
     truth = true_model("ur5e").torque(q, dq, ddq)
@@ -154,7 +155,7 @@ def test_full_and_essential_models_differ_by_less_than_their_errors(result):
 
 
 def test_torque_std_is_the_spread_of_the_parameters(result):
-    model = result.model
+    model = dynid.Model(result.result, "full")
     estimate = result.result.estimate
     assert estimate is not None
     covariance = np.array(estimate.covariance, dtype=float)
@@ -190,7 +191,7 @@ def test_torque_std_covers_the_error_of_repeated_identifications():
 
 
 def test_a_parameter_without_a_value_is_refused_only_where_it_acts():
-    model = dynid.Model(true_result(arm("ur5e"), {"Fv3": None}))
+    model = dynid.Model(true_result(arm("ur5e"), {"Fv3": None}), "full")
     q, dq, ddq = states("ur5e", 2)
     still = dq.copy()
     still[:, 2] = 0.0
@@ -208,7 +209,7 @@ def test_a_parameter_without_a_value_is_refused_only_where_it_acts():
 
 
 def test_a_gravity_parameter_without_a_value_is_refused_by_gravity():
-    model = dynid.Model(true_result(arm("ur5e"), {"MXR2": None}))
+    model = dynid.Model(true_result(arm("ur5e"), {"MXR2": None}), "full")
     q, dq, _ = states("ur5e", 2)
     with pytest.raises(dynid.ModelError, match="MXR2"):
         model.gravity(q)
@@ -216,11 +217,43 @@ def test_a_gravity_parameter_without_a_value_is_refused_by_gravity():
 
 
 def test_a_matrix_that_is_not_positive_definite_has_no_forward_dynamics():
-    model = dynid.Model(true_result(arm("ur5e"), {"Ia6": -3.0}))
+    model = dynid.Model(true_result(arm("ur5e"), {"Ia6": -3.0}), "full")
     q, dq, ddq = states("ur5e", 5)
     assert model.mass_matrix(q).shape == (5, 6, 6)
     with pytest.raises(dynid.ModelError, match="not positive definite"):
         model.forward_dynamics(q, dq, ddq)
+
+
+def test_the_consistent_model_is_the_default_and_can_be_simulated(result):
+    model = result.model
+    assert model.kind == "consistent"
+    q, dq, ddq = states("ur5e", 200)
+    assert np.all(np.linalg.eigvalsh(model.mass_matrix(q)) > 0)
+    torque = model.torque(q, dq, ddq)
+    np.testing.assert_allclose(model.forward_dynamics(q, dq, torque), ddq, rtol=1e-6, atol=1e-6)
+    full = dynid.Model(result.result, "full").torque(q, dq, ddq)
+    assert np.all(np.sqrt(np.mean((torque - full) ** 2, axis=0)) < 0.1 * np.sqrt(np.mean(full**2, axis=0)))
+    deviations = model.torque_std(q, dq, ddq)
+    assert np.all(deviations > 0)
+    assert np.median(deviations) < 2.0 * np.median(dynid.Model(result.result, "full").torque_std(q, dq, ddq))
+
+
+def test_links_of_the_result_give_its_consistent_torques(result):
+    """The bodies in result.json are those of the model, up to their rounding."""
+    robot_file = arm("ur5e")
+    links = result.result.standard_parameters
+    assert [link.link for link in links] == list(robot_file.robot.joint_names)
+    model = build_model(robot_file)
+    values = {entry.name: entry.value for entry in result.result.consistent.parameters}
+    for index, link in enumerate(links):
+        inertia = link.inertia
+        own = link_parameters(link.mass, link.com, [inertia[key] for key in ("xx", "xy", "xz", "yy", "yz", "zz")])
+        names = [f"{symbol}{index + 1}" for symbol in INERTIAL]
+        np.testing.assert_allclose(own, [values[name] for name in names], rtol=1e-9, atol=1e-12)
+    base = base_parameters(model)
+    standard = np.array([values[parameter.name] for parameter in model.parameters])
+    expected = [result.result.consistent.base_values[name] for name in base.names]
+    np.testing.assert_allclose(base.projection @ standard, expected, rtol=1e-9, atol=1e-12)
 
 
 def test_an_unknown_variance_makes_the_torque_unsure_where_it_acts():

@@ -28,10 +28,12 @@ def test_a_result_is_saved_and_read_back(result, tmp_path):
         np.testing.assert_array_equal(stored.gravity(q), dynid.Model(result.result, kind).gravity(q))
 
 
-def test_consistent_parameters_are_refused_in_one_sentence(result, tmp_path):
-    result.save(tmp_path)
-    with pytest.raises(dynid.UsageError, match="this result holds no physically consistent parameters"):
-        dynid.load_model(tmp_path, parameters="consistent")
+def test_parameters_that_a_result_lacks_are_refused_in_one_sentence(result, tmp_path):
+    older = dynid.IdentificationResult(result.result.model_copy(update={"consistent": None}))
+    older.save(tmp_path)
+    with pytest.raises(dynid.ModelError, match="this result holds no physically consistent parameters"):
+        dynid.load_model(tmp_path)
+    assert dynid.load_model(tmp_path, parameters="full").kind == older.model.kind == "full"
     with pytest.raises(dynid.UsageError, match="there are no 'best' parameters"):
         dynid.load_model(tmp_path, parameters="best")
     with pytest.raises(dynid.ResultFileError, match="cannot be read"):

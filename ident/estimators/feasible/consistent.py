@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.robot.loader import RobotFile
-from drivers.errors import RobotFileError
+from drivers.errors import IdentificationError, RobotFileError
 from drivers.streams import FloatArray
 from ident.estimators.feasible.interior_point import BoolArray, Minimum, minimise, strictly_inside
 from ident.estimators.feasible.prior import link_priors
@@ -123,6 +123,20 @@ def consistent_parameters(
         limits_hit=_limits_hit(problem, minimum),
         steps=minimum.steps,
     )
+
+
+def found_consistent(
+    model: DynamicModel, base: BaseParameters, estimate: Estimate, robot_file: RobotFile
+) -> ConsistentParameters | None:
+    """The same; None where no minimum is reached, which must not cost the rest of a result.
+
+    Raises:
+        RobotFileError: what the file says is known cannot hold, alone or together.
+    """
+    try:
+        return consistent_parameters(model, base, estimate, robot_file)
+    except IdentificationError:
+        return None
 
 
 def _boundary(problem: Problem, minimum: Minimum) -> tuple[int, ...]:

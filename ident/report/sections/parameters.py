@@ -8,7 +8,6 @@ from typing import Any
 
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures import KIND_STYLES, RESIDUAL, Figure, plain
-from ident.report.number_text import setting
 from ident.report.panels import Panel, panel_figure
 from ident.report.reference_values import ReferenceValues, reference_values
 from ident.report.section import ReportData, ReportSection
@@ -21,7 +20,7 @@ REFERENCE_MARKER = "#7C828A"
 
 
 def section(data: ReportData) -> ReportSection:
-    """Base parameters with their error bars, standard parameters where there are any."""
+    """Base parameters with their error bars."""
     result = data.result
     reference = reference_values(data)
     context = {
@@ -33,7 +32,6 @@ def section(data: ReportData) -> ReportSection:
         "threshold": _threshold(result),
         "correction": result.residuals.correction,
         "essential": result.essential,
-        "standard": _standard(result.standard_parameters or []),
     }
     return ReportSection("Parameters", "parameters", "parameters.html.j2", context)
 
@@ -122,15 +120,3 @@ def _panel(
         vertical=[(0.0, {"color": RESIDUAL, "width": 1})],
         height=ROW * len(names) + 16,
     )
-
-
-def _standard(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Columns and cells of a table whose keys the export decides."""
-    columns = list(dict.fromkeys(key for entry in entries for key in entry))
-    return {"columns": columns, "rows": [[_cell(entry.get(key)) for key in columns] for entry in entries]}
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, list | tuple):
-        return ", ".join(_cell(element) for element in value)
-    return setting(value) if value is None or isinstance(value, float | int | str | bool) else str(value)

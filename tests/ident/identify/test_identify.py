@@ -513,7 +513,8 @@ def test_progress_names_the_steps(recorded):
     steps = []
     identify([recorded()], [], IdentifyChoices(), progress=steps.append)
     assert steps == [
-        "base parameters", "preprocessing", "delay", "regression", "error bars", "validation", "plausibility",
+        "base parameters", "preprocessing", "delay", "regression", "error bars", "physical consistency",
+        "validation", "plausibility",
     ]  # fmt: skip
 
 

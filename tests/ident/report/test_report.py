@@ -247,7 +247,6 @@ def test_names_stay_text(evil: str) -> None:
             parameter(evil).model_copy(update={"joint": evil, "expression": evil}),
             parameter("Fv1", "viscous"),
         ],
-        standard_parameters=[{"name": evil, evil: 1.0, "list": [1.0, evil]}],
     )
     attacked = page(found, truth=TruthTable((evil, "Fv1"), np.array([1.0, 2.0])))
     plain = page(

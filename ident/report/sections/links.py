@@ -1,0 +1,41 @@
+"""Links of the physically consistent model, and what it costs that they can exist."""
+
+from __future__ import annotations
+
+from ident.report.number_text import number, percent
+from ident.report.section import ReportData, ReportSection, Tile
+from ident.result.schema import ConsistentModel, Fit
+
+
+def section(data: ReportData) -> ReportSection | None:
+    """The links' bodies; None where no consistent model was found."""
+    result = data.result
+    if result.consistent is None or not result.standard_parameters:
+        return None
+    consistent = result.consistent
+    context = {
+        "links": result.standard_parameters,
+        "joints": [entry for entry in consistent.parameters if entry.unit and not _of_link(entry.name)],
+        "consistent": consistent,
+        "tiles": _tiles(consistent, result.validation),
+    }
+    return ReportSection("Links", "links", "links.html.j2", context)
+
+
+def _of_link(name: str) -> bool:
+    return name.rstrip("0123456789") in ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
+
+
+def _tiles(consistent: ConsistentModel, unconstrained: Fit | None) -> tuple[Tile, ...]:
+    tiles = []
+    if consistent.validation is not None:
+        free = None if unconstrained is None else unconstrained.relative_error
+        tiles.append(
+            Tile(
+                "Validation error, consistent",
+                percent(consistent.validation.relative_error),
+                f"unconstrained: {percent(free)}",
+            )
+        )
+    tiles.append(Tile("p-value of consistency", number(consistent.p_value, 2), "small: no bodies explain the data"))
+    return tuple(tiles)

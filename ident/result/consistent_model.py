@@ -1,0 +1,111 @@
+"""The physically consistent model as a result stores it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq.robot.loader import RobotFile
+from ident.assessment.validation import FitFigures
+from ident.estimators.feasible.consistent import ConsistentParameters
+from ident.estimators.feasible.pseudo_inertia import body_of
+from ident.model.base_parameters import BaseParameters
+from ident.model.dynamic_model import DynamicModel
+from ident.model.parameters import INERTIAL
+from ident.regression.estimate import Estimate
+from ident.result.schema import UNITS, ConsistentModel, Fit, LinkResult, StandardParameterResult
+
+
+def link_results(model: DynamicModel, consistent: ConsistentParameters) -> list[LinkResult]:
+    """The bodies of the links."""
+    size = len(INERTIAL)
+    links = []
+    for index, name in enumerate(model.link_names):
+        own = slice(size * index, size * (index + 1))
+        body = body_of(consistent.values[own])
+        links.append(
+            LinkResult(
+                link=name,
+                mass=body.mass,
+                com=body.com.tolist(),
+                inertia=dict(
+                    zip(("xx", "xy", "xz", "yy", "yz", "zz"), body.inertia[np.triu_indices(3)].tolist(), strict=True)
+                ),
+                prior=consistent.sources[index],
+                identified=float(np.mean(consistent.determined[own])),
+            )
+        )
+    return links
+
+
+def consistent_model(
+    model: DynamicModel,
+    base: BaseParameters,
+    robot_file: RobotFile,
+    estimate: Estimate,
+    effective_rows: float,
+    consistent: ConsistentParameters,
+    fit: FitFigures | None = None,
+    validation: FitFigures | None = None,
+) -> ConsistentModel:
+    """The consistent model with what it costs.
+
+    Args:
+        model: the arm.
+        base: base parameters of the experiment.
+        robot_file: whose prior was used.
+        estimate: that it was fitted to.
+        effective_rows: equations that the autocorrelated residuals are worth.
+        consistent: what came of it.
+        fit: its error on the identification data, where there are any.
+        validation: on held-out data.
+    """
+    prior = robot_file.robot.prior
+    return ConsistentModel(
+        parameters=[
+            StandardParameterResult(
+                name=parameter.name,
+                unit=UNITS[parameter.symbol],
+                value=float(value),
+                std=float(std),
+                determined=float(np.clip(share, 0.0, 1.0)),
+                known=bool(known),
+            )
+            for parameter, value, std, share, known in zip(
+                model.parameters,
+                consistent.values,
+                consistent.std,
+                consistent.determined,
+                consistent.known,
+                strict=True,
+            )
+        ],
+        base_values=dict(zip(base.names, consistent.base.tolist(), strict=True)),
+        prior_distance=prior.distance,
+        prior_weight=prior.weight,
+        misfit=consistent.misfit,
+        p_value=_p_value(estimate, effective_rows, consistent.misfit),
+        boundary=[model.link_names[link] for link in consistent.boundary],
+        limits_hit=list(consistent.limits_hit),
+        fit=None if fit is None else fit_result(fit),
+        validation=None if validation is None else fit_result(validation),
+    )
+
+
+def fit_result(figures: FitFigures) -> Fit:
+    """Errors as they are stored."""
+    return Fit.model_validate(
+        {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(figures).items()}
+    )
+
+
+def _p_value(estimate: Estimate, effective_rows: float, misfit: float) -> float | None:
+    """F-test of the rise against the estimate's own uncertainty, inflated as autocorrelated residuals inflate it."""
+    from scipy.stats import f
+
+    known = np.isfinite(np.diag(estimate.covariance))
+    count, freedom = int(known.sum()), effective_rows - len(estimate.values)
+    if not count or freedom <= 0:
+        return None
+    root = estimate.root[:, known]
+    inflation = float(np.trace(root @ estimate.covariance[np.ix_(known, known)] @ root.T)) / count
+    return float(f.sf(misfit / (count * inflation), count, freedom)) if inflation > 0 else None
