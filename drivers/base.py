@@ -120,15 +120,18 @@ class Identifying(Protocol):
 
 @runtime_checkable
 class Attributing(Protocol):
-    """A driver of several devices that can tell which of them keeps a stream from coming."""
+    """A driver that can name the cause of missing samples: this computer, or a device that does not answer."""
 
     def silence(self, stream: str, limit: float) -> str:
-        """Who is silent, and for how long, in words; empty where nobody is, or nobody can tell.
+        """Which devices are silent, and for how long, in words; empty where none is, or the cause is unknown.
 
         Args:
             stream: name of the stream.
             limit: how long it has been silent for, at least [s].
         """
+
+    def losses(self, stream: str) -> str:
+        """Why samples of a stream were lost since the last `start`, in words; empty where the cause is unknown."""
 
 
 def require_state(actual: State, allowed: State, action: str) -> None:

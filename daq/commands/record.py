@@ -129,14 +129,19 @@ def record_command(
         raise report.error or KeyboardInterrupt
     approach = confirmation.figures if confirmation is not None else None
     _report_session(out, report, as_json, {"motion": figures, "approach": approach} if figures is not None else {})
-    if report.error is None and report.stopped_by == INTERRUPTED:
-        raise typer.Exit(INTERRUPTED_STATUS)
-    if report.error is None and report.stopped_by == TERMINATED:
-        print("dynid: terminated", file=sys.stderr)
-        raise typer.Exit(TERMINATED_STATUS)
+    status = 1 if report.heavy_loss else 0
     if report.error is not None:
         print(f"dynid: {report.error}", file=sys.stderr)
-        raise typer.Exit(report.error.exit_status)
+        status = report.error.exit_status
+    elif report.stopped_by == INTERRUPTED:
+        status = INTERRUPTED_STATUS
+    elif report.stopped_by == TERMINATED:
+        print("dynid: terminated", file=sys.stderr)
+        status = TERMINATED_STATUS
+    if report.heavy_loss:
+        print(f"dynid: {report.heavy_loss}", file=sys.stderr)
+    if status:
+        raise typer.Exit(status)
 
 
 def _title(trajectory: str, robot: str, speed_scale: float, duration: float) -> str:
@@ -164,9 +169,9 @@ def _report_session(
     punctuality = asdict(report.punctuality) if report.punctuality is not None else None
     if as_json:
         streams = {name: asdict(quality) for name, quality in qualities.items()}
-        stopped = {"file": str(out), "streams": streams, "stopped_by": report.stopped_by}
+        ended = {"stopped_by": report.stopped_by, "heavy_loss": report.heavy_loss, "overflow": report.overflow}
         moved = {name: asdict(figures) if figures is not None else None for name, figures in motions.items()}
-        print_json({**stopped, "overflow": report.overflow, "punctuality": punctuality, **moved})
+        print_json({"file": str(out), "streams": streams, **ended, "punctuality": punctuality, **moved})
         return
     for name, quality in qualities.items():
         print(f"{out}: {name}: {quality.samples} samples at {quality.rate_hz:.4g} Hz, {quality.lost} lost")

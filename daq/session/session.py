@@ -32,6 +32,8 @@ from drivers.errors import ConnectionLostError, DynidError, MotionRefusedError, 
 from drivers.streams import Batch, FloatArray
 
 READ_TIMEOUT = 0.01
+LOSS_LIMIT = 0.01
+"""Share of a stream's samples that may be lost before a recording counts as failed."""
 FIRST_SAMPLE_LIMIT = 5.0
 """How long [s] the first samples may take."""
 SWITCH_INTERVAL = 2e-4
@@ -58,6 +60,7 @@ class SessionReport:
         stopped_by: why it ended before its end, in words; None where it ran to its end.
         punctuality: of the motion; None without one.
         error: what ended it, for the exit status; None where it ran to its end or was interrupted.
+        heavy_loss: which streams lost more than `LOSS_LIMIT` of their samples, and why, in words; empty where none did.
     """
 
     samples: Mapping[str, int]
@@ -66,6 +69,7 @@ class SessionReport:
     stopped_by: str | None
     punctuality: Punctuality | None
     error: DynidError | None = None
+    heavy_loss: str = ""
 
 
 @dataclass(frozen=True)
@@ -256,13 +260,25 @@ def record(
             unhalted = _note(driver.notices(), recorder)  # an error now says that the arm could not be stopped in order
             if player is not None and unhalted is None:
                 recorder.event(course.source_time(), "info", "driver", "arm halted")
+        heavy_loss = _heavy_loss(driver, course)
+        if heavy_loss:
+            recorder.event(course.source_time(), "warning", "session", heavy_loss)
         try:
             recorder.close(complete=stopped_by is None)
         except DynidError as caught:
             error, stopped_by = error or caught, stopped_by or str(caught)
-    return SessionReport(
-        course.samples, course.lost, recorder.overflow, stopped_by, player.punctuality() if player else None, error
-    )
+    punctuality = player.punctuality() if player else None
+    return SessionReport(course.samples, course.lost, recorder.overflow, stopped_by, punctuality, error, heavy_loss)
+
+
+def _heavy_loss(driver: Driver, course: _Course) -> str:
+    said = []
+    for stream, lost in course.lost.items():
+        total = course.samples[stream] + lost
+        if lost > LOSS_LIMIT * total:
+            cause = driver.losses(stream) if isinstance(driver, Attributing) else ""
+            said.append(f"{lost} of {total} samples of {stream} were lost{f' ({cause})' if cause else ''}")
+    return "; ".join(said)
 
 
 def _wait_for_position(driver: Driver, recorder: Recorder, supervisor: Supervisor, course: _Course) -> None:

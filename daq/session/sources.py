@@ -131,6 +131,14 @@ class Sources:
                 return source.driver.silence(names[0], limit)
         return ""
 
+    def losses(self, stream: str) -> str:
+        """Why samples of a stream were lost, in its source's words; empty where it cannot tell (see `drivers.base`)."""
+        for source in self._all:
+            names = [own for own, name in source.streams.items() if name == stream]
+            if names and isinstance(source.driver, Attributing):
+                return source.driver.losses(names[0])
+        return ""
+
     def command(self, position: FloatArray) -> None:
         """Send a joint position to the main one.
 

@@ -28,7 +28,7 @@ from drivers.errors import ConnectionFailedError, ConnectionLostError
 
 RECEIVE_BUFFER_BYTES = 4 * 2**20
 """Asked of the kernel; udp_multicast's default holds 256 frames, 21 ms of six drives at 1 kHz."""
-POLL = 0.02
+POLL = 0.005
 """How long [s] the receiving thread waits for a frame before it looks whether it shall end."""
 BUFFER_FRAMES = 200_000
 """Frames that may wait to be taken: 40 s of six drives at 400 Hz."""
@@ -85,6 +85,14 @@ def open_bus(interface: str, channel: str | int, bitrate: int, options: Mapping[
     return bus
 
 
+def sends_in_kernel(bus: can.BusABC) -> bool:
+    """Whether frames can be sent at a fixed period by the kernel's timer, and come back with the time of sending.
+
+    python-can's other interfaces send from a thread of this process, or from hardware that does not tell the time.
+    """
+    return type(bus).__name__ == "SocketcanBus"
+
+
 class Sender:
     """Sends frames from any thread, one at a time.
 
@@ -131,12 +139,27 @@ class Sender:
                 for message in messages:
                     self._bus.send(message, self._limit)
             except (can.CanError, OSError, ValueError) as error:
-                raise ConnectionLostError(
-                    f"the CAN adapter does not take frames: {reason(error)}",
-                    where=str(self._bus.channel_info),
-                    hint="is another device on the bus, at this bit rate, and the bus terminated?",
-                ) from error
+                raise self._refused(error) from error
         return begun
+
+    def send_periodically(self, identifier: int, data: bytes, period: float) -> can.CyclicSendTaskABC:
+        """Let the kernel send a frame every `period` [s] until the task is stopped (see `sends_in_kernel`).
+
+        Raises:
+            ConnectionLostError: the adapter is gone, or does not take it.
+        """
+        message = can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
+        try:
+            return self._bus.send_periodic(message, period)
+        except (can.CanError, OSError, ValueError) as error:
+            raise self._refused(error) from error
+
+    def _refused(self, error: Exception) -> ConnectionLostError:
+        return ConnectionLostError(
+            f"the CAN adapter does not take frames: {reason(error)}",
+            where=str(self._bus.channel_info),
+            hint="is another device on the bus, at this bit rate, and the bus terminated?",
+        )
 
 
 class Receiver:

@@ -14,20 +14,26 @@ from drivers.can.bus import Receiver, Sender, close_bus, open_bus
 from drivers.can_signals.motion import Commander
 from drivers.can_signals.polling import Poller
 from drivers.can_signals.settings import parse_settings
-from drivers.can_signals.signals import FixedFrame
-from drivers.can_signals.standstill import REST_LIMIT, comes_to_rest
+from drivers.can_signals.signals import FixedFrame, batches
 from drivers.can_signals.startup import hear_all
 from drivers.can_signals.streams import FrameStreams
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from drivers.first_step import check_first_step, finite_position
+from drivers.standstill import REST_WINDOW, StandstillWatch
 from drivers.streams import Batch, FloatArray, StreamLayout
 
 SILENCE_LIMIT = 0.5
 """Without a row for so long [s], or for `SILENT_PERIODS`, the connection counts as lost."""
 SILENT_PERIODS = 20
-STOP_REPEATS = 3
-"""How often the stop frames are sent: a frame that an arm misses is not sent again by anybody else."""
 STOP_INTERVAL = 0.01
+"""The stop frames are sent every so many seconds until the arm is at rest: it may have missed the first ones."""
+STOP_ATTEMPTS = 3
+"""So many sendings in a row may fail before a stop is given up."""
+STOP_LIMIT = 2.0
+"""How long [s] an arm may take to come to rest."""
+
+GAP_PERIODS = 2.5
+"""After so many periods without a row, and half a window of rest, the arm may have moved."""
 
 
 class CanFramesDriver:
@@ -51,7 +57,7 @@ class CanFramesDriver:
         self._sender: Sender | None = None
         self._poller: Poller | None = None
         self._commander: Commander | None = None
-        self._command_lock = self._clock.lock()  # held while a stop is repeated
+        self._command_lock = self._clock.lock()
         self._halted = False
         self._notices: deque[Notice] = deque()
         self._streams = FrameStreams(
@@ -174,21 +180,36 @@ class CanFramesDriver:
     def stop(self) -> None:
         """Halt the arm where this driver moves it, then the samples; safe in every state, never raises.
 
-        The stop frames go out at once, then the joints' own positions must say that the arm has come to rest.
+        The stop frames go out at once, and again until the joints' own positions say that the arm is at rest.
         """
         self._halted = True
         with self._command_lock:
             commander, self._commander = self._commander, None
-            sent = commander is None or self._send_stop()
-        if commander is not None:
-            if not sent:
-                said = "the stop frames could not be sent; the arm may still move"
-                self._notices.append(Notice(math.nan, "error", said))
-            elif not comes_to_rest(self._receiver, self._streams.joints, self._clock):
-                said = f"the arm did not show within {REST_LIMIT:g} s of the stop frames that it stands still"
-                self._notices.append(Notice(math.nan, "error", said))
+        if commander is not None and (trouble := self._halt()):
+            self._notices.append(Notice(math.nan, "error", trouble))
         if self._state == "running":
             self._state = "open"
+
+    def silence(self, stream: str, limit: float) -> str:
+        """Which frames do not come, in words; empty of another stream than `joints` (see `drivers.base`)."""
+        receiver = self._receiver
+        if stream != "joints" or self._state != "running" or receiver is None:
+            return ""
+        if self._poller is not None and self._clock.now() - self._poller.latest > max(limit, 2 * self._poller.period):
+            return "no poll was sent: this computer was late"
+        since = receiver.drained - 0.5 * limit
+        silent = [
+            part.label
+            for part in self._settings.parts("joints")
+            if receiver.latest.get(part.identifier, (-math.inf,))[0] < since
+        ]
+        return f"no {', '.join(silent)}" if silent else ""
+
+    def losses(self, stream: str) -> str:
+        """Why rows of `joints` were lost, in words; empty where the cause is unknown (see `drivers.base`)."""
+        dropped = self._receiver.overflow if self._receiver is not None else 0
+        late = f"{dropped} frame(s) dropped: this computer was late to read them" if dropped else ""
+        return "; ".join(words for words in (late, self._streams.losses()) if words) if stream == "joints" else ""
 
     def close(self) -> None:
         """Let go of the connection; safe in every state."""
@@ -218,15 +239,34 @@ class CanFramesDriver:
         if frames and self._sender is not None:
             self._sender.send_all([(frame.identifier, frame.data) for frame in frames])
 
-    def _send_stop(self) -> bool:
-        sent = False
-        for repeat in range(STOP_REPEATS):
-            if repeat:
-                self._clock.sleep(STOP_INTERVAL)
-            with contextlib.suppress(Exception):
-                self._send(self._settings.stop)
-                sent = True
-        return sent
+    def _halt(self) -> str:
+        """Send the stop frames until the arm is at rest; what is wrong, in words, or nothing."""
+        standstill = StandstillWatch(max(0.5 * REST_WINDOW, GAP_PERIODS / self._settings.rate))
+        joints = self._streams.joints
+        positions = [index for index, signal in enumerate(joints.signals) if signal.quantity == "position"]
+        failed, due = 0, self._clock.now()
+        end = due + STOP_LIMIT
+        while self._clock.now() < end:
+            if self._clock.now() >= due:
+                due += STOP_INTERVAL
+                try:
+                    self._send(self._settings.stop)
+                    failed = 0
+                except Exception:  # whatever the adapter's library raises, the next attempt may succeed
+                    failed += 1
+                if failed == STOP_ATTEMPTS:
+                    return "the stop frames could not be sent; the arm may still move"
+            try:
+                frames = self._opened_receiver().take(due - self._clock.now())
+            except (ConnectionLostError, DriverStateError):
+                self._clock.sleep(due - self._clock.now())
+                continue
+            rows = joints.take(frames, dict(batches(frames)))
+            for host_time, row in zip(rows.host_time.tolist(), rows.values[:, positions], strict=True):
+                standstill.add(host_time, row)
+            if standstill.at_rest:
+                return ""
+        return f"the arm did not show within {STOP_LIMIT:g} s of the stop frames that it stands still"
 
     def _let_go(self) -> None:
         if self._poller is not None:

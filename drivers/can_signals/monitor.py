@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -39,11 +39,22 @@ class Troubles:
         self._clock = clock
         self._counts: dict[str, int] = {}
         self._told = -math.inf
+        self._lacked: Counter[str] = Counter()
 
-    def note(self, rows: Rows) -> None:
-        """Note what was wrong with some rows."""
+    def forget(self) -> None:
+        """Begin to count lost rows anew."""
+        self._lacked.clear()
+
+    def losses(self) -> str:
+        """Frames that rows of the joints lacked since `forget`, in words."""
+        return ", ".join(f"no {label}: {count} time(s)" for label, count in self._lacked.most_common())
+
+    def note(self, rows: Rows, *, essential: bool) -> None:
+        """Note what was wrong with some rows; `essential`: of the joints."""
         if rows.missing:
             self.missing = rows.missing[0].label
+        if rows.incomplete and essential:
+            self._lacked[self.missing or "a further part"] += rows.incomplete
         self._count("incomplete row(s)", rows.incomplete)
         self._count("frame(s) that came twice", rows.duplicates)
         self._count("frame(s) too short for the table", rows.short)

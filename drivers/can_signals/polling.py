@@ -58,6 +58,8 @@ class Poller:
 
     Attributes:
         failure: what ended it; None while all is well.
+        period: from one poll to the next [s].
+        latest: when the newest poll was sent [s, host's monotonic clock].
     """
 
     def __init__(self, sender: Sender, poll: Poll, clock: Clock = SYSTEM_CLOCK) -> None:
@@ -65,7 +67,8 @@ class Poller:
         self._sender = sender
         self._clock = clock
         self._frames = [(frame.identifier, frame.data) for frame in poll.frames]
-        self._period = poll.period
+        self.period = poll.period
+        self.latest = clock.now()
         self._sent: deque[float] = deque(maxlen=_KEPT)
         self._ending = clock.event()
         self._thread = clock.thread(self._run, "can poll")
@@ -93,9 +96,10 @@ class Poller:
         due = self._clock.now()
         while not self._ending.wait(max(0.0, due - self._clock.now())):
             try:
-                self._sent.append(self._sender.send_all(self._frames))
+                self.latest = self._sender.send_all(self._frames)
+                self._sent.append(self.latest)
             except ConnectionLostError as error:
                 self.failure = error
                 return
             # After a stall the schedule goes on from now: a burst of polls would be answered by nobody.
-            due = max(due + self._period, self._clock.now() - self._period)
+            due = max(due + self.period, self._clock.now() - self.period)

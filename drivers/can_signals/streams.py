@@ -69,6 +69,10 @@ class FrameStreams:
         """What the last incomplete row lacked; empty where none was."""
         return self._troubles.missing
 
+    def losses(self) -> str:
+        """Why rows of the joints were lost since `forget`, in words."""
+        return self._troubles.losses()
+
     def forget(self) -> None:
         """Begin anew."""
         for assembler in self._assemblers.values():
@@ -81,6 +85,7 @@ class FrameStreams:
         self._latest_time: dict[str, float] = {}
         self.last_row = self._host_clock.now()
         self._answers = PollAnswers()
+        self._troubles.forget()
         self._rate_watch.forget()
         self._faults.forget()
 
@@ -104,7 +109,7 @@ class FrameStreams:
         blocks = []
         for name, assembler in self._assemblers.items():
             rows = assembler.take(frames, grouped)
-            self._troubles.note(rows)
+            self._troubles.note(rows, essential=name == "joints")
             self._faults.note(assembler.signals, rows, self._offset)
             if name == "joints":
                 block = self._joints_block(rows, assembler, poller)

@@ -25,6 +25,8 @@ TPDO_SIZES = (_STATE.itemsize, _EFFORT.itemsize)
 _FRAME_BYTES = 8
 LATENESS = 0.02
 """How long [s] answers may stay behind before one of them counts as missing: ordinary computers stall for as long."""
+REST_LATENESS = 0.2
+"""The same while the arm is at rest, where rows may be handed out late."""
 _SMOOTHING = 0.05
 PER_MILLE = 1e-3
 
@@ -125,7 +127,7 @@ class _Answers:
     """The answers of one drive with one TPDO, SYNC after SYNC.
 
     They come in the order of the SYNCs, so that the oldest SYNC without an answer gets the next one, even where that
-    comes after the following SYNC. Where the answers stay behind for `patience` periods, either one is missing, that of
+    comes after the following SYNC. Where answers stay behind for longer than they may, either one is missing, that of
     the first SYNC after which nothing came, or all have become late; how long after a SYNC this drive usually answers
     tells which.
     """
@@ -136,14 +138,16 @@ class _Answers:
         self.missing = 0
         self.extra = 0
         self._period = period
-        self._patience = max(1, round(LATENESS / period))
         self._usual: float | None = None
-        self._phases: deque[float] = deque(maxlen=self._patience)
+        self._phases: deque[float] = deque(maxlen=max(1, round(LATENESS / period)))
         self._waiting: deque[int] = deque()
         self._empty: deque[int] = deque()
 
-    def close_window(self, number: int, begin: float, frames: Sequence[Frame]) -> None:
-        """Take the frames that came between SYNC `number`, sent at `begin` [s], and the next one."""
+    def close_window(self, number: int, begin: float, frames: Sequence[Frame], lateness: float) -> None:
+        """Assign the frames that came between SYNC `number`, sent at `begin` [s], and the next one.
+
+        Answers may stay behind for `lateness` [s].
+        """
         if not frames:
             self._empty.append(number)
         elif not self._waiting and len(frames) == 1:
@@ -157,7 +161,7 @@ class _Answers:
             else:
                 self.extra += 1
                 self.of[number] = frame
-        if self._waiting and self._empty and number - self._empty[0] >= self._patience:
+        if self._waiting and self._empty and number - self._empty[0] >= max(1, round(lateness / self._period)):
             first = self._empty.popleft()
             if not self._is_late():
                 self._give_up(first)
@@ -216,13 +220,16 @@ class Aligner:
         """Frames to come until the next SYNC has its first answer, where none is lost."""
         return max(1, 2 * self._count + 1 - len(self._frames))
 
-    def feed(self, frames: Sequence[Frame], syncs: Sequence[tuple[int, float]], drained: float) -> Aligned:
+    def feed(
+        self, frames: Sequence[Frame], syncs: Sequence[tuple[int, float]], drained: float, *, at_rest: bool = False
+    ) -> Aligned:
         """Hand out as many rows as can be.
 
         Args:
             frames: new ones, as they were stored.
             syncs: slot and time [s] of new SYNCs.
             drained: all that arrived before this time [s] has been fed.
+            at_rest: whether answers may stay behind for `REST_LATENESS`, in place of `LATENESS`.
         """
         self._frames.extend(frames)
         self._syncs.extend(syncs)
@@ -230,7 +237,7 @@ class Aligner:
         times = [time for _, time in itertools.islice(self._syncs, known, None)]
         ready = max(0, bisect.bisect_right(times, drained) - 1)
         if ready:
-            self._close(times[: ready + 1])
+            self._close(times[: ready + 1], REST_LATENESS if at_rest else LATENESS)
         settled = min(answers.settled(self._closed) for answers in self._answers.values())
         rows = self._rows(settled)
         totals = np.array(
@@ -243,7 +250,7 @@ class Aligner:
         new, self._totals = totals - self._totals, totals
         return Aligned(rows, new[0], new[1], new[2])
 
-    def _close(self, times: Sequence[float]) -> None:
+    def _close(self, times: Sequence[float], lateness: float) -> None:
         """Close the windows between consecutive times [s]."""
         windows: list[dict[int, list[Frame]]] = [{} for _ in times[1:]]
         kept = []
@@ -260,7 +267,7 @@ class Aligner:
         self._frames = kept
         for begin, window in zip(times, windows, strict=False):
             for key, answers in self._answers.items():
-                answers.close_window(self._closed, begin, window.get(key, ()))
+                answers.close_window(self._closed, begin, window.get(key, ()), lateness)
             self._closed += 1
 
     def _rows(self, end: int) -> AlignedRows:

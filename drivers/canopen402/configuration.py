@@ -15,7 +15,7 @@ from drivers.canopen402.alignment import Scaling
 from drivers.canopen402.emcy import describe_error
 from drivers.canopen402.error_control import ErrorControl, configure_error_control, warnings_of
 from drivers.canopen402.pdo_mapping import configure_pdos
-from drivers.canopen402.sdo import ANSWER_LIMIT, RemoteDrive
+from drivers.canopen402.sdo import RemoteDrive
 from drivers.canopen402.settings import MODES, CanopenSettings, NodeSettings
 from drivers.canopen402.state_machine import (
     DISABLE_VOLTAGE,
@@ -150,7 +150,7 @@ def _probe(drives: Sequence[RemoteDrive], deadline: float, clock: Clock) -> None
     while silent:
         for drive in silent:
             drive.ask_for(objects.DEVICE_TYPE)
-        again = min(end, clock.now() + ANSWER_LIMIT)
+        again = min(end, clock.now() + drives[0].timeout)
         while any(not drive.answers for drive in silent) and clock.now() < again:
             clock.sleep(1e-3)
         silent = [drive for drive in silent if not drive.answers]
@@ -172,7 +172,7 @@ def _probe(drives: Sequence[RemoteDrive], deadline: float, clock: Clock) -> None
 def _answers_to_one_question(drive: RemoteDrive, clock: Clock) -> int:
     """How many devices have this node id; a drive that was asked again may have answered late, and so twice."""
     drive.ask_for(objects.DEVICE_TYPE)
-    end = clock.now() + ANSWER_LIMIT
+    end = clock.now() + drive.timeout
     while not drive.answers and clock.now() < end:
         clock.sleep(1e-3)
     clock.sleep(SECOND_ANSWER)

@@ -15,11 +15,12 @@ import can
 import numpy as np
 
 from drivers.base import DriverSettings, Notice, State, require_state
-from drivers.can.bus import Receiver, Sender, close_bus, open_bus
+from drivers.can.bus import Receiver, Sender, close_bus, open_bus, sends_in_kernel
 from drivers.canopen402 import objects
-from drivers.canopen402.alignment import Aligned, Aligner
+from drivers.canopen402.alignment import REST_LATENESS, Aligned, Aligner
 from drivers.canopen402.configuration import Configured, Identity, configure
 from drivers.canopen402.error_control import check_own_id, release
+from drivers.canopen402.kernel_sync import KernelSync
 from drivers.canopen402.layout import stream_layouts
 from drivers.canopen402.monitor.drives import DriveWatch
 from drivers.canopen402.monitor.life_signs import LifeSigns, guard_requests, heartbeat
@@ -29,10 +30,11 @@ from drivers.canopen402.motion import DriveMotion
 from drivers.canopen402.sdo import CanopenNetwork, RemoteDrive
 from drivers.canopen402.sdo_stop import SdoStop
 from drivers.canopen402.settings import MODES, parse_settings
-from drivers.canopen402.sync import SyncProducer
+from drivers.canopen402.sync import BEHIND, SyncProducer
 from drivers.canopen402.temperature import TemperaturePoll, read_temperature
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from drivers.first_step import check_first_step, finite_position
+from drivers.standstill import StandstillWatch
 from drivers.streams import Batch, FloatArray, StreamLayout
 
 SILENCE_LIMIT = 0.5
@@ -72,6 +74,7 @@ class Canopen402Driver:
         self._last_row = 0.0
         self._last_slot: int | None = None
         self._latest_position: FloatArray | None = None
+        self._standstill = StandstillWatch(BEHIND + REST_LATENESS)
         self._skipped = self._asked = 0
 
     def open(self) -> None:
@@ -94,10 +97,12 @@ class Canopen402Driver:
             self._receiver = Receiver(self._bus, stored, network.take, self._clock)
             self._receiver.start()
             pairs = zip(self._joints, self._ids, strict=True)
-            self._drives = [RemoteDrive(network, joint, node, self._clock) for joint, node in pairs]
+            self._drives = [
+                RemoteDrive(network, joint, node, settings.sdo_timeout, self._clock) for joint, node in pairs
+            ]
             self._configured = self._configure(deadline, network)
             self._scaling = replace(self._configured.scaling, coupling=self._coupling)
-            self._sync = SyncProducer(self._sender, settings.sync_rate, self._outputs, self._clock)
+            self._sync = self._make_sync(network)
             self._watch = self._make_watch()
             self._sdo_stop = SdoStop(self._sender, self._ids, self._clock)
             self._silence = Silence(self._joints, self._ids, self._receiver.latest)
@@ -142,6 +147,7 @@ class Canopen402Driver:
         self._receiver.take()  # from before
         self._aligner = Aligner(self._ids, self._settings.sync_rate)
         self._latest_position, self._last_slot = None, None
+        self._standstill = StandstillWatch(BEHIND + REST_LATENESS)
         self._skipped = self._sync.skipped
         self._motion = None if self._mode is None else self._make_motion(self._mode)
         self._halted = False
@@ -169,7 +175,7 @@ class Canopen402Driver:
         while not blocks:
             left = max(0.0, deadline - self._clock.now())
             frames = self._receiver.take(left, self._aligner.wanted)
-            aligned = self._aligner.feed(frames, self._sync.take(), self._receiver.drained)
+            aligned = self._aligner.feed(frames, self._sync.take(), self._receiver.drained, at_rest=self._at_rest())
             blocks = [*self._joints_block(aligned), *self._thermal_blocks()]
             if self._clock.now() >= deadline:
                 break
@@ -260,6 +266,10 @@ class Canopen402Driver:
             return ""
         return self._silence.explain(self._receiver.drained, self._clock.now() - self._sync.latest, limit)
 
+    def losses(self, stream: str) -> str:
+        """Why rows of `joints` were lost, in words; empty of another stream (see `drivers.base`)."""
+        return self._watch.losses() if stream == "joints" and self._state != "closed" else ""
+
     def close(self) -> None:
         """Let go of the bus; safe in every state."""
         self.stop()
@@ -272,7 +282,8 @@ class Canopen402Driver:
         settings = self._settings
         try:
             if settings.mode != "none" and settings.guarding is None:
-                check_own_id(RemoteDrive(network, "dynid", settings.own_id, self._clock), self._clock)
+                own = RemoteDrive(network, "dynid", settings.own_id, settings.sdo_timeout, self._clock)
+                check_own_id(own, self._clock)
             configured = configure(self._drives, self._settings, self._sender, deadline, self._clock)
             for drive, node in zip(self._drives, self._settings.nodes, strict=True):
                 if node.temperature is not None:
@@ -289,6 +300,14 @@ class Canopen402Driver:
         period = 1.0 / self._settings.sync_rate
         latest, sender, beside = self._receiver.latest, self._sender, self._sdo_stop
         return DriveMotion(self._joints, self._ids, mode, period, list(standstill), latest, sender, beside, self._clock)
+
+    def _make_sync(self, network: CanopenNetwork) -> SyncProducer:
+        sender, rate, clock = self._sender, self._settings.sync_rate, self._clock
+        if self._bus is None or not sends_in_kernel(self._bus):
+            return SyncProducer(sender, rate, self._outputs, clock, self._at_rest)
+        sync = KernelSync(sender, rate, self._outputs, lambda: self._receiver.drained, clock)
+        network.subscribe(objects.SYNC, sync.on_sync)
+        return sync
 
     def _make_watch(self) -> DriveWatch:
         settings, ids, count = self._settings, self._ids, len(self._ids)
@@ -318,6 +337,11 @@ class Canopen402Driver:
         motion = self._motion
         return () if motion is None else motion.outputs(moment)
 
+    def _at_rest(self) -> bool:
+        """Whether the arm stands still, and nothing here moves it."""
+        motion = self._motion
+        return (motion is None or motion.idle) and self._standstill.at_rest
+
     def _joints_block(self, aligned: Aligned) -> list[Batch]:
         rows = aligned.rows
         if self._last_slot is not None:  # before the first row the drives are still starting
@@ -333,6 +357,7 @@ class Canopen402Driver:
         values = self._scaling.values(rows)
         values["sync_lateness"] = (self._sync.clock(rows.sent) - time_)[:, np.newaxis]
         self._latest_position = values["position"][-1].copy()
+        self._standstill.add(float(rows.host_time[-1]), self._latest_position)
         self._last_row, self._asked = float(rows.host_time[-1]), self._sync.count
         motion = self._motion
         moving = motion is not None and (motion.moving or motion.ended_by is not None)

@@ -20,7 +20,7 @@ from drivers.canopen402.objects import (
     AbortOption,
     DriveObject,
 )
-from drivers.canopen402.sdo import ANSWER_LIMIT, RemoteDrive, abort_code
+from drivers.canopen402.sdo import RemoteDrive, abort_code
 from drivers.canopen402.settings import CanopenSettings
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError, ConnectionLostError
@@ -129,7 +129,7 @@ def release(drives: Sequence[RemoteDrive], controls: Sequence[ErrorControl], clo
         except ConnectionLostError:
             return
         asked.append(drive)
-    end = clock.now() + min(RELEASE_LIMIT, ANSWER_LIMIT)
+    end = clock.now() + RELEASE_LIMIT
     while any(not drive.answers for drive in asked) and clock.now() < end:
         clock.sleep(1e-3)
 

@@ -115,6 +115,11 @@ class DriveMotion:
         self._dropped_out: int | None = None
 
     @property
+    def idle(self) -> bool:
+        """Whether the drives have not been enabled, or are off again."""
+        return self._phase == "idle"
+
+    @property
     def moving(self) -> bool:
         """Whether the drives are enabled and follow targets."""
         return self._phase == "moving"

@@ -18,8 +18,6 @@ from drivers.canopen402.objects import DriveObject
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError
 
-ANSWER_LIMIT = 0.3
-"""How long [s] a drive may take to answer an SDO request."""
 _UPLOAD = 0x40
 _DOWNLOAD = 0x23
 """Expedited, with its size: four bytes, less one for every 4 that are added."""
@@ -49,10 +47,11 @@ class CanopenNetwork(Network):
 class _Client(SdoClient):
     """canopen's client, but waiting for answers on a clock of ours."""
 
-    def __init__(self, node: int, clock: Clock) -> None:
+    def __init__(self, node: int, timeout: float, clock: Clock) -> None:
         dictionary = ObjectDictionary()  # type: ignore[no-untyped-call]
         super().__init__(objects.SDO_REQUEST + node, objects.SDO_ANSWER + node, dictionary)  # type: ignore[no-untyped-call]
         self._answered = clock.condition()
+        self._timeout = timeout
 
     def on_response(self, can_id: int, data: bytearray, timestamp: float) -> None:
         with self._answered:
@@ -61,8 +60,8 @@ class _Client(SdoClient):
 
     def read_response(self) -> bytes:
         with self._answered:
-            if not self._answered.wait_for(lambda: not self.responses.empty(), ANSWER_LIMIT):
-                raise SdoCommunicationError(f"no answer within {ANSWER_LIMIT:g} s")
+            if not self._answered.wait_for(lambda: not self.responses.empty(), self._timeout):
+                raise SdoCommunicationError(f"no answer within {self._timeout:g} s")
         return bytes(super().read_response())  # type: ignore[no-untyped-call]
 
 
@@ -73,15 +72,17 @@ class RemoteDrive:
         network: that answers are handed to.
         joint: that it moves.
         node: its id.
+        timeout: how long it may take to answer a request [s].
         clock: the host's.
     """
 
-    def __init__(self, network: Network, joint: str, node: int, clock: Clock = SYSTEM_CLOCK) -> None:
+    def __init__(self, network: Network, joint: str, node: int, timeout: float, clock: Clock = SYSTEM_CLOCK) -> None:
         self.joint, self.node = joint, node
         self.where = f"{joint} (node {node})"
+        self.timeout = timeout
         self.deadline = math.inf
         self._clock = clock
-        self._client = _Client(node, clock)
+        self._client = _Client(node, timeout, clock)
         self._client.network = network
         network.subscribe(objects.SDO_ANSWER + node, self._client.on_response)
 
@@ -189,9 +190,9 @@ class RemoteDrive:
             raise ConnectionFailedError(f"cannot {action} {entry}: {words}", where=self.where, hint=hint) from error
         except SdoCommunicationError as error:
             raise ConnectionFailedError(
-                f"no answer when asked to {action} {entry}",
+                f"no answer within {self.timeout:g} s when asked to {action} {entry}",
                 where=self.where,
-                hint="is the drive still on, and the bus terminated?",
+                hint="is the drive still on, and the bus terminated? A slow drive needs a longer 'sdo_timeout'",
             ) from error
         except OverflowError as error:
             raise ConnectionFailedError(

@@ -90,6 +90,7 @@ class CanopenSettings(CanSettings):
     sync_rate: float = Field(250.0, ge=1, le=1000, description="[Hz] of SYNC, and so of the joints' samples")
     mode: Mode = Field("position", description="how the arm is moved, if at all")
     timeout: float = Field(5.0, ge=0.1, le=300, description="[s] for the configuration, and for enabling the drives")
+    sdo_timeout: float = Field(0.3, ge=0.01, le=60, description="[s] that a drive may take to answer an SDO request")
     heartbeat: float = Field(0.1, ge=0.01, le=10, description="[s], period of the drives' heartbeat and of dynid's")
     guarding: Guarding | None = Field(
         None, description="a mapping such as {period: 0.1, factor: 3}, for drives without a heartbeat"

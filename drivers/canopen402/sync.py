@@ -16,7 +16,11 @@ from drivers.errors import ConnectionLostError
 from drivers.streams import FloatArray
 
 LATEST = 0.5
-"""Of a period: a SYNC that would come later than this is left out, or the next one would come too soon after it."""
+"""Of a period: in motion, a SYNC that would come later than this is left out, or the next one would come too soon."""
+BEHIND = 0.2
+"""How late [s] a SYNC may be sent at rest, where the moment of a sample does not matter."""
+SPACING = 0.75
+"""Of a period: at rest, SYNCs that are overdue follow each other no sooner, so that the bus can carry the answers."""
 TARGET_ROOM = 0.35
 """Of a period: targets need so long on the bus before the SYNC that applies them."""
 PATIENCE = 0.1
@@ -26,7 +30,10 @@ _Time = TypeVar("_Time", float, FloatArray)
 
 
 class SyncProducer:
-    """Sends SYNC number k at start + k/rate; no lateness accumulates, and no period is made up for.
+    """Sends SYNC number k at start + k/rate; no lateness accumulates.
+
+    In motion no period is made up for. At rest, where this computer was late, SYNCs follow faster until they are on
+    schedule again.
 
     The number of a SYNC over the rate is the clock of the samples: it starts with the first `start` and goes on through
     stops.
@@ -37,6 +44,7 @@ class SyncProducer:
         outputs: called once a period in this thread with the moment of the SYNC in the schedule [s, host's monotonic
             clock]; the frames to send after the SYNC. Where SYNCs were left out, they are sent for the last of these.
         clock: the host's.
+        at_rest: whether the arm is at rest, and no motion is played; called in this thread.
     """
 
     def __init__(
@@ -45,6 +53,7 @@ class SyncProducer:
         rate: float,
         outputs: Callable[[float], Sequence[tuple[int, bytes]]],
         clock: Clock = SYSTEM_CLOCK,
+        at_rest: Callable[[], bool] = lambda: False,
     ) -> None:
         self.skipped = 0
         """SYNCs that were not sent, since this computer was late or the adapter refused them."""
@@ -56,10 +65,12 @@ class SyncProducer:
         self._rate = rate
         self._outputs = outputs
         self._host_clock = clock
+        self._at_rest = at_rest
         self._begin = math.nan
         self._sent: deque[tuple[int, float]] = deque()
         self._ending = clock.event()
         self._failure: ConnectionLostError | None = None
+        self._refused_since: float | None = None
         self._thread: threading.Thread | None = None
 
     @property
@@ -82,7 +93,7 @@ class SyncProducer:
         if math.isnan(self._begin):
             self._begin = self._host_clock.now()
         self._sent.clear()
-        self._failure = None
+        self._failure = self._refused_since = None
         self._ending.clear()
         self._thread = self._host_clock.thread(self._run, "SYNC")
         self._thread.start()
@@ -103,34 +114,45 @@ class SyncProducer:
 
     def _run(self) -> None:
         set_timer_slack()
-        slot = self._next()
-        refused_since: float | None = None
+        slot = self._following()
         while not self._ending.is_set():
             due = self._begin + slot / self._rate
             late = self._host_clock.sleep_until(due)
             if self._ending.is_set():
                 return
-            if late * self._rate > LATEST:
-                following = self._renewed(self._next())
+            resting = self._at_rest()
+            if late > (BEHIND if resting else LATEST / self._rate):
+                following = self._following(BEHIND) if resting else self._renewed(self._following())
                 self.skipped += following - slot
                 slot = following
                 continue
-            sent = False
+            if resting:
+                self._host_clock.sleep_until(self.latest + SPACING / self._rate)
             try:
                 self.latest = self._sender.send(SYNC, b"")
+            except ConnectionLostError as error:
+                self.skipped += 1
+                self._note_refusal(error)
+            else:
                 self.count += 1
                 self._sent.append((slot, self.latest))
-                sent = True
-                self._sender.send_all(self._outputs(due))
-                refused_since = None
-            except ConnectionLostError as error:
-                self.skipped += not sent
-                now = self._host_clock.now()
-                refused_since = refused_since or now
-                if now - refused_since > PATIENCE:
-                    self._failure = error
-                    return
+                self._send_outputs(due)
+            if self._failure is not None:
+                return
             slot += 1
+
+    def _send_outputs(self, moment: float) -> None:
+        try:
+            self._sender.send_all(self._outputs(moment))
+            self._refused_since = None
+        except ConnectionLostError as error:
+            self._note_refusal(error)
+
+    def _note_refusal(self, error: ConnectionLostError) -> None:
+        now = self._host_clock.now()
+        self._refused_since = self._refused_since or now
+        if now - self._refused_since > PATIENCE:
+            self._failure = error
 
     def _renewed(self, slot: int) -> int:
         """Send targets for the SYNC of a slot after some left out; the slot, or a later one where that is too near.
@@ -140,11 +162,11 @@ class SyncProducer:
         with contextlib.suppress(ConnectionLostError):
             targets = self._outputs(self._begin + (slot - 1) / self._rate)
             if targets and self._begin + slot / self._rate - self._host_clock.now() < TARGET_ROOM / self._rate:
-                slot = max(slot + 1, self._next())
+                slot = max(slot + 1, self._following())
                 targets = self._outputs(self._begin + (slot - 1) / self._rate)
             self._sender.send_all(targets)
         return slot
 
-    def _next(self) -> int:
-        """The first slot that is still to come."""
-        return math.floor((self._host_clock.now() - self._begin) * self._rate) + 1
+    def _following(self, ago: float = 0.0) -> int:
+        """The first slot that is still to come, or was `ago` [s]."""
+        return math.floor((self._host_clock.now() - ago - self._begin) * self._rate) + 1

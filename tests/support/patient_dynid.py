@@ -10,7 +10,7 @@ import sys
 from daq.motion import player
 from daq.session import session
 from daq.session import supervisor as safety
-from drivers.canopen402 import configuration, driver, error_control, sdo
+from drivers.canopen402 import configuration, driver, settings
 from drivers.rtde import motion, receiver
 
 PATIENCE = 60.0
@@ -22,9 +22,8 @@ session.FIRST_SAMPLE_LIMIT = PATIENCE
 receiver.SILENCE_LIMIT = PATIENCE
 motion.SILENCE_LIMIT = motion.PATIENCE = motion.STOP_LIMIT = PATIENCE
 motion.WATCHDOG_RATE = 0.25
-sdo.ANSWER_LIMIT = configuration.ANSWER_LIMIT = error_control.ANSWER_LIMIT = (
-    5.0  # a poll of a bus that is gone lasts as long
-)
+settings.CanopenSettings.model_fields["sdo_timeout"].default = 5.0  # a poll of a bus that is gone lasts as long
+settings.CanopenSettings.model_rebuild(force=True)
 configuration.PROBE_LIMIT = configuration.SETTLE_LIMIT = PATIENCE
 driver.SILENCE_LIMIT = driver.FIRST_ROW_LIMIT = PATIENCE
 

@@ -41,8 +41,7 @@ from daq.recording.recording import Event, Recording
 from daq.session.session import READ_TIMEOUT, SessionReport
 from daq.session.supervisor import STALE_FLOOR
 from drivers.can.bus import close_bus, open_bus
-from drivers.can_signals.driver import SILENCE_LIMIT
-from drivers.can_signals.standstill import REST_LIMIT
+from drivers.can_signals.driver import SILENCE_LIMIT, STOP_LIMIT
 from drivers.errors import ConnectionFailedError
 
 FAULT_AT = 1.0
@@ -146,7 +145,7 @@ def test_an_arm_that_does_not_show_that_it_rests_is_told(recorded: Recorded) -> 
     outcome = recorded("freeze 4")
     stopped, unknown = outcome.events("error")
     assert stopped.message.startswith("stopped: stale data of stream joints: ")
-    assert unknown.message == f"the arm did not show within {REST_LIMIT:g} s of the stop frames that it stands still"
+    assert unknown.message == f"the arm did not show within {STOP_LIMIT:g} s of the stop frames that it stands still"
 
 
 def test_a_fault_that_the_arm_tells_stops_the_motion_in_its_cycle(recorded: Recorded) -> None:

@@ -70,6 +70,8 @@ class DriveWatch:
         self._troubles = np.zeros((3, 2, len(self._ids)), dtype=np.int64)
         self._skipped = 0
         self._troubles_told = -math.inf
+        self._all_skipped = 0
+        self._unanswered = np.zeros(len(self._ids), dtype=np.int64)
 
     def start(self, now: float) -> None:
         """Begin anew; drives are to be heard from `now` [s, host's monotonic clock] on."""
@@ -81,7 +83,8 @@ class DriveWatch:
         self._not_operational = [False] * len(self._ids)
         self._status = None
         self._troubles[:] = 0
-        self._skipped = 0
+        self._skipped = self._all_skipped = 0
+        self._unanswered[:] = 0
 
     def stop(self) -> None:
         """Expect nothing more."""
@@ -166,6 +169,8 @@ class DriveWatch:
         """
         self._troubles += np.stack([aligned.missing, aligned.extra, aligned.misfit])
         self._skipped += skipped
+        self._all_skipped += skipped
+        self._unanswered += aligned.missing.max(axis=0)
         if now - self._troubles_told >= ALIGNMENT_PERIOD:
             self.tell_alignment(now)
 
@@ -188,6 +193,14 @@ class DriveWatch:
         self._troubles[:] = 0
         self._skipped = 0
         self._tell(now, "warning", "; ".join(said))
+
+    def losses(self) -> str:
+        """Why rows were lost since `start`, in words: this computer was late, or drives did not answer."""
+        said = [f"{self._all_skipped} SYNC(s) not sent: this computer was late"] if self._all_skipped else []
+        silent = [f"{self._joints[index]} {self._unanswered[index]}" for index in np.flatnonzero(self._unanswered)]
+        if silent:
+            said.append(f"no answer to SYNC in time: {', '.join(silent)}")
+        return "; ".join(said)
 
     def cause(self, index: int) -> str:
         """What a drive said last about its error, in words; empty where it said nothing."""

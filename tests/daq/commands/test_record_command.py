@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -74,6 +75,23 @@ def dynid(clock, monkeypatch, capsys):
         return left.value.code, out, err
 
     return run
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_a_recording_with_heavy_loss_says_so_last_and_fails(bench, dynid, monkeypatch, as_json):
+    read = KinematicArm.read
+
+    def read_lossy(self, timeout):
+        return tuple(replace(block, lost=1) for block in read(self, timeout))
+
+    monkeypatch.setattr(KinematicArm, "read", read_lossy)
+    options = ["--json"] if as_json else []
+    status, out, err = dynid("record", "robot.yaml", "--duration", "1", "-o", "run.h5", *options)
+    assert status == 1
+    said = err.splitlines()[-1]
+    assert said.endswith("samples of joints were lost")
+    if as_json:
+        assert f"dynid: {json.loads(out)['heavy_loss']}" == said
 
 
 def test_a_motion_is_recorded_and_told_as_json(bench, dynid):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import signal
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -181,6 +182,9 @@ def test_silence_stops_a_motion_after_five_periods_and_50_ms(
         def silence(self, stream: str, limit: float) -> str:
             return f"{stream} for {limit:g} s: no answer of elbow"
 
+        def losses(self, stream: str) -> str:
+            return ""
+
     path, arm = tmp_path / "run.h5", Slow("stale data", AFTER, clock=clock)
     report = run(path, arm, PLAY)
     assert (report.stopped_by or "").startswith("stale data of stream joints: ")
@@ -190,6 +194,32 @@ def test_silence_stops_a_motion_after_five_periods_and_50_ms(
     silent = stopped(arm) - 160 * PERIOD
     looks = 2 if wait else 1
     assert STALE < silent <= STALE + looks * (READ_TIMEOUT + wait) + PERIOD + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("lost", "said"), [(1, ""), (2, "2 of 122 samples of joints were lost (joints: a loose plug)")]
+)
+def test_a_recording_that_lost_more_than_one_percent_says_so(
+    tmp_path: Path, clock: SimulatedClock, lost: int, said: str
+) -> None:
+    class Lossy(KinematicArm):
+        def read(self, timeout: float) -> Sequence[Batch]:
+            first = self.count == 0
+            return tuple(replace(block, lost=lost if first else 0) for block in super().read(timeout))
+
+        def silence(self, stream: str, limit: float) -> str:
+            return ""
+
+        def losses(self, stream: str) -> str:
+            return f"{stream}: a loose plug"
+
+    report = run(tmp_path / "run.h5", Lossy(clock=clock), duration=119.5 * PERIOD)
+    assert report.samples == {"joints": 120}
+    assert report.heavy_loss == said
+    assert report.stopped_by is None
+    recording = read_recording(tmp_path / "run.h5")
+    assert recording.complete
+    assert [event.message for event in recording.events if event.source == "session"] == ([said] if said else [])
 
 
 def test_a_slower_stream_may_be_silent_for_five_periods(tmp_path: Path, clock: SimulatedClock) -> None:

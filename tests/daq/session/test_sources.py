@@ -207,10 +207,14 @@ def test_the_source_of_a_silent_stream_is_asked_who_is_silent(clock):
         def silence(self, stream, limit):
             return f"{stream} {limit:g}"
 
+        def losses(self, stream):
+            return f"{stream} too hot"
+
     sources = Sources("arm", PunctualArm(clock), {"oven": Attributed(clock)})
     sources.open()
     assert sources.silence("oven", 0.25) == "thermometer 0.25"  # under the source's own name of it
-    assert sources.silence("joints", 0.05) == ""
+    assert sources.losses("oven") == "thermometer too hot"
+    assert sources.silence("joints", 0.05) == sources.losses("joints") == ""
     sources.close()
 
 

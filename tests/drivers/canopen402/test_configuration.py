@@ -216,6 +216,18 @@ def test_the_time_limit_holds() -> None:
         assert 0.1 <= one.clock.now() - begun < 0.1 + 1e-3 + POLL
 
 
+@pytest.mark.parametrize(("sdo_timeout", "fails"), [(0.3, True), (1.0, False)])
+def test_a_slow_drive_needs_a_longer_time_limit(sdo_timeout: float, fails: bool) -> None:
+    with bench(drives(ScriptedDrive(2, slowness=0.4)), begin="closed", timeout=60, sdo_timeout=sdo_timeout) as one:
+        if not fails:
+            one.driver.open()
+            return
+        with pytest.raises(ConnectionFailedError) as caught:
+            one.driver.open()
+        assert "no answer within 0.3 s" in caught.value.message
+        assert "sdo_timeout" in caught.value.hint
+
+
 def test_a_configuration_that_takes_longer_than_its_time_limit_is_given_up() -> None:
     with bench(begin="closed", timeout=0.12) as one:
         one.drives[0].slowness = 0.02

@@ -5,6 +5,7 @@ import struct
 from collections.abc import Sequence
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -148,6 +149,23 @@ def test_answers_that_become_late_for_long_keep_their_sync(begin: int, length: i
     check_rows(aligned.rows)
     assert list(aligned.rows.slot) == list(range(5, 104))
     assert not aligned.missing.any()
+
+
+@pytest.mark.parametrize("at_rest", [False, True])
+def test_at_rest_answers_are_waited_for_longer(at_rest: bool) -> None:
+    """Drives that are held up for three times as long as answers in motion may stay behind."""
+    frames, syncs = traffic([[1] * 6] * 100)
+    held = range(20, 20 + 3 * PATIENCE)
+    frames = [
+        (max(arrived, syncs[held[-1]][1] + 1e-6 * index), *frame) if index // 6 in held else (arrived, *frame)
+        for index, (arrived, *frame) in enumerate(frames)
+    ]
+    frames.sort(key=lambda frame: frame[0])
+    aligned = Aligner(IDS, 1 / PERIOD).feed(frames, syncs, syncs[-1][1], at_rest=at_rest)
+    assert aligned.missing.any() != at_rest
+    if at_rest:
+        check_rows(aligned.rows)
+        assert list(aligned.rows.slot) == list(range(5, 104))
 
 
 def test_a_frame_lost_amid_late_ones_is_found() -> None:

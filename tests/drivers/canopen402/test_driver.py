@@ -81,6 +81,34 @@ def test_a_dropped_frame_loses_its_row_and_names_the_drive() -> None:
         assert told[1].time - told[0].time == pytest.approx(ALIGNMENT_PERIOD, abs=1.01 / RATE)
 
 
+def test_losses_tell_this_computer_from_a_drive() -> None:
+    drive = ScriptedDrive(2)
+    with bench([ScriptedDrive(1), drive, ScriptedDrive(3)]) as one:
+        one.read_rows(3)
+        assert one.driver.losses("joints") == ""
+        one.clock.stall(0.035)  # too early to know that the arm is at rest
+        one.read_rows(30)
+        assert one.lost == 3
+        assert one.driver.losses("joints") == "3 SYNC(s) not sent: this computer was late"
+        drive.drop = {number: {0, 1} for number in (50, 51)}
+        one.read_rows(60)
+        assert one.lost == 5
+        assert one.driver.losses("joints").endswith("late; no answer to SYNC in time: lift 2")
+        assert one.driver.losses("thermal") == ""
+
+
+@pytest.mark.parametrize("stall", [0.007, 0.05, 0.15])
+def test_at_rest_a_busy_computer_loses_nothing(stall: float) -> None:
+    with bench() as one:
+        one.read_rows(15)
+        for _ in range(5):
+            one.clock.stall(stall)
+            one.read_rows(80)
+        assert one.lost == 0
+        assert one.slots == list(range(1, one.slots[-1] + 1))
+        assert one.driver.losses("joints") == ""
+
+
 def test_a_drive_with_a_foreign_mapping_is_told() -> None:
     with bench(joints=JOINTS[:2]) as one:
         one.read_rows(3)

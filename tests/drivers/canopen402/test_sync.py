@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +12,7 @@ from simulated_clock import START, SimulatedClock
 
 from drivers.can.bus import Sender
 from drivers.canopen402.objects import SYNC
-from drivers.canopen402.sync import LATEST, PATIENCE, TARGET_ROOM, SyncProducer
+from drivers.canopen402.sync import BEHIND, LATEST, PATIENCE, SPACING, TARGET_ROOM, SyncProducer
 from drivers.errors import ConnectionLostError
 
 RATE = 100.0
@@ -107,6 +108,25 @@ def test_what_a_stall_leaves_out_is_never_made_up_for(clock: SimulatedClock, sta
     slots = run(producer, clock, 300.5)
     assert slots == [*range(1, 11), *range(first_again, 301)]
     assert producer.skipped == first_again - 11
+
+
+@pytest.mark.parametrize("stall", [0.7, 1.3, 5.7, 0.99 * BEHIND * RATE, 1.5 * BEHIND * RATE])
+def test_at_rest_syncs_are_sent_late_rather_than_left_out(clock: SimulatedClock, stall: float) -> None:
+    """`stall`: in periods, from SYNC 10 on. What is older than `BEHIND` when the computer is back is left out."""
+    sender = NotedSender(clock)
+    producer = SyncProducer(sender, RATE, lambda moment: (), clock, lambda: True)
+    clock.call_at(START + 10.0001 / RATE, lambda: clock.stall(stall / RATE))
+    slots = run(producer, clock, 300.5)
+    left_out = [slot for slot in range(1, 301) if slot not in slots]
+    overdue = range(11, math.floor(10.0001 + stall) + 1)
+    assert left_out == [slot for slot in overdue if 10.0001 + stall - slot > BEHIND * RATE]
+    assert producer.skipped == len(left_out)
+    times = np.array([time for time, _, _ in sender.sent])
+    assert np.all(np.diff(times) > SPACING - 1e-6)
+    late = times - slots
+    assert late.min() > -1e-6
+    assert late.max() <= BEHIND * RATE + SPACING
+    np.testing.assert_allclose(late[-50:], 0.0, atol=1e-6)  # on schedule again
 
 
 @pytest.mark.parametrize(

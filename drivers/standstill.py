@@ -1,0 +1,43 @@
+"""Whether an arm is at rest, judged from its positions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from drivers.streams import FloatArray
+
+REST_WINDOW = 0.1
+"""How long [s] no joint may move for an arm to be at rest."""
+REST_SPEED = 0.02
+"""[rad/s]: what is slower than this over `REST_WINDOW` is rest."""
+
+
+class StandstillWatch:
+    """Follows the positions of an arm's joints; begins with an arm that may be moving, and again after each gap.
+
+    Args:
+        longest_gap: between positions, so that the arm cannot have moved meanwhile [s].
+    """
+
+    def __init__(self, longest_gap: float) -> None:
+        self._longest_gap = longest_gap
+        self._reference: FloatArray | None = None
+        self._since = self._newest = math.nan
+
+    def add(self, time: float, position: FloatArray) -> None:
+        """Take positions (n,) [rad or m] at a time [s]; times must not fall."""
+        gap = not time - self._newest <= self._longest_gap
+        if (
+            gap
+            or self._reference is None
+            or not np.max(np.abs(position - self._reference)) < 0.5 * REST_SPEED * REST_WINDOW
+        ):
+            self._reference, self._since = position.copy(), time
+        self._newest = time
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether no joint has moved for `REST_WINDOW`."""
+        return self._newest - self._since >= REST_WINDOW
