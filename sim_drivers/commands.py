@@ -40,9 +40,11 @@ def sim(
     swap: str | None = typer.Option(None, "--swap", help="Two joints, j1,j2, whose drives have swapped node ids."),
     worst_stuffing: bool = typer.Option(False, "--worst-stuffing", help="Every CAN frame as long as it can be."),
     thermometer: bool = typer.Option(False, "--thermometer", help="Its serial thermometer beside it."),
+    payload: str | None = typer.Option(None, "--payload", help="MASS@X,Y,Z: kg, and m in the flange frame."),
     seed: int = typer.Option(1, "--seed", help="Of the noise."),
     realtime: bool = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs the right to it)."),
     no_ui: bool = typer.Option(False, "--no-ui", help="No live line on standard error."),
+    as_json: bool = typer.Option(False, "--json", help="As --no-ui; the ports and the pid are told as JSON anyway."),
 ) -> None:
     """Serve a simulated arm until Ctrl-C; type a fault, such as: drop 10, freeze 3, cut, block 2, power-cycle 3.
 
@@ -55,4 +57,4 @@ def sim(
     if realtime:
         ask_for_realtime()
     bus = BusOptions(interface, channel, swap, worst_stuffing, thermometer)
-    simulate(robot, wire, host, version, seed, live=not no_ui, bus=bus)
+    simulate(robot, wire, host, version, seed, live=not (no_ui or as_json), bus=bus, payload=payload)

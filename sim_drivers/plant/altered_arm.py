@@ -12,7 +12,7 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from daq.robot.schema import TruthLink
-from drivers.errors import RobotFileError
+from drivers.errors import RobotFileError, UsageError
 from ident.model.dynamic_model import build_model
 
 
@@ -51,6 +51,24 @@ def with_load(robot_file: RobotFile, mass: float, com: Sequence[float], inertia:
     loaded = TruthLink(mass=total, com=(x, y, z), inertia=(xx, xy, xz, yy, yz, zz))
     truth = robot.truth.model_copy(update={"links": {**robot.truth.links, last: loaded}})
     return robot_file.model_copy(update={"robot": robot.model_copy(update={"truth": truth})})
+
+
+def with_payload(robot_file: RobotFile, text: str) -> RobotFile:
+    """The arm with a point mass `MASS@X,Y,Z` [kg, m], such as 2.0@0,0,0.05, in the flange frame (the last joint's).
+
+    Raises:
+        UsageError: not of that form, or not a positive finite mass.
+        RobotFileError: the file has no true link there.
+    """
+    mass, _, place = text.partition("@")
+    try:
+        numbers = [float(number) for number in (mass, *place.split(","))]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 4 or not np.all(np.isfinite(numbers)) or numbers[0] <= 0.0:
+        raise UsageError(f"'{text}' is not a payload", hint="--payload MASS@X,Y,Z in kg and m, such as 2.0@0,0,0.05")
+    com = np.array(numbers[1:]) - np.array(robot_file.robot.workspace.tool)
+    return with_load(robot_file, numbers[0], com.tolist(), [0.0] * 6)
 
 
 def with_gains(robot_file: RobotFile, factors: Mapping[str, float]) -> RobotFile:

@@ -19,12 +19,46 @@ from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from sim_drivers.plant.arm import MeasurementLike, SimulatedArm
 from sim_drivers.rtde.joint_motion import JointMotion, Reference, VelocityRamp
-from sim_drivers.rtde.variables import JOINTS, ControllerVersion, Value, input_variables, output_variables, zero
+from sim_drivers.rtde.variables import (
+    JOINTS,
+    SIZES,
+    ControllerVersion,
+    Value,
+    input_variables,
+    output_variables,
+    zero,
+)
 
 STOPPED, PLAYING = 1, 2
 """runtime_state."""
 NORMAL, PROTECTIVE_STOP = 1, 3
 """safety_mode."""
+SUPPLY_VOLTAGE = 48.0
+"""[V], of the joints."""
+TOOL_IDLE = 255
+"""tool_mode."""
+_UNKNOWN = (
+    "actual_TCP_pose",
+    "actual_TCP_speed",
+    "actual_TCP_force",
+    "actual_TCP_acceleration",
+    "target_TCP_pose",
+    "target_TCP_speed",
+    "target_TCP_acceleration",
+    "tcp_force_scalar",
+    "elbow_position",
+    "elbow_velocity",
+    "actual_tool_accelerometer",
+    "tool_temperature",
+    "actual_momentum",
+    "ft_raw_wrench",
+    "wrench_calc_from_currents",
+    "actual_current_as_torque",
+    "actual_current_window",
+    "target_gravity",
+    "target_base_wrench",
+)
+"""The plant has no Cartesian motion, tool or force sensor: not a number, rather than a number that was not measured."""
 ROBOT_MODE_RUNNING = 7
 JOINT_MODE_RUNNING = 253
 
@@ -90,6 +124,7 @@ class Controller:
         self._stopped_at = -math.inf
         self._stop_drift()
         self._still_since = arm.time
+        self._steps, self._energy = 0, 0.0
         self._set_constants()
         self._publish(measured)
 
@@ -112,6 +147,9 @@ class Controller:
                 self.arm.set_target(reference.position, reference.velocity, reference.acceleration)
         self.arm.advance(self.period)
         self._publish(self.arm.measure())
+        self._steps += 1
+        self._energy += SUPPLY_VOLTAGE * float(self.values["actual_robot_current"]) * self.period  # type: ignore[arg-type]
+        self.values |= {"control_step": self._steps, "actual_robot_energy_consumed": self._energy}
 
     def follow(self, reference: Reference) -> None:
         """Take over a reference, or stop protectively where it lies outside the limits."""
@@ -236,24 +274,20 @@ class Controller:
                     values[f"standard_analog_output{number}"] = full
 
     def _set_constants(self) -> None:
-        unknown = (math.nan,) * JOINTS
+        kinds = output_variables(self.version)
+        for name in _UNKNOWN:
+            if name in kinds:
+                self.values[name] = (math.nan,) * SIZES[kinds[name]] if SIZES[kinds[name]] > 1 else math.nan
         self.values |= {
             "robot_mode": ROBOT_MODE_RUNNING,
             "joint_mode": (JOINT_MODE_RUNNING,) * JOINTS,
             "speed_scaling": 1.0,
             "target_speed_fraction": 1.0,
-            "actual_main_voltage": 48.0,
-            "actual_robot_voltage": 48.0,
-            "actual_joint_voltage": (48.0,) * JOINTS,
-            # The plant has no tool and no force sensor: not a number, rather than a number that was not measured.
-            **dict.fromkeys(("actual_TCP_pose", "actual_TCP_speed", "actual_TCP_force"), unknown),
-            **dict.fromkeys(("target_TCP_pose", "target_TCP_speed"), unknown),
-            "actual_tool_accelerometer": unknown[:3],
-            "actual_momentum": math.nan,
+            "actual_main_voltage": SUPPLY_VOLTAGE,
+            "actual_robot_voltage": SUPPLY_VOLTAGE,
+            "actual_joint_voltage": (SUPPLY_VOLTAGE,) * JOINTS,
+            "tool_mode": TOOL_IDLE,
         }
-        for name in ("ft_raw_wrench", "actual_current_as_torque"):
-            if name in self.values:
-                self.values[name] = unknown
 
     def _publish(self, measured: MeasurementLike) -> None:
         self.measured = measured

@@ -1,7 +1,8 @@
 """What a Universal Robots controller offers over RTDE: versions, variables and their types, recipes.
 
-Names, types and the version that brought each variable: Universal Robots, "RTDE Guide", and the lists that
-ur_rtde 1.6.5 asks for. The bytes of a package are those of `drivers.rtde.protocol`.
+Names, types and, where known, the version that brought each variable: Universal Robots, "RTDE Guide"; the table of the
+simulated server in Universal Robots' Client Library (tests/fake_rtde_server.cpp); the lists that ur_rtde 1.6.5 asks
+for. The bytes of a package are those of `drivers.rtde.protocol`.
 """
 
 from __future__ import annotations
@@ -124,7 +125,50 @@ _ALWAYS: Mapping[str, str] = {
     "standard_analog_input1": "DOUBLE",
     "standard_analog_output0": "DOUBLE",
     "standard_analog_output1": "DOUBLE",
+    "elbow_position": "VECTOR3D",
+    "elbow_velocity": "VECTOR3D",
+    "analog_io_types": "UINT32",
+    "io_current": "DOUBLE",
+    "euromap67_input_bits": "UINT32",
+    "euromap67_output_bits": "UINT32",
+    "euromap67_24V_voltage": "DOUBLE",
+    "euromap67_24V_current": "DOUBLE",
+    "tool_mode": "UINT32",
+    "tool_analog_input_types": "UINT32",
+    "tool_analog_input0": "DOUBLE",
+    "tool_analog_input1": "DOUBLE",
+    "tool_output_voltage": "INT32",
+    "tool_output_current": "DOUBLE",
+    "tool_temperature": "DOUBLE",
+    "tcp_force_scalar": "DOUBLE",
+    "script_control_line": "UINT32",
 }
+
+_E_SERIES: Mapping[str, str] = {
+    "actual_current_window": "VECTOR6D",
+    "actual_TCP_acceleration": "VECTOR6D",
+    "target_TCP_acceleration": "VECTOR6D",
+    "tcp_offset": "VECTOR6D",
+    "actual_configurable_digital_input_bits": "UINT64",
+    "actual_configurable_digital_output_bits": "UINT64",
+    "target_execution_time": "DOUBLE",
+    "actual_robot_energy_consumed": "DOUBLE",
+    "actual_robot_braking_energy_dissipated": "DOUBLE",
+    "encoder0_raw": "INT32",
+    "encoder1_raw": "INT32",
+    "tool_output_mode": "UINT8",
+    "tool_digital_output0_mode": "UINT8",
+    "tool_digital_output1_mode": "UINT8",
+    "joint_position_deviation_ratio": "DOUBLE",
+    "collision_detection_ratio": "DOUBLE",
+    "wrench_calc_from_currents": "VECTOR6D",
+    "time_scale_source": "INT32",
+    "target_gravity": "VECTOR3D",
+    "target_base_acceleration": "VECTOR6D",
+    "target_base_wrench": "VECTOR6D",
+    "control_step": "UINT64",
+}
+"""Of all e-Series versions here: real ones brought them one after the other."""
 
 _LATER: Mapping[str, tuple[str, int | None, int]] = {  # type, since 3.?, since 5.?
     "safety_status": ("INT32", 10, 4),
@@ -169,7 +213,13 @@ def _registers(direction: str, version: ControllerVersion) -> dict[str, str]:
 def output_variables(version: ControllerVersion) -> dict[str, str]:
     """What a controller of a version sends: name → type. Input registers can be read back."""
     later = {name: kind for name, (kind, cb3, e_series) in _LATER.items() if version.has(cb3, e_series)}
-    return dict(_ALWAYS) | later | _registers("output", version) | _registers("input", version)
+    return (
+        dict(_ALWAYS)
+        | (dict(_E_SERIES) if version.major > 3 else {})
+        | later
+        | _registers("output", version)
+        | _registers("input", version)
+    )
 
 
 def input_variables(version: ControllerVersion) -> dict[str, str]:

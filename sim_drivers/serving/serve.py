@@ -18,12 +18,30 @@ AS_THE_ROBOT_FILE_SAYS = BusOptions()
 
 
 def simulate(
-    robot: str, wire: str, host: str, version: str, seed: int, *, live: bool, bus: BusOptions = AS_THE_ROBOT_FILE_SAYS
+    robot: str,
+    wire: str,
+    host: str,
+    version: str,
+    seed: int,
+    *,
+    live: bool,
+    bus: BusOptions = AS_THE_ROBOT_FILE_SAYS,
+    payload: str | None = None,
 ) -> None:
     """Serve a simulated arm until Ctrl-C or SIGTERM.
 
+    Args:
+        robot: built-in robot or robot file.
+        wire: its bus, one of `WIRES`.
+        host: address to listen on.
+        version: of a UR controller.
+        seed: of the noise.
+        live: whether a line on standard error shows its state.
+        bus: how its bus differs from its robot file's.
+        payload: see `sim_drivers.plant.altered_arm.with_payload`; None for none.
+
     Raises:
-        UsageError: a bus, a version or an arm that cannot be simulated, or a connection whose keys are wrong.
+        UsageError: a bus, a version, a payload or an arm that cannot be simulated, or wrong keys of a connection.
         RobotFileError: the robot file cannot be read, or has no truth.
         ConnectionFailedError: an address cannot be listened on, or a bus not opened.
     """
@@ -32,6 +50,10 @@ def simulate(
     if wire not in WIRES:
         raise UsageError(f"'{wire}' cannot be simulated", hint=f"--wire {', '.join(WIRES)}")
     robot_file = load_robot(robot)
+    if payload is not None:
+        from sim_drivers.plant.altered_arm import with_payload
+
+        robot_file = with_payload(robot_file, payload)
     served = _served(robot_file, wire, host, version, seed, bus)
     serve_until_interrupted(served, robot_file.robot.name, live=live)
 

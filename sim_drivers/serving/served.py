@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import json
+import os
 import signal
 import sys
 import threading
@@ -87,7 +88,7 @@ def serve_until_interrupted(served: Served, name: str, *, live: bool) -> None:
         # A full collection takes longer than a period.
         gc.collect()
         gc.freeze()
-        print(json.dumps({"ready": True, "robot": name, **served.ready()}), flush=True)
+        print(json.dumps({"ready": True, "robot": name, "pid": os.getpid(), **served.ready()}), flush=True)
         # Typed by a person: it runs in real time, whatever clock the device has.
         threading.Thread(target=_obey_typed_faults, args=(served,), name="faults", daemon=True).start()
         with contextlib.suppress(KeyboardInterrupt):

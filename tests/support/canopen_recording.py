@@ -169,8 +169,9 @@ class Run:
         return {name: np.rint(channels[name].values / unit).astype(int) for name, unit in units.items()}
 
     def events(self) -> list[str]:
-        """All events of the file, as level: message."""
-        return [f"{event.level}: {event.message}" for event in self.recording.events]
+        """All events of the file but the summary of what was lost, as level: message."""
+        said = [event for event in self.recording.events if event.message != self.report.heavy_loss]
+        return [f"{event.level}: {event.message}" for event in said]
 
     def when(self, words: str) -> float:
         """When the first event with these words was [s, clock of the samples]."""

@@ -246,7 +246,7 @@ def test_a_jammed_joint_stops_at_the_first_torque_beyond_its_limit(tmp_path: Pat
     ("fault", "left_out", "told"),
     [
         ("truncate 24", [161, 162], "frames of a wrong length: all joints 1"),
-        ("freeze 0.04", [161, 162, 163, 164], "no answer to SYNC: all joints 2"),
+        ("freeze 0.04", [161, 162, 163, 164], "no answer to SYNC: all joints "),
         ("drop 1", [161], "no answer to SYNC: shoulder_pan_joint TPDO1 1"),
     ],
 )

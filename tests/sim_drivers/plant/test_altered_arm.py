@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import load_robot
-from drivers.errors import RobotFileError
+from drivers.errors import RobotFileError, UsageError
 from ident.model.parameters import link_parameters
 from ident.model.true_parameters import truth_vector
-from sim_drivers.plant.altered_arm import with_gains, with_load
+from sim_drivers.plant.altered_arm import with_gains, with_load, with_payload
 
 COM, INERTIA = (0.03, -0.02, 0.08), (0.01, 0.001, 0.0, 0.012, 0.0, 0.009)
 
@@ -42,3 +42,19 @@ def test_what_is_not_there_is_refused():
         with_gains(robot_file, {"elbow": 2.0})
     with pytest.raises(RobotFileError, match="0 kg"):
         with_load(robot_file, 0.0, COM, INERTIA)
+
+
+def test_a_payload_is_a_point_mass_in_the_flange_frame() -> None:
+    robot_file = load_robot("ur5e")
+    loaded = with_payload(robot_file, "2.0@0,0.01,0.05")
+    at_flange = np.array([0.0, 0.01, 0.05]) - np.array(robot_file.robot.workspace.tool)
+    assert loaded.robot.truth == with_load(robot_file, 2.0, at_flange.tolist(), [0.0] * 6).robot.truth
+    assert loaded.text == robot_file.text
+
+
+@pytest.mark.parametrize(
+    "text", ["", "2", "2@", "2@0,0", "2@0,0,0,0", "x@0,0,0", "0@0,0,0", "-1@0,0,0", "nan@0,0,0", "1@0,inf,0"]
+)
+def test_what_is_no_payload_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match="is not a payload"):
+        with_payload(load_robot("ur5e"), text)

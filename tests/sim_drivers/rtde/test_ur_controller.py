@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 
 import numpy as np
 import pytest
@@ -10,11 +11,13 @@ from exact_plant import ExactPlant
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.rtde import protocol
 from sim_drivers.rtde.control_script import ControlScript
 from sim_drivers.rtde.controller import DRIFT_ACCELERATION, NORMAL, PROTECTIVE_STOP, Controller
 from sim_drivers.rtde.joint_motion import JointMotion, MoveJ, Reference, ServoJ, VelocityRamp
 from sim_drivers.rtde.script_port import ScriptSession
-from sim_drivers.rtde.variables import parse_version
+from sim_drivers.rtde.session import RtdeSession
+from sim_drivers.rtde.variables import PackageRecipe, parse_version
 
 PERIOD = 0.002
 LIMIT = np.full(6, math.pi)
@@ -227,3 +230,123 @@ def test_scripts_start_only_where_they_are_the_control_script() -> None:
         session.receive(bytes([byte]))
     assert arm.script is not None
     assert arm.values["output_int_register_24"] == 1
+
+
+RECORD_CONFIGURATION = [
+    "timestamp",
+    "target_q",
+    "target_qd",
+    "target_qdd",
+    "target_current",
+    "target_moment",
+    "actual_q",
+    "actual_qd",
+    "actual_current",
+    "joint_control_output",
+    "actual_TCP_pose",
+    "actual_TCP_speed",
+    "actual_TCP_force",
+    "target_TCP_pose",
+    "target_TCP_speed",
+    "actual_digital_input_bits",
+    "joint_temperatures",
+    "actual_execution_time",
+    "robot_mode",
+    "joint_mode",
+    "safety_mode",
+    "actual_tool_accelerometer",
+    "speed_scaling",
+    "target_speed_fraction",
+    "actual_momentum",
+    "actual_main_voltage",
+    "actual_robot_voltage",
+    "actual_robot_current",
+    "actual_joint_voltage",
+    "actual_digital_output_bits",
+    "runtime_state",
+    "payload",
+    "payload_cog",
+    "script_control_line",
+    "output_bit_registers0_to_31",
+    "output_bit_registers32_to_63",
+] + [f"output_{kind}_register_{number}" for kind in ("int", "double") for number in range(24)]
+"""Of the example of Universal Robots' RTDE client in Python, with what stands in a comment there."""
+GUIDE = [
+    "actual_current_window",
+    "tcp_offset",
+    "actual_TCP_acceleration",
+    "target_TCP_acceleration",
+    "safety_status",
+    "actual_configurable_digital_input_bits",
+    "actual_configurable_digital_output_bits",
+    "target_execution_time",
+    "elbow_position",
+    "elbow_velocity",
+    "robot_status_bits",
+    "safety_status_bits",
+    "analog_io_types",
+    "standard_analog_input0",
+    "standard_analog_input1",
+    "standard_analog_output0",
+    "standard_analog_output1",
+    "io_current",
+    "actual_robot_energy_consumed",
+    "actual_robot_braking_energy_dissipated",
+    "encoder0_raw",
+    "encoder1_raw",
+    "euromap67_input_bits",
+    "euromap67_output_bits",
+    "euromap67_24V_voltage",
+    "euromap67_24V_current",
+    "tool_mode",
+    "tool_analog_input_types",
+    "tool_analog_input0",
+    "tool_analog_input1",
+    "tool_output_voltage",
+    "tool_output_current",
+    "tool_temperature",
+    "tool_output_mode",
+    "tool_digital_output0_mode",
+    "tool_digital_output1_mode",
+    "tcp_force_scalar",
+    "joint_position_deviation_ratio",
+    "collision_detection_ratio",
+    "ft_raw_wrench",
+    "wrench_calc_from_currents",
+    "payload_inertia",
+    "time_scale_source",
+    "target_gravity",
+    "target_base_acceleration",
+    "control_step",
+    "target_base_wrench",
+]
+"""What the RTDE guide lists beside these."""
+
+
+@pytest.mark.parametrize("version", ["5.22", "10.10"])
+def test_a_client_may_ask_for_all_that_the_guide_lists(version: str) -> None:
+    made = controller(version)
+    session = RtdeSession(made, {})
+    assert session.receive(protocol.encode_package(protocol.REQUEST_PROTOCOL_VERSION, b"\x00\x02"))[-1] == 1
+    for names in (RECORD_CONFIGURATION, RECORD_CONFIGURATION + GUIDE):
+        question = struct.pack(">d", 500.0) + ",".join(names).encode()
+        answer = session.receive(protocol.encode_package(protocol.SETUP_OUTPUTS, question))
+        assert answer[3] == 1  # the recipe's number; 0 refuses it
+        types = answer[4:].decode().split(",")
+        assert len(types) == len(names)
+        assert "NOT_FOUND" not in types
+        assert session.receive(protocol.encode_package(protocol.START, b""))[-1] == 1
+        recipe = PackageRecipe(1, list(zip(names, types, strict=True)))
+        made.step()
+        values = recipe.decode(session.data_package()[3:])
+        assert values is not None
+        assert set(values) == set(names)
+
+
+def test_energy_and_steps_are_counted() -> None:
+    made = controller()
+    current = float(made.values["actual_robot_current"])  # type: ignore[arg-type]
+    for _ in range(100):
+        made.step()
+    assert made.values["control_step"] == 100
+    assert made.values["actual_robot_energy_consumed"] == pytest.approx(48.0 * current * 100 * PERIOD)
