@@ -25,7 +25,7 @@ from daq.robot.loader import load_robot
 from daq.session.session import load_driver, record
 from daq.session.supervisor import Limits, Supervisor
 from drivers.can.bus import Sender, close_bus, open_bus
-from drivers.canopen402.sync import SyncProducer
+from drivers.canopen402.samples.sync import SyncProducer
 from drivers.clock import SYSTEM_CLOCK
 from drivers.streams import Batch, FloatArray
 from sim_drivers.simulated_arm import simulated_arm

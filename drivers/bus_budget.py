@@ -108,9 +108,9 @@ def connection_budget(driver: str, settings: DriverSettings) -> Budget | None:
 
 
 def _canopen_budget(settings: DriverSettings) -> Budget:
-    from drivers.canopen402 import objects
+    from drivers.canopen402.protocol import objects
+    from drivers.canopen402.samples.temperature import RATE
     from drivers.canopen402.settings import parse_settings
-    from drivers.canopen402.temperature import RATE
 
     bus = parse_settings(settings.connection, settings.joints)
     nodes = len(bus.nodes)

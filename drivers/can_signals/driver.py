@@ -14,9 +14,9 @@ from drivers.can.bus import Receiver, Sender, close_bus, open_bus
 from drivers.can_signals.motion import Commander
 from drivers.can_signals.polling import Poller
 from drivers.can_signals.settings import parse_settings
-from drivers.can_signals.signals import FixedFrame, batches
 from drivers.can_signals.startup import hear_all
 from drivers.can_signals.streams import FrameStreams
+from drivers.can_signals.table.signals import FixedFrame, batches
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from drivers.first_step import check_first_step, finite_position
 from drivers.standstill import REST_WINDOW, StandstillWatch

@@ -10,8 +10,8 @@ import numpy as np
 
 from drivers.base import Notice
 from drivers.can.bus import NOTICE_PERIOD
-from drivers.can_signals.assembly import Rows
-from drivers.can_signals.signals import Signal
+from drivers.can_signals.rows.assembly import Rows
+from drivers.can_signals.table.signals import Signal
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.streams import FloatArray
 

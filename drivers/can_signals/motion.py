@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from drivers.can_signals.settings import CommandTable
-from drivers.can_signals.signals import Signal, encode
+from drivers.can_signals.table.signals import Signal, encode
 from drivers.errors import DriverStateError
 from drivers.streams import FloatArray
 

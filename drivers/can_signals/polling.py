@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 from drivers.can.bus import Sender
-from drivers.can_signals.assembly import Rows
+from drivers.can_signals.rows.assembly import Rows
 from drivers.can_signals.settings import Poll
 from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
 from drivers.errors import ConnectionLostError

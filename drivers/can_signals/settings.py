@@ -11,15 +11,15 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from drivers.can.bus import EXTENDED
 from drivers.can.settings import CanSettings
-from drivers.can_signals.dbc import Dbc, load_dbc
-from drivers.can_signals.keys import ALLOWED_IDENTIFIERS, EXTENDED_LIMIT, STANDARD_LIMIT, FrameKeys
-from drivers.can_signals.signal_keys import (
+from drivers.can_signals.table.dbc import Dbc, load_dbc
+from drivers.can_signals.table.keys import ALLOWED_IDENTIFIERS, EXTENDED_LIMIT, STANDARD_LIMIT, FrameKeys
+from drivers.can_signals.table.signal_keys import (
     SignalEntry,
     check_together,
     entries_named_by_rule,
     require_no_overlap,
 )
-from drivers.can_signals.signals import FixedFrame, Part, Signal, identifier_text, parts_of
+from drivers.can_signals.table.signals import FixedFrame, Part, Signal, identifier_text, parts_of
 from drivers.config import ConnectionSettings, Entries, Text, read_settings, refused
 from drivers.errors import UsageError
 

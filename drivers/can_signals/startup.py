@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from drivers.can.bus import Receiver
-from drivers.can_signals.cycle_order import CycleOrder, Order
+from drivers.can_signals.rows.cycle_order import CycleOrder, Order
 from drivers.can_signals.settings import CanFramesSettings
-from drivers.can_signals.signals import identifier_text
+from drivers.can_signals.table.signals import identifier_text
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError
 

@@ -10,13 +10,13 @@ import numpy as np
 
 from drivers.base import Notice
 from drivers.can.bus import Frame
-from drivers.can_signals.assembly import Assembler, Rows
 from drivers.can_signals.monitor import FaultWatch, RateWatch, Troubles
 from drivers.can_signals.polling import PollAnswers, Poller
-from drivers.can_signals.sample_clock import SourceClock
+from drivers.can_signals.rows.assembly import Assembler, Rows
+from drivers.can_signals.rows.sample_clock import SourceClock
 from drivers.can_signals.settings import CanFramesSettings
-from drivers.can_signals.signal_keys import WHOLE_ARM
-from drivers.can_signals.signals import batches
+from drivers.can_signals.table.signal_keys import WHOLE_ARM
+from drivers.can_signals.table.signals import batches
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.gains import DriveGain, gives_torque, joint_torque, torque_channel
 from drivers.streams import Batch, ChannelLayout, FloatArray, StreamLayout

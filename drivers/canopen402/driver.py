@@ -16,22 +16,22 @@ import numpy as np
 
 from drivers.base import DriverSettings, Notice, State, require_state
 from drivers.can.bus import Receiver, Sender, close_bus, open_bus, sends_in_kernel
-from drivers.canopen402 import objects
-from drivers.canopen402.alignment import REST_LATENESS, Aligned, Aligner
-from drivers.canopen402.configuration import Configured, Identity, configure
-from drivers.canopen402.error_control import check_own_id, release
-from drivers.canopen402.kernel_sync import KernelSync
-from drivers.canopen402.layout import stream_layouts
 from drivers.canopen402.monitor.drives import DriveWatch
 from drivers.canopen402.monitor.life_signs import LifeSigns, guard_requests, heartbeat
 from drivers.canopen402.monitor.presence import Heartbeats, NodeGuarding, Presence
 from drivers.canopen402.monitor.silence import Silence
-from drivers.canopen402.motion import DriveMotion
-from drivers.canopen402.sdo import CanopenNetwork, RemoteDrive
-from drivers.canopen402.sdo_stop import SdoStop
+from drivers.canopen402.motion.drive_motion import DriveMotion
+from drivers.canopen402.motion.sdo_stop import SdoStop
+from drivers.canopen402.protocol import objects
+from drivers.canopen402.protocol.sdo import CanopenNetwork, RemoteDrive
+from drivers.canopen402.samples.alignment import REST_LATENESS, Aligned, Aligner
+from drivers.canopen402.samples.kernel_sync import KernelSync
+from drivers.canopen402.samples.layout import stream_layouts
+from drivers.canopen402.samples.sync import BEHIND, SyncProducer
+from drivers.canopen402.samples.temperature import TemperaturePoll, read_temperature
 from drivers.canopen402.settings import MODES, parse_settings
-from drivers.canopen402.sync import BEHIND, SyncProducer
-from drivers.canopen402.temperature import TemperaturePoll, read_temperature
+from drivers.canopen402.setup.configuration import Configured, Identity, configure
+from drivers.canopen402.setup.error_control import check_own_id, release
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from drivers.first_step import check_first_step, finite_position
 from drivers.standstill import StandstillWatch

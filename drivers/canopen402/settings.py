@@ -8,7 +8,7 @@ from typing import Literal, Self
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from drivers.can.settings import CanSettings
-from drivers.canopen402.objects import MODE_CYCLIC_POSITION, MODE_PROFILE_POSITION
+from drivers.canopen402.protocol.objects import MODE_CYCLIC_POSITION, MODE_PROFILE_POSITION
 from drivers.config import ConnectionSettings, read_settings, refused
 
 Mode = Literal["position", "profile", "none"]

@@ -15,8 +15,8 @@ import numpy as np
 from daq.robot.schema import JointLimits
 from drivers.can.bus import EXTENDED
 from drivers.can_signals.settings import CanFramesSettings
-from drivers.can_signals.signal_keys import WHOLE_ARM
-from drivers.can_signals.signals import FixedFrame, Part, Signal, batches, decode, encode, parts_of
+from drivers.can_signals.table.signal_keys import WHOLE_ARM
+from drivers.can_signals.table.signals import FixedFrame, Part, Signal, batches, decode, encode, parts_of
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from sim_drivers.can.bus_load import Frame

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.canopen402.objects import (
+from drivers.canopen402.protocol.objects import (
     CONTROLWORD,
     CURRENT,
     ERROR_CODE,

@@ -6,8 +6,8 @@ import math
 import struct
 from collections.abc import Callable
 
-from drivers.canopen402.emcy import MASTER_MISSED
-from drivers.canopen402.objects import (
+from drivers.canopen402.protocol.emcy import MASTER_MISSED
+from drivers.canopen402.protocol.objects import (
     ABORT_OPTION,
     EMCY,
     ERROR_BEHAVIOUR,
@@ -21,7 +21,7 @@ from drivers.canopen402.objects import (
     AbortOption,
     DriveObject,
 )
-from drivers.canopen402.state_machine import DISABLE_VOLTAGE, QUICK_STOP
+from drivers.canopen402.protocol.state_machine import DISABLE_VOLTAGE, QUICK_STOP
 from sim_drivers.canopen.axis import FAULTY, FOLLOWING_ERROR, OVER_TEMPERATURE, Axis
 from sim_drivers.canopen.error_control import NodeErrorControl
 from sim_drivers.canopen.motion import AxisReference

@@ -6,7 +6,13 @@ import math
 from collections.abc import Callable
 from functools import partial
 
-from drivers.canopen402.objects import CONSUMER_HEARTBEAT, GUARD_TIME, HEARTBEAT, HEARTBEAT_TIME, LIFE_TIME_FACTOR
+from drivers.canopen402.protocol.objects import (
+    CONSUMER_HEARTBEAT,
+    GUARD_TIME,
+    HEARTBEAT,
+    HEARTBEAT_TIME,
+    LIFE_TIME_FACTOR,
+)
 from sim_drivers.canopen.object_dictionary import Abort, ObjectDictionary, SdoAbortError
 
 TOGGLE = 0x80

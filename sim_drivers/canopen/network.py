@@ -15,7 +15,7 @@ import numpy as np
 
 from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
-from drivers.canopen402.objects import EMCY, HEARTBEAT, NMT, SDO_ANSWER, SDO_REQUEST, SYNC
+from drivers.canopen402.protocol.objects import EMCY, HEARTBEAT, NMT, SDO_ANSWER, SDO_REQUEST, SYNC
 from drivers.canopen402.settings import CanopenSettings
 from drivers.errors import UsageError
 from drivers.streams import FloatArray

@@ -15,7 +15,7 @@ import can
 
 from daq.robot.schema import Robot
 from drivers.can.arrival_clock import ArrivalClock
-from drivers.canopen402.objects import STATE_OPERATIONAL, TPDO1
+from drivers.canopen402.protocol.objects import STATE_OPERATIONAL, TPDO1
 from drivers.canopen402.settings import CanopenSettings
 from drivers.clock import SYSTEM_CLOCK, Clock
 from sim_drivers.can.bus_load import Frame, exact_bits

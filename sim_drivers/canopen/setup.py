@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from drivers.canopen402.objects import (
+from drivers.canopen402.protocol.objects import (
     ENCODER_INCREMENTS,
     ENCODER_TURNS,
     GEAR_MOTOR_TURNS,

@@ -10,7 +10,7 @@ from exact_plant import JOINT_NAMES, ExactPlant
 
 from daq.robot.loader import parse_robot
 from daq.robot.schema import Robot
-from drivers.canopen402.objects import RPDO_OBJECTS, TPDO_OBJECTS
+from drivers.canopen402.protocol.objects import RPDO_OBJECTS, TPDO_OBJECTS
 from drivers.canopen402.settings import CanopenSettings, parse_settings
 from sim_drivers.can.bus_load import Frame, Sent, exact_bits
 from sim_drivers.canopen.network import DriveNetwork

@@ -10,7 +10,8 @@ import sys
 from daq.motion import player
 from daq.session import session
 from daq.session import supervisor as safety
-from drivers.canopen402 import configuration, driver, settings
+from drivers.canopen402 import driver, settings
+from drivers.canopen402.setup import configuration
 from drivers.rtde import motion, receiver
 
 PATIENCE = 60.0

@@ -9,11 +9,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from drivers.base import Level, Notice
-from drivers.canopen402 import objects
-from drivers.canopen402.alignment import Aligned, IntArray
-from drivers.canopen402.emcy import MASTER_MISSED, Emergency, decode_emergency
 from drivers.canopen402.monitor.presence import Presence
-from drivers.canopen402.state_machine import (
+from drivers.canopen402.protocol import objects
+from drivers.canopen402.protocol.emcy import MASTER_MISSED, Emergency, decode_emergency
+from drivers.canopen402.protocol.state_machine import (
     FAULTY,
     FOLLOWING_ERROR,
     INTERNAL_LIMIT_BIT,
@@ -21,6 +20,7 @@ from drivers.canopen402.state_machine import (
     DriveState,
     drive_state,
 )
+from drivers.canopen402.samples.alignment import Aligned, IntArray
 from drivers.streams import FloatArray
 
 ALIGNMENT_PERIOD = 1.0

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Sequence
 
 from drivers.can.bus import REMOTE, Sender
-from drivers.canopen402.objects import HEARTBEAT, STATE_OPERATIONAL
+from drivers.canopen402.protocol.objects import HEARTBEAT, STATE_OPERATIONAL
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionLostError
 

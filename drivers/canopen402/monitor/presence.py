@@ -6,7 +6,7 @@ import math
 import threading
 from typing import Protocol
 
-from drivers.canopen402.objects import STATE_BOOT_UP
+from drivers.canopen402.protocol.objects import STATE_BOOT_UP
 
 HEARTBEATS_MISSED = 3
 """Periods without a heartbeat after which its producer, a drive or dynid, counts as gone."""

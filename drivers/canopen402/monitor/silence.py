@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from drivers.can.bus import Frame
-from drivers.canopen402.objects import TPDO_BASES
+from drivers.canopen402.protocol.objects import TPDO_BASES
 
 
 class Silence:

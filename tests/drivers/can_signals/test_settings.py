@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.can.bus import EXTENDED
-from drivers.can_signals.bits import BitField
-from drivers.can_signals.dbc import load_dbc
 from drivers.can_signals.settings import parse_settings
-from drivers.can_signals.signals import FixedFrame
+from drivers.can_signals.table.bits import BitField
+from drivers.can_signals.table.dbc import load_dbc
+from drivers.can_signals.table.signals import FixedFrame
 from drivers.errors import UsageError
 
 HERE = Path(__file__).parent

@@ -34,7 +34,7 @@ from daq.motion.trajectories import slow_move
 from daq.recording.reader import read_recording
 from drivers.can_signals.driver import CanFramesDriver
 from drivers.can_signals.settings import parse_settings
-from drivers.can_signals.signals import batches, decode, parts_of
+from drivers.can_signals.table.signals import batches, decode, parts_of
 from drivers.errors import UsageError
 from sim_drivers.can_signals.arm import FAULT_COMMAND, TableArm
 from sim_drivers.can_signals.server import ProprietaryCanServer

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from drive_bench import COUNTS, Bench
 
-from drivers.canopen402.emcy import MASTER_MISSED
+from drivers.canopen402.protocol.emcy import MASTER_MISSED
 from sim_drivers.canopen.drive import LEFT_OPERATIONAL
 from sim_drivers.canopen.object_dictionary import Abort
 

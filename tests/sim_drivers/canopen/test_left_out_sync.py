@@ -13,8 +13,8 @@ import pytest
 from drive_bench import Bench
 
 from daq.robot.loader import load_robot
+from drivers.canopen402.motion.target_path import TargetPath
 from drivers.canopen402.settings import parse_settings
-from drivers.canopen402.target_path import TargetPath
 from drivers.streams import FloatArray
 from ident.model.dynamic_model import build_model
 from sim_drivers.canopen.network import DriveNetwork

@@ -1,0 +1,196 @@
+"""Rows of a stream from frames that each bring some of its columns.
+
+A row holds what the frames of one cycle say. A cycle begins with the frame that is named first, or with any frame that
+has come in this cycle already (the first one was lost then). A row with a frame missing is lost, never filled up with
+values of another cycle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers.can.bus import Frame
+from drivers.can_signals.rows.cycle_order import Order
+from drivers.can_signals.rows.sample_clock import SourceClock
+from drivers.can_signals.table.signal_keys import WHOLE_ARM
+from drivers.can_signals.table.signals import Batch, Part, Signal, decode
+from drivers.streams import FloatArray
+
+LATE, SHORT = 0.75, 0.6
+"""Shares of the pause between two cycles: a frame that is so much late is suspect; that it was late and not of the next
+cycle shows where that cycle's first frame follows within a pause so short. (Of two cycles mixed: 1 or more, and 1.)"""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Complete rows, and what was wrong with others.
+
+    Attributes:
+        host_time: (N,) arrival of the cycle's first frame [s, the host's monotonic clock].
+        values: (N, k), a column for each of the assembler's signals.
+        incomplete: cycles in which a frame was missing.
+        missing: parts that the last of these lacked.
+        duplicates: frames that came twice.
+        short: frames with too few data bytes.
+    """
+
+    host_time: FloatArray
+    values: FloatArray
+    incomplete: int = 0
+    missing: tuple[Part, ...] = ()
+    duplicates: int = 0
+    short: int = 0
+
+
+@dataclass
+class Found:
+    """What some frames have brought so far; see `Rows`."""
+
+    times: list[float] = field(default_factory=list)
+    rows: list[FloatArray] = field(default_factory=list)
+    incomplete: int = 0
+    missing: tuple[Part, ...] = ()
+    duplicates: int = 0
+
+
+class Assembler:
+    """Puts the rows of one stream together.
+
+    Args:
+        parts: of the stream; the first begins a cycle where there is no `marker`, until an order is expected.
+        marker: identifier of a frame that begins a cycle and holds none of the parts; None where there is none.
+        repeat_window: a frame that comes again within so many seconds, as the next of its stream and with the same
+            data, is the same one twice, as CAN allows after an error in the last bit. Not looked for where each cycle
+            is one frame.
+    """
+
+    def __init__(self, parts: Sequence[Part], marker: int | None, repeat_window: float) -> None:
+        self._parts = tuple(parts)
+        self._marker = marker
+        self._repeat_window = repeat_window if len(parts) > 1 else 0.0
+        self.signals: tuple[Signal, ...] = tuple(signal for part in parts for signal in part.signals)
+        self.first = 0
+        self._longest = self._short_pause = math.inf
+        self._rank: dict[int, int] = {}
+        self._clock: SourceClock | None = None
+        self._clock_column: int | None = None
+        self.forget()
+
+    def expect(self, order: Order, period: float, clock: SourceClock | None) -> None:
+        """Know how the frames of a cycle come: in which order, and how long they take of the period [s].
+
+        A frame that comes before one that it should follow is of the cycle before, and left out. A row that took
+        clearly too long is either one whose later frames were received late, or holds frames of two cycles of which
+        the others were lost: the clock tells by the next cycle, or else the pause until then.
+        """
+        self.first = order.first
+        pause = period - order.span
+        if pause > 0.0:
+            self._longest, self._short_pause = order.span + LATE * pause, SHORT * pause
+        if order.sequence is not None:
+            self._rank = {number: rank for rank, number in enumerate(order.sequence)}
+        names = [signal.quantity for signal in self._parts[self.first].signals]
+        self._clock = clock
+        self._clock_column = next((names.index(name) for name in WHOLE_ARM if name in names), None)
+
+    def forget(self) -> None:
+        """Begin anew: the next row begins with the next cycle."""
+        self._row: dict[int, FloatArray] = {}
+        self._begun = self._first_part = 0.0
+        self._waiting: tuple[float, float, dict[int, FloatArray], bool] | None = None
+        self._after_loss = False
+        self._complete = True
+        self._synchronised = False
+        self._last: tuple[int, float, bytes] = (-1, 0.0, b"")
+
+    @property
+    def wanted(self) -> int:
+        """At least so many frames are missing until the next row can be given out."""
+        if self._waiting is not None:
+            return 1
+        return len(self._parts) - (0 if self._complete else len(self._row))
+
+    def take(self, frames: Sequence[Frame], batches: dict[int, Batch]) -> Rows:
+        """The rows that these frames complete; `batches` are the same frames by identifier."""
+        events: list[tuple[int, int, FloatArray | None]] = []
+        short = 0
+        for number, part in enumerate(self._parts):
+            if (batch := batches.get(part.identifier)) is None:
+                continue
+            order, values, too_short = decode(part, batch)
+            short += too_short
+            events.extend(zip(order.tolist(), [number] * len(order), values, strict=True))
+        if self._marker is not None and (batch := batches.get(self._marker)) is not None:
+            events.extend((order, -1, None) for order in batch.order.tolist())
+        events.sort(key=lambda event: event[0])
+        found = Found()
+        for which, number, brought in events:
+            arrived, _, data = frames[which]
+            last, when, before = self._last
+            self._last = (number, arrived, data)
+            if number == last and arrived - when < self._repeat_window and data == before:
+                found.duplicates += 1
+            else:
+                self._add(number, brought, arrived, found)
+        values = np.array(found.rows) if found.rows else np.empty((0, len(self.signals)))
+        return Rows(np.array(found.times), values, found.incomplete, found.missing, found.duplicates, short)
+
+    def _add(self, number: int, brought: FloatArray | None, arrived: float, found: Found) -> None:
+        first = brought is None if self._marker is not None else number == self.first
+        again = not first and number in self._row and arrived - self._first_part <= self._longest < math.inf
+        if again and brought is not None and self._after_loss and self._waiting is not None:
+            # What came first was what the cycle before lacked, overtaken by this one.
+            begun, ended, row, _ = self._waiting
+            self._waiting = begun, ended, row | {number: brought}, False
+            return
+        if first or number in self._row:
+            self._settle(arrived, found, brought if first else None, first)
+            if not self._complete and self._synchronised:
+                found.incomplete += 1
+                self._after_loss = True
+                found.missing = tuple(part for index, part in enumerate(self._parts) if index not in self._row)
+            self._synchronised = self._synchronised or first
+            self._row, self._complete, self._begun = {}, False, arrived
+        if brought is None or not self._synchronised:
+            return
+        if self._rank:
+            self._row = {other: row for other, row in self._row.items() if self._rank[other] < self._rank[number]}
+        if not self._row:
+            self._first_part = arrived
+            if arrived - self._begun > self._longest:
+                self._begun = arrived  # all frames behind the marker, and the next marker, were lost
+        self._row[number] = brought
+        if len(self._row) == len(self._parts):
+            self._complete = True
+            late = arrived - self._first_part > self._longest
+            if late or self._after_loss:
+                self._waiting = self._begun, arrived, self._row, late
+            else:
+                self._give(self._begun, self._row, found)
+
+    def _give(self, begun: float, row: dict[int, FloatArray], found: Found) -> None:
+        found.times.append(begun)
+        found.rows.append(np.concatenate([row[index] for index in range(len(self._parts))]))
+
+    def _settle(self, arrived: float, found: Found, brought: FloatArray | None, first: bool) -> None:
+        """Give a row out, or up, that took too long or follows a loss, at the frame that begins the next cycle."""
+        if self._waiting is None:
+            return
+        begun, ended, row, late = self._waiting
+        self._waiting, self._after_loss = None, False
+        if not late:
+            whole = True
+        elif brought is not None and self._clock is not None and self._clock_column is not None:
+            before = float(row[self.first][self._clock_column])
+            whole = self._clock.follows(before, float(brought[self._clock_column]))
+        else:
+            whole = first and arrived - ended < self._short_pause
+        if whole:
+            self._give(begun, row, found)
+        else:
+            # Of the two cycles that it mixes, one that is still going on is counted at its own end.
+            found.incomplete += 2 if first else 1

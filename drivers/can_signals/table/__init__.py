@@ -1,0 +1,1 @@
+"""What stands where in the frames: a signal table, or a DBC file."""

@@ -1,0 +1,231 @@
+"""A table of CAN signals: which bits of which frame are which quantity of which joint, decoded in batches."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.can.bus import EXTENDED, Frame
+from drivers.can_signals.table.bits import FRAME_BYTES, BitField, Payloads, stack
+from drivers.streams import FloatArray
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A number in a frame, as one quantity of one joint: SI = gain · number + bias.
+
+    Attributes:
+        quantity: position, current, …; also time, counter, fault.
+        joint: its name; empty for a quantity of the whole arm.
+        identifier: of the frame; `EXTENDED` is added to one of 29 bits.
+        field: its bits.
+        gain: SI (°C) a count.
+        bias: SI (°C) at count 0.
+        multiplexer: bits of the frame that say what else is in it; None where it is always the same.
+        selector: the multiplexer's value with which this signal is in the frame; None without one.
+        stream: where its samples go.
+    """
+
+    quantity: str
+    joint: str
+    identifier: int
+    field: BitField
+    gain: float = 1.0
+    bias: float = 0.0
+    multiplexer: BitField | None = None
+    selector: int | None = None
+    stream: str = "joints"
+
+    @property
+    def label(self) -> str:
+        """What a message calls it."""
+        return f"{self.quantity} of {self.joint}" if self.joint else self.quantity
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lowest and highest value that its bits hold."""
+        low, high = sorted(self.gain * number + self.bias for number in self.field.range)
+        return low, high
+
+    def values(self, payloads: Payloads) -> FloatArray:
+        """Values (N,) in frames (N, 8)."""
+        return np.asarray(self.gain * self.field.decode(payloads) + self.bias)
+
+    def encode(self, value: float) -> int:
+        """A frame, as a little-endian number of 64 bits, that holds this value to the nearest count, and zeros.
+
+        Raises:
+            ValueError: the value does not fit.
+        """
+        return self.field.encode((value - self.bias) / self.gain)
+
+
+@dataclass(frozen=True)
+class FixedFrame:
+    """A frame that is sent as it stands.
+
+    Attributes:
+        identifier: `EXTENDED` is added to one of 29 bits.
+        data: 0 to 8 bytes.
+    """
+
+    identifier: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Part:
+    """Signals of a table that come together: those of one frame, for one value of its multiplexer.
+
+    Attributes:
+        identifier: of the frame.
+        selector: value of the multiplexer; None without one.
+        multiplexer: its bits; None without one.
+        signals: the signals, in the table's order.
+        size: bytes that the frame must have.
+    """
+
+    identifier: int
+    selector: int | None
+    multiplexer: BitField | None
+    signals: tuple[Signal, ...]
+    size: int
+
+    @property
+    def label(self) -> str:
+        """What a message calls it."""
+        which = "" if self.selector is None else f" with {self.selector} in its multiplexer"
+        return f"frame {identifier_text(self.identifier)}{which} ({', '.join(signal.label for signal in self.signals)})"
+
+
+def parts_of(signals: Sequence[Signal]) -> tuple[Part, ...]:
+    """The signals' parts, in the order in which the signals name them."""
+    grouped: dict[tuple[int, int | None], list[Signal]] = {}
+    for signal in signals:
+        grouped.setdefault((signal.identifier, signal.selector), []).append(signal)
+    parts = []
+    for (identifier, selector), members in grouped.items():
+        multiplexer = next((signal.multiplexer for signal in members), None)
+        fields = [signal.field for signal in members] + ([multiplexer] if multiplexer is not None else [])
+        size = max(field.size for field in fields)
+        parts.append(Part(identifier, selector, multiplexer, tuple(members), size))
+    return tuple(parts)
+
+
+def check_overlaps(signals: Sequence[Signal]) -> None:
+    """See that no bit has two meanings, and that all of a frame agree on its multiplexer.
+
+    Raises:
+        ValueError: names the signals and the frame.
+    """
+    by_frame: dict[int, list[Signal]] = {}
+    for signal in signals:
+        by_frame.setdefault(signal.identifier, []).append(signal)
+    for identifier, members in by_frame.items():
+        where = f"in frame {identifier_text(identifier)}"
+        multiplexed = [signal for signal in members if signal.multiplexer is not None]
+        for signal in multiplexed[1:]:
+            if _place(signal.multiplexer) != _place(multiplexed[0].multiplexer):
+                raise ValueError(f"{multiplexed[0].label} and {signal.label} have different multiplexers {where}")
+        for signal in members:
+            for other in multiplexed[:1]:
+                if other.multiplexer is not None and signal.field.bits & other.multiplexer.bits:
+                    raise ValueError(f"{signal.label} overlaps the multiplexer {where}")
+        for one, other in combinations(members, 2):
+            apart = one.selector is not None and other.selector is not None and one.selector != other.selector
+            shared = one.field.bits & other.field.bits
+            if shared and not apart:
+                raise ValueError(f"{one.label} and {other.label} overlap {where}, bit {min(shared)}")
+
+
+def _place(field: BitField | None) -> frozenset[int] | None:
+    return field.bits if field is not None else None
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Frames of one identifier.
+
+    Attributes:
+        order: (N,) their numbers among all frames that were taken together.
+        payloads: (N, 8).
+        sizes: (N,) data bytes.
+    """
+
+    order: npt.NDArray[np.int64]
+    payloads: Payloads
+    sizes: npt.NDArray[np.int64]
+
+
+def batches(frames: Sequence[Frame]) -> Mapping[int, Batch]:
+    """Frames by their identifier."""
+    grouped: dict[int, list[int]] = {}
+    for number, (_, identifier, _) in enumerate(frames):
+        grouped.setdefault(identifier, []).append(number)
+    return {
+        identifier: Batch(
+            np.array(numbers),
+            stack([frames[number][2] for number in numbers]),
+            np.array([len(frames[number][2]) for number in numbers]),
+        )
+        for identifier, numbers in grouped.items()
+    }
+
+
+def decode(part: Part, batch: Batch) -> tuple[npt.NDArray[np.int64], FloatArray, int]:
+    """What the frames of a part's identifier say about it.
+
+    Returns:
+        (M,) numbers of the frames that hold it; (M, k) values of its signals; how many frames were too short.
+    """
+    held = batch.sizes >= part.size
+    if part.multiplexer is not None:
+        # A frame that is too short may not even hold its multiplexer; then nobody knows whether it is this part.
+        with_selector = batch.sizes >= part.multiplexer.size
+        chosen = part.multiplexer.raw(batch.payloads) == np.uint64(part.selector or 0)
+        short = int(np.sum(with_selector & chosen & ~held))
+        held = held & chosen
+    else:
+        short = int(np.sum(~held))
+    payloads = batch.payloads if held.all() else batch.payloads[held]
+    values = np.empty((len(payloads), len(part.signals)))
+    for column, signal in enumerate(part.signals):
+        values[:, column] = signal.values(payloads)
+    return batch.order[held], values, short
+
+
+def encode(part: Part, values: Sequence[float], template: bytes = b"") -> bytes:
+    """A frame that holds these values of a part's signals; its other bits and its length are the template's.
+
+    Raises:
+        ValueError: a value does not fit; names its signal.
+    """
+    size = max(len(template), part.size)
+    word = int.from_bytes(template, "little")
+    for signal, value in zip(part.signals, values, strict=True):
+        try:
+            placed = signal.encode(value)
+        except ValueError as error:
+            low, high = signal.limits
+            raise ValueError(
+                f"{signal.label}, {value:.6g}, does not fit into its {signal.field.length} bits, which hold "
+                f"{low:.6g} to {high:.6g}"
+            ) from error
+        word = _put(word, signal.field, placed)
+    if part.multiplexer is not None:
+        word = _put(word, part.multiplexer, part.multiplexer.encode(float(part.selector or 0)))
+    return word.to_bytes(FRAME_BYTES, "little")[:size]
+
+
+def _put(word: int, field: BitField, placed: int) -> int:
+    mask = sum(1 << bit for bit in field.bits)
+    return word & ~mask | placed
+
+
+def identifier_text(identifier: int) -> str:
+    """An identifier as people write it."""
+    return f"0x{identifier & ~EXTENDED:08X}" if identifier & EXTENDED else f"0x{identifier:03X}"

@@ -1,0 +1,331 @@
+"""Moves the drives: enables them, sends targets after every SYNC, and stops them; never enables after a fault.
+
+canopen's own profile (BaseNode402) is not used: its fault reset goes on to operation enabled.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from drivers.can.bus import Frame, Sender
+from drivers.canopen402.motion.sdo_stop import SdoStop
+from drivers.canopen402.motion.target_path import TargetPath
+from drivers.canopen402.protocol.objects import MODE_NAMES, MODE_PROFILE_POSITION, RPDO1, SYNC, TPDO1, TPDO2
+from drivers.canopen402.protocol.state_machine import (
+    CHANGE_AT_ONCE,
+    DISABLE_VOLTAGE,
+    ENABLE_OPERATION,
+    ENABLING,
+    FAULTY,
+    NEW_SET_POINT,
+    POWERED,
+    QUICK_STOP,
+    SET_POINT_ACKNOWLEDGED,
+    DriveState,
+    drive_state,
+)
+from drivers.canopen402.samples.alignment import IntArray
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.errors import ConnectionLostError, DriverStateError
+
+STOP_LIMIT = 3.0
+"""How long [s] the drives may take to come to rest before their voltage is switched off all the same."""
+OFF_LIMIT = 0.3
+"""How long [s] they may take to switch off."""
+_POLL = 0.002
+
+_TARGET = struct.Struct("<Hbi")
+_STATE = struct.Struct("<Hbi")
+_SPEED_BYTES = 4
+
+Phase = Literal["idle", "enabling", "moving", "stopping", "off"]
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What a drive said last.
+
+    Attributes:
+        time: of its arrival [s, host's monotonic clock].
+        statusword: of the drive.
+        mode: of operation, as it displays it.
+        position: [counts].
+    """
+
+    time: float
+    statusword: int
+    mode: int
+    position: int
+
+    @property
+    def state(self) -> DriveState:
+        """Of the power stage."""
+        return drive_state(self.statusword)
+
+
+class DriveMotion:
+    """The drives of an arm, from standstill to standstill.
+
+    Args:
+        joints: names.
+        ids: node ids, in the joints' order.
+        mode: of operation.
+        period: of SYNC, and of the commands [s].
+        standstill: (n,) speed below which a joint is at rest [counts/s].
+        latest: identifier → the newest frame; written by the receiving thread.
+        sender: of the bus.
+        beside: reaches drives that no longer answer SYNC.
+        clock: the host's.
+    """
+
+    def __init__(
+        self,
+        joints: Sequence[str],
+        ids: Sequence[int],
+        mode: int,
+        period: float,
+        standstill: Sequence[float],
+        latest: Mapping[int, Frame],
+        sender: Sender,
+        beside: SdoStop,
+        clock: Clock = SYSTEM_CLOCK,
+    ) -> None:
+        self._joints, self._ids, self._mode = tuple(joints), tuple(ids), mode
+        self._period = period
+        self._standstill = tuple(standstill)
+        self._latest = latest
+        self._sender = sender
+        self._beside = beside
+        self._clock = clock
+        self._phase: Phase = "idle"
+        self._halted = clock.event()
+        self._controlword = DISABLE_VOLTAGE
+        self._targets = [0] * len(self._ids)
+        self._path = TargetPath(self._targets, period)
+        self._set_points: list[int | None] = [None] * len(self._ids)
+        self._offered = [False] * len(self._ids)
+        self._left: str | None = None
+        self._dropped_out: int | None = None
+
+    @property
+    def idle(self) -> bool:
+        """Whether the drives have not been enabled, or are off again."""
+        return self._phase == "idle"
+
+    @property
+    def moving(self) -> bool:
+        """Whether the drives are enabled and follow targets."""
+        return self._phase == "moving"
+
+    @property
+    def ended_by(self) -> str | None:
+        """Why it ended by itself: a drive that left operation enabled; None where it did not."""
+        return self._left
+
+    @property
+    def dropped_out(self) -> int | None:
+        """Which joint's drive left operation enabled by itself; None where none did."""
+        return self._dropped_out
+
+    def heard(self, index: int) -> Heard | None:
+        """What a drive said last; None where it said nothing yet."""
+        frame = self._latest.get(TPDO1 + self._ids[index])
+        if frame is None or len(frame[2]) != _STATE.size:
+            return None
+        return Heard(frame[0], *_STATE.unpack(frame[2]))
+
+    def outputs(self, moment: float) -> Sequence[tuple[int, bytes]]:
+        """The frames for the next SYNC to apply; called by the SYNC thread once a period.
+
+        Args:
+            moment: of the present SYNC in its schedule [s, host's monotonic clock].
+        """
+        phase = self._phase
+        if phase == "idle":
+            return ()
+        if phase == "moving":
+            self._watch_for_drop_outs()
+        wanted = self._path.at(moment)
+        return [self._output(index, wanted[index]) for index in range(len(self._ids))]
+
+    def enable(self, timeout: float) -> None:
+        """Bring all drives to operation enabled, each holding its position.
+
+        Raises:
+            DriverStateError: a drive is in fault, does not come along in time, or the motion was halted meanwhile.
+        """
+        deadline = self._clock.now() + timeout
+        self._check_faults()
+        self._phase = "enabling"
+        try:
+            for controlword, goal in ENABLING:
+                self._controlword = controlword
+                asked = self._clock.now()
+                self._wait(partial(_reached, asked, goal), goal, deadline)
+                if goal is DriveState.READY:
+                    self._wait(lambda heard: heard.mode == self._mode, None, deadline)
+        except DriverStateError:
+            self._phase = "stopping"  # what is enabled already must not stay so
+            raise
+        self._path = TargetPath(self._targets, self._period)
+        self._phase = "moving"
+
+    def command(self, counts: IntArray) -> None:
+        """Aim at positions (n,) [counts], along a straight line from the last ones.
+
+        Raises:
+            DriverStateError: the drives are not enabled, or no longer.
+            ValueError: a position does not fit into the drive's 32 bits.
+        """
+        if self._phase != "moving":
+            reason = self._left or "the drives are not enabled"
+            raise DriverStateError(f"the arm does not move: {reason}", hint="start again before the next motion")
+        if np.any(np.abs(counts) > 2**31 - 1):
+            raise ValueError("a target does not fit into 32 bits of counts")
+        self._path.put(self._clock.now(), [int(count) for count in counts])
+
+    def halt(self) -> None:
+        """Quick-stop all drives with the next SYNC, without waiting; safe at any time."""
+        self._halted.set()
+        if self._phase in ("enabling", "moving"):
+            self._phase = "stopping"
+
+    def stop(self, sync_runs: Callable[[], bool]) -> list[str]:
+        """Quick stop, wait for rest, switch off the voltage; never raises.
+
+        Args:
+            sync_runs: whether somebody sends SYNC; where nobody does, this does.
+
+        Returns:
+            The joints whose drive did not confirm that it is at rest.
+        """
+        self._halted.set()
+        if self._phase == "idle":
+            return []
+        self._phase = "stopping"
+        unconfirmed = self._send_until(sync_runs, self._at_rest, STOP_LIMIT)
+        self._controlword = DISABLE_VOLTAGE
+        self._phase = "off"
+        still_on = self._send_until(sync_runs, self._is_off, OFF_LIMIT)
+        self._phase = "idle"
+        return [joint for joint in self._joints if joint in unconfirmed or joint in still_on]
+
+    def _send_until(
+        self, sync_runs: Callable[[], bool], settled: Callable[[int, float], bool], limit: float
+    ) -> list[str]:
+        asked = self._clock.now()
+        with contextlib.suppress(ConnectionLostError):
+            self._sender.send_all(self.outputs(self._clock.now()))  # now, not only after the next SYNC
+        while True:
+            if not sync_runs():
+                with contextlib.suppress(ConnectionLostError):
+                    self._sender.send_all([*self.outputs(self._clock.now()), (SYNC, b"")])
+                self._clock.sleep(5.0 * _POLL)
+            open_ones = [joint for index, joint in enumerate(self._joints) if not settled(index, asked)]
+            if not open_ones or self._clock.now() - asked > limit:
+                return open_ones
+            self._clock.sleep(_POLL)
+
+    def _at_rest(self, index: int, asked: float) -> bool:
+        heard = self.heard(index)
+        if heard is None or heard.time <= asked:
+            return self._beside.is_off(index, asked, QUICK_STOP)
+        if heard.state is not DriveState.QUICK_STOP:
+            return heard.state not in POWERED and heard.state is not DriveState.UNKNOWN
+        frame = self._latest.get(TPDO2 + self._ids[index])
+        if frame is None or frame[0] <= asked or len(frame[2]) < _SPEED_BYTES:
+            return False
+        speed = int.from_bytes(frame[2][:_SPEED_BYTES], "little", signed=True)
+        return abs(speed) <= self._standstill[index]
+
+    def _is_off(self, index: int, asked: float) -> bool:
+        heard = self.heard(index)
+        if heard is None or heard.time <= asked:
+            return self._beside.is_off(index, asked, DISABLE_VOLTAGE)
+        return heard.state not in POWERED
+
+    def _output(self, index: int, wanted: int) -> tuple[int, bytes]:
+        heard = self.heard(index)
+        controlword = self._controlword
+        if self._phase == "moving":
+            controlword = ENABLE_OPERATION | self._follow(index, wanted, heard)
+        elif self._phase == "enabling":
+            if heard is not None and heard.state is not DriveState.ENABLED:
+                self._targets[index] = heard.position  # so that enabling moves nothing
+        elif self._phase == "stopping":
+            controlword = QUICK_STOP
+        return RPDO1 + self._ids[index], _TARGET.pack(controlword, self._mode, self._targets[index])
+
+    def _follow(self, index: int, wanted: int, heard: Heard | None) -> int:
+        """Take over the target that is wanted; further bits of the controlword."""
+        if self._mode != MODE_PROFILE_POSITION:
+            self._targets[index] = wanted
+            return 0
+        # Handshake of profile position mode: offer until acknowledged, withdraw until that is gone, next.
+        acknowledged = heard is not None and bool(heard.statusword & SET_POINT_ACKNOWLEDGED)
+        if self._offered[index]:
+            self._offered[index] = not acknowledged
+        elif not acknowledged and wanted != self._set_points[index]:
+            self._targets[index] = self._set_points[index] = wanted
+            self._offered[index] = True
+        return CHANGE_AT_ONCE | (NEW_SET_POINT if self._offered[index] else 0)
+
+    def _watch_for_drop_outs(self) -> None:
+        for index, joint in enumerate(self._joints):
+            heard = self.heard(index)
+            if heard is not None and heard.state is not DriveState.ENABLED:
+                self._dropped_out = index
+                self._left = f"{joint} left operation enabled: {heard.state.value}"
+                self._phase = "stopping"  # the others must not go on without it
+                return
+
+    def _check_faults(self) -> None:
+        for index, joint in enumerate(self._joints):
+            heard = self.heard(index)
+            if heard is not None and heard.state in FAULTY:
+                raise DriverStateError(
+                    "the drive is in fault, and is not enabled",
+                    where=f"{joint} (node {self._ids[index]})",
+                    hint="remove the cause; opening the connection anew resets the fault",
+                )
+
+    def _wait(self, met: Callable[[Heard], bool], goal: DriveState | None, deadline: float) -> None:
+        while True:
+            if self._halted.is_set():
+                raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
+            self._check_faults()
+            heard = [self.heard(index) for index in range(len(self._ids))]
+            behind = [index for index, one in enumerate(heard) if one is None or not met(one)]
+            if not behind:
+                return
+            if self._clock.now() > deadline:
+                raise self._too_late(behind[0], heard[behind[0]], goal)
+            self._clock.sleep(_POLL)
+
+    def _too_late(self, index: int, heard: Heard | None, goal: DriveState | None) -> DriverStateError:
+        where = f"{self._joints[index]} (node {self._ids[index]})"
+        if heard is None:
+            return DriverStateError("the drive does not answer SYNC", where=where)
+        if goal is None:
+            return DriverStateError(
+                f"the drive displays mode {heard.mode} instead of {self._mode} ({MODE_NAMES[self._mode]})",
+                where=where,
+                hint="does it need another setting to accept this mode?",
+            )
+        return DriverStateError(
+            f"the drive does not reach '{goal.value}': it stays at '{heard.state.value}' "
+            f"(statusword 0x{heard.statusword:04X})",
+            where=where,
+            hint="is the power supply on, and is a safe-torque-off or enable input open?",
+        )
+
+
+def _reached(asked: float, goal: DriveState, heard: Heard) -> bool:
+    return heard.time > asked and heard.state is goal

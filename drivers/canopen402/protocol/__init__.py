@@ -1,0 +1,1 @@
+"""What the standards define: the object dictionary, SDO, emergencies, the state machine of a drive."""

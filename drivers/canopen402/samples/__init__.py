@@ -1,0 +1,1 @@
+"""From SYNC to rows of samples."""

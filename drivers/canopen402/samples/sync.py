@@ -1,0 +1,172 @@
+"""The SYNC producer: a thread that sends SYNC, and after it the drives' targets, on a fixed schedule."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from drivers.can.bus import Sender
+from drivers.canopen402.protocol.objects import SYNC
+from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
+from drivers.errors import ConnectionLostError
+from drivers.streams import FloatArray
+
+LATEST = 0.5
+"""Of a period: in motion, a SYNC that would come later than this is left out, or the next one would come too soon."""
+BEHIND = 0.2
+"""How late [s] a SYNC may be sent at rest, where the moment of a sample does not matter."""
+SPACING = 0.75
+"""Of a period: at rest, SYNCs that are overdue follow each other no sooner, so that the bus can carry the answers."""
+TARGET_ROOM = 0.35
+"""Of a period: targets need so long on the bus before the SYNC that applies them."""
+PATIENCE = 0.1
+"""How long [s] an adapter may refuse frames before it counts as lost."""
+
+_Time = TypeVar("_Time", float, FloatArray)
+
+
+class SyncProducer:
+    """Sends SYNC number k at start + k/rate; no lateness accumulates.
+
+    In motion no period is made up for. At rest, where this computer was late, SYNCs follow faster until they are on
+    schedule again.
+
+    The number of a SYNC over the rate is the clock of the samples: it starts with the first `start` and goes on through
+    stops.
+
+    Args:
+        sender: of the bus.
+        rate: [Hz].
+        outputs: called once a period in this thread with the moment of the SYNC in the schedule [s, host's monotonic
+            clock]; the frames to send after the SYNC. Where SYNCs were left out, they are sent for the last of these.
+        clock: the host's.
+        at_rest: whether the arm is at rest, and no motion is played; called in this thread.
+    """
+
+    def __init__(
+        self,
+        sender: Sender,
+        rate: float,
+        outputs: Callable[[float], Sequence[tuple[int, bytes]]],
+        clock: Clock = SYSTEM_CLOCK,
+        at_rest: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self.skipped = 0
+        """SYNCs that were not sent, since this computer was late or the adapter refused them."""
+        self.count = 0
+        """SYNCs that were sent."""
+        self.latest = -math.inf
+        """When the newest SYNC was sent [s, host's monotonic clock]."""
+        self._sender = sender
+        self._rate = rate
+        self._outputs = outputs
+        self._host_clock = clock
+        self._at_rest = at_rest
+        self._begin = math.nan
+        self._sent: deque[tuple[int, float]] = deque()
+        self._ending = clock.event()
+        self._failure: ConnectionLostError | None = None
+        self._refused_since: float | None = None
+        self._thread: threading.Thread | None = None
+
+    @property
+    def failure(self) -> ConnectionLostError | None:
+        """Why no SYNC is sent any more; None while all is well."""
+        return self._failure
+
+    @property
+    def running(self) -> bool:
+        """Whether SYNCs are being sent."""
+        thread = self._thread
+        return thread is not None and thread.is_alive()
+
+    def clock(self, host_time: _Time) -> _Time:
+        """A host's monotonic time [s], a number or an array, in the clock of the samples [s]."""
+        return host_time - self._begin
+
+    def start(self) -> None:
+        """Begin to send."""
+        if math.isnan(self._begin):
+            self._begin = self._host_clock.now()
+        self._sent.clear()
+        self._failure = self._refused_since = None
+        self._ending.clear()
+        self._thread = self._host_clock.thread(self._run, "SYNC")
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Send no more; safe at any time."""
+        self._ending.set()
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            thread.join()
+
+    def take(self) -> list[tuple[int, float]]:
+        """Slot and time [s, host's monotonic clock] of the SYNCs sent since the last call."""
+        found = []
+        while self._sent:
+            found.append(self._sent.popleft())
+        return found
+
+    def _run(self) -> None:
+        set_timer_slack()
+        slot = self._following()
+        while not self._ending.is_set():
+            due = self._begin + slot / self._rate
+            late = self._host_clock.sleep_until(due)
+            if self._ending.is_set():
+                return
+            resting = self._at_rest()
+            if late > (BEHIND if resting else LATEST / self._rate):
+                following = self._following(BEHIND) if resting else self._renewed(self._following())
+                self.skipped += following - slot
+                slot = following
+                continue
+            if resting:
+                self._host_clock.sleep_until(self.latest + SPACING / self._rate)
+            try:
+                self.latest = self._sender.send(SYNC, b"")
+            except ConnectionLostError as error:
+                self.skipped += 1
+                self._note_refusal(error)
+            else:
+                self.count += 1
+                self._sent.append((slot, self.latest))
+                self._send_outputs(due)
+            if self._failure is not None:
+                return
+            slot += 1
+
+    def _send_outputs(self, moment: float) -> None:
+        try:
+            self._sender.send_all(self._outputs(moment))
+            self._refused_since = None
+        except ConnectionLostError as error:
+            self._note_refusal(error)
+
+    def _note_refusal(self, error: ConnectionLostError) -> None:
+        now = self._host_clock.now()
+        self._refused_since = self._refused_since or now
+        if now - self._refused_since > PATIENCE:
+            self._failure = error
+
+    def _renewed(self, slot: int) -> int:
+        """Send targets for the SYNC of a slot after some left out; the slot, or a later one where that is too near.
+
+        The drives still hold targets for the SYNC that was left out. The next one must not apply them.
+        """
+        with contextlib.suppress(ConnectionLostError):
+            targets = self._outputs(self._begin + (slot - 1) / self._rate)
+            if targets and self._begin + slot / self._rate - self._host_clock.now() < TARGET_ROOM / self._rate:
+                slot = max(slot + 1, self._following())
+                targets = self._outputs(self._begin + (slot - 1) / self._rate)
+            self._sender.send_all(targets)
+        return slot
+
+    def _following(self, ago: float = 0.0) -> int:
+        """The first slot that is still to come, or was `ago` [s]."""
+        return math.floor((self._host_clock.now() - ago - self._begin) * self._rate) + 1

@@ -1,0 +1,126 @@
+"""Temperatures that drives keep in an object of their own: asked for by SDO, drive after drive, beside the samples."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.base import Notice
+from drivers.canopen402.protocol.objects import DriveObject
+from drivers.canopen402.protocol.sdo import RemoteDrive
+from drivers.canopen402.settings import TemperatureSource
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.errors import ConnectionFailedError, ConnectionLostError
+from drivers.streams import FloatArray
+
+RATE = 5.0
+"""Rows a second."""
+NOTICE_PERIOD = 10.0
+"""At most one notice a joint in so many seconds."""
+_LONGEST = 8
+
+
+@dataclass(frozen=True)
+class TemperatureReading:
+    """Temperatures of one round.
+
+    Attributes:
+        host_time: of the last answer [s, host's monotonic clock].
+        values: (m,) [°C]; nan where a drive did not answer.
+    """
+
+    host_time: float
+    values: FloatArray
+
+
+class TemperaturePoll:
+    """Asks drives for their temperature in a thread of its own.
+
+    Args:
+        drives: those that have one.
+        sources: where each keeps it.
+        clock: the host's.
+    """
+
+    def __init__(
+        self, drives: Sequence[RemoteDrive], sources: Sequence[TemperatureSource], clock: Clock = SYSTEM_CLOCK
+    ) -> None:
+        self._drives = tuple(drives)
+        self._sources = tuple(sources)
+        self._clock = clock
+        self._readings: deque[TemperatureReading] = deque()
+        self._notices: deque[Notice] = deque()
+        self._told: dict[str, float] = {}
+        self._ending = clock.event()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin to ask."""
+        self._ending.clear()
+        self._readings.clear()
+        self._thread = self._clock.thread(self._run, "temperatures")
+        self._thread.start()
+
+    def finish(self) -> None:
+        """Ask no more, without waiting for an answer that is still to come; safe at any time."""
+        self._ending.set()
+
+    def stop(self) -> None:
+        """Ask no more; safe at any time."""
+        self.finish()
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            thread.join()
+
+    def take(self) -> list[TemperatureReading]:
+        """Readings since the last call."""
+        found = []
+        while self._readings:
+            found.append(self._readings.popleft())
+        return found
+
+    def notices(self) -> list[Notice]:
+        """What there was to tell since the last call."""
+        found = []
+        while self._notices:
+            found.append(self._notices.popleft())
+        return found
+
+    def _run(self) -> None:
+        begin, turn, step = self._clock.now(), 0, 1.0 / (RATE * len(self._drives))
+        while True:
+            values = np.full(len(self._drives), math.nan)
+            for index, (drive, source) in enumerate(zip(self._drives, self._sources, strict=True)):
+                turn += 1
+                if self._ending.wait(max(0.0, begin + turn * step - self._clock.now())):
+                    return
+                try:
+                    values[index] = read_temperature(drive, source)
+                except ConnectionFailedError as error:
+                    self._tell(drive, str(error))
+                except ConnectionLostError:
+                    return  # the samples will say it
+            self._readings.append(TemperatureReading(self._clock.now(), values))
+            turn = max(turn, math.floor((self._clock.now() - begin) / step))
+
+    def _tell(self, drive: RemoteDrive, message: str) -> None:
+        now = self._clock.now()
+        if now - self._told.get(drive.joint, -math.inf) >= NOTICE_PERIOD:
+            self._told[drive.joint] = now
+            self._notices.append(Notice(math.nan, "warning", f"no temperature: {message}"))
+
+
+def read_temperature(drive: RemoteDrive, source: TemperatureSource) -> float:
+    """A drive's temperature now [°C].
+
+    Raises:
+        ConnectionFailedError: no answer, or refused.
+    """
+    entry = DriveObject(source.index, source.subindex, _LONGEST, source.signed, "temperature")
+    data = drive.read_bytes(entry)
+    return int.from_bytes(data, "little", signed=source.signed) * source.scale + source.offset

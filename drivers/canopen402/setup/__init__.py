@@ -1,0 +1,1 @@
+"""Configuration of the drives before anything is recorded."""

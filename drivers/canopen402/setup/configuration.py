@@ -1,0 +1,318 @@
+"""Configuration of the drives by SDO: who they are, whether they are the right ones, and what their PDOs carry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.base import Level, Notice
+from drivers.can.bus import Sender
+from drivers.canopen402.protocol import objects
+from drivers.canopen402.protocol.emcy import describe_error
+from drivers.canopen402.protocol.sdo import RemoteDrive
+from drivers.canopen402.protocol.state_machine import (
+    DISABLE_VOLTAGE,
+    FAULT_RESET,
+    FAULTY,
+    POWERED,
+    QUICK_STOP,
+    DriveState,
+    drive_state,
+    supports_mode,
+)
+from drivers.canopen402.samples.alignment import Scaling
+from drivers.canopen402.settings import MODES, CanopenSettings, NodeSettings
+from drivers.canopen402.setup.error_control import ErrorControl, configure_error_control, warnings_of
+from drivers.canopen402.setup.pdo_mapping import configure_pdos
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.errors import ConnectionFailedError
+
+PROBE_LIMIT = 1.0
+"""How long [s] all drives together may take to answer the first one."""
+SECOND_ANSWER = 0.02
+"""How long [s] a second device with the same node id may take to answer as well."""
+SETTLE_LIMIT = 1.0
+"""How long [s] a drive may take to leave a fault, or to stop."""
+AGREEMENT = 0.01
+"""Relative difference from which a rated value in the robot file and in the drive contradict each other."""
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Who a drive is and what it is rated for.
+
+    Attributes:
+        joint: that it moves.
+        node: its id.
+        vendor, product, revision, serial: of object 0x1018; None where it does not say.
+        name: device name; empty where it does not say.
+        firmware: software version; empty where it does not say.
+        counts_per_turn: position counts a joint revolution, as used.
+        rated_current: [A], as used.
+        rated_torque: [N·m], as used.
+    """
+
+    joint: str
+    node: int
+    vendor: int | None
+    product: int | None
+    revision: int | None
+    serial: int | None
+    name: str
+    firmware: str
+    counts_per_turn: float
+    rated_current: float
+    rated_torque: float
+
+
+@dataclass(frozen=True)
+class Configured:
+    """What the configuration found.
+
+    Attributes:
+        identities: one a joint.
+        scaling: of their numbers.
+        controls: how each drive is watched, and watches.
+        notices: what there is to tell.
+    """
+
+    identities: tuple[Identity, ...]
+    scaling: Scaling
+    controls: tuple[ErrorControl, ...]
+    notices: tuple[Notice, ...]
+
+
+def configure(
+    drives: Sequence[RemoteDrive],
+    settings: CanopenSettings,
+    sender: Sender,
+    deadline: float,
+    clock: Clock = SYSTEM_CLOCK,
+) -> Configured:
+    """Put drives into pre-operational, check them, and configure their error control and their PDOs.
+
+    Args:
+        drives: one a joint.
+        settings: of the connection.
+        sender: of the bus.
+        deadline: [s, host's monotonic clock].
+        clock: the host's.
+
+    Raises:
+        ConnectionFailedError: a drive does not answer, is not the right one, or refuses something.
+    """
+    notices: list[Notice] = []
+
+    def tell(level: Level, message: str) -> None:
+        notices.append(Notice(math.nan, level, message))
+
+    for drive in drives:
+        drive.deadline = deadline
+        sender.send(objects.NMT, bytes([objects.NMT_PRE_OPERATIONAL, drive.node]))
+    _probe(drives, deadline, clock)
+    mode = MODES[settings.mode]
+    serials = {drive.joint: drive.read_optional(objects.SERIAL) for drive in drives}
+    for drive, node in zip(drives, settings.nodes, strict=True):
+        _check_profile(drive, mode)
+        _check_serial(drive, node, serials, drives)
+    identities, controls = [], []
+    for drive, node in zip(drives, settings.nodes, strict=True):
+        if mode is not None:
+            for message in _bring_to_rest(drive, clock):
+                tell("warning", message)
+        identity, contradictions = _identify(drive, node, serials[drive.joint])
+        for message in contradictions:
+            tell("warning", message)
+        identities.append(identity)
+        controls.append(configure_error_control(drive, settings))
+        configure_pdos(drive, commanded=mode is not None)
+        if mode is not None:
+            drive.write(objects.MODE, mode)
+            _configure_mode(drive, node, identity, settings)
+    for message in warnings_of([(drive.where, one) for drive, one in zip(drives, controls, strict=True)], settings):
+        tell("warning", message)
+    scaling = Scaling(
+        counts_per_turn=np.array([one.counts_per_turn for one in identities]),
+        direction=np.array([float(node.direction) for node in settings.nodes]),
+        zero=np.array([node.zero for node in settings.nodes]),
+        rated_current=np.array([one.rated_current for one in identities]),
+        rated_torque=np.array([one.rated_torque for one in identities]),
+    )
+    return Configured(tuple(identities), scaling, tuple(controls), tuple(notices))
+
+
+def _probe(drives: Sequence[RemoteDrive], deadline: float, clock: Clock) -> None:
+    end = min(deadline, clock.now() + PROBE_LIMIT)
+    silent = list(drives)
+    while silent:
+        for drive in silent:
+            drive.ask_for(objects.DEVICE_TYPE)
+        again = min(end, clock.now() + drives[0].timeout)
+        while any(not drive.answers for drive in silent) and clock.now() < again:
+            clock.sleep(1e-3)
+        silent = [drive for drive in silent if not drive.answers]
+        if silent and clock.now() >= end:
+            who = ", ".join(drive.where for drive in silent)
+            if len(silent) == len(drives):
+                hint = "is the power on, the bus terminated, and the bit rate the drives' own?"
+            else:
+                hint = "is this drive on the bus, and does it have this node id?"
+            raise ConnectionFailedError(f"no answer from {who}", hint=hint)
+    clock.sleep(SECOND_ANSWER)
+    for drive in drives:
+        if drive.answers > 1 and (count := _answers_to_one_question(drive, clock)) > 1:
+            raise ConnectionFailedError(
+                f"{count} devices answer to one node id", where=drive.where, hint="give each its own node id"
+            )
+
+
+def _answers_to_one_question(drive: RemoteDrive, clock: Clock) -> int:
+    """How many devices have this node id; a drive that was asked again may have answered late, and so twice."""
+    drive.ask_for(objects.DEVICE_TYPE)
+    end = clock.now() + drive.timeout
+    while not drive.answers and clock.now() < end:
+        clock.sleep(1e-3)
+    clock.sleep(SECOND_ANSWER)
+    return drive.answers
+
+
+def _check_profile(drive: RemoteDrive, mode: int | None) -> None:
+    profile = drive.read(objects.DEVICE_TYPE) & 0xFFFF
+    if profile != objects.PROFILE_402:
+        raise ConnectionFailedError(
+            f"this device has profile {profile}, not that of a drive ({objects.PROFILE_402})",
+            where=drive.where,
+            hint="does the joint have another node id?",
+        )
+    supported = None if mode is None else drive.read_optional(objects.SUPPORTED_MODES)
+    if mode is not None and supported is not None and not supports_mode(supported, mode):
+        others = [key for key, code in MODES.items() if code is not None and supports_mode(supported, code)]
+        raise ConnectionFailedError(
+            f"the drive does not support mode {mode} ({objects.MODE_NAMES[mode]})",
+            where=drive.where,
+            hint=f"set the connection's 'mode' to {' or '.join([*others, 'none'])}",
+        )
+
+
+def _check_serial(
+    drive: RemoteDrive, node: NodeSettings, serials: Mapping[str, int | None], drives: Sequence[RemoteDrive]
+) -> None:
+    found = serials[drive.joint]
+    if node.serial is None or found == node.serial:
+        return
+    elsewhere = next((other for other in drives if serials[other.joint] == node.serial), None)
+    has = "says no serial number" if found is None else f"has serial number {found}"
+    hint = "compare node ids and serial numbers with the robot file"
+    if elsewhere is not None:
+        hint = f"drive {node.serial} answers as {elsewhere.where}: node ids are swapped, on the drives or in the file"
+    raise ConnectionFailedError(
+        f"the drive {has}, but the robot file expects {node.serial}", where=drive.where, hint=hint
+    )
+
+
+def _bring_to_rest(drive: RemoteDrive, clock: Clock) -> list[str]:
+    """Stop a drive that was left enabled, reset a fault; what was done, in words."""
+    state = drive_state(drive.read(objects.STATUSWORD))
+    told = []
+    if state in POWERED:
+        drive.write(objects.CONTROLWORD, QUICK_STOP)
+        _wait_for(drive, lambda now: now not in POWERED, clock)
+        drive.write(objects.CONTROLWORD, DISABLE_VOLTAGE)
+        told.append(f"{drive.where} was still powered ({state.value}); it was stopped")
+        state = drive_state(drive.read(objects.STATUSWORD))
+    if state in FAULTY:
+        code = drive.read_optional(objects.ERROR_CODE)
+        cause = "" if not code else f": {describe_error(code)} (0x{code:04X})"
+        drive.write(objects.CONTROLWORD, DISABLE_VOLTAGE)
+        drive.write(objects.CONTROLWORD, FAULT_RESET)
+        state = _wait_for(drive, lambda now: now not in FAULTY, clock)
+        drive.write(objects.CONTROLWORD, DISABLE_VOLTAGE)
+        gone = "its fault was reset" if state not in FAULTY else "its fault stays: it can be recorded but not moved"
+        told.append(f"{drive.where} was in fault{cause}; {gone}")
+    return told
+
+
+def _wait_for(drive: RemoteDrive, met: Callable[[DriveState], bool], clock: Clock) -> DriveState:
+    end = clock.now() + SETTLE_LIMIT
+    while True:
+        state = drive_state(drive.read(objects.STATUSWORD))
+        if met(state) or clock.now() > end:
+            return state
+        clock.sleep(0.005)
+
+
+def _identify(drive: RemoteDrive, node: NodeSettings, serial: int | None) -> tuple[Identity, list[str]]:
+    contradictions: list[str] = []
+
+    def choose(name: str, unit: str, own: float | None, said: float | None, source: str) -> float:
+        if own is None and not said:
+            raise ConnectionFailedError(
+                f"the drive does not say its {name} ({source})",
+                where=drive.where,
+                hint=f"give {name}: … [{unit}] in the robot file",
+            )
+        if own is not None and said and abs(own / said - 1.0) > AGREEMENT:
+            contradictions.append(
+                f"{drive.where}: {name} is {own:g} {unit} in the robot file, but {said:g} {unit} in the drive "
+                f"({source}); the file's counts"
+            )
+        return own if own is not None else float(said or 0.0)
+
+    current = drive.read_optional(objects.RATED_CURRENT)
+    torque = drive.read_optional(objects.RATED_TORQUE)
+    identity = Identity(
+        joint=drive.joint,
+        node=drive.node,
+        vendor=drive.read_optional(objects.VENDOR),
+        product=drive.read_optional(objects.PRODUCT),
+        revision=drive.read_optional(objects.REVISION),
+        serial=serial,
+        name=drive.read_text(objects.DEVICE_NAME),
+        firmware=drive.read_text(objects.FIRMWARE),
+        counts_per_turn=choose("counts_per_turn", "counts", node.counts_per_turn, _counts(drive), "0x608F, 0x6091"),
+        rated_current=choose("rated_current", "A", node.rated_current, _milli(current), str(objects.RATED_CURRENT)),
+        rated_torque=choose("rated_torque", "N·m", node.rated_torque, _milli(torque), str(objects.RATED_TORQUE)),
+    )
+    return identity, contradictions
+
+
+def _milli(value: int | None) -> float | None:
+    return None if value is None else 1e-3 * value
+
+
+def _counts(drive: RemoteDrive) -> float | None:
+    """Position counts a joint revolution, from the encoder's resolution and the gear's ratio; None where unknown."""
+    increments = drive.read_optional(objects.ENCODER_INCREMENTS)
+    turns = drive.read_optional(objects.ENCODER_TURNS)
+    motor = drive.read_optional(objects.GEAR_MOTOR_TURNS)
+    shaft = drive.read_optional(objects.GEAR_SHAFT_TURNS)
+    if not increments or not turns or not motor or not shaft:
+        return None
+    return increments / turns * (motor / shaft)
+
+
+def _configure_mode(drive: RemoteDrive, node: NodeSettings, identity: Identity, settings: CanopenSettings) -> None:
+    drive.write_optional(objects.CYCLE_PERIOD, round(1e6 / settings.sync_rate))
+    if settings.mode == "position":
+        value, exponent = _as_power(1.0 / settings.sync_rate)
+        if drive.write_optional(objects.INTERPOLATION_INDEX, exponent):
+            drive.write_optional(objects.INTERPOLATION_PERIOD, value)
+        return
+    counts = identity.counts_per_turn / (2.0 * math.pi)
+    if node.velocity is not None:
+        drive.write(objects.PROFILE_VELOCITY, round(node.velocity * counts))
+    if node.acceleration is not None:
+        drive.write(objects.PROFILE_ACCELERATION, round(node.acceleration * counts))
+        drive.write(objects.PROFILE_DECELERATION, round(node.acceleration * counts))
+
+
+def _as_power(period: float) -> tuple[int, int]:
+    """A period [s] as value · 10^exponent, the value within one byte (object 0x60C2)."""
+    exponent = math.ceil(math.log10(period / 255.0))
+    value = round(period / 10.0**exponent)
+    while value % 10 == 0 and value:
+        value, exponent = value // 10, exponent + 1
+    return value, exponent

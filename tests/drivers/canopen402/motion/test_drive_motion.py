@@ -1,0 +1,295 @@
+"""Every way into and out of operation enabled; nothing enables by itself."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from canopen_bench import RATE, READ, Bench, bench
+from scripted_drives import FRAME_TIME, RAMP, ScriptedDrive
+
+from drivers.can.bus import POLL
+from drivers.canopen402.motion.drive_motion import OFF_LIMIT
+from drivers.canopen402.motion.sdo_stop import PATIENCE, REPEAT
+from drivers.errors import ConnectionLostError, DriverStateError
+
+ENABLING = ["disabled", "ready", "switched on", "enabled"]
+
+
+def drives(*changed: ScriptedDrive) -> list[ScriptedDrive]:
+    by_node = {node: ScriptedDrive(node) for node in (1, 2, 3)} | {drive.node: drive for drive in changed}
+    return list(by_node.values())
+
+
+def off(one: Bench) -> bool:
+    return all(drive.state == "disabled" and drive.controlwords[-1] == 0 for drive in one.drives)
+
+
+def test_enabling_goes_through_every_state_and_moves_nothing() -> None:
+    with bench() as one:
+        before = [drive.number(0x6064) for drive in one.drives]
+        one.enable()
+        for drive, position in zip(one.drives, before, strict=True):
+            assert drive.states == ENABLING
+            assert drive.controlwords == [0x00, 0x06, 0x07, 0x0F]
+            assert set(drive.targets) <= {position}
+            assert drive.number(0x6060) == 8
+
+
+def test_targets_go_out_to_all_drives_after_the_next_sync() -> None:
+    with bench(nodes={"lift": {"direction": -1, "zero": 0.25}}) as one:
+        one.enable()
+        start = one.position
+        for step in range(1, 11):
+            one.driver.command(start + step * np.array([0.001, -0.002, 0.003]))
+            one.read_rows(1)
+        goal = start + 10 * np.array([0.001, -0.002, 0.003])
+        one.read(lambda: np.allclose(one.position, goal, atol=1e-5))
+        assert len(one.drives[0].targets) > 5
+        assert one.said("error") == []
+        sent = [identifier for identifier, _ in one.bus.seen if identifier == 0x80 or 0x200 < identifier < 0x280]
+        cycles = sent[sent.index(0x201) :]
+        assert cycles == ([0x201, 0x202, 0x203, 0x80] * len(cycles))[: len(cycles)]
+        times = [time for time, (identifier, _) in zip(one.bus.times, one.bus.seen, strict=True) if identifier == 0x80]
+        np.testing.assert_allclose(np.diff(times), 1 / RATE, atol=4 * FRAME_TIME)
+
+
+def test_a_jump_and_a_blind_start_are_refused() -> None:
+    with bench() as one:
+        with pytest.raises(DriverStateError, match="no position of the arm is known"):
+            one.driver.command(np.zeros(3))
+        one.read_rows(2)
+        with pytest.raises(DriverStateError, match=r"0\.200 rad away") as caught:
+            one.driver.command(one.position + np.array([0.0, 0.0, 0.2]))
+        assert caught.value.where == "joint elbow"
+        for wrong in (np.zeros(2), np.full(3, np.nan), np.full(3, np.inf), np.zeros((3, 1))):
+            with pytest.raises(ValueError, match="3 finite numbers"):
+                one.driver.command(wrong)
+        assert all(drive.controlwords == [] for drive in one.drives)
+
+
+def test_recording_only_never_enables() -> None:
+    with bench(mode="none") as one:
+        one.read_rows(2)
+        with pytest.raises(DriverStateError, match="only records"):
+            one.driver.command(one.position)
+        assert all(drive.states == ["disabled"] for drive in one.drives)
+
+
+@pytest.mark.parametrize("stuck", ["ready", "switched on", "enabled"])
+def test_a_drive_that_does_not_come_along_keeps_all_from_moving(stuck: str) -> None:
+    with bench(drives(ScriptedDrive(2, stuck={stuck})), timeout=0.5) as one:
+        begun = one.clock.now()
+        with pytest.raises(DriverStateError, match="does not reach") as caught:
+            one.enable()
+        assert 0.5 < one.clock.now() - begun < 0.5 + 4 / RATE + READ  # two rows first
+        assert caught.value.where == "lift (node 2)"
+        assert "safe-torque-off" in caught.value.hint
+        one.read(lambda: not any(drive.state == "enabled" for drive in one.drives))
+        with pytest.raises(DriverStateError):
+            one.driver.command(one.position)
+        one.driver.stop()
+        assert off(one)
+
+
+def test_a_drive_that_does_not_take_the_mode_is_not_enabled() -> None:
+    with bench(drives(ScriptedDrive(3, mode_accepted=False)), timeout=0.5) as one:
+        with pytest.raises(DriverStateError, match=r"displays mode 0 instead of 8"):
+            one.enable()
+        assert "enabled" not in [state for drive in one.drives for state in drive.states]
+
+
+def test_a_drive_in_fault_is_not_enabled_and_its_fault_not_reset() -> None:
+    with bench(drives(ScriptedDrive(2, state="fault", clears_faults=False))) as one:
+        tried = one.drives[1].controlwords.copy()
+        with pytest.raises(DriverStateError, match="in fault") as caught:
+            one.enable()
+        assert caught.value.where == "lift (node 2)"
+        assert one.drives[1].controlwords == tried
+        assert one.drives[0].states == ["disabled"]
+
+
+def test_a_fault_stops_the_others_at_once_and_is_an_error_with_its_cause() -> None:
+    with bench() as one:
+        one.enable()
+        one.bus.fail(2, 0x4310)
+        failed = len(one.bus.times)
+        one.read(lambda: one.drives[0].state == "disabled" and one.drives[2].state == "disabled")  # without a stop
+        # The first SYNC after the fault shows it, the targets after the second one are quick stops.
+        after = [data[0] for identifier, data in one.bus.seen[failed:] if identifier in (0x201, 0x203)]
+        assert after[:2] == [0x0F, 0x0F]
+        assert set(after[2:]) == {0x02}
+        assert one.drives[0].states == [*ENABLING, "quick stop", "disabled"]
+        with pytest.raises(DriverStateError, match="lift left operation enabled: fault: drive temperature too high"):
+            one.driver.command(one.position)
+        assert any(text.startswith("lift: fault: drive temperature too high") for text in one.said("error"))
+        one.driver.stop()
+        one.driver.start()
+        one.read_rows(3)
+        with pytest.raises(DriverStateError, match="in fault"):
+            one.driver.command(one.position)
+        assert one.drives[1].states[-1] == "fault"
+        assert not any(word & 0x80 for word in one.drives[1].controlwords)
+
+
+def test_after_a_fault_a_drive_is_never_enabled_by_itself() -> None:
+    with bench() as one:
+        one.enable()
+        one.bus.fail(3)
+        one.read(lambda: one.drives[0].state == "disabled")
+        one.drives[2].enter("disabled")  # somebody resets the fault at the drive
+        count = len(one.drives[2].states)
+        one.read_rows(30)
+        assert one.drives[2].states[count:] == []
+
+
+def test_a_drive_that_switches_itself_off_is_an_error_while_moving() -> None:
+    with bench() as one:
+        one.enable()
+        one.drives[0].enter("disabled")  # safe torque off
+        one.read(lambda: one.drives[1].state == "disabled")
+        assert "pan: left operation enabled: switch on disabled" in one.said("error")
+        assert one.drives[0].states == [*ENABLING, "disabled"]
+
+
+@pytest.mark.parametrize("stays", [True, False])
+def test_stop_is_a_quick_stop_until_rest_and_then_off(stays: bool) -> None:
+    with bench([ScriptedDrive(node, quick_stop_stays=stays) for node in (1, 2, 3)]) as one:
+        one.enable()
+        begun = one.clock.now()
+        one.driver.stop()
+        # The next SYNC applies the quick stop, another one tells of the rest, one more of the voltage.
+        assert RAMP < one.clock.now() - begun <= RAMP + 3 / RATE + POLL
+        for drive in one.drives:
+            assert drive.controlwords == [0x00, 0x06, 0x07, 0x0F, 0x02, 0x00]
+            assert drive.states == [*ENABLING, "quick stop", "disabled"]
+        assert one.said("error") == []
+        one.driver.stop()
+        with pytest.raises(DriverStateError):
+            one.driver.command(one.position)
+
+
+def test_all_drives_get_the_quick_stop_in_the_same_period() -> None:
+    with bench() as one:
+        one.enable()
+        one.driver.stop()
+        frames = list(one.bus.seen)
+        first = next(i for i, (identifier, data) in enumerate(frames) if identifier == 0x201 and data[0] == 0x02)
+        following = [identifier for identifier, _ in frames[first : first + 3]]
+        assert following == [0x201, 0x202, 0x203]
+        assert {data[0] for _, data in frames[first : first + 3]} == {0x02}
+
+
+def test_a_drive_that_ignores_the_quick_stop_is_switched_off_after_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.canopen402.motion.drive_motion.STOP_LIMIT", 0.3)
+    with bench(drives(ScriptedDrive(2, ignores_quick_stop=True))) as one:
+        one.enable()
+        begun = one.clock.now()
+        one.driver.stop()
+        assert 0.3 < one.clock.now() - begun < 0.3 + OFF_LIMIT
+        assert off(one)
+        assert one.said("error") == ["lift: the drive did not confirm that it is at rest and off"]
+
+
+def test_stop_while_enabling() -> None:
+    with bench(drives(ScriptedDrive(2, stuck={"switched on"})), timeout=30.0) as one:
+        one.read_rows(2)
+        refused: list[DriverStateError] = []
+
+        def command() -> None:
+            try:
+                one.driver.command(one.position)
+            except DriverStateError as error:
+                refused.append(error)
+
+        thread = one.clock.thread(command, "command")
+        thread.start()
+        one.read(lambda: one.drives[0].state == "switched on")
+        begun = one.clock.now()
+        one.driver.stop()
+        assert one.clock.now() - begun <= 3 / RATE + POLL
+        thread.join()
+        assert "being stopped" in refused[0].message
+        assert off(one)
+
+
+def test_stop_with_a_drive_that_is_gone_stops_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.canopen402.motion.drive_motion.STOP_LIMIT", 0.5)
+    with bench(timeout=1.0) as one:
+        one.enable()
+        one.drives[1].present = False
+        one.driver.stop()
+        assert [one.drives[0].state, one.drives[2].state] == ["disabled", "disabled"]
+        assert any("lift" in text for text in one.said("error"))
+        assert not any("pan" in text for text in one.said("error"))
+
+
+@pytest.mark.parametrize("by_itself", [True, False])
+def test_drives_that_left_operational_are_stopped_and_asked_by_sdo(by_itself: bool) -> None:
+    with bench() as one:
+        one.enable()
+        gone = one.drives[1]
+        gone.nmt = 0x7F  # no RPDO, no TPDO
+        if by_itself:
+            gone.control(0x02, one.clock.now())
+        begun = one.clock.now()
+        one.driver.stop()
+        # Silent ones are asked by SDO after a while, and again until they say that they are off.
+        assert 2 * PATIENCE < one.clock.now() - begun < 2 * PATIENCE + RAMP + 4 * REPEAT
+        assert all(drive.states[-2:] == ["quick stop", "disabled"] for drive in one.drives)
+        assert (0x602, bytes.fromhex("40 41 60 00 00 00 00 00")) in one.bus.seen
+        assert ((0x602, bytes.fromhex("2b 40 60 00 02 00 00 00")) in one.bus.seen) != by_itself
+        assert not [text for text in one.said("error") if "did not confirm" in text]
+
+
+def test_stop_with_the_whole_bus_gone_neither_raises_nor_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.canopen402.motion.drive_motion.STOP_LIMIT", 0.2)
+    with bench() as one:
+        one.enable()
+        assert one.driver._bus is not None
+        one.driver._bus.shutdown()
+        with pytest.raises(ConnectionLostError):
+            one.read(lambda: False)
+        with pytest.raises(ConnectionLostError):
+            one.driver.command(one.position)
+        begun = one.clock.now()
+        one.driver.stop()
+        one.driver.close()
+        assert 0.0 < one.clock.now() - begun - 0.2 - OFF_LIMIT < POLL + 0.02
+        assert len(one.said("error")) == 3
+
+
+def test_close_and_a_lost_reader_stop_the_arm_too() -> None:
+    with bench() as one:
+        one.enable()
+        one.driver.close()
+        assert all(drive.states[-2:] == ["quick stop", "disabled"] for drive in one.drives)
+
+
+def test_start_again_needs_enabling_again() -> None:
+    with bench() as one:
+        one.enable()
+        one.driver.stop()
+        one.driver.start()
+        one.read_rows(3)
+        assert all(drive.state == "disabled" for drive in one.drives)
+        one.enable()
+        assert all(drive.state == "enabled" for drive in one.drives)
+
+
+def test_profile_mode_hands_over_every_set_point_by_its_handshake() -> None:
+    with bench(mode="profile") as one:
+        one.enable()
+        start = one.position
+        for step in (0.01, 0.02, 0.05):
+            one.driver.command(start + step)
+            one.read(lambda goal=start + step: np.allclose(one.position, goal, atol=1e-5))  # type: ignore[misc]
+        for drive in one.drives:
+            assert len(drive.targets) >= 3
+            words = drive.controlwords[drive.controlwords.index(0x0F) :]
+            assert {word & 0x10 for word in words} == {0x00, 0x10}
+            offered = [word & 0x10 for word in words]
+            assert all(a != b for a, b in itertools.pairwise(offered[1:]))
+        one.driver.stop()
+        assert off(one)
