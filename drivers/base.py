@@ -11,10 +11,11 @@ and `close` make sense. A driver never hands out a value twice or one that it ha
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol, TypeVar, runtime_checkable
 
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import DriverStateError
@@ -24,13 +25,14 @@ from drivers.streams import Batch, FloatArray, StreamLayout
 DRIVERS_GROUP = "dynid.drivers"
 """Entry-point group: driver name → callable(settings: DriverSettings) -> Driver."""
 
+_Item = TypeVar("_Item")
 State = Literal["closed", "open", "running"]
 Level = Literal["info", "warning", "error"]
 
 
 @dataclass(frozen=True)
 class DriverSettings:
-    """What a driver is told about its arm.
+    """What a driver knows of its arm.
 
     Attributes:
         joints: joint names in the order of every array.
@@ -65,13 +67,13 @@ class Notice:
 
 
 class Driver(Protocol):
-    """One arm on one wire."""
+    """One arm on one connection."""
 
     def open(self) -> None:
         """Connect, within a time limit.
 
         Raises:
-            ConnectionFailedError: nobody answers, or somebody else does.
+            ConnectionFailedError: no answer, or not from the expected device.
             UsageError: the connection's keys are wrong.
         """
 
@@ -108,10 +110,10 @@ class Driver(Protocol):
 
 @runtime_checkable
 class Identifying(Protocol):
-    """A driver that can also tell who is at the other end; `dynid check --connect` shows it."""
+    """A driver that can also identify the devices at the other end; `dynid check --connect` shows them."""
 
     def identify(self) -> Sequence[object]:
-        """Who answers: dataclasses whose fields say it, one a device; known once open.
+        """The devices that answer: a dataclass per device; known once open.
 
         Raises:
             DriverStateError: it is closed.
@@ -132,6 +134,11 @@ class Attributing(Protocol):
 
     def losses(self, stream: str) -> str:
         """Why samples of a stream were lost since the last `start`, in words; empty where the cause is unknown."""
+
+
+def drained(queue: deque[_Item]) -> list[_Item]:
+    """All items of a queue that another thread may append to, oldest first; the queue is left without them."""
+    return [queue.popleft() for _ in range(len(queue))]
 
 
 def require_state(actual: State, allowed: State, action: str) -> None:

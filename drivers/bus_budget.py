@@ -89,9 +89,9 @@ class Budget:
 
 def synchronous_cycle(nodes: int, tpdos: Sequence[int], rpdos: Sequence[int] = ()) -> tuple[FrameGroup, ...]:
     """The frames of one SYNC: SYNC itself, and each node's TPDOs and RPDOs of so many data bytes."""
-    told = [FrameGroup(f"TPDO{number}", nodes, size) for number, size in enumerate(tpdos, start=1)]
+    transmitted = [FrameGroup(f"TPDO{number}", nodes, size) for number, size in enumerate(tpdos, start=1)]
     commanded = [FrameGroup(f"RPDO{number}", nodes, size) for number, size in enumerate(rpdos, start=1)]
-    return (FrameGroup("SYNC", 1, 0), *told, *commanded)
+    return (FrameGroup("SYNC", 1, 0), *transmitted, *commanded)
 
 
 def connection_budget(driver: str, settings: DriverSettings) -> Budget | None:
@@ -120,7 +120,7 @@ def _canopen_budget(settings: DriverSettings) -> Budget:
         rate = 1.0 / bus.guarding.period
         beside = [(FrameGroup("guarding requests", nodes, 0), rate), (FrameGroup("guarding answers", nodes, 1), rate)]
     else:
-        own = 0 if bus.mode == "none" else 1  # where nothing moves, nobody need know of dynid
+        own = 0 if bus.mode == "none" else 1  # where nothing moves, dynid sends none
         beside = [(FrameGroup("heartbeats", nodes + own, 1), 1.0 / bus.heartbeat)]
     if warm := sum(node.temperature is not None for node in bus.nodes):
         beside.append((FrameGroup("temperatures by SDO", 2 * warm, FRAME_BYTES), RATE))  # request and answer
@@ -138,15 +138,15 @@ def _can_frames_budget(settings: DriverSettings) -> Budget:
 
     # The table says which bytes it needs, not how long a frame is: 8 at worst. What is not in the joints' stream is
     # taken to come at most once a cycle.
-    told = [(part.identifier, FRAME_BYTES) for part in bus.parts("joints")]
-    others = [(identifier, FRAME_BYTES) for identifier in sorted(bus.identifiers - {one for one, _ in told})]
-    cycle = group("samples", told) + group("other samples", others)
+    samples = [(layout.identifier, FRAME_BYTES) for layout in bus.frame_layouts("joints")]
+    others = [(identifier, FRAME_BYTES) for identifier in sorted(bus.identifiers - {one for one, _ in samples})]
+    cycle = group("samples", samples) + group("other samples", others)
     if bus.poll is not None:
         cycle += group("requests", [(frame.identifier, len(frame.data)) for frame in bus.poll.frames])
     if bus.command is not None:
         sizes = [
-            (part.identifier, len(bus.command.templates.get(part.identifier, b"")) or part.size)
-            for part in bus.command.parts
+            (layout.identifier, len(bus.command.templates.get(layout.identifier, b"")) or layout.size)
+            for layout in bus.command.layouts
         ]
         cycle += group("commands", sizes)
     return Budget(bus.bitrate, bus.rate, tuple(cycle))

@@ -1,4 +1,4 @@
-"""Connection settings: strict pydantic models of a connection's keys in a robot file, every error told at once."""
+"""Connection settings: strict pydantic models of a connection's keys in a robot file, all errors at once."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from drivers.yaml_file import describe
 WITH = "with"
 """Key of a connection that belongs to the session: names of others that are recorded beside it."""
 MOST_PROBLEMS = 8
-"""Problems told in one message."""
+"""Problems in one message."""
 
 Text = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 """Not blank."""
@@ -66,17 +66,17 @@ def read_settings(
 
 def refusal(problems: Iterable[ErrorDetails], schema: type[BaseModel], connection: str) -> UsageError:
     """One error about all that is wrong with a connection's keys."""
-    told: dict[str, tuple[str, str, str]] = {}
+    by_path: dict[str, tuple[str, str, str]] = {}
     for problem in problems:
         path, field, section = _locate(schema, problem["loc"])
-        told.setdefault(path, _words(problem, path, field, section))
-    if len(told) == 1:
-        ((path, (before, after, hint)),) = told.items()
+        by_path.setdefault(path, _words(problem, path, field, section))
+    if len(by_path) == 1:
+        ((path, (before, after, hint)),) = by_path.items()
         name = f"{before}'{path}' of {connection}" if path else connection
         return UsageError(f"{name}{after}", hint=hint)
     texts = [
         f"{before.removeprefix('key ')}'{path}'{after}" + (f" ({hint})" if hint else "")
-        for path, (before, after, hint) in told.items()
+        for path, (before, after, hint) in by_path.items()
     ]
     more = f"; and {len(texts) - MOST_PROBLEMS} more" if len(texts) > MOST_PROBLEMS else ""
     return UsageError(f"{len(texts)} keys of {connection} are wrong: {'; '.join(texts[:MOST_PROBLEMS])}{more}")

@@ -12,7 +12,7 @@
     └── WorkError                  exit status 1: the input was fine, the work failed
         ├── IdentificationError    no solution: rank lost, no convergence
         ├── ModelError             an identified model cannot give what was asked of it
-        ├── ConnectionFailedError  nobody answers at the other end, or somebody else does
+        ├── ConnectionFailedError  no answer, or not from the expected device
         ├── ConnectionLostError    the connection broke or went silent while recording
         ├── DriverStateError       a driver was asked for something that its state does not allow
         ├── DiskError              the recording cannot be written any more
@@ -113,7 +113,7 @@ class ModelError(WorkError):
 
 
 class ConnectionFailedError(WorkError):
-    """Nobody answers at the other end of a connection, or somebody else does."""
+    """No answer at the other end of a connection, or not from the expected device."""
 
 
 class ConnectionLostError(WorkError):

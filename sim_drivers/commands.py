@@ -44,7 +44,7 @@ def sim(
     seed: int = typer.Option(1, "--seed", help="Of the noise."),
     realtime: bool = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs the right to it)."),
     no_ui: bool = typer.Option(False, "--no-ui", help="No live line on standard error."),
-    as_json: bool = typer.Option(False, "--json", help="As --no-ui; the ports and the pid are told as JSON anyway."),
+    as_json: bool = typer.Option(False, "--json", help="As --no-ui; ports and pid are printed as JSON in any case."),
 ) -> None:
     """Serve a simulated arm until Ctrl-C; type a fault, such as: drop 10, freeze 3, cut, block 2, power-cycle 3.
 

@@ -31,7 +31,7 @@ def error_frame_words(message: can.Message) -> str:
         words = [text for bit, text in _CONTROLLER_TROUBLES.items() if data[1] & bit]
         return ", ".join(words) or "controller"
     if kind & _NO_ACKNOWLEDGE:
-        return "nobody acknowledges"
+        return "no acknowledgement"
     if kind & _BUS_ERROR:
         return "bus error"
     return ""
@@ -56,7 +56,7 @@ def why_not_opened(error: Exception, interface: str, channel: str | int) -> tupl
     cause = error if isinstance(error, OSError) else error.__cause__ or error.__context__
     number = cause.errno if isinstance(cause, OSError) else None
     if isinstance(error, can.CanInterfaceNotImplementedError | ImportError):
-        return f"interface '{interface}' cannot be used here: {error}", "is its maker's driver installed?"
+        return f"interface '{interface}' cannot be used here: {error}", "is its manufacturer's driver installed?"
     if isinstance(error, TypeError):
         return f"interface '{interface}' does not take these options: {error}", "see 'options' of the connection"
     if number in (errno.EACCES, errno.EPERM) or "ermission denied" in str(error):

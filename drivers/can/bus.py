@@ -20,7 +20,7 @@ from typing import Any
 
 import can
 
-from drivers.base import Level, Notice
+from drivers.base import Level, Notice, drained
 from drivers.can.adapter_errors import error_frame_words, is_bus_off, is_unreadable, reason, why_not_opened
 from drivers.can.arrival_clock import ArrivalClock
 from drivers.clock import SYSTEM_CLOCK, Clock
@@ -76,7 +76,7 @@ def open_bus(interface: str, channel: str | int, bitrate: int, options: Mapping[
     arguments: dict[str, Any] = {"bitrate": bitrate, **defaults, **options}
     try:
         bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **arguments)
-    except Exception as error:  # python-can's interfaces raise whatever their makers' libraries do
+    except Exception as error:  # python-can's interfaces raise whatever their manufacturers' libraries do
         message, hint = why_not_opened(error, interface, channel)
         raise ConnectionFailedError(message, where=where, hint=hint) from error
     _prepare_socket(bus)
@@ -88,7 +88,7 @@ def open_bus(interface: str, channel: str | int, bitrate: int, options: Mapping[
 def sends_in_kernel(bus: can.BusABC) -> bool:
     """Whether frames can be sent at a fixed period by the kernel's timer, and come back with the time of sending.
 
-    python-can's other interfaces send from a thread of this process, or from hardware that does not tell the time.
+    python-can's other interfaces send from a thread of this process, or from hardware that does not report the time.
     """
     return type(bus).__name__ == "SocketcanBus"
 
@@ -168,7 +168,7 @@ class Receiver:
     Args:
         bus: open; the receiver does not close it.
         stored: identifiers to store; None for all.
-        other: is told every other frame (identifier, data, arrival [s]) in the receiving thread; must be quick.
+        other: is called with every other frame (identifier, data, arrival [s]) in the receiving thread; must be quick.
         clock: the host's.
     """
 
@@ -229,16 +229,13 @@ class Receiver:
         return frames
 
     def notices(self) -> list[Notice]:
-        """What there was to tell since the last call: error frames, truncated and unreadable ones."""
-        self._tell_troubles(self._clock.now() - NOTICE_PERIOD)
-        found = []
-        while self._notices:
-            found.append(self._notices.popleft())
-        return found
+        """Notices since the last call: error frames, truncated and unreadable ones."""
+        self._report_troubles(self._clock.now() - NOTICE_PERIOD)
+        return drained(self._notices)
 
-    def tell_rest(self) -> None:
-        """Put into the notices what was counted and not told yet, since it came so often."""
-        self._tell_troubles(math.inf)
+    def report_rest(self) -> None:
+        """Put into the notices what was counted and not reported yet, since it came so often."""
+        self._report_troubles(math.inf)
 
     def stop(self) -> None:
         """End the thread; safe at any time."""
@@ -304,7 +301,7 @@ class Receiver:
             if len(self._ring) >= BUFFER_FRAMES:
                 self._ring.popleft()
                 if not self.overflow:
-                    self._tell("warning", "CAN frames are not read for too long: the oldest are dropped")
+                    self._report("warning", "CAN frames are not read for too long: the oldest are dropped")
                 self.overflow += 1
             self._ring.append(frame)
             if len(self._ring) >= self._wanted:
@@ -335,18 +332,18 @@ class Receiver:
 
     def _trouble(self, what: str, now: float) -> None:
         with self._arrival:
-            count, told = self._troubles.get(what, (0, -math.inf))
-            self._troubles[what] = (count + 1, told)
-        self._tell_troubles(now - NOTICE_PERIOD)
+            count, reported = self._troubles.get(what, (0, -math.inf))
+            self._troubles[what] = (count + 1, reported)
+        self._report_troubles(now - NOTICE_PERIOD)
 
-    def _tell_troubles(self, told_before: float) -> None:
+    def _report_troubles(self, reported_before: float) -> None:
         with self._arrival:
-            for what, (count, told) in self._troubles.items():
-                if count and told <= told_before:
-                    self._tell("warning", f"{count} {what}")
+            for what, (count, reported) in self._troubles.items():
+                if count and reported <= reported_before:
+                    self._report("warning", f"{count} {what}")
                     self._troubles[what] = (0, self._clock.now())
 
-    def _tell(self, level: Level, message: str) -> None:
+    def _report(self, level: Level, message: str) -> None:
         self._notices.append(Notice(math.nan, level, message))
 
     def _fail(self, message: str, hint: str) -> None:
@@ -377,7 +374,7 @@ def _prepare_socket(bus: can.BusABC) -> None:
 
 
 def _keep_quiet() -> None:
-    """What python-can and canopen log is told by our errors and notices; without a handler it goes to the terminal."""
+    """Silence the logs of python-can and canopen: errors and notices say the same."""
     for name in ("can", "canopen"):
         logger = logging.getLogger(name)
         if not logger.handlers:

@@ -1,1 +1,1 @@
-"""Arms on a CAN bus of their maker's own making: what each frame holds is told by a table or a DBC file."""
+"""Arms on a CAN bus with a proprietary protocol, described by a signal table or a DBC file."""

@@ -1,4 +1,4 @@
-"""The driver of arms whose CAN frames are told by a table or a DBC file."""
+"""The driver of arms whose CAN frames are described by a signal table or a DBC file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import can
 
-from drivers.base import DriverSettings, Notice, State, require_state
+from drivers.base import DriverSettings, Notice, State, drained, require_state
 from drivers.can.bus import Receiver, Sender, close_bus, open_bus
 from drivers.can_signals.motion import Commander
 from drivers.can_signals.polling import Poller
@@ -37,7 +37,7 @@ GAP_PERIODS = 2.5
 
 
 class CanFramesDriver:
-    """An arm on a CAN bus of its maker's own making; implements `drivers.base.Driver`.
+    """An arm on a CAN bus with a proprietary protocol; implements `drivers.base.Driver`.
 
     Args:
         settings: joints, the connection's keys (see `drivers.can_signals.settings.CanFramesSettings`), the gains,
@@ -82,10 +82,10 @@ class CanFramesDriver:
             if settings.poll is not None:
                 self._poller = Poller(self._sender, settings.poll, self._clock)
                 self._poller.start()
-            told = hear_all(settings, self._receiver, self._clock)
-            self._streams.joints.expect(told, 1.0 / settings.rate, self._streams.clock)
-            if told.first and settings.cycle is None:
-                label = settings.parts("joints")[told.first].label
+            order = hear_all(settings, self._receiver, self._clock)
+            self._streams.joints.expect(order, 1.0 / settings.rate, self._streams.clock)
+            if order.first and settings.cycle is None:
+                label = settings.frame_layouts("joints")[order.first].label
                 said = f"a cycle begins with {label}: before it is the longest pause"
                 self._notices.append(Notice(math.nan, "info", said))
         except ConnectionLostError as error:
@@ -142,11 +142,9 @@ class CanFramesDriver:
                 return blocks
 
     def notices(self) -> Sequence[Notice]:
-        """What there was to tell since the last call: faults of the arm, lost frames, errors of the bus."""
-        found = list(self._receiver.notices()) if self._receiver is not None else []
-        while self._notices:
-            found.append(self._notices.popleft())
-        return found
+        """Notices since the last call: faults of the arm, lost frames, errors of the bus."""
+        of_bus = self._receiver.notices() if self._receiver is not None else []
+        return of_bus + drained(self._notices)
 
     def command(self, position: FloatArray) -> None:
         """Send a joint position (n,) [rad] to be reached within one period; the first enables the drives before.
@@ -199,9 +197,9 @@ class CanFramesDriver:
             return "no poll was sent: this computer was late"
         since = receiver.drained - 0.5 * limit
         silent = [
-            part.label
-            for part in self._settings.parts("joints")
-            if receiver.latest.get(part.identifier, (-math.inf,))[0] < since
+            layout.label
+            for layout in self._settings.frame_layouts("joints")
+            if receiver.latest.get(layout.identifier, (-math.inf,))[0] < since
         ]
         return f"no {', '.join(silent)}" if silent else ""
 
@@ -272,7 +270,7 @@ class CanFramesDriver:
         if self._poller is not None:
             self._poller.stop()
         if self._receiver is not None:
-            self._receiver.tell_rest()
+            self._receiver.report_rest()
             self._notices.extend(self._receiver.notices())
             self._receiver.stop()
         if self._bus is not None:

@@ -38,7 +38,7 @@ class Troubles:
         self._notices = notices
         self._clock = clock
         self._counts: dict[str, int] = {}
-        self._told = -math.inf
+        self._reported = -math.inf
         self._lacked: Counter[str] = Counter()
 
     def forget(self) -> None:
@@ -54,11 +54,11 @@ class Troubles:
         if rows.missing:
             self.missing = rows.missing[0].label
         if rows.incomplete and essential:
-            self._lacked[self.missing or "a further part"] += rows.incomplete
+            self._lacked[self.missing or "another frame"] += rows.incomplete
         self._count("incomplete row(s)", rows.incomplete)
         self._count("frame(s) that came twice", rows.duplicates)
         self._count("frame(s) too short for the table", rows.short)
-        self._tell()
+        self._report()
 
     def note_clock(self, repeated: int, restarted: int) -> None:
         """Note rows whose time or counter was not new, and jumps of it."""
@@ -69,15 +69,15 @@ class Troubles:
         if more:
             self._counts[what] = self._counts.get(what, 0) + more
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         now = self._clock.now()
-        if not self._counts or now - self._told < NOTICE_PERIOD:
+        if not self._counts or now - self._reported < NOTICE_PERIOD:
             return
         for what, count in self._counts.items():
             lacked = f"; the last lacked {self.missing}" if what.startswith("incomplete") and self.missing else ""
             self._notices.append(Notice(math.nan, "warning", f"{count} {what}{lacked}"))
         self._counts.clear()
-        self._told = now
+        self._reported = now
 
 
 class FaultWatch:
@@ -141,13 +141,13 @@ class RateWatch:
         elapsed = float(host_time[-1]) - self._begun
         if elapsed < RATE_TIME or self._count < RATE_TIME:
             return
-        found = self._count / elapsed
+        rate = self._count / elapsed
         self._begun, self._count = float(host_time[-1]), 0
-        if abs(found / self._rate - 1.0) <= RATE_TOLERANCE:
+        if abs(rate / self._rate - 1.0) <= RATE_TOLERANCE:
             self._judged = True
             return
         self._wrong += 1
         if self._wrong == RATE_TIMES:
             self._judged = True
-            message = f"cycles come at {found:.4g} Hz, but the robot file says {self._rate:g} Hz; correct its 'rate'"
+            message = f"cycles come at {rate:.4g} Hz, but the robot file says {self._rate:g} Hz; correct its 'rate'"
             self._notices.append(Notice(math.nan, "warning", message))

@@ -20,7 +20,7 @@ class Commander:
 
     def __init__(self, table: CommandTable, joints: Sequence[str]) -> None:
         self._table = table
-        self._number = {joint: number for number, joint in enumerate(joints)}
+        self._index = {joint: index for index, joint in enumerate(joints)}
         self._count = 0
 
     def frames(self, position: FloatArray) -> list[tuple[int, bytes]]:
@@ -30,18 +30,18 @@ class Commander:
             DriverStateError: a joint's position does not fit into its bits.
         """
         frames = []
-        for part in self._table.parts:
-            values = [self._value(signal, position) for signal in part.signals]
+        for layout in self._table.layouts:
+            values = [self._value(signal, position) for signal in layout.signals]
             try:
-                data = encode(part, values, self._table.templates.get(part.identifier, b""))
+                data = encode(layout, values, self._table.templates.get(layout.identifier, b""))
             except ValueError as error:
                 raise DriverStateError(str(error), hint="the command table cannot express this motion") from error
-            frames.append((part.identifier, data))
+            frames.append((layout.identifier, data))
         self._count += 1
         return frames
 
     def _value(self, signal: Signal, position: FloatArray) -> float:
         if signal.quantity == "position":
-            return float(position[self._number[signal.joint]])
+            return float(position[self._index[signal.joint]])
         low, high = signal.field.range
         return signal.gain * (low + self._count % (high - low + 1.0)) + signal.bias

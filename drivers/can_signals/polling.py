@@ -42,10 +42,10 @@ class PollAnswers:
         self._least = min(self._least, self._missing)
         if now - self._since < ANSWER_LIMIT:
             return 0
-        found, self._since = self._least, now
-        self._missing -= found  # less than nothing: more answers than polls, which are no loss
+        lost, self._since = self._least, now
+        self._missing -= lost  # less than nothing: more answers than polls, which are no loss
         self._least = self._missing
-        return max(0, found)
+        return max(0, lost)
 
 
 class Poller:
@@ -101,5 +101,5 @@ class Poller:
             except ConnectionLostError as error:
                 self.failure = error
                 return
-            # After a stall the schedule goes on from now: a burst of polls would be answered by nobody.
+            # After a stall the schedule goes on from now: a burst of polls would stay without answers.
             due = max(due + self.period, self._clock.now() - self.period)

@@ -19,7 +19,7 @@ from drivers.can_signals.table.signal_keys import (
     entries_named_by_rule,
     require_no_overlap,
 )
-from drivers.can_signals.table.signals import FixedFrame, Part, Signal, identifier_text, parts_of
+from drivers.can_signals.table.signals import FixedFrame, FrameLayout, Signal, frame_layouts, identifier_text
 from drivers.config import ConnectionSettings, Entries, Text, read_settings, refused
 from drivers.errors import UsageError
 
@@ -156,17 +156,17 @@ class CommandTable:
     """How joint positions become frames.
 
     Attributes:
-        parts: one frame each; quantities `position` (one a joint) and `counter` (of the commands).
+        layouts: one frame each; quantities `position` (one a joint) and `counter` (of the commands).
         templates: identifier → the frame's other bits and its length.
     """
 
-    parts: tuple[Part, ...]
+    layouts: tuple[FrameLayout, ...]
     templates: Mapping[int, bytes]
 
 
 @dataclass(frozen=True)
 class CanFramesSettings:
-    """An arm whose frames are told by a table.
+    """An arm whose frames are described by a table.
 
     Attributes:
         interface, channel, bitrate, options: see `drivers.can.bus.open_bus`.
@@ -208,9 +208,9 @@ class CanFramesSettings:
         """Names of the streams, `joints` first."""
         return tuple(dict.fromkeys(("joints", *(signal.stream for signal in self.signals))))
 
-    def parts(self, stream: str) -> tuple[Part, ...]:
+    def frame_layouts(self, stream: str) -> tuple[FrameLayout, ...]:
         """What comes together, of one stream."""
-        return parts_of([signal for signal in self.signals if signal.stream == stream])
+        return frame_layouts([signal for signal in self.signals if signal.stream == stream])
 
 
 def parse_settings(
@@ -270,7 +270,7 @@ def _dbc(path: object, folder: Path | None) -> Dbc | None:
 def _command(keys: CommandKeys) -> CommandTable:
     frames = _frames(keys.frames)
     return CommandTable(
-        parts_of([entry.signal for entry in keys.signals]), {frame.identifier: frame.data for frame in frames}
+        frame_layouts([entry.signal for entry in keys.signals]), {frame.identifier: frame.data for frame in frames}
     )
 
 

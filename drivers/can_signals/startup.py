@@ -1,4 +1,4 @@
-"""What an opening waits for: that every part of the joints is heard, and which of them begins a cycle."""
+"""What an opening waits for: that every frame of the joints is heard, and which of them begins a cycle."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from drivers.errors import ConnectionFailedError
 
 
 def hear_all(settings: CanFramesSettings, receiver: Receiver, clock: Clock = SYSTEM_CLOCK) -> Order:
-    """Wait until every part of the joints has come, and see which begins a cycle.
+    """Wait until every frame of the joints has come, and see which begins a cycle.
 
     Raises:
         ConnectionFailedError: names what did not come.
         ConnectionLostError: the adapter is gone.
     """
-    parts, marker = settings.parts("joints"), settings.cycle
-    order = CycleOrder(parts)
+    layouts, marker = settings.frame_layouts("joints"), settings.cycle
+    order = CycleOrder(layouts)
     end = clock.now() + settings.timeout
     heard: set[int] = set()
     while not order.enough or (marker is not None and marker not in heard):
         if (left := end - clock.now()) <= 0:
             break
-        frames = receiver.take(left, at_least=len(parts))
+        frames = receiver.take(left, at_least=len(layouts))
         heard.update(identifier for _, identifier, _ in frames)
         order.take(frames)
-    missing = [part.label for part in order.never_seen()]
+    missing = [layout.label for layout in order.never_seen()]
     if marker is not None and marker not in heard:
         missing.append(f"frame {identifier_text(marker)} that begins a cycle")
     if missing:
@@ -38,4 +38,4 @@ def hear_all(settings: CanFramesSettings, receiver: Receiver, clock: Clock = SYS
             where=f"{settings.interface} {settings.channel}",
             hint="is the arm on, and are bit rate, identifiers, lengths and 'poll' right?",
         )
-    return order.told()
+    return order.result()

@@ -53,7 +53,9 @@ class FrameStreams:
         self._settings, self._joints, self._gains = settings, tuple(joints), tuple(gains)
         self._coupling = coupling
         self._assemblers = {
-            name: Assembler(settings.parts(name), settings.cycle if name == "joints" else None, 0.5 / settings.rate)
+            name: Assembler(
+                settings.frame_layouts(name), settings.cycle if name == "joints" else None, 0.5 / settings.rate
+            )
             for name in settings.streams
         }
         self.joints = self._assemblers["joints"]
@@ -126,14 +128,14 @@ class FrameStreams:
 
     def _columns(self, assembler: Assembler) -> dict[str, list[int]]:
         """Quantity → columns of the assembler's values in the joints' order."""
-        found: dict[str, list[int]] = {}
+        columns: dict[str, list[int]] = {}
         for index, signal in enumerate(assembler.signals):
             if signal.quantity not in WHOLE_ARM:
-                found.setdefault(signal.quantity, []).append(index)
-        order = {joint: number for number, joint in enumerate(self._joints)}
-        for members in found.values():
+                columns.setdefault(signal.quantity, []).append(index)
+        order = {joint: index for index, joint in enumerate(self._joints)}
+        for members in columns.values():
             members.sort(key=lambda index: order[assembler.signals[index].joint])
-        return found
+        return columns
 
     def _description(self, stream: str, quantity: str) -> str:
         what = f"{quantity} as the arm's CAN frames say it"
@@ -147,10 +149,10 @@ class FrameStreams:
         self._lost += rows.incomplete if self.clock is None else 0
         values, host_time, times = rows.values, rows.host_time, rows.host_time
         if self.clock is not None and self._clock_signal is not None:
-            told = self.clock.take(values[:, assembler.signals.index(self._clock_signal)], host_time)
-            values, host_time, times = values[told.kept], host_time[told.kept], told.time
-            self._lost += told.lost
-            self._troubles.note_clock(int(np.sum(~told.kept)), told.restarted)
+            stamped = self.clock.take(values[:, assembler.signals.index(self._clock_signal)], host_time)
+            values, host_time, times = values[stamped.kept], host_time[stamped.kept], stamped.time
+            self._lost += stamped.lost
+            self._troubles.note_clock(int(np.sum(~stamped.kept)), stamped.restarted)
         elif poller is not None:
             self._lost += self._answers.unanswered(poller, rows)
         if not len(times):

@@ -14,7 +14,7 @@ from dataclasses import replace
 import can
 import numpy as np
 
-from drivers.base import DriverSettings, Notice, State, require_state
+from drivers.base import DriverSettings, Notice, State, drained, require_state
 from drivers.can.bus import Receiver, Sender, close_bus, open_bus, sends_in_kernel
 from drivers.canopen402.monitor.drives import DriveWatch
 from drivers.canopen402.monitor.life_signs import LifeSigns, guard_requests, heartbeat
@@ -185,16 +185,14 @@ class Canopen402Driver:
 
     def notices(self) -> Sequence[Notice]:
         """What drives and adapter reported since the last call."""
-        found = []
-        while self._notices:
-            found.append(self._notices.popleft())
+        notices = drained(self._notices)
         if self._bus is not None:
-            found += self._receiver.notices()
+            notices += self._receiver.notices()
             if self._state != "closed":
-                found += self._watch.notices()
+                notices += self._watch.notices()
                 if self._poll is not None:
-                    found += self._poll.notices()
-        return found
+                    notices += self._poll.notices()
+        return notices
 
     def command(self, position: FloatArray) -> None:
         """Send a joint position (n,) [rad] to be reached within a few periods (see `TargetPath`).
@@ -249,8 +247,8 @@ class Canopen402Driver:
                     self._notices.append(Notice(math.nan, "error", f"{joint}: {said}"))
             self._motion = None
             if self._state == "running":
-                self._receiver.tell_rest()
-                self._watch.tell_alignment(self._receiver.drained)
+                self._receiver.report_rest()
+                self._watch.report_alignment(self._receiver.drained)
                 self._watch.stop()
                 if self._poll is not None:
                     self._poll.stop()
@@ -383,7 +381,7 @@ class Canopen402Driver:
         asked_for = (self._sync.count - self._asked) * period  # a computer that was late itself has not asked
         if silent_for <= limit or asked_for <= 0.5 * limit:
             return
-        self._watch.tell_alignment(self._receiver.drained)
+        self._watch.report_alignment(self._receiver.drained)
         who = self._silence.who(self._receiver.drained - limit)[0] or "some drive to every SYNC"
         raise ConnectionLostError(
             f"no complete sample for {silent_for:.1f} s: no answer of {who}",

@@ -15,7 +15,7 @@ def connect_tcp(host: str, port: int, timeout: float) -> socket.socket:
     """A TCP connection that sends at once and holds seconds of samples for a reader that is late.
 
     Raises:
-        OSError: nobody answers within `timeout` [s].
+        OSError: no answer within `timeout` [s].
         UnicodeError: the host is no name.
     """
     connection = socket.create_connection((host, port), timeout=timeout)

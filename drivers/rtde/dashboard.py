@@ -1,4 +1,4 @@
-"""The controller's dashboard (port 29999), as far as it can end a program that nobody else can end any more."""
+"""The controller's dashboard (port 29999), as far as it can end a program that ended its connection."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from drivers.base import DriverSettings, Notice, State, require_state
+from drivers.base import DriverSettings, Notice, State, drained, require_state
 from drivers.errors import DriverStateError, UsageError
 from drivers.first_step import check_first_step, finite_position
 from drivers.gains import gives_torque, joint_torque, torque_channel
@@ -147,7 +147,7 @@ class RtdeDriver:
         """Connect and agree on what will be delivered, within the connection's `timeout`.
 
         Raises:
-            ConnectionFailedError: nobody answers, or somebody else does.
+            ConnectionFailedError: no answer, or not from the expected device.
             UsageError: the controller does not reach the connection's `rate`.
             DriverStateError: it is open already.
         """
@@ -233,10 +233,7 @@ class RtdeDriver:
 
     def notices(self) -> Sequence[Notice]:
         """What the controller reported since the last call: modes, messages, refused variables, reconnections."""
-        found = self._receiver.notices()
-        while self._notices:
-            found.append(self._notices.popleft())
-        return found
+        return self._receiver.notices() + drained(self._notices)
 
     def command(self, position: FloatArray) -> None:
         """Send a joint position (6,) [rad] to be reached within one period.

@@ -2,8 +2,8 @@
 
 ur_rtde's constructors hold the interpreter's lock, and against a silent controller they hang for ever; in the process
 that records, either would cost samples. A position crosses a pipe, the newest one wins. The process stops the arm when
-it is told to, when its parent dies or falls silent, and when the controller refuses a command. Where the process itself
-is gone, or the network, the controller's watchdog ends the program.
+asked to, when its parent dies or falls silent, and when the controller refuses a command. Where the process itself is
+gone, or the network, the controller's watchdog ends the program.
 
 What both ends do is written against a pipe and a worker, whatever they are: two processes in production, whose waits on
 each other are the operating system's.
@@ -90,7 +90,7 @@ class Pipe(Protocol):
 
 
 class Worker(Protocol):
-    """What moves the arm beside the recording, under the names of `multiprocessing.Process`."""
+    """The process that moves the arm, under the names of `multiprocessing.Process`."""
 
     @property
     def pid(self) -> int | None: ...  # noqa: D102
@@ -224,7 +224,7 @@ class MotionProcess:
 
 
 def _run(pipe: Pipe, factory: ControlFactory, host: str, rate: float, timeout: float) -> None:
-    # Both may reach the whole process group; the parent must decide, or nobody would stop the arm in order.
+    # Both may reach the whole process group; the parent must decide, or the arm would not be stopped in order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     _keep_standard_output_clean()
@@ -271,7 +271,7 @@ def obey(pipe: Pipe, factory: ControlFactory, host: str, rate: float, taken: Cal
 
 
 def _follow(pipe: Pipe, control: Control, period: float) -> bytes | None:
-    """Pass commands on until told to stop (None) or something is wrong (what)."""
+    """Pass commands on until asked to stop (None) or something is wrong (what)."""
     while True:
         if not pipe.poll(SILENCE_LIMIT):
             return f"no command for {SILENCE_LIMIT:g} s".encode()
@@ -310,7 +310,7 @@ def _halt(control: Control) -> bool:
 
 def _keep_standard_output_clean() -> None:
     """What ur_rtde prints goes to standard error: standard output belongs to the command, which may print JSON."""
-    with contextlib.suppress(OSError):  # nobody listens there
+    with contextlib.suppress(OSError):  # no such port
         os.dup2(2, 1)
 
 

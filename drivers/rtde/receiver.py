@@ -19,7 +19,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from drivers.base import Level, Notice
+from drivers.base import Level, Notice, drained
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError, ConnectionLostError, UsageError
 from drivers.rtde import protocol as wire
@@ -124,7 +124,7 @@ class RtdeReceiver:
         """Connect and agree on a recipe, within the time limit.
 
         Raises:
-            ConnectionFailedError: nobody answers, somebody else does, or a required variable is refused.
+            ConnectionFailedError: no answer, not from a UR controller, or a required variable is refused.
             UsageError: the controller does not reach the rate.
         """
         self.close()
@@ -182,7 +182,7 @@ class RtdeReceiver:
             failure = self._failure
             repeated, self._repeated = self._repeated, 0
         if repeated:
-            self._tell("warning", f"{repeated} repeated data package(s) left out")
+            self._report("warning", f"{repeated} repeated data package(s) left out")
         if not batch:
             if failure is not None:
                 raise ConnectionLostError(failure[0], where=self.where, hint=failure[1])
@@ -192,11 +192,8 @@ class RtdeReceiver:
         return Samples(rows, host_time, self._count_lost(rows[TIMESTAMP]))
 
     def notices(self) -> list[Notice]:
-        """What there was to tell since the last call."""
-        notices = []
-        while self._notices:
-            notices.append(self._notices.popleft())
-        return notices
+        """Notices since the last call."""
+        return drained(self._notices)
 
     def pause(self) -> None:
         """End the flow of data packages; a controller that does not answer is disconnected."""
@@ -225,7 +222,7 @@ class RtdeReceiver:
             self.close()
             raise ConnectionFailedError("after reconnecting, the controller offers other variables", where=self.where)
         self.start()
-        self._tell("warning", f"connected again to {self.where}")
+        self._report("warning", f"connected again to {self.where}")
 
     def close(self) -> None:
         """Disconnect; safe at any time."""
@@ -287,7 +284,7 @@ class RtdeReceiver:
                 "recorded"
             )
         for name, reason in refused.items():
-            self._tell("info", f"the controller does not deliver {name} ({reason}); it is left out")
+            self._report("info", f"the controller does not deliver {name} ({reason}); it is left out")
 
     def _ask_recipe(self, variables: tuple[str, ...], deadline: float) -> wire.RecipeAnswer:
         return self._ask(
@@ -307,7 +304,7 @@ class RtdeReceiver:
                 if package.kind == kind:
                     return decode(package.payload)
                 if package.kind == wire.TEXT_MESSAGE:
-                    self._tell_text(package.payload)
+                    self._report_text(package.payload)
             chunk = self._wait_for_bytes(self._socket, deadline)
             if not chunk:
                 raise ConnectionLostError("the other end closed the connection instead of answering")
@@ -317,7 +314,7 @@ class RtdeReceiver:
                 self._early.extend(self._splitter.feed(chunk))
             except ConnectionLostError:
                 if all(package.kind != kind for package in self._early):
-                    raise  # otherwise the answer counts, and whoever reads on meets the fault
+                    raise  # otherwise the answer counts, and the error surfaces on the next read
 
     def _wait_for_bytes(self, connection: socket.socket, deadline: float) -> bytes:
         """What has come, nothing where the other end has closed; TimeoutError where nothing comes until `deadline`."""
@@ -357,7 +354,7 @@ class RtdeReceiver:
             arrived = self._clock.now()
             if not chunk:
                 return ("the controller closed the connection", "")
-            # All at once: whoever takes the first samples after a stall must not mistake it for silence of the rest.
+            # All at once: the first samples after a stall must not look like silence of the rest.
             with self._arrival:
                 self._arrival.notify_all()
                 for package in self._splitter.feed(chunk):
@@ -374,7 +371,7 @@ class RtdeReceiver:
         if package.kind == wire.PAUSE and self._pausing:
             return None
         if package.kind == wire.TEXT_MESSAGE:
-            self._tell_text(package.payload)
+            self._report_text(package.payload)
             return False
         raw = package.raw
         if package.kind != wire.DATA_PACKAGE or len(raw) != self.recipe.dtype.itemsize or raw[3] != self.recipe.number:
@@ -389,7 +386,7 @@ class RtdeReceiver:
         if len(self._ring) >= BUFFER_SECONDS * self.rate:
             self._ring.popleft()
             if not self.overflow:
-                self._tell("warning", f"not read for {BUFFER_SECONDS:g} s: the oldest samples are dropped")
+                self._report("warning", f"not read for {BUFFER_SECONDS:g} s: the oldest samples are dropped")
             self.overflow += 1
         self._ring.append((raw, arrived))
         return True
@@ -397,15 +394,15 @@ class RtdeReceiver:
     def _count_lost(self, clock: FloatArray) -> int:
         before, self._last_taken = self._last_taken, float(clock[-1])
         if clock[0] < before:
-            self._tell("warning", "the controller's clock started again; what was lost in between is unknown")
+            self._report("warning", "the controller's clock started again; what was lost in between is unknown")
             before = math.nan
         steps = np.diff(clock, prepend=clock[:1] if math.isnan(before) else before)
         return int(np.maximum(np.rint(steps * self.rate) - 1, 0).sum())
 
-    def _tell_text(self, payload: bytes) -> None:
+    def _report_text(self, payload: bytes) -> None:
         message = wire.decode_text_message(payload)
         level: Level = "info" if message.level == "info" else "warning" if message.level == "warning" else "error"
-        self._tell(level, f"{message.source}: {message.text}" if message.source else message.text)
+        self._report(level, f"{message.source}: {message.text}" if message.source else message.text)
 
-    def _tell(self, level: Level, message: str) -> None:
+    def _report(self, level: Level, message: str) -> None:
         self._notices.append(Notice(math.nan, level, message))

@@ -22,8 +22,8 @@ from drivers.streams import Batch, ChannelLayout, FloatArray, StreamLayout
 STREAM = "thermometer"
 SILENT_PERIODS = 5.0
 SILENT_FLOOR = 0.2
-"""Without a temperature for so many periods, and for this long [s], the thermometer counts as silent; below, nobody can
-tell that from a computer that was busy itself."""
+"""Without a temperature for so many periods, and for this long [s], the thermometer counts as silent; a shorter
+silence may be that of a busy computer."""
 ROW_PATIENCE = 0.05
 """How long [s] an unfinished row waits for its other joints, or one period where that is longer."""
 NOTICE_PERIOD = 10.0
@@ -56,10 +56,10 @@ class SerialThermometerDriver:
         self._heard = self._opened = math.nan
         self._silent = False
         self._lost_since: float | None = None
-        self._told_gone = math.nan
-        self._told_rejected = -math.inf
-        self._told_unknown: set[str] = set()
-        self._dropped = self._told_dropped = 0
+        self._reported_gone = math.nan
+        self._reported_rejected = -math.inf
+        self._reported_unknown: set[str] = set()
+        self._dropped = self._reported_dropped = 0
 
     def open(self) -> None:
         """Open the port and wait for a first temperature, within the connection's `timeout`.
@@ -142,10 +142,10 @@ class SerialThermometerDriver:
         return (Batch(STREAM, stamps, stamps.copy(), values),)
 
     def notices(self) -> Sequence[Notice]:
-        """What there was to tell since the last call: loss and return of the port, silence, lines that were ignored."""
-        found = list(self._notices)
+        """Notices since the last call: loss and return of the port, silence, lines that were ignored."""
+        notices = list(self._notices)
         self._notices.clear()
-        return found
+        return notices
 
     def command(self, position: FloatArray) -> None:
         """Refuse: a thermometer moves nothing.
@@ -161,7 +161,7 @@ class SerialThermometerDriver:
         """End the samples; safe in every state, never raises."""
         if self._state == "running":
             self._state = "open"
-            self._tell_rejected(self._clock.now(), at_once=True)
+            self._report_rejected(self._clock.now(), at_once=True)
 
     def close(self) -> None:
         """Let go of the port; safe in every state."""
@@ -201,51 +201,55 @@ class SerialThermometerDriver:
 
     def _hear(self, when: float) -> None:
         if self._silent:
-            self._tell("info", f"speaks again after {when - self._heard:.1f} s", when)
+            self._report("info", f"speaks again after {when - self._heard:.1f} s", when)
         self._heard, self._silent = when, False
 
     def _lose(self, lost: Lost) -> None:
         self._parser.restart(cut=True)
-        self._lost_since = self._told_gone = lost.time
-        self._tell(self._loss_level, f"the port has gone: {lost.reason}; it is opened again when it is back", lost.time)
+        self._lost_since = self._reported_gone = lost.time
+        self._report(
+            self._loss_level, f"the port has gone: {lost.reason}; it is opened again when it is back", lost.time
+        )
 
     def _restore(self, restored: Restored) -> None:
         since = restored.time if self._lost_since is None else self._lost_since
         self._lost_since, self._opened = None, restored.time
         gone = restored.time - since
-        self._tell("info", f"the port is open again after {gone:.1f} s, attempt {restored.attempts}", restored.time)
+        self._report("info", f"the port is open again after {gone:.1f} s, attempt {restored.attempts}", restored.time)
 
     def _watch(self, now: float, read_until: float) -> None:
         if self._lost_since is not None:
-            if now - self._told_gone >= STILL_GONE_PERIOD:
-                self._told_gone = now
+            if now - self._reported_gone >= STILL_GONE_PERIOD:
+                self._reported_gone = now
                 gone = now - self._lost_since
-                self._tell("warning", f"the port is still gone after {gone:.0f} s, {self._port.attempts} attempts", now)
+                self._report(
+                    "warning", f"the port is still gone after {gone:.0f} s, {self._port.attempts} attempts", now
+                )
         elif not self._silent and read_until - max(self._heard, self._opened) > self._silent_after:
             # Not `now`: where this computer was stalled, the port's thread may not have had its turn since.
             self._silent = True
-            self._tell(self._loss_level, f"no temperature for {read_until - self._heard:.2f} s", now)
-        self._tell_rejected(now, at_once=False)
+            self._report(self._loss_level, f"no temperature for {read_until - self._heard:.2f} s", now)
+        self._report_rejected(now, at_once=False)
 
-    def _tell_rejected(self, now: float, *, at_once: bool) -> None:
-        if not at_once and now - self._told_rejected < NOTICE_PERIOD:
+    def _report_rejected(self, now: float, *, at_once: bool) -> None:
+        if not at_once and now - self._reported_rejected < NOTICE_PERIOD:
             return
         texts = [self._parser.take_rejected()]
-        if new := self._parser.unknown - self._told_unknown:
-            self._told_unknown |= new
+        if new := self._parser.unknown - self._reported_unknown:
+            self._reported_unknown |= new
             texts.append(f"channel(s) {_list(new)} come, but 'channels' does not name them")
-        if (dropped := self._port.dropped - self._told_dropped) > 0:
-            self._told_dropped += dropped
-            texts.append(f"{dropped} characters were dropped because nobody read them")
+        if (dropped := self._port.dropped - self._reported_dropped) > 0:
+            self._reported_dropped += dropped
+            texts.append(f"{dropped} characters were dropped because they were not read")
         for text in filter(None, texts):
-            self._told_rejected = now
-            self._tell("warning", text, now)
+            self._reported_rejected = now
+            self._report("warning", text, now)
 
     @property
     def _loss_level(self) -> Level:
         return "error" if self._settings.required else "warning"
 
-    def _tell(self, level: Level, message: str, when: float) -> None:
+    def _report(self, level: Level, message: str, when: float) -> None:
         self._notices.append(Notice(when, level, message))
 
 

@@ -97,7 +97,7 @@ class LineParser:
 
     def _parse(self, line: bytes, end: int) -> list[Reading]:
         text = line.decode("ascii", "replace")
-        found: list[Reading] = []
+        readings: list[Reading] = []
         trouble = NO_MATCH
         for number, match in enumerate(self._settings.pattern.finditer(text)):
             trouble = trouble if number else ""
@@ -111,10 +111,10 @@ class LineParser:
             elif not self._settings.range[0] <= value <= self._settings.range[1]:
                 trouble = OUT_OF_RANGE
             else:
-                found.append(Reading(end, joint, value))
+                readings.append(Reading(end, joint, value))
         if trouble:
             self._reject(trouble, line)
-        return found
+        return readings
 
     def _celsius(self, written: str | None) -> float | None:
         if written is None or _NUMBER.fullmatch(written) is None:

@@ -141,10 +141,10 @@ class SerialPort:
                 if closing.is_set():
                     return
                 self._put(Lost(self._clock.now(), reason))
-                found = self._open_again(closing)
-                if found is None:
+                reopened = self._open_again(closing)
+                if reopened is None:
                     return
-                port = found
+                port = reopened
         finally:
             with contextlib.suppress(Exception):
                 port.close()

@@ -16,7 +16,7 @@ from daq.robot.schema import JointLimits
 from drivers.can.bus import EXTENDED
 from drivers.can_signals.settings import CanFramesSettings
 from drivers.can_signals.table.signal_keys import WHOLE_ARM
-from drivers.can_signals.table.signals import FixedFrame, Part, Signal, batches, decode, encode, parts_of
+from drivers.can_signals.table.signals import FixedFrame, FrameLayout, Signal, batches, decode, encode, frame_layouts
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from sim_drivers.can.bus_load import Frame
@@ -79,9 +79,9 @@ class TableArm:
         self._names = [joint.name for joint in joints]
         self._lower, self._upper = np.array([joint.position for joint in joints], dtype=np.float64).T
         self._speed = np.array([joint.velocity for joint in joints], dtype=np.float64)
-        parts = parts_of(settings.signals)
-        self._slow = [part for part in parts if all(signal.quantity in SLOW for signal in part.signals)]
-        self._fast = [part for part in parts if part not in self._slow]
+        layouts = frame_layouts(settings.signals)
+        self._slow = [layout for layout in layouts if all(signal.quantity in SLOW for signal in layout.signals)]
+        self._fast = [layout for layout in layouts if layout not in self._slow]
         self._faults = np.zeros(len(joints))
         self._cycles = 0
         self._commanded: dict[int, FloatArray] = {}
@@ -113,12 +113,12 @@ class TableArm:
         measured = self.arm.measure()
         marker = self._settings.cycle
         frames = [] if marker is None else [_frame(marker, b"")]
-        parts = list(self._fast)
+        layouts = list(self._fast)
         if self._slow:
-            parts.append(self._slow[self._cycles % len(self._slow)])
+            layouts.append(self._slow[self._cycles % len(self._slow)])
         frames += [
-            _frame(part.identifier, encode(part, [self._value(signal, measured) for signal in part.signals]))
-            for part in parts
+            _frame(layout.identifier, encode(layout, [self._value(signal, measured) for signal in layout.signals]))
+            for layout in layouts
         ]
         self._cycles += 1
         return frames
@@ -150,14 +150,14 @@ class TableArm:
         if table is None:
             return
         grouped = dict(batches([(0.0, identifier, data)]))
-        for index, part in enumerate(table.parts):
-            if part.identifier != identifier:
+        for index, layout in enumerate(table.layouts):
+            if layout.identifier != identifier:
                 continue
-            _, values, _ = decode(part, grouped[identifier])
+            _, values, _ = decode(layout, grouped[identifier])
             if len(values):
                 self._commanded[index] = values[0]
-        if len(self._commanded) == len(table.parts):
-            self._follow(table.parts, late)
+        if len(self._commanded) == len(table.layouts):
+            self._follow(table.layouts, late)
 
     def fail(self, joint: int, reason: int = FAULT_REQUESTED) -> None:
         """Let a joint fall into fault: the arm halts and is enabled no more until it is started anew."""
@@ -178,10 +178,10 @@ class TableArm:
         self._periods_left = np.full(len(self._goal), 1.0 + EXTRAPOLATED_CYCLES)
         self._axes = tuple(CyclicPosition(AxisReference(start), self._time - self._ahead) for start in self._goal)
 
-    def _follow(self, parts: Sequence[Part], late: float) -> None:
+    def _follow(self, layouts: Sequence[FrameLayout], late: float) -> None:
         goal = np.full(len(self._names), np.nan)
-        for index, part in enumerate(parts):
-            for signal, value in zip(part.signals, self._commanded[index], strict=True):
+        for index, layout in enumerate(layouts):
+            for signal, value in zip(layout.signals, self._commanded[index], strict=True):
                 if signal.quantity == "position":
                     goal[self._names.index(signal.joint)] = value
         self._commanded.clear()

@@ -41,8 +41,8 @@ def with_load(robot_file: RobotFile, mass: float, com: Sequence[float], inertia:
     total = link.mass + mass
     centre = (masses[0] * centres[0] + masses[1] * centres[1]) / total
     tensor = sum(
-        _tensor(about) + part * (float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
-        for part, about, offset in zip(
+        _tensor(about) + mass_of_body * (float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
+        for mass_of_body, about, offset in zip(
             masses, (link.inertia, inertia), [other - centre for other in centres], strict=True
         )
     )

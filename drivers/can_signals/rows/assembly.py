@@ -17,7 +17,7 @@ from drivers.can.bus import Frame
 from drivers.can_signals.rows.cycle_order import Order
 from drivers.can_signals.rows.sample_clock import SourceClock
 from drivers.can_signals.table.signal_keys import WHOLE_ARM
-from drivers.can_signals.table.signals import Batch, Part, Signal, decode
+from drivers.can_signals.table.signals import FrameBatch, FrameLayout, Signal, decode
 from drivers.streams import FloatArray
 
 LATE, SHORT = 0.75, 0.6
@@ -33,7 +33,7 @@ class Rows:
         host_time: (N,) arrival of the cycle's first frame [s, the host's monotonic clock].
         values: (N, k), a column for each of the assembler's signals.
         incomplete: cycles in which a frame was missing.
-        missing: parts that the last of these lacked.
+        missing: layouts that the last of these lacked.
         duplicates: frames that came twice.
         short: frames with too few data bytes.
     """
@@ -41,19 +41,19 @@ class Rows:
     host_time: FloatArray
     values: FloatArray
     incomplete: int = 0
-    missing: tuple[Part, ...] = ()
+    missing: tuple[FrameLayout, ...] = ()
     duplicates: int = 0
     short: int = 0
 
 
 @dataclass
-class Found:
+class Assembled:
     """What some frames have brought so far; see `Rows`."""
 
     times: list[float] = field(default_factory=list)
     rows: list[FloatArray] = field(default_factory=list)
     incomplete: int = 0
-    missing: tuple[Part, ...] = ()
+    missing: tuple[FrameLayout, ...] = ()
     duplicates: int = 0
 
 
@@ -61,18 +61,18 @@ class Assembler:
     """Puts the rows of one stream together.
 
     Args:
-        parts: of the stream; the first begins a cycle where there is no `marker`, until an order is expected.
-        marker: identifier of a frame that begins a cycle and holds none of the parts; None where there is none.
+        layouts: of the stream; the first begins a cycle where there is no `marker`, until an order is expected.
+        marker: identifier of a frame that begins a cycle and holds none of the layouts; None where there is none.
         repeat_window: a frame that comes again within so many seconds, as the next of its stream and with the same
             data, is the same one twice, as CAN allows after an error in the last bit. Not looked for where each cycle
             is one frame.
     """
 
-    def __init__(self, parts: Sequence[Part], marker: int | None, repeat_window: float) -> None:
-        self._parts = tuple(parts)
+    def __init__(self, layouts: Sequence[FrameLayout], marker: int | None, repeat_window: float) -> None:
+        self._layouts = tuple(layouts)
         self._marker = marker
-        self._repeat_window = repeat_window if len(parts) > 1 else 0.0
-        self.signals: tuple[Signal, ...] = tuple(signal for part in parts for signal in part.signals)
+        self._repeat_window = repeat_window if len(layouts) > 1 else 0.0
+        self.signals: tuple[Signal, ...] = tuple(signal for layout in layouts for signal in layout.signals)
         self.first = 0
         self._longest = self._short_pause = math.inf
         self._rank: dict[int, int] = {}
@@ -92,8 +92,8 @@ class Assembler:
         if pause > 0.0:
             self._longest, self._short_pause = order.span + LATE * pause, SHORT * pause
         if order.sequence is not None:
-            self._rank = {number: rank for rank, number in enumerate(order.sequence)}
-        names = [signal.quantity for signal in self._parts[self.first].signals]
+            self._rank = {index: rank for rank, index in enumerate(order.sequence)}
+        names = [signal.quantity for signal in self._layouts[self.first].signals]
         self._clock = clock
         self._clock_column = next((names.index(name) for name in WHOLE_ARM if name in names), None)
 
@@ -112,71 +112,75 @@ class Assembler:
         """At least so many frames are missing until the next row can be given out."""
         if self._waiting is not None:
             return 1
-        return len(self._parts) - (0 if self._complete else len(self._row))
+        return len(self._layouts) - (0 if self._complete else len(self._row))
 
-    def take(self, frames: Sequence[Frame], batches: dict[int, Batch]) -> Rows:
+    def take(self, frames: Sequence[Frame], batches: dict[int, FrameBatch]) -> Rows:
         """The rows that these frames complete; `batches` are the same frames by identifier."""
         events: list[tuple[int, int, FloatArray | None]] = []
         short = 0
-        for number, part in enumerate(self._parts):
-            if (batch := batches.get(part.identifier)) is None:
+        for index, layout in enumerate(self._layouts):
+            if (batch := batches.get(layout.identifier)) is None:
                 continue
-            order, values, too_short = decode(part, batch)
+            order, values, too_short = decode(layout, batch)
             short += too_short
-            events.extend(zip(order.tolist(), [number] * len(order), values, strict=True))
+            events.extend(zip(order.tolist(), [index] * len(order), values, strict=True))
         if self._marker is not None and (batch := batches.get(self._marker)) is not None:
             events.extend((order, -1, None) for order in batch.order.tolist())
         events.sort(key=lambda event: event[0])
-        found = Found()
-        for which, number, brought in events:
+        assembled = Assembled()
+        for which, index, brought in events:
             arrived, _, data = frames[which]
             last, when, before = self._last
-            self._last = (number, arrived, data)
-            if number == last and arrived - when < self._repeat_window and data == before:
-                found.duplicates += 1
+            self._last = (index, arrived, data)
+            if index == last and arrived - when < self._repeat_window and data == before:
+                assembled.duplicates += 1
             else:
-                self._add(number, brought, arrived, found)
-        values = np.array(found.rows) if found.rows else np.empty((0, len(self.signals)))
-        return Rows(np.array(found.times), values, found.incomplete, found.missing, found.duplicates, short)
+                self._add(index, brought, arrived, assembled)
+        values = np.array(assembled.rows) if assembled.rows else np.empty((0, len(self.signals)))
+        return Rows(
+            np.array(assembled.times), values, assembled.incomplete, assembled.missing, assembled.duplicates, short
+        )
 
-    def _add(self, number: int, brought: FloatArray | None, arrived: float, found: Found) -> None:
-        first = brought is None if self._marker is not None else number == self.first
-        again = not first and number in self._row and arrived - self._first_part <= self._longest < math.inf
+    def _add(self, index: int, brought: FloatArray | None, arrived: float, assembled: Assembled) -> None:
+        first = brought is None if self._marker is not None else index == self.first
+        again = not first and index in self._row and arrived - self._first_part <= self._longest < math.inf
         if again and brought is not None and self._after_loss and self._waiting is not None:
             # What came first was what the cycle before lacked, overtaken by this one.
             begun, ended, row, _ = self._waiting
-            self._waiting = begun, ended, row | {number: brought}, False
+            self._waiting = begun, ended, row | {index: brought}, False
             return
-        if first or number in self._row:
-            self._settle(arrived, found, brought if first else None, first)
+        if first or index in self._row:
+            self._settle(arrived, assembled, brought if first else None, first)
             if not self._complete and self._synchronised:
-                found.incomplete += 1
+                assembled.incomplete += 1
                 self._after_loss = True
-                found.missing = tuple(part for index, part in enumerate(self._parts) if index not in self._row)
+                assembled.missing = tuple(
+                    layout for index, layout in enumerate(self._layouts) if index not in self._row
+                )
             self._synchronised = self._synchronised or first
             self._row, self._complete, self._begun = {}, False, arrived
         if brought is None or not self._synchronised:
             return
         if self._rank:
-            self._row = {other: row for other, row in self._row.items() if self._rank[other] < self._rank[number]}
+            self._row = {other: row for other, row in self._row.items() if self._rank[other] < self._rank[index]}
         if not self._row:
             self._first_part = arrived
             if arrived - self._begun > self._longest:
                 self._begun = arrived  # all frames behind the marker, and the next marker, were lost
-        self._row[number] = brought
-        if len(self._row) == len(self._parts):
+        self._row[index] = brought
+        if len(self._row) == len(self._layouts):
             self._complete = True
             late = arrived - self._first_part > self._longest
             if late or self._after_loss:
                 self._waiting = self._begun, arrived, self._row, late
             else:
-                self._give(self._begun, self._row, found)
+                self._give(self._begun, self._row, assembled)
 
-    def _give(self, begun: float, row: dict[int, FloatArray], found: Found) -> None:
-        found.times.append(begun)
-        found.rows.append(np.concatenate([row[index] for index in range(len(self._parts))]))
+    def _give(self, begun: float, row: dict[int, FloatArray], assembled: Assembled) -> None:
+        assembled.times.append(begun)
+        assembled.rows.append(np.concatenate([row[index] for index in range(len(self._layouts))]))
 
-    def _settle(self, arrived: float, found: Found, brought: FloatArray | None, first: bool) -> None:
+    def _settle(self, arrived: float, assembled: Assembled, brought: FloatArray | None, first: bool) -> None:
         """Give a row out, or up, that took too long or follows a loss, at the frame that begins the next cycle."""
         if self._waiting is None:
             return
@@ -190,7 +194,7 @@ class Assembler:
         else:
             whole = first and arrived - ended < self._short_pause
         if whole:
-            self._give(begun, row, found)
+            self._give(begun, row, assembled)
         else:
             # Of the two cycles that it mixes, one that is still going on is counted at its own end.
-            found.incomplete += 2 if first else 1
+            assembled.incomplete += 2 if first else 1

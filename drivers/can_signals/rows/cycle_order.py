@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.can.bus import Frame
-from drivers.can_signals.table.signals import Part, batches, decode
+from drivers.can_signals.table.signals import FrameLayout, batches, decode
 
 ENOUGH = 10
-"""Cycles from which an order is told."""
+"""Cycles after which the order is known."""
 CLEAR = 1.5
-"""How much longer than every other pause that before the first frame must be; else nobody can tell."""
+"""How much longer than every other pause that before the first frame must be; else the order is unknown."""
 
 
 STEADY = 0.9
@@ -27,9 +27,9 @@ class Order:
     """How the frames of a cycle come.
 
     Attributes:
-        first: number of the part that begins a cycle; the table's first where nobody can tell.
-        span: from the first part to the last [s]; infinite where nobody can tell.
-        sequence: numbers of the parts as they come, the first one in front; None where that changes.
+        first: index of the layout that begins a cycle; the table's first where that is unknown.
+        span: from the first layout to the last [s]; infinite where that is unknown.
+        sequence: numbers of the layouts as they come, the first one in front; None where that changes.
     """
 
     first: int
@@ -38,47 +38,47 @@ class Order:
 
 
 class CycleOrder:
-    """Watches the frames of some parts.
+    """Watches the frames of some layouts.
 
     Args:
-        parts: in the table's order.
+        layouts: in the table's order.
     """
 
-    def __init__(self, parts: Sequence[Part]) -> None:
-        self._parts = tuple(parts)
-        self._pauses: list[list[float]] = [[] for _ in parts]
-        self._followed_by: list[Counter[int]] = [Counter() for _ in parts]
+    def __init__(self, layouts: Sequence[FrameLayout]) -> None:
+        self._layouts = tuple(layouts)
+        self._pauses: list[list[float]] = [[] for _ in layouts]
+        self._followed_by: list[Counter[int]] = [Counter() for _ in layouts]
         self._last: tuple[int, float] | None = None
 
     def take(self, frames: Sequence[Frame]) -> None:
         """Look at frames in the order of their arrival."""
         grouped = batches(frames)
         events: list[tuple[int, int]] = []
-        for number, part in enumerate(self._parts):
-            if (batch := grouped.get(part.identifier)) is not None:
-                events.extend((which, number) for which in decode(part, batch)[0].tolist())
-        for which, number in sorted(events):
+        for index, layout in enumerate(self._layouts):
+            if (batch := grouped.get(layout.identifier)) is not None:
+                events.extend((which, index) for which in decode(layout, batch)[0].tolist())
+        for which, index in sorted(events):
             arrived = frames[which][0]
             if self._last is not None:
                 before, when = self._last
-                self._followed_by[before][number] += 1
-                self._pauses[number].append(arrived - when)
+                self._followed_by[before][index] += 1
+                self._pauses[index].append(arrived - when)
             else:
-                self._pauses[number].append(0.0)
-            self._last = number, arrived
+                self._pauses[index].append(0.0)
+            self._last = index, arrived
 
-    def never_seen(self) -> tuple[Part, ...]:
+    def never_seen(self) -> tuple[FrameLayout, ...]:
         """Parts of which no frame has come yet."""
-        return tuple(part for part, pauses in zip(self._parts, self._pauses, strict=True) if not pauses)
+        return tuple(layout for layout, pauses in zip(self._layouts, self._pauses, strict=True) if not pauses)
 
     @property
     def enough(self) -> bool:
-        """Whether every part has come often enough to tell their order."""
+        """Whether every frame has come often enough to know their order."""
         return all(len(pauses) > ENOUGH for pauses in self._pauses)
 
-    def told(self) -> Order:
-        """The order, as far as it can be told."""
-        if len(self._parts) == 1 or not self.enough:
+    def result(self) -> Order:
+        """The order, as far as it is known."""
+        if len(self._layouts) == 1 or not self.enough:
             return Order(0, math.inf, None)
         pauses = np.array([float(np.median(pauses[1:])) for pauses in self._pauses])
         first = int(np.argmax(pauses))
@@ -89,10 +89,10 @@ class CycleOrder:
 
     def _sequence(self, first: int) -> tuple[int, ...] | None:
         sequence = [first]
-        while len(sequence) < len(self._parts):
+        while len(sequence) < len(self._layouts):
             following = self._followed_by[sequence[-1]]
-            number, times = following.most_common(1)[0]
-            if number in sequence or times < STEADY * following.total():
+            index, times = following.most_common(1)[0]
+            if index in sequence or times < STEADY * following.total():
                 return None
-            sequence.append(number)
+            sequence.append(index)
         return tuple(sequence)

@@ -89,11 +89,11 @@ def load_dbc(path: Path) -> Dbc:
             if signal.is_multiplexer:
                 continue
             try:
-                found = _signal(message, signal, by_name)
+                converted = _signal(message, signal, by_name)
             except ValueError as error:
                 unusable[signal.name] = f"{error} (message {message.name})"
             else:
-                signals.setdefault(signal.name, []).append(found)
+                signals.setdefault(signal.name, []).append(converted)
     return Dbc(path, {name: tuple(all_of_name) for name, all_of_name in signals.items()}, unusable)
 
 

@@ -97,8 +97,8 @@ class NamedSignal(SignalKeys):
         fitting = [one for one in candidates if self.message in (None, one.message)]
         if len(fitting) != 1:
             names = ", ".join(one.message for one in candidates)
-            found = "is missing" if self.message is None else f"is {self.message!r}"
-            raise refused(f"'message' {found}", f"allowed: one of those that have '{name}': {names}")
+            given = "is missing" if self.message is None else f"is {self.message!r}"
+            raise refused(f"'message' {given}", f"allowed: one of those that have '{name}': {names}")
         return fitting[0]
 
 

@@ -78,7 +78,7 @@ class FixedFrame:
 
 
 @dataclass(frozen=True)
-class Part:
+class FrameLayout:
     """Signals of a table that come together: those of one frame, for one value of its multiplexer.
 
     Attributes:
@@ -102,18 +102,18 @@ class Part:
         return f"frame {identifier_text(self.identifier)}{which} ({', '.join(signal.label for signal in self.signals)})"
 
 
-def parts_of(signals: Sequence[Signal]) -> tuple[Part, ...]:
-    """The signals' parts, in the order in which the signals name them."""
+def frame_layouts(signals: Sequence[Signal]) -> tuple[FrameLayout, ...]:
+    """The signals' layouts, in the order in which the signals name them."""
     grouped: dict[tuple[int, int | None], list[Signal]] = {}
     for signal in signals:
         grouped.setdefault((signal.identifier, signal.selector), []).append(signal)
-    parts = []
+    layouts = []
     for (identifier, selector), members in grouped.items():
         multiplexer = next((signal.multiplexer for signal in members), None)
         fields = [signal.field for signal in members] + ([multiplexer] if multiplexer is not None else [])
         size = max(field.size for field in fields)
-        parts.append(Part(identifier, selector, multiplexer, tuple(members), size))
-    return tuple(parts)
+        layouts.append(FrameLayout(identifier, selector, multiplexer, tuple(members), size))
+    return tuple(layouts)
 
 
 def check_overlaps(signals: Sequence[Signal]) -> None:
@@ -147,7 +147,7 @@ def _place(field: BitField | None) -> frozenset[int] | None:
 
 
 @dataclass(frozen=True)
-class Batch:
+class FrameBatch:
     """Frames of one identifier.
 
     Attributes:
@@ -161,13 +161,13 @@ class Batch:
     sizes: npt.NDArray[np.int64]
 
 
-def batches(frames: Sequence[Frame]) -> Mapping[int, Batch]:
+def batches(frames: Sequence[Frame]) -> Mapping[int, FrameBatch]:
     """Frames by their identifier."""
     grouped: dict[int, list[int]] = {}
     for number, (_, identifier, _) in enumerate(frames):
         grouped.setdefault(identifier, []).append(number)
     return {
-        identifier: Batch(
+        identifier: FrameBatch(
             np.array(numbers),
             stack([frames[number][2] for number in numbers]),
             np.array([len(frames[number][2]) for number in numbers]),
@@ -176,37 +176,37 @@ def batches(frames: Sequence[Frame]) -> Mapping[int, Batch]:
     }
 
 
-def decode(part: Part, batch: Batch) -> tuple[npt.NDArray[np.int64], FloatArray, int]:
-    """What the frames of a part's identifier say about it.
+def decode(layout: FrameLayout, batch: FrameBatch) -> tuple[npt.NDArray[np.int64], FloatArray, int]:
+    """What the frames of a layout's identifier say about it.
 
     Returns:
         (M,) numbers of the frames that hold it; (M, k) values of its signals; how many frames were too short.
     """
-    held = batch.sizes >= part.size
-    if part.multiplexer is not None:
-        # A frame that is too short may not even hold its multiplexer; then nobody knows whether it is this part.
-        with_selector = batch.sizes >= part.multiplexer.size
-        chosen = part.multiplexer.raw(batch.payloads) == np.uint64(part.selector or 0)
+    held = batch.sizes >= layout.size
+    if layout.multiplexer is not None:
+        # A frame that is too short may not even hold its multiplexer; then it is unknown whether it is this layout.
+        with_selector = batch.sizes >= layout.multiplexer.size
+        chosen = layout.multiplexer.raw(batch.payloads) == np.uint64(layout.selector or 0)
         short = int(np.sum(with_selector & chosen & ~held))
         held = held & chosen
     else:
         short = int(np.sum(~held))
     payloads = batch.payloads if held.all() else batch.payloads[held]
-    values = np.empty((len(payloads), len(part.signals)))
-    for column, signal in enumerate(part.signals):
+    values = np.empty((len(payloads), len(layout.signals)))
+    for column, signal in enumerate(layout.signals):
         values[:, column] = signal.values(payloads)
     return batch.order[held], values, short
 
 
-def encode(part: Part, values: Sequence[float], template: bytes = b"") -> bytes:
-    """A frame that holds these values of a part's signals; its other bits and its length are the template's.
+def encode(layout: FrameLayout, values: Sequence[float], template: bytes = b"") -> bytes:
+    """A frame that holds these values of a layout's signals; its other bits and its length are the template's.
 
     Raises:
         ValueError: a value does not fit; names its signal.
     """
-    size = max(len(template), part.size)
+    size = max(len(template), layout.size)
     word = int.from_bytes(template, "little")
-    for signal, value in zip(part.signals, values, strict=True):
+    for signal, value in zip(layout.signals, values, strict=True):
         try:
             placed = signal.encode(value)
         except ValueError as error:
@@ -216,8 +216,8 @@ def encode(part: Part, values: Sequence[float], template: bytes = b"") -> bytes:
                 f"{low:.6g} to {high:.6g}"
             ) from error
         word = _put(word, signal.field, placed)
-    if part.multiplexer is not None:
-        word = _put(word, part.multiplexer, part.multiplexer.encode(float(part.selector or 0)))
+    if layout.multiplexer is not None:
+        word = _put(word, layout.multiplexer, layout.multiplexer.encode(float(layout.selector or 0)))
     return word.to_bytes(FRAME_BYTES, "little")[:size]
 
 

@@ -42,6 +42,6 @@ def to_si(quantity: str, unit: str) -> tuple[float, float]:
     allowed = FACTORS[quantity]
     spelled = normalised(unit)
     if spelled not in allowed:
-        found = f"unit '{unit}'" if unit else "no unit"
-        raise ValueError(f"{found} of {quantity} cannot be converted; allowed: {', '.join(filter(None, allowed))}")
+        given = f"unit '{unit}'" if unit else "no unit"
+        raise ValueError(f"{given} of {quantity} cannot be converted; allowed: {', '.join(filter(None, allowed))}")
     return conversion(spelled)

@@ -1,4 +1,4 @@
-"""What the drives report beside their samples: statuswords that change, emergencies, heartbeats; told as notices."""
+"""What the drives report beside their samples, as notices: statuswords that change, emergencies, heartbeats."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from drivers.base import Level, Notice
+from drivers.base import Level, Notice, drained
 from drivers.canopen402.monitor.presence import Presence
 from drivers.canopen402.protocol import objects
 from drivers.canopen402.protocol.emcy import MASTER_MISSED, Emergency, decode_emergency
@@ -24,7 +24,7 @@ from drivers.canopen402.samples.alignment import Aligned, IntArray
 from drivers.streams import FloatArray
 
 ALIGNMENT_PERIOD = 1.0
-"""Missing and extra frames are told at most once in so many seconds."""
+"""Missing and extra frames are reported at most once in so many seconds."""
 _MARKS = (
     (WARNING_BIT, "warning"),
     (INTERNAL_LIMIT_BIT, "internal limit active"),
@@ -38,8 +38,8 @@ class DriveWatch:
     Args:
         joints: names.
         ids: node ids, in the joints' order.
-        expected: whether each drive tells that it is there.
-        presence: judges what they tell.
+        expected: whether each drive shows that it is there.
+        presence: judges their heartbeats or answers.
         watching: whether each drive watches dynid.
         clock: a host's monotonic time [s] in the source's clock [s].
     """
@@ -69,7 +69,7 @@ class DriveWatch:
         self._status: IntArray | None = None
         self._troubles = np.zeros((3, 2, len(self._ids)), dtype=np.int64)
         self._skipped = 0
-        self._troubles_told = -math.inf
+        self._troubles_reported = -math.inf
         self._all_skipped = 0
         self._unanswered = np.zeros(len(self._ids), dtype=np.int64)
 
@@ -91,27 +91,24 @@ class DriveWatch:
         self._begin = math.inf
 
     def notices(self) -> list[Notice]:
-        """What there was to tell since the last call."""
-        found = []
-        while self._notices:
-            found.append(self._notices.popleft())
-        return found
+        """Notices since the last call."""
+        return drained(self._notices)
 
     def on_emergency(self, identifier: int, data: bytearray, arrived: float) -> None:
         """Take an EMCY frame; called by the receiving thread."""
         index = self._index[identifier - objects.EMCY]
         emergency = decode_emergency(bytes(data))
         if emergency is None:
-            self._tell(arrived, "warning", f"{self._joints[index]}: an EMCY frame of {len(data)} bytes")
+            self._report(arrived, "warning", f"{self._joints[index]}: an EMCY frame of {len(data)} bytes")
             return
         self._emergency[index] = None if emergency.cleared else emergency
         if emergency.code == MASTER_MISSED and self._watching[index] and math.isfinite(self._begin):
             # It stops now, and may take part in PDOs no longer: nothing else would say why.
-            why = "it no longer heard dynid; was this computer stalled, or the wire off?"
-            self._tell(arrived, "error", f"{self._joints[index]}: {emergency}: {why}")
+            why = "it no longer heard dynid; was this computer stalled, or the bus cut?"
+            self._report(arrived, "error", f"{self._joints[index]}: {emergency}: {why}")
             return
         # That the drive falls into fault, where it does, its statusword says: that stops the session.
-        self._tell(arrived, "info" if emergency.cleared else "warning", f"{self._joints[index]}: {emergency}")
+        self._report(arrived, "info" if emergency.cleared else "warning", f"{self._joints[index]}: {emergency}")
 
     def on_error_control(self, identifier: int, data: bytearray, arrived: float) -> None:
         """Take a heartbeat, an answer to guarding or a boot-up message; called by the receiving thread."""
@@ -122,45 +119,47 @@ class DriveWatch:
         self._presence.take(index, data[0], arrived)
         self._heard[index], self._nmt[index] = arrived, state
         if state == objects.STATE_BOOT_UP and math.isfinite(self._begin):
-            self._tell(arrived, "error", f"{self._joints[index]}: the drive restarted, and has lost its configuration")
+            self._report(
+                arrived, "error", f"{self._joints[index]}: the drive restarted, and has lost its configuration"
+            )
 
     def check_presence(self, drained: float) -> None:
-        """Tell drives that fell silent; all that arrived before `drained` [s, host's monotonic clock] is known."""
+        """Report drives that fell silent; all that arrived before `drained` [s, host's monotonic clock] is known."""
         for index, joint in enumerate(self._joints):
             if not self._expected[index] or math.isinf(self._begin):
                 continue
             missing = self._presence.missing(index, drained)
             if missing and not self._gone[index]:
                 self._gone[index] = True
-                self._tell(drained, "error", f"{joint} (node {self._ids[index]}): {missing}; is its power on?")
+                self._report(drained, "error", f"{joint} (node {self._ids[index]}): {missing}; is its power on?")
             elif not missing and self._gone[index]:
                 self._gone[index] = False
-                self._tell(drained, "info", f"{joint}: {self._presence.back}")
+                self._report(drained, "info", f"{joint}: {self._presence.back}")
             nmt = self._nmt[index]
             if nmt not in (None, objects.STATE_OPERATIONAL, objects.STATE_BOOT_UP):
                 if self._heard[index] - self._begin > self._presence.limit and not self._not_operational[index]:
                     self._not_operational[index] = True
                     state = objects.NMT_STATES.get(nmt or 0, f"unknown state {nmt}")
-                    self._tell(drained, "error", f"{joint}: the drive is no longer operational, but {state}")
+                    self._report(drained, "error", f"{joint}: the drive is no longer operational, but {state}")
             else:
                 self._not_operational[index] = False
 
     def check_status(self, time: FloatArray, statusword: IntArray, *, moving: bool) -> None:
-        """Tell changes of state in rows (N, n) at times (N,) [s, source's clock]; `moving`: drives were enabled."""
+        """Report changes of state in rows (N, n) at times (N,) [s, source's clock]; `moving`: drives were enabled."""
         if not len(time):
             return
         first = self._status is None
         before = statusword[0] if self._status is None else self._status
         changed = statusword != np.concatenate([before[np.newaxis], statusword[:-1]])
         if first:
-            self._tell_first(float(time[0]), statusword[0])
+            self._report_states(float(time[0]), statusword[0])
         for row in np.flatnonzero(changed.any(axis=1)):
             previous = before if row == 0 else statusword[row - 1]
-            self._tell_row(float(time[row]), previous, statusword[row], moving=moving)
+            self._report_changes(float(time[row]), previous, statusword[row], moving=moving)
         self._status = statusword[-1].copy()
 
     def check_alignment(self, aligned: Aligned, skipped: int, now: float) -> None:
-        """Note frames that did not come once a SYNC, and SYNCs that were not sent; told from time to time.
+        """Note frames that did not come once a SYNC, and SYNCs that were not sent; reported from time to time.
 
         Args:
             aligned: what came.
@@ -171,28 +170,28 @@ class DriveWatch:
         self._skipped += skipped
         self._all_skipped += skipped
         self._unanswered += aligned.missing.max(axis=0)
-        if now - self._troubles_told >= ALIGNMENT_PERIOD:
-            self.tell_alignment(now)
+        if now - self._troubles_reported >= ALIGNMENT_PERIOD:
+            self.report_alignment(now)
 
-    def tell_alignment(self, now: float) -> None:
-        """Tell what `check_alignment` noted and did not tell yet; `now` [s, host's monotonic clock]."""
+    def report_alignment(self, now: float) -> None:
+        """Report what `check_alignment` noted and did not report yet; `now` [s, host's monotonic clock]."""
         if not (self._troubles.any() or self._skipped):
             return
-        self._troubles_told = now
+        self._troubles_reported = now
         said = [f"{self._skipped} SYNC(s) not sent: this computer was late"] if self._skipped else []
         kinds = ("no answer to SYNC", "more than one answer to SYNC", "frames of a wrong length")
         for counts, words in zip(self._troubles, kinds, strict=True):
             if (counts == counts[0, 0]).all() and counts.any() and counts.size > 2:
                 said.append(f"{words}: all joints {counts[0, 0]}")
                 continue
-            found = [
+            counted = [
                 f"{self._joints[index]} TPDO{tpdo + 1} {counts[tpdo, index]}" for tpdo, index in np.argwhere(counts)
             ]
-            if found:
-                said.append(f"{words}: {', '.join(found)}")
+            if counted:
+                said.append(f"{words}: {', '.join(counted)}")
         self._troubles[:] = 0
         self._skipped = 0
-        self._tell(now, "warning", "; ".join(said))
+        self._report(now, "warning", "; ".join(said))
 
     def losses(self) -> str:
         """Why rows were lost since `start`, in words: this computer was late, or drives did not answer."""
@@ -207,14 +206,14 @@ class DriveWatch:
         emergency = self._emergency[index]
         return "" if emergency is None else str(emergency)
 
-    def _tell_first(self, time: float, statusword: IntArray) -> None:
+    def _report_states(self, time: float, statusword: IntArray) -> None:
         states = [drive_state(int(word)) for word in statusword]
         for state in dict.fromkeys(states):
             who = [joint for joint, one in zip(self._joints, states, strict=True) if one is state]
             level: Level = "warning" if state in FAULTY else "info"
             self._notices.append(Notice(time, level, f"{self._who(who)}: {state.value}"))
 
-    def _tell_row(self, time: float, previous: IntArray, statusword: IntArray, *, moving: bool) -> None:
+    def _report_changes(self, time: float, previous: IntArray, statusword: IntArray, *, moving: bool) -> None:
         grouped: dict[tuple[Level, str], list[str]] = {}
         for index, joint in enumerate(self._joints):
             old, new = int(previous[index]), int(statusword[index])
@@ -240,5 +239,5 @@ class DriveWatch:
     def _who(self, joints: Sequence[str]) -> str:
         return "all joints" if len(joints) == len(self._joints) > 1 else ", ".join(joints)
 
-    def _tell(self, host_time: float, level: Level, message: str) -> None:
+    def _report(self, host_time: float, level: Level, message: str) -> None:
         self._notices.append(Notice(self._clock(host_time), level, message))

@@ -58,7 +58,7 @@ class LifeSigns:
             with contextlib.suppress(ConnectionLostError):
                 self._sender.send(identifier, data)
             turn = (turn + 1) % len(self._frames)
-            due = max(due + self._interval, self._clock.now())  # after a stall no burst, and nobody is left out
+            due = max(due + self._interval, self._clock.now())  # after a stall no burst, and no drive is left out
 
 
 def heartbeat(sender: Sender, own_id: int, period: float, clock: Clock = SYSTEM_CLOCK) -> LifeSigns:

@@ -10,7 +10,7 @@ from drivers.canopen402.protocol.objects import TPDO_BASES
 
 
 class Silence:
-    """Looks who has not answered SYNC.
+    """Response time-outs of the drives.
 
     Args:
         joints: names.
@@ -26,13 +26,13 @@ class Silence:
 
         Both times [s, host's monotonic clock]; no words where all have.
         """
-        found: dict[str, float] = {}
+        silent: dict[str, float] = {}
         for joint, node in zip(self._joints, self._ids, strict=True):
             heard = min(self._latest.get(base + node, (-math.inf,))[0] for base in TPDO_BASES)
             if heard < since:
-                found[f"{joint} (node {node})"] = heard
-        words = "any drive" if len(found) == len(self._ids) > 1 else ", ".join(found)
-        return words, max(found.values(), default=-math.inf)
+                silent[f"{joint} (node {node})"] = heard
+        words = "any drive" if len(silent) == len(self._ids) > 1 else ", ".join(silent)
+        return words, max(silent.values(), default=-math.inf)
 
     def explain(self, drained: float, without_sync: float, limit: float) -> str:
         """Why no row came for about `limit` [s]; empty where all drives answer.

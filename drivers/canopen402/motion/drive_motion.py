@@ -201,7 +201,7 @@ class DriveMotion:
         """Quick stop, wait for rest, switch off the voltage; never raises.
 
         Args:
-            sync_runs: whether somebody sends SYNC; where nobody does, this does.
+            sync_runs: whether SYNC is being sent; where it is not, this sends it.
 
         Returns:
             The joints whose drive did not confirm that it is at rest.

@@ -37,14 +37,14 @@ class SdoStop:
     def __init__(self, sender: Sender, ids: Sequence[int], clock: Clock = SYSTEM_CLOCK) -> None:
         self._sender, self._ids, self._clock = sender, tuple(ids), clock
         self._index = {node: index for index, node in enumerate(ids)}
-        self._told = [(-math.inf, DriveState.UNKNOWN)] * len(self._ids)
+        self._answered = [(-math.inf, DriveState.UNKNOWN)] * len(self._ids)
         self._asked = [-math.inf] * len(self._ids)
 
     def on_answer(self, identifier: int, data: bytearray, arrived: float) -> None:
         """Take an answer to an SDO request, if it is one with a statusword; called by the receiving thread."""
         if len(data) == 8 and data[0] >> 5 == 2 and data[1:4] == _PLACE:
             state = drive_state(int.from_bytes(data[_SIZE], "little"))
-            self._told[self._index[identifier - SDO_ANSWER]] = arrived, state
+            self._answered[self._index[identifier - SDO_ANSWER]] = arrived, state
 
     def is_off(self, index: int, asked: float, controlword: int) -> bool:
         """Whether a drive has said by SDO that it is without power.
@@ -55,8 +55,8 @@ class SdoStop:
             controlword: for a drive that is still powered.
         """
         now = self._clock.now()
-        told, state = self._told[index]
-        known = told > max(asked, self._asked[index])
+        answered, state = self._answered[index]
+        known = answered > max(asked, self._asked[index])
         if known and state not in POWERED and state is not DriveState.UNKNOWN:
             return True
         if now - asked < PATIENCE or now - self._asked[index] < REPEAT:

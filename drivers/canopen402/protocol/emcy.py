@@ -90,10 +90,10 @@ _ERROR_CODES: Mapping[int, str] = {
     0x8700: "SYNC control: SYNC missed or not regular",
     0x9000: "external error",
     0xF000: "additional functions",
-    0xFF00: "maker's own error",
+    0xFF00: "manufacturer's own error",
 }
 
-_REGISTER_BITS = ("generic", "current", "voltage", "temperature", "communication", "profile", "", "maker's own")
+_REGISTER_BITS = ("generic", "current", "voltage", "temperature", "communication", "profile", "", "manufacturer's own")
 """Bits of the error register 0x1001."""
 
 
@@ -104,7 +104,7 @@ class Emergency:
     Attributes:
         code: error code; 0 where the error is gone.
         register: error register.
-        detail: five bytes of the maker's own.
+        detail: five bytes of the manufacturer's own.
     """
 
     code: int
@@ -119,7 +119,7 @@ class Emergency:
     def __str__(self) -> str:
         if self.cleared:
             return "error cleared (EMCY 0x0000)"
-        own = f", maker's bytes {self.detail.hex(' ')}" if any(self.detail) else ""
+        own = f", manufacturer's bytes {self.detail.hex(' ')}" if any(self.detail) else ""
         words = ", ".join(word for bit, word in enumerate(_REGISTER_BITS) if word and self.register >> bit & 1)
         register = f", register: {words}" if words else ""
         return f"{describe_error(self.code)} (EMCY 0x{self.code:04X}{register}{own})"
@@ -151,15 +151,15 @@ _ABORT_CODES: Mapping[int, tuple[str, str]] = {
     0x05040000: ("the transfer timed out", _AGAIN),
     0x05040001: ("unknown SDO command", "does another master talk to this node?"),
     0x05040005: ("the drive is out of memory", _STATE),
-    0x06010000: ("access not supported", "the drive's maker fixes this object"),
-    0x06010001: ("the object can only be written", "the drive's maker fixes this object"),
-    0x06010002: ("the object can only be read", "the drive's maker fixes this object"),
+    0x06010000: ("access not supported", "the drive's manufacturer fixes this object"),
+    0x06010001: ("the object can only be written", "the drive's manufacturer fixes this object"),
+    0x06010002: ("the object can only be read", "the drive's manufacturer fixes this object"),
     0x06020000: ("the object does not exist", _NOT_THERE),
     0x06040041: ("the object cannot be mapped into a PDO", "this drive cannot deliver what dynid needs in a PDO"),
     0x06040042: ("the objects do not fit into the PDO", "this drive cannot deliver what dynid needs in a PDO"),
     0x06040043: ("parameters that do not go together", _VALUE),
     0x06040047: ("incompatible inside the device", _VALUE),
-    0x06060000: ("a hardware error in the drive", "switch it off and on; look into the maker's manual"),
+    0x06060000: ("a hardware error in the drive", "switch it off and on; look into the manufacturer's manual"),
     0x06070010: ("the length does not match", _NOT_THERE),
     0x06070012: ("the value is too long", _NOT_THERE),
     0x06070013: ("the value is too short", _NOT_THERE),
@@ -170,7 +170,10 @@ _ABORT_CODES: Mapping[int, tuple[str, str]] = {
     0x060A0023: ("a resource is not available", _STATE),
     0x08000000: ("general error", _STATE),
     0x08000020: ("the value cannot be stored", _STATE),
-    0x08000021: ("local control keeps the value from being stored", "end the maker's own tool that controls the drive"),
+    0x08000021: (
+        "local control keeps the value from being stored",
+        "end the manufacturer's own tool that controls the drive",
+    ),
     0x08000022: ("the drive's state keeps the value from being stored", _STATE),
     0x08000023: ("the drive has no object dictionary", _NOT_THERE),
     0x08000024: ("no data", _STATE),
@@ -183,5 +186,5 @@ VALUE_REFUSED = frozenset({0x06090030, 0x06090031, 0x06090032})
 
 def describe_abort(code: int) -> tuple[str, str]:
     """An SDO abort code in words, and what to do."""
-    words, hint = _ABORT_CODES.get(code, ("refused", "look into the maker's manual"))
+    words, hint = _ABORT_CODES.get(code, ("refused", "look into the manufacturer's manual"))
     return f"{words} (abort code 0x{code:08X})", hint

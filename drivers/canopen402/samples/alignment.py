@@ -275,9 +275,9 @@ class Aligner:
         slots, sent, chosen = [], [], []
         for number in range(self._handed_out, end):
             slot, time = self._syncs.popleft()
-            found = [answers.of.pop(number, None) for answers in self._answers.values()]
-            row = [frame for frame in found if frame is not None]
-            if len(row) == len(found):
+            answered = [answers.of.pop(number, None) for answers in self._answers.values()]
+            row = [frame for frame in answered if frame is not None]
+            if len(row) == len(answered):
                 slots.append(slot)
                 sent.append(time)
                 chosen += row

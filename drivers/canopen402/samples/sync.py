@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
+from drivers.base import drained
 from drivers.can.bus import Sender
 from drivers.canopen402.protocol.objects import SYNC
 from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
@@ -107,10 +108,7 @@ class SyncProducer:
 
     def take(self) -> list[tuple[int, float]]:
         """Slot and time [s, host's monotonic clock] of the SYNCs sent since the last call."""
-        found = []
-        while self._sent:
-            found.append(self._sent.popleft())
-        return found
+        return drained(self._sent)
 
     def _run(self) -> None:
         set_timer_slack()

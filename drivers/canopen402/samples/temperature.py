@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.base import Notice
+from drivers.base import Notice, drained
 from drivers.canopen402.protocol.objects import DriveObject
 from drivers.canopen402.protocol.sdo import RemoteDrive
 from drivers.canopen402.settings import TemperatureSource
@@ -55,7 +55,7 @@ class TemperaturePoll:
         self._clock = clock
         self._readings: deque[TemperatureReading] = deque()
         self._notices: deque[Notice] = deque()
-        self._told: dict[str, float] = {}
+        self._reported: dict[str, float] = {}
         self._ending = clock.event()
         self._thread: threading.Thread | None = None
 
@@ -79,17 +79,11 @@ class TemperaturePoll:
 
     def take(self) -> list[TemperatureReading]:
         """Readings since the last call."""
-        found = []
-        while self._readings:
-            found.append(self._readings.popleft())
-        return found
+        return drained(self._readings)
 
     def notices(self) -> list[Notice]:
-        """What there was to tell since the last call."""
-        found = []
-        while self._notices:
-            found.append(self._notices.popleft())
-        return found
+        """Notices since the last call."""
+        return drained(self._notices)
 
     def _run(self) -> None:
         begin, turn, step = self._clock.now(), 0, 1.0 / (RATE * len(self._drives))
@@ -102,16 +96,16 @@ class TemperaturePoll:
                 try:
                     values[index] = read_temperature(drive, source)
                 except ConnectionFailedError as error:
-                    self._tell(drive, str(error))
+                    self._report(drive, str(error))
                 except ConnectionLostError:
                     return  # the samples will say it
             self._readings.append(TemperatureReading(self._clock.now(), values))
             turn = max(turn, math.floor((self._clock.now() - begin) / step))
 
-    def _tell(self, drive: RemoteDrive, message: str) -> None:
+    def _report(self, drive: RemoteDrive, message: str) -> None:
         now = self._clock.now()
-        if now - self._told.get(drive.joint, -math.inf) >= NOTICE_PERIOD:
-            self._told[drive.joint] = now
+        if now - self._reported.get(drive.joint, -math.inf) >= NOTICE_PERIOD:
+            self._reported[drive.joint] = now
             self._notices.append(Notice(math.nan, "warning", f"no temperature: {message}"))
 
 

@@ -76,7 +76,7 @@ class Configured:
         identities: one a joint.
         scaling: of their numbers.
         controls: how each drive is watched, and watches.
-        notices: what there is to tell.
+        notices: warnings.
     """
 
     identities: tuple[Identity, ...]
@@ -106,7 +106,7 @@ def configure(
     """
     notices: list[Notice] = []
 
-    def tell(level: Level, message: str) -> None:
+    def report(level: Level, message: str) -> None:
         notices.append(Notice(math.nan, level, message))
 
     for drive in drives:
@@ -122,10 +122,10 @@ def configure(
     for drive, node in zip(drives, settings.nodes, strict=True):
         if mode is not None:
             for message in _bring_to_rest(drive, clock):
-                tell("warning", message)
+                report("warning", message)
         identity, contradictions = _identify(drive, node, serials[drive.joint])
         for message in contradictions:
-            tell("warning", message)
+            report("warning", message)
         identities.append(identity)
         controls.append(configure_error_control(drive, settings))
         configure_pdos(drive, commanded=mode is not None)
@@ -133,7 +133,7 @@ def configure(
             drive.write(objects.MODE, mode)
             _configure_mode(drive, node, identity, settings)
     for message in warnings_of([(drive.where, one) for drive, one in zip(drives, controls, strict=True)], settings):
-        tell("warning", message)
+        report("warning", message)
     scaling = Scaling(
         counts_per_turn=np.array([one.counts_per_turn for one in identities]),
         direction=np.array([float(node.direction) for node in settings.nodes]),
@@ -200,11 +200,11 @@ def _check_profile(drive: RemoteDrive, mode: int | None) -> None:
 def _check_serial(
     drive: RemoteDrive, node: NodeSettings, serials: Mapping[str, int | None], drives: Sequence[RemoteDrive]
 ) -> None:
-    found = serials[drive.joint]
-    if node.serial is None or found == node.serial:
+    serial = serials[drive.joint]
+    if node.serial is None or serial == node.serial:
         return
     elsewhere = next((other for other in drives if serials[other.joint] == node.serial), None)
-    has = "says no serial number" if found is None else f"has serial number {found}"
+    has = "says no serial number" if serial is None else f"has serial number {serial}"
     hint = "compare node ids and serial numbers with the robot file"
     if elsewhere is not None:
         hint = f"drive {node.serial} answers as {elsewhere.where}: node ids are swapped, on the drives or in the file"
@@ -216,12 +216,12 @@ def _check_serial(
 def _bring_to_rest(drive: RemoteDrive, clock: Clock) -> list[str]:
     """Stop a drive that was left enabled, reset a fault; what was done, in words."""
     state = drive_state(drive.read(objects.STATUSWORD))
-    told = []
+    messages = []
     if state in POWERED:
         drive.write(objects.CONTROLWORD, QUICK_STOP)
         _wait_for(drive, lambda now: now not in POWERED, clock)
         drive.write(objects.CONTROLWORD, DISABLE_VOLTAGE)
-        told.append(f"{drive.where} was still powered ({state.value}); it was stopped")
+        messages.append(f"{drive.where} was still powered ({state.value}); it was stopped")
         state = drive_state(drive.read(objects.STATUSWORD))
     if state in FAULTY:
         code = drive.read_optional(objects.ERROR_CODE)
@@ -231,8 +231,8 @@ def _bring_to_rest(drive: RemoteDrive, clock: Clock) -> list[str]:
         state = _wait_for(drive, lambda now: now not in FAULTY, clock)
         drive.write(objects.CONTROLWORD, DISABLE_VOLTAGE)
         gone = "its fault was reset" if state not in FAULTY else "its fault stays: it can be recorded but not moved"
-        told.append(f"{drive.where} was in fault{cause}; {gone}")
-    return told
+        messages.append(f"{drive.where} was in fault{cause}; {gone}")
+    return messages
 
 
 def _wait_for(drive: RemoteDrive, met: Callable[[DriveState], bool], clock: Clock) -> DriveState:

@@ -1,4 +1,4 @@
-"""Who watches whom, written into the drives: heartbeat or guarding, and what a drive does once dynid is gone.
+"""Error control of the drives: heartbeat or guarding, and what a drive does once dynid is gone.
 
 Objects of CiA 301, 7.5.2, and the abort connection option 0x6007 of CiA 402-2.
 """
@@ -37,8 +37,8 @@ class ErrorControl:
     """How one drive is watched, and watches.
 
     Attributes:
-        present: whether it tells that it is there: by its heartbeat, or asked by guarding.
-        watching: object in which it was told to watch dynid, 0 to end that; None where it cannot, or need not.
+        present: whether it shows that it is there: by its heartbeat, or asked by guarding.
+        watching: object by which it watches dynid, 0 to end that; None where it cannot, or need not.
         abort_option: what it does once dynid is gone; None where it does not say, or nothing will move.
     """
 
@@ -48,7 +48,7 @@ class ErrorControl:
 
 
 def configure_error_control(drive: RemoteDrive, settings: CanopenSettings) -> ErrorControl:
-    """Let a drive tell that it is there and, where the arm is to be moved, stop once dynid does not any more.
+    """Let a drive show that it is there and, where the arm is to be moved, stop once dynid does not any more.
 
     Where nothing will move, a drive need not watch dynid, and neither 0x1016 nor 0x6007 is written.
 
@@ -72,33 +72,33 @@ def configure_error_control(drive: RemoteDrive, settings: CanopenSettings) -> Er
 
 def warnings_of(controls: Sequence[tuple[str, ErrorControl]], settings: CanopenSettings) -> list[str]:
     """What a person must know of drives, each named as given: who cannot be watched, or does not watch dynid."""
-    told = [
-        f"{who} has no heartbeat ({HEARTBEAT_TIME} does not exist): only its silence would tell that it is gone; "
+    warnings = [
+        f"{who} has no heartbeat ({HEARTBEAT_TIME} does not exist): only its silence would show that it is gone; "
         "the key 'guarding' in place of 'heartbeat' asks such drives"
         for who, control in controls
         if not control.present
     ]
     if settings.mode == "none":
-        return told
+        return warnings
     means = "consumer heartbeat time (0x1016)" if settings.guarding is None else "life guarding (0x100C, 0x100D)"
     blind = [who for who, control in controls if control.watching is None]
     if blind:
-        told.append(
-            f"{', '.join(blind)}: no {means}, or none that is free; such a drive cannot notice that dynid or the wire "
+        warnings.append(
+            f"{', '.join(blind)}: no {means}, or none that is free; such a drive cannot notice that dynid or the bus "
             "is gone, and may go on with its last target"
         )
     unsure = [who for who, control in controls if control.watching is not None and control.abort_option is None]
     if unsure:
-        told.append(
+        warnings.append(
             f"{', '.join(unsure)}: {ABORT_OPTION} does not exist; what such a drive does once dynid is gone is "
-            "its maker's choice"
+            "its manufacturer's choice"
         )
-    told += [
+    warnings += [
         f"{who}: {ABORT_OPTION} stays {control.abort_option}, which does not stop the drive once dynid is gone"
         for who, control in controls
         if control.abort_option is not None and control.abort_option not in STOPPING
     ]
-    return told
+    return warnings
 
 
 def check_own_id(own: RemoteDrive, clock: Clock = SYSTEM_CLOCK) -> None:
@@ -119,7 +119,7 @@ def check_own_id(own: RemoteDrive, clock: Clock = SYSTEM_CLOCK) -> None:
 
 
 def release(drives: Sequence[RemoteDrive], controls: Sequence[ErrorControl], clock: Clock = SYSTEM_CLOCK) -> None:
-    """Let drives watch dynid no longer, so that its leaving is no error; never raises, and waits for nobody long."""
+    """End the drives' watch of dynid, so that closing is no error; never raises, and does not wait long."""
     asked = []
     for drive, control in zip(drives, controls, strict=True):
         if control.watching is None:

@@ -53,12 +53,12 @@ def _map_pdo(
         drive.write(DriveObject(mapping, position, 4, False, f"PDO mapping, {mapped.name}"), mapped.mapping)
     drive.write(count, len(carried))
     drive.write(entry, flags | identifier)
-    found = drive.read(entry), drive.read(_communication(communication, 2, 1)), drive.read(count)
-    if found[0] & (_INVALID | _OLD_ID) != identifier or found[1:] != (_SYNCHRONOUS, len(carried)):
+    written = drive.read(entry), drive.read(_communication(communication, 2, 1)), drive.read(count)
+    if written[0] & (_INVALID | _OLD_ID) != identifier or written[1:] != (_SYNCHRONOUS, len(carried)):
         raise ConnectionFailedError(
             f"the drive did not keep its PDO settings (0x{communication:04X}, 0x{mapping:04X})",
             where=drive.where,
-            hint="does the drive's maker fix its PDOs?",
+            hint="does the drive's manufacturer fix its PDOs?",
         )
 
 

@@ -190,7 +190,7 @@ def test_what_was_not_told_yet_is_told_at_the_end(clock: SimulatedClock) -> None
     with receiving(bus, clock) as receiver:
         take(receiver, 1)
         for told in (["1 truncated frame(s) left out", "2 truncated frame(s) left out"], []):
-            receiver.tell_rest()
+            receiver.report_rest()
             assert [notice.message for notice in receiver.notices()] == told
 
 
@@ -215,7 +215,7 @@ def test_a_vanished_adapter_shows_after_what_came_before(clock: SimulatedClock) 
     [
         (0x04, "00 08 00 00 00 00 00 00", "1 error frame(s): send error warning"),
         (0x04, "00 30 00 00 00 00 00 00", "1 error frame(s): error passive (receiving), error passive (sending)"),
-        (0x20, "00 00 00 00 00 00 00 00", "1 error frame(s): nobody acknowledges"),
+        (0x20, "00 00 00 00 00 00 00 00", "1 error frame(s): no acknowledgement"),
         (0x80, "00 00 00 00 00 00 00 00", "1 error frame(s): bus error"),
         (0x01, "00 00 00 00 00 00 00 00", "1 error frame(s)"),
     ],

@@ -71,7 +71,7 @@ def test_a_connection_is_read() -> None:
     assert (warm.gain, warm.bias, warm.selector) == (1.0, -273.15, 9)
     assert warm.multiplexer == BitField(15, 4, "big")
     assert read.command is not None
-    assert [part.identifier for part in read.command.parts] == [0x201]
+    assert [part.identifier for part in read.command.layouts] == [0x201]
 
 
 @pytest.mark.parametrize(

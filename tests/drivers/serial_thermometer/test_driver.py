@@ -329,7 +329,7 @@ def test_what_nobody_reads_is_dropped_and_told(opened: Make, clock: SimulatedClo
     blocks, notices = listen(driver, clock, 0.1)
     assert told(notices) == [
         "warning: 1 line(s) ignored: 1 were cut off; the last one: 'T1=99'",
-        f"warning: {10 * CHUNK_BYTES} characters were dropped because nobody read them",
+        f"warning: {10 * CHUNK_BYTES} characters were dropped because they were not read",
     ]
     np.testing.assert_array_equal(rows(blocks), [[30.125, 20.125]] * (BUFFER_BYTES // 20 - 1))
 

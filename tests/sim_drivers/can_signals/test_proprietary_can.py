@@ -34,7 +34,7 @@ from daq.motion.trajectories import slow_move
 from daq.recording.reader import read_recording
 from drivers.can_signals.driver import CanFramesDriver
 from drivers.can_signals.settings import parse_settings
-from drivers.can_signals.table.signals import batches, decode, parts_of
+from drivers.can_signals.table.signals import batches, decode, frame_layouts
 from drivers.errors import UsageError
 from sim_drivers.can_signals.arm import FAULT_COMMAND, TableArm
 from sim_drivers.can_signals.server import ProprietaryCanServer
@@ -47,7 +47,7 @@ DBC = Path(__file__).resolve().parents[2] / "drivers" / "aubo_i5.dbc"
 def decoded(frames: list[Any]) -> dict[tuple[str, str], float]:
     grouped = batches([(0.0, frame.id, frame.data) for frame in frames])
     found = {}
-    for part in parts_of(parse_settings(KEYS, JOINTS).signals):
+    for part in frame_layouts(parse_settings(KEYS, JOINTS).signals):
         if part.identifier in grouped:
             _, values, _ = decode(part, grouped[part.identifier])
             for row in values:

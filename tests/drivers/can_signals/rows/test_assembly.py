@@ -13,15 +13,15 @@ from drivers.can_signals.rows.assembly import Assembler, Rows
 from drivers.can_signals.rows.cycle_order import CycleOrder, Order
 from drivers.can_signals.rows.sample_clock import SourceClock
 from drivers.can_signals.table.bits import BitField
-from drivers.can_signals.table.signals import Part, Signal, batches, parts_of
+from drivers.can_signals.table.signals import FrameLayout, Signal, batches, frame_layouts
 
 PERIOD = 0.005
 SPACING = 0.0004
 MARKER = 0x80
 
 
-def parts(count: int) -> tuple[Part, ...]:
-    return parts_of([Signal("position", f"j{n}", 0x181 + n, BitField(0, 32)) for n in range(count)])
+def parts(count: int) -> tuple[FrameLayout, ...]:
+    return frame_layouts([Signal("position", f"j{n}", 0x181 + n, BitField(0, 32)) for n in range(count)])
 
 
 def bus(count: int, cycles: int, *, marker: bool = False, still: bool = False) -> list[Frame]:
@@ -140,7 +140,7 @@ def test_the_counter_tells_late_frames_from_lost_ones(count: int, lost: bool, cu
     def placed(number: int) -> list[Signal]:
         return [Signal("counter" if number == 0 else "position", f"j{number}", 0x181 + number, BitField(0, 32))]
 
-    made = Assembler(parts_of([signal for n in range(count) for signal in placed(n)]), None, 0.5 * PERIOD)
+    made = Assembler(frame_layouts([signal for n in range(count) for signal in placed(n)]), None, 0.5 * PERIOD)
     made.expect(Order(0, (count - 1) * SPACING, tuple(range(count))), PERIOD, clock(32))
     frames = bus(count, 10)
     middle = range(4 * count + 1, 5 * count + 1)  # from the second frame of a cycle to the first of the next one
@@ -205,7 +205,7 @@ def test_the_longest_pause_tells_the_first_frame(count: int, first: int, joined:
     order.take(frames[joined:])
     assert order.enough
     assert order.never_seen() == ()
-    told = order.told()
+    told = order.result()
     assert told.first == first
     assert told.span == pytest.approx((count - 1) * SPACING)
     assert told.sequence == tuple((first + place) % count for place in range(count))
@@ -215,7 +215,7 @@ def test_frames_at_even_distances_do_not_tell_an_order() -> None:
     order = CycleOrder(parts(4))
     assert order.never_seen() == parts(4)
     order.take([(n * 0.001, 0x181 + (n + 1) % 4, bytes(4)) for n in range(80)])
-    assert order.told() == Order(0, math.inf, (0, 1, 2, 3))
+    assert order.result() == Order(0, math.inf, (0, 1, 2, 3))
 
 
 def test_an_order_that_changes_is_none() -> None:
@@ -224,8 +224,8 @@ def test_an_order_that_changes_is_none() -> None:
     order.take(
         [(c * PERIOD + k * SPACING, 0x181 + n, bytes(4)) for c, ns in enumerate(numbers) for k, n in enumerate(ns)]
     )
-    assert order.told().first == 0
-    assert order.told().sequence is None
+    assert order.result().first == 0
+    assert order.result().sequence is None
 
 
 def clock(bits: int = 8, quantity: str = "counter", gain: float = 1.0, *, floating: bool = False) -> SourceClock:

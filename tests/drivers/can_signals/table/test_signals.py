@@ -78,7 +78,7 @@ def test_cantools_encodes_what_we_encode(data: st.DataObject) -> None:
     message = Message(0x181, "M", BYTES, [as_cantools(f"s{n}", field, 1, 0) for n, field in enumerate(chosen)])
     theirs = message.encode({f"s{n}": number for n, number in enumerate(numbers)}, strict=False)
     signals = [table.Signal("position", str(n), 0x181, field) for n, field in enumerate(chosen)]
-    (part,) = table.parts_of(signals)
+    (part,) = table.frame_layouts(signals)
     assert table.encode(part, [float(number) for number in numbers], bytes(BYTES)) == theirs
 
 
@@ -145,7 +145,7 @@ def test_frames_of_a_multiplexer_are_told_apart_as_cantools_does() -> None:
     generator = np.random.default_rng(1)
     frames = [(float(n), 0x381, bytes([n % 4]) + generator.bytes(7)) for n in range(40)]
     batch = table.batches(frames)[0x381]
-    for part in table.parts_of(signals):
+    for part in table.frame_layouts(signals):
         order, values, short = table.decode(part, batch)
         assert order.tolist() == [n for n in range(40) if n % 4 == part.selector]
         assert short == 0
@@ -158,7 +158,7 @@ def test_frames_of_a_multiplexer_are_told_apart_as_cantools_does() -> None:
 
 
 def test_frames_that_are_too_short_hold_nothing() -> None:
-    (part,) = table.parts_of([table.Signal("position", "j", 0x181, BitField(16, 16))])
+    (part,) = table.frame_layouts([table.Signal("position", "j", 0x181, BitField(16, 16))])
     frames = [(0.0, 0x181, bytes(size)) for size in range(9)]
     order, values, short = table.decode(part, table.batches(frames)[0x181])
     assert order.tolist() == [4, 5, 6, 7, 8]
@@ -167,7 +167,7 @@ def test_frames_that_are_too_short_hold_nothing() -> None:
 
 
 def test_a_template_gives_the_other_bits_and_the_length() -> None:
-    (part,) = table.parts_of([table.Signal("position", "j", 0x201, BitField(0, 16))])
+    (part,) = table.frame_layouts([table.Signal("position", "j", 0x201, BitField(0, 16))])
     assert table.encode(part, [258.0], bytes.fromhex("ffffff0102")) == bytes.fromhex("0201ff0102")
     assert table.encode(part, [258.0]) == bytes.fromhex("0201")
     with pytest.raises(ValueError, match=r"position of j, 70000, does not fit into its 16 bits, which hold 0 to 65535"):

@@ -65,7 +65,7 @@ def test_supported_modes(supported: int, mode: int, yes: bool) -> None:
         (0x3211, "over-voltage of the DC link"),
         (0x2399, "current on the device's output side"),
         (0x4FFF, "temperature"),
-        (0xFF17, "maker's own error 17"),
+        (0xFF17, "manufacturer's own error 17"),
         (0xB000, "unknown error"),
         (0x0000, "error cleared"),
         (0x0500, "unknown error"),
@@ -78,7 +78,7 @@ def test_error_codes_in_words(code: int, words: str) -> None:
 def test_an_emergency_in_words() -> None:
     said = decode_emergency(bytes.fromhex("10 43 09 01 02 00 00 00"))
     assert str(said) == (
-        "drive temperature too high (EMCY 0x4310, register: generic, temperature, maker's bytes 01 02 00 00 00)"
+        "drive temperature too high (EMCY 0x4310, register: generic, temperature, manufacturer's bytes 01 02 00 00 00)"
     )
     cleared = decode_emergency(bytes(8))
     assert cleared is not None

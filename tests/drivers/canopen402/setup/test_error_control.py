@@ -88,7 +88,7 @@ def test_an_entry_that_is_dynids_already_or_free_is_taken_and_no_other() -> None
     ("refused", "words"),
     [
         ({"x1016_0": NO_OBJECT, "x6007_0": NO_OBJECT}, "lift (node 2): no consumer heartbeat time (0x1016), or none"),
-        ({"x1016_1": READ_ONLY, "x1016_2": READ_ONLY}, "such a drive cannot notice that dynid or the wire is gone"),
+        ({"x1016_1": READ_ONLY, "x1016_2": READ_ONLY}, "such a drive cannot notice that dynid or the bus is gone"),
         ({"x6007_0": NO_OBJECT}, "lift (node 2): 0x6007 (abort connection option) does not exist; what such a drive"),
         ({"x1017_0": NO_OBJECT}, "the key 'guarding' in place of 'heartbeat' asks such drives"),
     ],
