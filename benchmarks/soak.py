@@ -74,8 +74,8 @@ class _Ages:
     def __init__(self) -> None:
         self.ages: list[FloatArray] = []
 
-    def take(self, block: Batch) -> None:
-        self.ages.append(SYSTEM_CLOCK.now() - block.host_time)
+    def add(self, batch: Batch) -> None:
+        self.ages.append(SYSTEM_CLOCK.now() - batch.host_time)
 
     def show(self, state: str, elapsed: float, total: float) -> None:
         pass

@@ -195,6 +195,8 @@ class CanFramesDriver:
             return ""
         if self._poller is not None and self._clock.now() - self._poller.latest > max(limit, 2 * self._poller.period):
             return "no poll was sent: this computer was late"
+        if (unread := self._clock.now() - receiver.drained) > 0.5 * limit:
+            return f"the bus was not read for {unread:.2f} s: this computer was late"
         since = receiver.drained - 0.5 * limit
         silent = [
             layout.label

@@ -262,7 +262,7 @@ class Canopen402Driver:
         """Which drives do not answer SYNC, in words; empty where all do, or of another stream (see `drivers.base`)."""
         if stream != "joints" or self._state != "running":
             return ""
-        return self._silence.explain(self._receiver.drained, self._clock.now() - self._sync.latest, limit)
+        return self._silence.explain(self._clock.now(), self._receiver.drained, self._sync.latest, limit)
 
     def losses(self, stream: str) -> str:
         """Why rows of `joints` were lost, in words; empty of another stream (see `drivers.base`)."""

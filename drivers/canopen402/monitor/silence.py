@@ -34,16 +34,19 @@ class Silence:
         words = "any drive" if len(silent) == len(self._ids) > 1 else ", ".join(silent)
         return words, max(silent.values(), default=-math.inf)
 
-    def explain(self, drained: float, without_sync: float, limit: float) -> str:
+    def explain(self, now: float, drained: float, last_sync: float, limit: float) -> str:
         """Why no row came for about `limit` [s]; empty where all drives answer.
 
         Args:
+            now: [s, host's monotonic clock].
             drained: all that arrived before this time [s, host's monotonic clock] is known.
-            without_sync: how long ago the last SYNC was sent [s].
+            last_sync: when the last SYNC was sent [s, host's monotonic clock].
             limit: [s].
         """
         recent = 0.5 * limit  # a row is handed out one SYNC after its frames came, and the session looks later still
-        if without_sync > recent:
-            return f"no SYNC sent for {without_sync:.2f} s: this computer was late"
+        if now - last_sync > recent:
+            return f"no SYNC sent for {now - last_sync:.2f} s: this computer was late"
+        if now - drained > recent:
+            return f"the bus was not read for {now - drained:.2f} s: this computer was late"
         who, heard = self.who(drained - recent)
         return f"no answer to SYNC of {who} for {drained - heard:.2f} s" if who else ""
