@@ -378,6 +378,8 @@ def test_what_cannot_be_served_is_refused(clock: SimulatedClock) -> None:
 def test_the_command_refuses_in_words(robot: str, wire_name: str, version: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         simulate(robot, wire_name, "127.0.0.1", version, 1, live=False)
+    with pytest.raises(UsageError, match="is not a payload"):
+        simulate("ur5e", "rtde", "127.0.0.1", "5.22", 1, live=False, payload="2.0")
 
 
 def test_a_plant_that_breaks_down_is_reported(clock: SimulatedClock) -> None:
