@@ -303,7 +303,7 @@ class Canopen402Driver:
         sender, rate, clock = self._sender, self._settings.sync_rate, self._clock
         if self._bus is None or not sends_in_kernel(self._bus):
             return SyncProducer(sender, rate, self._outputs, clock, self._at_rest)
-        sync = KernelSync(sender, rate, self._outputs, lambda: self._receiver.drained, clock)
+        sync = KernelSync(sender, rate, self._outputs, lambda: self._receiver.drained, clock, self._at_rest)
         network.subscribe(objects.SYNC, sync.on_sync)
         return sync
 

@@ -27,6 +27,7 @@ class KernelSync(SyncProducer):
         outputs: called once a period with the moment of the SYNC [s, host's monotonic clock]; the frames to send.
         drained: all that arrived before this time [s, host's monotonic clock] has been passed on.
         clock: the host's.
+        at_rest: see `SyncProducer`, which sends where the kernel cannot.
     """
 
     def __init__(
@@ -36,8 +37,9 @@ class KernelSync(SyncProducer):
         outputs: Callable[[float], Sequence[tuple[int, bytes]]],
         drained: Callable[[], float],
         clock: Clock = SYSTEM_CLOCK,
+        at_rest: Callable[[], bool] = lambda: False,
     ) -> None:
-        super().__init__(sender, rate, outputs, clock)
+        super().__init__(sender, rate, outputs, clock, at_rest)
         self._drained = drained
         self._heard = clock.condition()
         self._slot: int | None = None
@@ -79,8 +81,8 @@ class KernelSync(SyncProducer):
         limit = max(PATIENCE, SILENT_PERIODS / self._rate)
         try:
             task = self._sender.send_periodically(SYNC, b"", 1.0 / self._rate)
-        except ConnectionLostError as error:
-            self._failure = error
+        except ConnectionLostError:  # a kernel without can-bcm; an adapter that is gone fails in the thread as well
+            super()._run()
             return
         try:
             while not self._ending.is_set():

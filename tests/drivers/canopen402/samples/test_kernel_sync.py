@@ -103,6 +103,18 @@ def test_drives_are_moved_and_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
         assert [drive.state for drive in one.drives] == ["disabled"] * 3
 
 
+def test_a_kernel_that_cannot_leaves_it_to_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(bus: VirtualBus, message: can.Message, period: float) -> None:
+        raise OSError(93, "Protocol not supported")
+
+    monkeypatch.setattr("drivers.canopen402.driver.sends_in_kernel", lambda bus: True)
+    monkeypatch.setattr(VirtualBus, "send_periodic", refuse)
+    with bench() as one:
+        one.read_rows(50)
+        assert one.slots == list(range(1, 51))
+        assert one.lost == 0
+
+
 def test_an_adapter_that_sends_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     with kernel_bench(monkeypatch, sends=False) as one:
         begun = one.clock.now()
