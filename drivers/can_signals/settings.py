@@ -125,7 +125,7 @@ class CanFramesKeys(CanSettings):
             )
         if self.command is not None and not self.stop:
             raise refused(
-                "key 'stop': a table that moves the arm must also say how it is halted",
+                "key 'stop': a table that moves the arm must also define how it is halted",
                 'give its frames, such as [{id: 0x200, data: "00"}]',
             )
         if self.command is None and self.start:

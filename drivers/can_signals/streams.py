@@ -138,7 +138,7 @@ class FrameStreams:
         return columns
 
     def _description(self, stream: str, quantity: str) -> str:
-        what = f"{quantity} as the arm's CAN frames say it"
+        what = f"{quantity} from the arm's CAN frames"
         if self._clock_signal is None:
             return f"{what}; time is the arrival of the cycle's first frame at this computer"
         if stream == "joints":

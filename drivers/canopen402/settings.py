@@ -48,7 +48,7 @@ class NodeSettings(ConnectionSettings):
     counts_per_turn: float | None = Field(
         None, ge=SMALLEST, le=LARGEST, description="[position counts per joint revolution]; left out, the drive's own"
     )
-    direction: int = Field(1, description="1 or -1, the sign of all that the drive says and is told")
+    direction: int = Field(1, description="1 or -1, the sign of the drive's position, velocity, torque and current")
     zero: float = Field(0.0, ge=-1e3, le=1e3, description="[rad], the joint position at count 0")
     rated_current: float | None = Field(None, ge=SMALLEST, le=LARGEST, description="[A]; left out, the drive's own")
     rated_torque: float | None = Field(None, ge=SMALLEST, le=LARGEST, description="[N·m]; left out, the drive's own")

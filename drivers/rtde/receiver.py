@@ -247,7 +247,7 @@ class RtdeReceiver:
         )
         if not accepted:
             raise ConnectionLostError(
-                "the controller does not speak RTDE version 2", hint="it needs software 3.4 (CB3) or 5.0 or later"
+                "the controller does not support RTDE version 2", hint="it needs software 3.4 (CB3) or 5.0 or later"
             )
         self.version = self._ask(
             wire.encode_package(wire.GET_CONTROL_VERSION),

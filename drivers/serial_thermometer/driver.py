@@ -201,7 +201,7 @@ class SerialThermometerDriver:
 
     def _hear(self, when: float) -> None:
         if self._silent:
-            self._report("info", f"speaks again after {when - self._heard:.1f} s", when)
+            self._report("info", f"sends again after {when - self._heard:.1f} s", when)
         self._heard, self._silent = when, False
 
     def _lose(self, lost: Lost) -> None:

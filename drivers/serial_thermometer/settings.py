@@ -37,7 +37,9 @@ class ThermometerSettings(ConnectionSettings):
     pattern: Annotated[re.Pattern[str], BeforeValidator(_compiled)] = Field(
         description=r"a regular expression such as 'T(?P<channel>\d+)=(?P<value>[-+.\d]+)'; every match is a value"
     )
-    channels: dict[str, str] = Field(description="a mapping of what the group 'channel' says → joint, such as {1: j1}")
+    channels: dict[str, str] = Field(
+        description="a mapping of what the group 'channel' matches → joint, such as {1: j1}"
+    )
     rate: float = Field(ge=1e-3, le=1e4, description="[Hz], how often each channel comes")
     baudrate: int = Field(9600, ge=50, le=4_000_000, description="[bit/s], such as 9600 or 115200")
     unit: Literal["degC", "degF", "K"] = Field("degC", description="the unit of the values")

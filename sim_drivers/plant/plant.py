@@ -331,7 +331,7 @@ def _inertias(robot_file: RobotFile, arm: RigidArm, coupling: FloatArray | None)
     matrices = np.array([arm.inertia(posture) for posture in postures])
     if np.min(np.linalg.eigvalsh(matrices)) <= 1e-9:
         raise RobotFileError(
-            "a joint moves no inertia, so that nothing says how it accelerates",
+            "a joint moves no inertia, so that its acceleration is undefined",
             where=f"{robot_file.robot.name}: truth",
             hint="give every link an inertia or every joint a motor_inertia",
         )

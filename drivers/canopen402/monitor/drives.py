@@ -104,7 +104,7 @@ class DriveWatch:
         self._emergency[index] = None if emergency.cleared else emergency
         if emergency.code == MASTER_MISSED and self._watching[index] and math.isfinite(self._begin):
             # It stops now, and may take part in PDOs no longer: nothing else would say why.
-            why = "it no longer heard dynid; was this computer stalled, or the bus cut?"
+            why = "it no longer received anything from dynid; was this computer stalled, or the bus cut?"
             self._report(arrived, "error", f"{self._joints[index]}: {emergency}: {why}")
             return
         # That the drive falls into fault, where it does, its statusword says: that stops the session.

@@ -204,7 +204,7 @@ def _check_serial(
     if node.serial is None or serial == node.serial:
         return
     elsewhere = next((other for other in drives if serials[other.joint] == node.serial), None)
-    has = "says no serial number" if serial is None else f"has serial number {serial}"
+    has = "reports no serial number" if serial is None else f"has serial number {serial}"
     hint = "compare node ids and serial numbers with the robot file"
     if elsewhere is not None:
         hint = f"drive {node.serial} answers as {elsewhere.where}: node ids are swapped, on the drives or in the file"
@@ -250,7 +250,7 @@ def _identify(drive: RemoteDrive, node: NodeSettings, serial: int | None) -> tup
     def choose(name: str, unit: str, own: float | None, said: float | None, source: str) -> float:
         if own is None and not said:
             raise ConnectionFailedError(
-                f"the drive does not say its {name} ({source})",
+                f"the drive does not report its {name} ({source})",
                 where=drive.where,
                 hint=f"give {name}: … [{unit}] in the robot file",
             )

@@ -151,7 +151,7 @@ def test_what_is_wrong_is_said_in_one_line(change: dict[str, object], path: str,
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"stop": None}, "must also say how it is halted"),
+        ({"stop": None}, "must also define how it is halted"),
         ({"command": []}, "a mapping of keys"),
         ({"command": {"quantity": "torque"}}, "dynid commands nothing else"),
         ({"command": {"signals": []}}, "key 'command.signals'"),

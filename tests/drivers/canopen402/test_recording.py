@@ -309,7 +309,7 @@ def test_drives_stop_by_themselves_when_the_program_is_suspended_and_it_says_why
         assert enabled == [6, 0]
         reason = r"heartbeat or life guarding missed (EMCY 0x8130, register: generic, communication)"
         assert run.report.stopped_by is not None
-        assert f"{reason}: it no longer heard dynid" in run.report.stopped_by
+        assert f"{reason}: it no longer received anything from dynid" in run.report.stopped_by
         assert not run.recording.complete
         assert bench.rests()
         assert_exact(bench, run)
@@ -320,7 +320,9 @@ def test_drives_stop_by_themselves_when_the_program_is_suspended_and_it_says_why
             signs = 0x700 + (node if keys == GUARDING else 127)
             last = max(time for time in bench.times(signs) if time < FAULT)
             assert LIMIT - GRANULARITY < lost - last < LIMIT + LOOK
-        told = [event.time for event in run.recording.events if "it no longer heard dynid" in event.message]
+        told = [
+            event.time for event in run.recording.events if "it no longer received anything from dynid" in event.message
+        ]
         assert len(told) == 6 + 1
         assert all(moment > FAULT for moment in told)
 

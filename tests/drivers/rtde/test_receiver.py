@@ -146,7 +146,7 @@ def test_refused_variables_are_left_out_and_told(controller: Make, connect: Conn
         ({"refuse": {"timestamp": "NOT_FOUND"}}, "refuses timestamp"),
         ({"types": {"actual_q": "DOUBLE"}}, "actual_q is a DOUBLE"),
         ({"types": {"actual_q": "QUATERNION"}}, "unknown type 'QUATERNION'"),
-        ({"accept_protocol": False}, "does not speak RTDE version 2"),
+        ({"accept_protocol": False}, "does not support RTDE version 2"),
         ({"greeting": b"SSH-2.0-OpenSSH_9.6\r\n"}, "not RTDE"),
         ({"greeting": b"\0\0\0\0"}, "not RTDE"),
         ({"mute_at": "V"}, "no answer within 0.3 s"),

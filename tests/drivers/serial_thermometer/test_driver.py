@@ -222,7 +222,7 @@ def test_silence_is_told_once_and_so_is_its_end(
     assert allowed < notices[0].time - heard <= allowed + 3 * READ_TIMEOUT + 1e-9
     line.say("\nT1=20 T2=30\n")
     _, notices = listen(driver, clock, 0.02)
-    assert told(notices) == [f"info: speaks again after {100.0 + allowed:.1f} s"]
+    assert told(notices) == [f"info: sends again after {100.0 + allowed:.1f} s"]
 
 
 def test_a_stall_of_the_computer_is_not_taken_for_silence(

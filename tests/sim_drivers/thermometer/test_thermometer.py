@@ -157,7 +157,7 @@ def test_faults_are_seen_and_passed(opened: Make, clock: SimulatedClock, line: S
 
         server.obey("silent 0.5")
         times, notices = until(1.545)
-        assert messages(notices) == ["no temperature for 0.25 s", "speaks again after 0.5 s"]
+        assert messages(notices) == ["no temperature for 0.25 s", "sends again after 0.5 s"]
         assert len(times) == 20 - 10
 
         server.obey("garbage 0.5")
@@ -166,7 +166,7 @@ def test_faults_are_seen_and_passed(opened: Make, clock: SimulatedClock, line: S
         assert messages(notices) == [
             "no temperature for 0.25 s",
             "1 line(s) ignored: 1 do not match the pattern",
-            "speaks again after 0.5 s",
+            "sends again after 0.5 s",
         ]
 
         server.obey("unplug 2.51")
@@ -380,7 +380,7 @@ def told(recording: Recording) -> list[str]:
 @pytest.mark.parametrize(
     ("fault", "gap", "words"),
     [
-        ("silent 2", 2.2, ["warning: no temperature for 1.00 s", "info: speaks again after 2.2 s"]),
+        ("silent 2", 2.2, ["warning: no temperature for 1.00 s", "info: sends again after 2.2 s"]),
         (
             "unplug 1.5",
             2.4,
@@ -395,7 +395,7 @@ def told(recording: Recording) -> list[str]:
             [
                 "warning: no temperature for 1.00 s",
                 "warning: 1 line(s) ignored: 1 do not match the pattern",
-                "info: speaks again after 3.2 s",
+                "info: sends again after 3.2 s",
                 "warning: 3 line(s) ignored: 3 do not match the pattern",
             ],
         ),

@@ -139,7 +139,7 @@ def test_what_the_drive_does_not_say_must_be_in_the_file() -> None:
     file: dict[str, dict[str, object]] = {"pan": {}}
     for key, value in (("counts_per_turn", 10000), ("rated_current", 4.0), ("rated_torque", 30.0)):
         error = refused(ScriptedDrive(1, aborts=mute), nodes=file)
-        assert error.message.startswith(f"the drive does not say its {key}")
+        assert error.message.startswith(f"the drive does not report its {key}")
         assert key in error.hint
         file["pan"][key] = value
     with bench(drives(ScriptedDrive(1, aborts=mute)), nodes=file, begin="open") as one:
