@@ -87,87 +87,48 @@ def parse_version(text: str) -> ControllerVersion:
     return ControllerVersion(int(match[1]), int(match[2]), int(match[3] or 0))
 
 
-_ALWAYS: Mapping[str, str] = {
-    "timestamp": "DOUBLE",
-    "target_q": "VECTOR6D",
-    "target_qd": "VECTOR6D",
-    "target_qdd": "VECTOR6D",
-    "target_current": "VECTOR6D",
-    "target_moment": "VECTOR6D",
-    "actual_q": "VECTOR6D",
-    "actual_qd": "VECTOR6D",
-    "actual_current": "VECTOR6D",
-    "joint_control_output": "VECTOR6D",
-    "actual_TCP_pose": "VECTOR6D",
-    "actual_TCP_speed": "VECTOR6D",
-    "actual_TCP_force": "VECTOR6D",
-    "target_TCP_pose": "VECTOR6D",
-    "target_TCP_speed": "VECTOR6D",
-    "actual_digital_input_bits": "UINT64",
-    "joint_temperatures": "VECTOR6D",
-    "actual_execution_time": "DOUBLE",
-    "robot_mode": "INT32",
-    "joint_mode": "VECTOR6INT32",
-    "safety_mode": "INT32",
-    "actual_tool_accelerometer": "VECTOR3D",
-    "speed_scaling": "DOUBLE",
-    "target_speed_fraction": "DOUBLE",
-    "actual_momentum": "DOUBLE",
-    "actual_main_voltage": "DOUBLE",
-    "actual_robot_voltage": "DOUBLE",
-    "actual_robot_current": "DOUBLE",
-    "actual_joint_voltage": "VECTOR6D",
-    "actual_digital_output_bits": "UINT64",
-    "runtime_state": "UINT32",
-    "robot_status_bits": "UINT32",
-    "safety_status_bits": "UINT32",
-    "standard_analog_input0": "DOUBLE",
-    "standard_analog_input1": "DOUBLE",
-    "standard_analog_output0": "DOUBLE",
-    "standard_analog_output1": "DOUBLE",
-    "elbow_position": "VECTOR3D",
-    "elbow_velocity": "VECTOR3D",
-    "analog_io_types": "UINT32",
-    "io_current": "DOUBLE",
-    "euromap67_input_bits": "UINT32",
-    "euromap67_output_bits": "UINT32",
-    "euromap67_24V_voltage": "DOUBLE",
-    "euromap67_24V_current": "DOUBLE",
-    "tool_mode": "UINT32",
-    "tool_analog_input_types": "UINT32",
-    "tool_analog_input0": "DOUBLE",
-    "tool_analog_input1": "DOUBLE",
-    "tool_output_voltage": "INT32",
-    "tool_output_current": "DOUBLE",
-    "tool_temperature": "DOUBLE",
-    "tcp_force_scalar": "DOUBLE",
-    "script_control_line": "UINT32",
-}
+def _by_type(**names: str) -> dict[str, str]:
+    """Name → type, from the names of each type."""
+    return {name: kind for kind, listed in names.items() for name in listed.split()}
 
-_E_SERIES: Mapping[str, str] = {
-    "actual_current_window": "VECTOR6D",
-    "actual_TCP_acceleration": "VECTOR6D",
-    "target_TCP_acceleration": "VECTOR6D",
-    "tcp_offset": "VECTOR6D",
-    "actual_configurable_digital_input_bits": "UINT64",
-    "actual_configurable_digital_output_bits": "UINT64",
-    "target_execution_time": "DOUBLE",
-    "actual_robot_energy_consumed": "DOUBLE",
-    "actual_robot_braking_energy_dissipated": "DOUBLE",
-    "encoder0_raw": "INT32",
-    "encoder1_raw": "INT32",
-    "tool_output_mode": "UINT8",
-    "tool_digital_output0_mode": "UINT8",
-    "tool_digital_output1_mode": "UINT8",
-    "joint_position_deviation_ratio": "DOUBLE",
-    "collision_detection_ratio": "DOUBLE",
-    "wrench_calc_from_currents": "VECTOR6D",
-    "time_scale_source": "INT32",
-    "target_gravity": "VECTOR3D",
-    "target_base_acceleration": "VECTOR6D",
-    "target_base_wrench": "VECTOR6D",
-    "control_step": "UINT64",
-}
+
+_ALWAYS: Mapping[str, str] = _by_type(
+    DOUBLE=(
+        "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum "
+        "actual_main_voltage actual_robot_voltage actual_robot_current standard_analog_input0 "
+        "standard_analog_input1 standard_analog_output0 standard_analog_output1 io_current "
+        "euromap67_24V_voltage euromap67_24V_current tool_analog_input0 tool_analog_input1 "
+        "tool_output_current tool_temperature tcp_force_scalar"
+    ),
+    VECTOR6D=(
+        "target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current "
+        "joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force target_TCP_pose "
+        "target_TCP_speed joint_temperatures actual_joint_voltage"
+    ),
+    UINT64="actual_digital_input_bits actual_digital_output_bits",
+    INT32="robot_mode safety_mode tool_output_voltage",
+    VECTOR6INT32="joint_mode",
+    VECTOR3D="actual_tool_accelerometer elbow_position elbow_velocity",
+    UINT32=(
+        "runtime_state robot_status_bits safety_status_bits analog_io_types euromap67_input_bits "
+        "euromap67_output_bits tool_mode tool_analog_input_types script_control_line"
+    ),
+)
+
+_E_SERIES: Mapping[str, str] = _by_type(
+    VECTOR6D=(
+        "actual_current_window actual_TCP_acceleration target_TCP_acceleration tcp_offset "
+        "wrench_calc_from_currents target_base_acceleration target_base_wrench"
+    ),
+    UINT64="actual_configurable_digital_input_bits actual_configurable_digital_output_bits control_step",
+    DOUBLE=(
+        "target_execution_time actual_robot_energy_consumed actual_robot_braking_energy_dissipated "
+        "joint_position_deviation_ratio collision_detection_ratio"
+    ),
+    INT32="encoder0_raw encoder1_raw time_scale_source",
+    UINT8="tool_output_mode tool_digital_output0_mode tool_digital_output1_mode",
+    VECTOR3D="target_gravity",
+)
 """Of all e-Series versions here: real ones brought them one after the other."""
 
 _LATER: Mapping[str, tuple[str, int | None, int]] = {  # type, since 3.?, since 5.?
@@ -179,21 +140,16 @@ _LATER: Mapping[str, tuple[str, int | None, int]] = {  # type, since 3.?, since 
     "actual_current_as_torque": ("VECTOR6D", None, 23),
 }
 
-_IO_INPUTS: Mapping[str, str] = {
-    "speed_slider_mask": "UINT32",
-    "speed_slider_fraction": "DOUBLE",
-    "standard_digital_output_mask": "UINT8",
-    "standard_digital_output": "UINT8",
-    "configurable_digital_output_mask": "UINT8",
-    "configurable_digital_output": "UINT8",
-    "tool_digital_output_mask": "UINT8",
-    "tool_digital_output": "UINT8",
-    "standard_analog_output_mask": "UINT8",
-    "standard_analog_output_type": "UINT8",
-    "standard_analog_output_0": "DOUBLE",
-    "standard_analog_output_1": "DOUBLE",
-    "external_force_torque": "VECTOR6D",
-}
+_IO_INPUTS: Mapping[str, str] = _by_type(
+    UINT32="speed_slider_mask",
+    DOUBLE="speed_slider_fraction standard_analog_output_0 standard_analog_output_1",
+    UINT8=(
+        "standard_digital_output_mask standard_digital_output configurable_digital_output_mask "
+        "configurable_digital_output tool_digital_output_mask tool_digital_output standard_analog_output_mask "
+        "standard_analog_output_type"
+    ),
+    VECTOR6D="external_force_torque",
+)
 
 REGISTERS = 48
 UPPER_REGISTERS = 24

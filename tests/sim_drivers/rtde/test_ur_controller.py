@@ -232,94 +232,31 @@ def test_scripts_start_only_where_they_are_the_control_script() -> None:
     assert arm.values["output_int_register_24"] == 1
 
 
-RECORD_CONFIGURATION = [
-    "timestamp",
-    "target_q",
-    "target_qd",
-    "target_qdd",
-    "target_current",
-    "target_moment",
-    "actual_q",
-    "actual_qd",
-    "actual_current",
-    "joint_control_output",
-    "actual_TCP_pose",
-    "actual_TCP_speed",
-    "actual_TCP_force",
-    "target_TCP_pose",
-    "target_TCP_speed",
-    "actual_digital_input_bits",
-    "joint_temperatures",
-    "actual_execution_time",
-    "robot_mode",
-    "joint_mode",
-    "safety_mode",
-    "actual_tool_accelerometer",
-    "speed_scaling",
-    "target_speed_fraction",
-    "actual_momentum",
-    "actual_main_voltage",
-    "actual_robot_voltage",
-    "actual_robot_current",
-    "actual_joint_voltage",
-    "actual_digital_output_bits",
-    "runtime_state",
-    "payload",
-    "payload_cog",
-    "script_control_line",
-    "output_bit_registers0_to_31",
-    "output_bit_registers32_to_63",
-] + [f"output_{kind}_register_{number}" for kind in ("int", "double") for number in range(24)]
+def listed(text: str) -> list[str]:
+    return text.split()
+
+
+RECORD_CONFIGURATION = listed(
+    "timestamp target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current "
+    "joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force target_TCP_pose target_TCP_speed "
+    "actual_digital_input_bits joint_temperatures actual_execution_time robot_mode joint_mode safety_mode "
+    "actual_tool_accelerometer speed_scaling target_speed_fraction actual_momentum actual_main_voltage "
+    "actual_robot_voltage actual_robot_current actual_joint_voltage actual_digital_output_bits runtime_state "
+    "payload payload_cog script_control_line output_bit_registers0_to_31 output_bit_registers32_to_63 "
+) + [f"output_{kind}_register_{number}" for kind in ("int", "double") for number in range(24)]
 """Of the example of Universal Robots' RTDE client in Python, with what stands in a comment there."""
-GUIDE = [
-    "actual_current_window",
-    "tcp_offset",
-    "actual_TCP_acceleration",
-    "target_TCP_acceleration",
-    "safety_status",
-    "actual_configurable_digital_input_bits",
-    "actual_configurable_digital_output_bits",
-    "target_execution_time",
-    "elbow_position",
-    "elbow_velocity",
-    "robot_status_bits",
-    "safety_status_bits",
-    "analog_io_types",
-    "standard_analog_input0",
-    "standard_analog_input1",
-    "standard_analog_output0",
-    "standard_analog_output1",
-    "io_current",
-    "actual_robot_energy_consumed",
-    "actual_robot_braking_energy_dissipated",
-    "encoder0_raw",
-    "encoder1_raw",
-    "euromap67_input_bits",
-    "euromap67_output_bits",
-    "euromap67_24V_voltage",
-    "euromap67_24V_current",
-    "tool_mode",
-    "tool_analog_input_types",
-    "tool_analog_input0",
-    "tool_analog_input1",
-    "tool_output_voltage",
-    "tool_output_current",
-    "tool_temperature",
-    "tool_output_mode",
-    "tool_digital_output0_mode",
-    "tool_digital_output1_mode",
-    "tcp_force_scalar",
-    "joint_position_deviation_ratio",
-    "collision_detection_ratio",
-    "ft_raw_wrench",
-    "wrench_calc_from_currents",
-    "payload_inertia",
-    "time_scale_source",
-    "target_gravity",
-    "target_base_acceleration",
-    "control_step",
-    "target_base_wrench",
-]
+GUIDE = listed(
+    "actual_current_window tcp_offset actual_TCP_acceleration target_TCP_acceleration safety_status "
+    "actual_configurable_digital_input_bits actual_configurable_digital_output_bits target_execution_time "
+    "elbow_position elbow_velocity robot_status_bits safety_status_bits analog_io_types standard_analog_input0 "
+    "standard_analog_input1 standard_analog_output0 standard_analog_output1 io_current "
+    "actual_robot_energy_consumed actual_robot_braking_energy_dissipated encoder0_raw encoder1_raw "
+    "euromap67_input_bits euromap67_output_bits euromap67_24V_voltage euromap67_24V_current tool_mode "
+    "tool_analog_input_types tool_analog_input0 tool_analog_input1 tool_output_voltage tool_output_current "
+    "tool_temperature tool_output_mode tool_digital_output0_mode tool_digital_output1_mode tcp_force_scalar "
+    "joint_position_deviation_ratio collision_detection_ratio ft_raw_wrench wrench_calc_from_currents "
+    "payload_inertia time_scale_source target_gravity target_base_acceleration control_step target_base_wrench "
+)
 """What the RTDE guide lists beside these."""
 
 
