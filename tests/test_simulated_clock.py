@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from simulated_clock import START, SimulatedClock, simulated_time
 
-from drivers.can.bus import Receiver, Sender, open_bus
+from drivers.can.bus import Sender, open_bus
+from drivers.can.receiver import Receiver
 
 
 def test_time_passes_only_by_waiting_and_then_exactly() -> None:

@@ -1,6 +1,6 @@
-"""A CAN bus through python-can: opening any of its interfaces, sending, and receiving without loss.
+"""A CAN bus through python-can: opening any of its interfaces, and sending (receiving: `drivers.can.receiver`).
 
-Buses differ in what they tell: socketcan and udp_multicast stamp a frame in the kernel when it arrives, others when it
+Buses differ: socketcan and udp_multicast stamp a frame in the kernel when it arrives, others when it
 is read; udp_multicast hands a sender its own frames back; slcan passes truncated lines on.
 """
 
@@ -9,35 +9,23 @@ from __future__ import annotations
 import contextlib
 import difflib
 import logging
-import math
 import os
 import socket
 import sys
 import threading
-from collections import deque
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import can
 
-from drivers.base import Level, Notice, drained
-from drivers.can.adapter_errors import error_frame_words, is_bus_off, is_unreadable, reason, why_not_opened
-from drivers.can.arrival_clock import ArrivalClock
+from drivers.can.adapter_errors import reason, why_not_opened
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError, ConnectionLostError
 
 RECEIVE_BUFFER_BYTES = 4 * 2**20
 """Asked of the kernel; udp_multicast's default holds 256 frames, 21 ms of six drives at 1 kHz."""
-POLL = 0.005
-"""How long [s] the receiving thread waits for a frame before it looks whether it shall end."""
-BUFFER_FRAMES = 200_000
-"""Frames that may wait to be taken: 40 s of six drives at 400 Hz."""
 SEND_LIMIT = 0.05
 """How long [s] a frame may wait for room in the adapter."""
-NOTICE_PERIOD = 1.0
-"""At most one notice of a kind in so many seconds."""
-FAULTY_LIMIT = 1000
-"""Unreadable frames without a sound one in between, after which the adapter counts as lost."""
 EXTENDED = 0x80000000
 """Added to a 29-bit identifier, as socketcan and DBC files do; an 11-bit one stands as it is."""
 REMOTE = 0x40000000
@@ -160,196 +148,6 @@ class Sender:
             where=str(self._bus.channel_info),
             hint="is another device on the bus, at this bit rate, and the bus terminated?",
         )
-
-
-class Receiver:
-    """Stores what comes on a bus, in a thread of its own, until it is taken.
-
-    Args:
-        bus: open; the receiver does not close it.
-        stored: identifiers to store; None for all.
-        other: is called with every other frame (identifier, data, arrival [s]) in the receiving thread; must be quick.
-        clock: the host's.
-    """
-
-    def __init__(
-        self,
-        bus: can.BusABC,
-        stored: Container[int] | None = None,
-        other: Callable[[int, bytes, float], None] | None = None,
-        clock: Clock = SYSTEM_CLOCK,
-    ) -> None:
-        self.overflow = 0
-        """Frames dropped because `take` stayed away."""
-        self.latest: dict[int, Frame] = {}
-        """The newest stored frame of every identifier."""
-        self._bus = bus
-        self._stored = stored
-        self._other = other
-        self._clock = clock
-        self._stamps = ArrivalClock(bus, clock)
-        self._ring: deque[Frame] = deque()
-        self._arrival = clock.condition()
-        self._wanted = 1
-        self._drained = -math.inf
-        self._failure: ConnectionLostError | None = None
-        self._ending = clock.event()
-        self._troubles: dict[str, tuple[int, float]] = {}
-        self._notices: deque[Notice] = deque()
-        self._thread: threading.Thread | None = None
-
-    @property
-    def drained(self) -> float:
-        """Everything that arrived before this time [s, host's monotonic clock] has been stored or passed on."""
-        return self._drained
-
-    @property
-    def failure(self) -> ConnectionLostError | None:
-        """Why nothing comes any more; None while all is well."""
-        return self._failure
-
-    def start(self) -> None:
-        """Begin to receive."""
-        self._thread = self._clock.thread(self._receive, f"can {self._bus.channel_info}")
-        self._thread.start()
-
-    def take(self, timeout: float = 0.0, at_least: int = 1) -> list[Frame]:
-        """Stored frames since the last call, waiting at most `timeout` [s] until there are `at_least` so many.
-
-        Raises:
-            ConnectionLostError: none is left, and the adapter is gone or the bus off.
-        """
-        with self._arrival:
-            self._wanted = at_least
-            self._arrival.wait_for(lambda: len(self._ring) >= at_least or self._failure is not None, timeout)
-            frames = list(self._ring)
-            self._ring.clear()
-        if not frames and self._failure is not None:
-            raise self._failure
-        return frames
-
-    def notices(self) -> list[Notice]:
-        """Notices since the last call: error frames, truncated and unreadable ones."""
-        self._report_troubles(self._clock.now() - NOTICE_PERIOD)
-        return drained(self._notices)
-
-    def report_rest(self) -> None:
-        """Put into the notices what was counted and not reported yet, since it came so often."""
-        self._report_troubles(math.inf)
-
-    def stop(self) -> None:
-        """End the thread; safe at any time."""
-        self._ending.set()
-        thread, self._thread = self._thread, None
-        if thread is not None and thread is not threading.current_thread():
-            thread.join()
-
-    def _receive(self) -> None:
-        faulty = 0
-        while not self._ending.is_set():
-            asked = self._clock.now()
-            try:
-                message = self._bus.recv(POLL)
-            except (can.CanError, OSError) as error:
-                if self._ending.is_set():
-                    return
-                if not is_unreadable(error):
-                    self._fail(f"the CAN adapter is gone: {reason(error)}", "is it plugged in, and the interface up?")
-                    return
-                faulty = self._skip_unreadable(faulty)
-            except (ValueError, IndexError, KeyError, TypeError) as error:  # what slcan makes of a garbled line
-                if self._ending.is_set():
-                    return
-                del error
-                faulty = self._skip_unreadable(faulty)
-            else:
-                if message is None:
-                    self._drained = max(self._drained, asked)
-                    continue
-                faulty = 0
-                if not self._keep(message):
-                    return
-            if faulty > FAULTY_LIMIT:
-                self._fail(f"{faulty} unreadable frames in a row", "is this the right port, bit rate and adapter?")
-                return
-
-    def _keep(self, message: can.Message) -> bool:
-        arrived = self._stamps.arrived(message)
-        if message.is_error_frame:
-            return self._note_error(message, arrived)
-        if message.is_remote_frame:
-            self._drained = arrived
-            return True
-        identifier, data = message.arbitration_id, bytes(message.data)
-        if message.is_extended_id:
-            identifier |= EXTENDED
-        if len(data) != message.dlc:
-            self._trouble("truncated frame(s) left out", arrived)
-        elif self._stored is None or identifier in self._stored:
-            self._store((arrived, identifier, data))
-        elif self._other is not None:
-            try:
-                self._other(identifier, data, arrived)
-            except Exception as error:  # a malformed answer of one node must not end the reception of all
-                self._trouble(f"frame(s) 0x{identifier:X} not understood ({type(error).__name__})", arrived)
-        self._drained = arrived
-        return True
-
-    def _store(self, frame: Frame) -> None:
-        self.latest[frame[1]] = frame
-        with self._arrival:
-            if len(self._ring) >= BUFFER_FRAMES:
-                self._ring.popleft()
-                if not self.overflow:
-                    self._report("warning", "CAN frames are not read for too long: the oldest are dropped")
-                self.overflow += 1
-            self._ring.append(frame)
-            if len(self._ring) >= self._wanted:
-                self._arrival.notify_all()
-
-    def _note_error(self, message: can.Message, arrived: float) -> bool:
-        if type(self._bus).__name__ != "SocketcanBus":
-            self._trouble("error frame(s)", arrived)
-            return True
-        if is_bus_off(message):
-            self._fail(
-                "the adapter is off the bus (bus-off)",
-                "check wiring, termination and bit rate; then take the interface down and up again",
-            )
-            return False
-        words = error_frame_words(message)
-        self._trouble(f"error frame(s): {words}" if words else "error frame(s)", arrived)
-        return True
-
-    def _skip_unreadable(self, faulty: int) -> int:
-        # slcan keeps a line that it cannot decode, and would meet it again for ever.
-        flush = getattr(self._bus, "flush", None)
-        if flush is not None:
-            with contextlib.suppress(can.CanError, OSError):
-                flush()
-        self._trouble("unreadable frame(s) left out", self._clock.now())
-        return faulty + 1
-
-    def _trouble(self, what: str, now: float) -> None:
-        with self._arrival:
-            count, reported = self._troubles.get(what, (0, -math.inf))
-            self._troubles[what] = (count + 1, reported)
-        self._report_troubles(now - NOTICE_PERIOD)
-
-    def _report_troubles(self, reported_before: float) -> None:
-        with self._arrival:
-            for what, (count, reported) in self._troubles.items():
-                if count and reported <= reported_before:
-                    self._report("warning", f"{count} {what}")
-                    self._troubles[what] = (0, self._clock.now())
-
-    def _report(self, level: Level, message: str) -> None:
-        self._notices.append(Notice(math.nan, level, message))
-
-    def _fail(self, message: str, hint: str) -> None:
-        with self._arrival:
-            self._failure = ConnectionLostError(message, where=str(self._bus.channel_info), hint=hint)
-            self._arrival.notify_all()
 
 
 def close_bus(bus: can.BusABC) -> None:

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 import can
 
 from drivers.base import DriverSettings, Notice, State, drained, require_state
-from drivers.can.bus import Receiver, Sender, close_bus, open_bus
+from drivers.can.bus import Sender, close_bus, open_bus
+from drivers.can.receiver import Receiver
 from drivers.can_signals.motion import Commander
 from drivers.can_signals.polling import Poller
 from drivers.can_signals.settings import parse_settings

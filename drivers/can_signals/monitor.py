@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.base import Notice
-from drivers.can.bus import NOTICE_PERIOD
+from drivers.can.receiver import NOTICE_PERIOD
 from drivers.can_signals.rows.assembly import Rows
 from drivers.can_signals.table.signals import Signal
 from drivers.clock import SYSTEM_CLOCK, Clock

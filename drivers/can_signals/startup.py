@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.can.bus import Receiver
+from drivers.can.receiver import Receiver
 from drivers.can_signals.rows.cycle_order import CycleOrder, Order
 from drivers.can_signals.settings import CanFramesSettings
 from drivers.can_signals.table.signals import identifier_text

@@ -15,7 +15,8 @@ import can
 import numpy as np
 
 from drivers.base import DriverSettings, Notice, State, drained, require_state
-from drivers.can.bus import Receiver, Sender, close_bus, open_bus, sends_in_kernel
+from drivers.can.bus import Sender, close_bus, open_bus, sends_in_kernel
+from drivers.can.receiver import Receiver
 from drivers.canopen402.monitor.drives import DriveWatch
 from drivers.canopen402.monitor.life_signs import LifeSigns, guard_requests, heartbeat
 from drivers.canopen402.monitor.presence import Heartbeats, NodeGuarding, Presence

@@ -14,7 +14,8 @@ from pathlib import Path
 import can
 
 from daq.robot.schema import Robot
-from drivers.can.bus import EXTENDED, Receiver
+from drivers.can.bus import EXTENDED
+from drivers.can.receiver import Receiver
 from drivers.can_signals.settings import parse_settings
 from drivers.clock import SYSTEM_CLOCK, Clock
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits

@@ -18,17 +18,8 @@ from hypothesis import strategies as st
 from simulated_clock import START, SimulatedClock, simulated_time
 from simulated_serial import simulated_line
 
-from drivers.can.bus import (
-    EXTENDED,
-    NOTICE_PERIOD,
-    POLL,
-    RECEIVE_BUFFER_BYTES,
-    Frame,
-    Receiver,
-    Sender,
-    close_bus,
-    open_bus,
-)
+from drivers.can.bus import EXTENDED, RECEIVE_BUFFER_BYTES, Frame, Sender, close_bus, open_bus
+from drivers.can.receiver import NOTICE_PERIOD, POLL, Receiver
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError, ConnectionLostError
 

@@ -12,7 +12,7 @@ from canopen_bench import JOINTS, RATE, READ, bench
 from scripted_drives import FRAME_TIME, ScriptedDrive
 
 from drivers.base import DRIVERS_GROUP, Driver, DriverSettings
-from drivers.can.bus import POLL
+from drivers.can.receiver import POLL
 from drivers.canopen402.driver import FIRST_ROW_LIMIT, SILENCE_LIMIT, Canopen402Driver
 from drivers.canopen402.monitor.drives import ALIGNMENT_PERIOD
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError

@@ -18,7 +18,7 @@ from canopen_recording import Bench, Run, arm_on_bus, swing
 
 from daq.session.session import READ_TIMEOUT
 from daq.session.supervisor import STALE_FLOOR
-from drivers.can.bus import POLL
+from drivers.can.receiver import POLL
 from drivers.canopen402.monitor.presence import HEARTBEATS_MISSED
 from drivers.errors import ConnectionFailedError
 from sim_drivers.canopen.network import LOOP_PERIOD, TICKS_PER_CHORE

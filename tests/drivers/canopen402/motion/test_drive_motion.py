@@ -9,7 +9,7 @@ import pytest
 from canopen_bench import RATE, READ, Bench, bench
 from scripted_drives import FRAME_TIME, RAMP, ScriptedDrive
 
-from drivers.can.bus import POLL
+from drivers.can.receiver import POLL
 from drivers.canopen402.motion.drive_motion import OFF_LIMIT
 from drivers.canopen402.motion.sdo_stop import PATIENCE, REPEAT
 from drivers.errors import ConnectionLostError, DriverStateError

@@ -4,7 +4,7 @@ import pytest
 from canopen_bench import JOINTS, bench
 from scripted_drives import ScriptedBus, ScriptedDrive
 
-from drivers.can.bus import POLL
+from drivers.can.receiver import POLL
 from drivers.canopen402.setup.configuration import PROBE_LIMIT
 from drivers.canopen402.setup.error_control import OWN_ID_ANSWER
 from drivers.errors import ConnectionFailedError

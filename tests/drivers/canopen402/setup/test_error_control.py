@@ -12,7 +12,7 @@ from canopen_bench import RATE, READ, Bench, bench
 from scripted_drives import FRAME_TIME, ScriptedDrive
 
 from drivers.base import Attributing
-from drivers.can.bus import POLL
+from drivers.can.receiver import POLL
 from drivers.canopen402.setup.error_control import RELEASE_LIMIT
 from drivers.errors import ConnectionFailedError, ConnectionLostError
 
