@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
-from daq.recording.recording import JOINTS_STREAM, Event, Recording
+from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording
 from daq.robot.loader import RobotFile, parse_robot
 from ident.assessment.recording_checks import recording_checks
 from ident.checks.recording_check import recording_info
@@ -18,6 +19,7 @@ from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
+from ident.regression import least_squares
 from ident.regression.observability import ExperimentChoices
 from ident.result.schema import Result
 from ident.signals.pipeline import PreprocessChoices
@@ -129,9 +131,34 @@ class Bench:
             runs.append(changed(self.recorded(10 + moving, 12.0, shares), lambda values, held=held: values + held))
         return runs
 
-    def sticking(self) -> Recording:
-        """Friction that sticks at reversals."""
+    def with_velocity(self, gains: tuple[float, ...] = (1.0, 1.0, 1.0)) -> Recording:
+        """With a recorded velocity, each joint's times a factor."""
         recording = self.recorded()
+        stream = recording.streams[JOINTS_STREAM]
+        position = stream.channels["position"]
+        speed = np.gradient(position.values, stream.time, axis=0) * gains
+        channels = {**stream.channels, "velocity": Channel("velocity", speed, "rad/s", position.columns)}
+        return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+
+    def drifting_clock(self) -> Recording:
+        """Stamps whose clock goes wrong by 1 % beside the host's."""
+        recording = self.recorded()
+        stream = recording.streams[JOINTS_STREAM]
+        return replace(recording, streams={JOINTS_STREAM: replace(stream, host_time=1.01 * stream.time)})
+
+    def unsettled(self) -> Names:
+        """Weights that are given two iterations."""
+        with patch.object(least_squares, "WLS_ITERATIONS", 2):
+            return self.found()
+
+    def inconsistent(self) -> Names:
+        """A search for consistent parameters that reaches no minimum."""
+        with patch("ident.identify.identify.found_consistent", return_value=None):
+            return self.found()
+
+    def sticking(self, *recorded: object) -> Recording:
+        """Friction that sticks at reversals."""
+        recording = self.recorded(*recorded)
         stream = recording.streams[JOINTS_STREAM]
         speed = np.gradient(stream.channels["position"].values, stream.time, axis=0)
         slow = np.abs(speed) < 0.1 * np.sqrt(np.mean(speed**2, axis=0))
@@ -173,6 +200,31 @@ def spoilt_end(values: np.ndarray) -> np.ndarray:
 
 CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "recording-not-closed": (lambda b: b.names(replace(b.recorded(), complete=False)), lambda b: b.names(b.recorded())),
+    "wrong-time-axis": (
+        lambda b: b.names(stamped(b.with_velocity(), lambda t: 1.25 * t)),
+        lambda b: b.names(b.with_velocity()),
+    ),
+    "velocity-scale": (
+        lambda b: b.names(b.with_velocity((1.0, 1.0, 0.5))),
+        lambda b: b.names(b.with_velocity()),
+    ),
+    "clocks-drift": (lambda b: b.names(b.drifting_clock()), lambda b: b.names(b.recorded())),
+    "torque-ahead": (
+        lambda b: b.found(changed(b.recorded(), lambda i: np.roll(i, -2, axis=0)), search_delay=True),
+        lambda b: b.found(changed(b.recorded(), lambda i: np.roll(i, 2, axis=0)), search_delay=True),
+    ),
+    "weights-not-settled": (lambda b: b.unsettled(), lambda b: b.clean()),
+    "no-consistent-model": (lambda b: b.inconsistent(), lambda b: b.clean()),
+    "consistency-costs": (lambda b: b.found(changed(b.recorded(), lambda i: i * [-1, 1, 1])), lambda b: b.clean()),
+    "links-on-boundary": (lambda b: b.found(changed(b.recorded(), lambda i: i * [-1, 1, 1])), lambda b: b.clean()),
+    "errors-near-standstill": (
+        lambda b: b.found(validation=(b.sticking(3, 30.0, (0.2, 0.2, 0.2)),)),
+        lambda b: b.found(validation=(b.recorded(3, 30.0, (0.2, 0.2, 0.2)),)),
+    ),
+    "range-hit": (
+        lambda b: b.found(robot_file=b.said({"drives:\n": "known: {Fv1: {max: 2}}\ndrives:\n"})),
+        lambda b: b.found(robot_file=b.said({"drives:\n": "known: {Fv1: {max: 9}}\ndrives:\n"})),
+    ),
     "import-warning": (
         lambda b: b.names(replace(b.recorded(), events=(Event(0.0, "warning", "import", "sort: 3 samples"),))),
         lambda b: b.names(replace(b.recorded(), events=(Event(0.0, "info", "import", "time converted"),))),
@@ -214,7 +266,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         ),
         lambda b: b.found(robot_file=b.said({", torque: 100}": "}", ", torque: 50}": "}"})),
     ),
-    "idle-joints": (lambda b: b.found(*b.single_joint_runs()), lambda b: b.clean()),
+    "idle-joints": (
+        lambda b: b.found(*b.single_joint_runs(), preprocess=PreprocessChoices(keep_rest=True)),
+        lambda b: b.found(*b.single_joint_runs()),
+    ),
     "few-equations": (lambda b: b.found(b.recorded(1, 12.0)), lambda b: b.clean()),
     "few-independent-samples": (lambda b: b.found(changed(b.recorded(), drifting)), lambda b: b.clean()),
     "few-blocks": (
@@ -248,7 +303,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "torque-sign": (lambda b: b.found(changed(b.recorded(), lambda i: i * [1, -1, 1])), lambda b: b.clean()),
     "torques-exchanged": (lambda b: b.found(changed(b.recorded(), exchanged)), lambda b: b.clean()),
     "inconsistent-gain": (lambda b: b.found(changed(b.recorded(), lambda i: i * [1, 1, 1.6])), lambda b: b.clean()),
-    "friction-near-reversals": (lambda b: b.found(b.sticking()), lambda b: b.clean()),
+    "friction-near-reversals": (lambda b: b.found(b.sticking(), reversals=0.0), lambda b: b.found(b.sticking())),
     "indefinite-inertia": (lambda b: b.found(changed(b.recorded(), lambda i: i * [-1, 1, 1])), lambda b: b.clean()),
     "overfitting": (lambda b: b.found(changed(b.recorded(), spoilt_end)), lambda b: b.clean()),
     "not-validated": (
