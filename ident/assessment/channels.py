@@ -122,30 +122,28 @@ def _explained(gram: FloatArray, score: FloatArray) -> float:
     return float(score / scale @ solution)
 
 
-def channel_checks(
+def arrangement_checks(
     model: DynamicModel,
     experiment: Experiment,
     runs: Sequence[Prepared],
     columns: Sequence[int],
     active: Sequence[int],
-    weights: FloatArray,
     independent: float,
     error: float,
 ) -> list[Check]:
-    """Try what is usually mistaken: gravity's axis, a sign, two torques exchanged, a gain.
+    """Try what is usually mistaken: gravity's axis, a sign, two torques exchanged.
 
     Args:
         model: as believed.
         experiment: joints that were locked, and motors whose torques count.
-        runs: prepared data.
+        runs: prepared data, with all equations: one motor's reversals are not another's.
         columns: standard columns of the base parameters.
         active: numbers of the base parameters that were estimated.
-        weights: (n,) of the joints' rows, 1/σ.
         independent: number of independent equations.
         error: relative error of the fit.
 
     Returns:
-        At most one check of gravity's axis, a sign or an exchange, the one that fits best; gains only without one.
+        At most one check, the one that fits best.
     """
     joints = experiment.torques
     grams = channel_grams(RegressorKernel(model, columns), runs, active)
@@ -160,7 +158,7 @@ def channel_checks(
     if clearly_better(residual, believed, independent):
         factor = 100.0 * (1.0 - np.sqrt(max(residual, 0.0) / believed))
         return [replace(check, text=check.text.format(change=f"{factor:.0f} %"))]
-    return _gain_checks(model.joint_names, grams, joints, weights, independent)
+    return []
 
 
 def clearly_better(residual: float, believed: float, independent: float) -> bool:
@@ -297,11 +295,26 @@ def _minimum(function: Callable[[float], float]) -> tuple[float, float]:
     return float(np.exp(grid[best])), values[best]
 
 
-def _gain_checks(
-    names: Sequence[str], grams: ChannelGrams, joints: Sequence[int], weights: FloatArray, independent: float
+def gain_checks(
+    kernel: RegressorKernel,
+    joints: Sequence[int],
+    runs: Sequence[Prepared],
+    active: Sequence[int],
+    weights: FloatArray,
+    independent: float,
 ) -> list[Check]:
-    """The joint whose gain is off most clearly: one wrong gain makes the others look wrong, too."""
-    if len(joints) < 2:
+    """The joint whose gain is off most clearly: one wrong gain makes the others look wrong, too.
+
+    Args:
+        kernel: of the base columns.
+        joints: motors whose torques count.
+        runs: prepared data, with the equations that were fitted.
+        active: numbers of the base parameters that were estimated.
+        weights: (n,) of the joints' rows, 1/σ.
+        independent: number of independent equations.
+    """
+    grams, names = channel_grams(kernel, runs, active), kernel.model.joint_names
+    if len(joints) < 2 or not all(grams.power[joint] > 0 for joint in joints):
         return []
     estimates = {joint: gain_estimate(grams, joint, joints, weights, independent) for joint in joints}
     joint, worst = max(estimates.items(), key=lambda one: one[1].likelihood)

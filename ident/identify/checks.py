@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.recording.recording import Recording
 from drivers.errors import IdentificationError
-from ident.assessment.channels import channel_checks, opposite_gravity
+from ident.assessment.channels import arrangement_checks, gain_checks, opposite_gravity
 from ident.assessment.delay import delay_checks
 from ident.assessment.idle_joints import idle_joint_checks
 from ident.assessment.plausibility import (
@@ -158,15 +158,21 @@ def _arrangement_checks(identification: Identification) -> list[Check]:
     """Gravity, signs, exchanged torques and gains that fit the data better than those believed."""
     checks: list[Check] = []
     if identification.choices.method not in ENERGY_METHODS:
-        checks = channel_checks(
+        checks = arrangement_checks(
             identification.model,
             identification.experiment,
             [all_equations(run.prepared) for run in identification.runs],
             identification.base.columns,
             identification.solution.active,
-            identification.solution.weights,
             identification.corrected.effective_rows,
             identification.fit.relative_error,
+        ) or gain_checks(
+            RegressorKernel(identification.model, identification.base.columns),
+            identification.experiment.torques,
+            [run.prepared for run in identification.runs],
+            identification.solution.active,
+            identification.solution.weights,
+            identification.corrected.effective_rows,
         )
     if any(check.severity == "serious" for check in checks) or not np.any(identification.model.gravity):
         return checks
