@@ -174,7 +174,16 @@ def test_a_newer_schema_is_refused(tmp_path, content, schema):
 @given(data=st.data())
 def test_missing_keys_and_wrong_types_are_named(tmp_path_factory, content, data):
     broken = json.loads(json.dumps(content))
-    optional = {"dynid_schema", "kind", "standard_parameters", "experiments", "merge", "estimate", "warnings"}
+    optional = {
+        "dynid_schema",
+        "kind",
+        "standard_parameters",
+        "experiments",
+        "merge",
+        "estimate",
+        "warnings",
+        "consistent",
+    }
     key = data.draw(st.sampled_from(sorted(set(broken) - optional)))
     wrong = data.draw(st.sampled_from(["missing", "list", "object"]))
     if wrong == "missing":
