@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.errors import UsageError
+from drivers.text_file import replace_file
 from ident.report import number_text
-from ident.result.schema import replace_file
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -9,12 +9,12 @@ from __future__ import annotations
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from drivers.errors import ModelError, UsageError
+from drivers.errors import ModelError, ResultFileError, UsageError
 from drivers.streams import FloatArray
 from ident.estimators.feasible.consistent import ConsistentParameters, consistent_parameters
 from ident.linear_algebra.triangular import triangular
@@ -25,8 +25,12 @@ from ident.regression.estimate import Estimate
 from ident.regression.observability import describe
 from ident.result.arrays import outward, samples
 from ident.result.schema import Result, read_result
-from ident.result.stored_model import StoredModel, stored_estimate, stored_model
+from ident.result.stored_model import AGAIN, StoredModel, stored_estimate, stored_model
 from ident.result.tables import Table, table_of_rows
+
+if TYPE_CHECKING:
+    from ident.export.arm import ExportedArm
+    from ident.export.export import Export
 
 Parameters = Literal["consistent", "full", "essential"]
 
@@ -310,6 +314,102 @@ class Model:
                 acting = np.any(np.abs(columns[:, unsure]) > ROUNDING, axis=1)
                 deviations[:, chunk] = np.where(acting, np.inf, deviations[:, chunk])
         return outward(deviations, single=single)
+
+    def to_pinocchio(self) -> Any:
+        """A `pinocchio.Model` of the arm: bodies, armature, damping, dry friction, limits, gravity.
+
+        `pin.rnea` gives the links' and the motor inertias' torques; friction is left to the user of Pinocchio. Closed
+        loops are open in it, with free joints; coupled motors and offsets are not in it.
+
+        Raises:
+            UsageError: these are not the consistent parameters.
+            ModelError: some friction was not identified.
+        """
+        from ident.export.pinocchio_arm import pinocchio_arm
+
+        return pinocchio_arm(self._exported)
+
+    def export_urdf(
+        self, path: str | PathLike[str], *, into: str | PathLike[str] | None = None, force: bool = False
+    ) -> Export:
+        """Write a URDF: the robot's own with new inertials, friction and limits, or a complete one from MDH.
+
+        It is read again by Pinocchio (and MuJoCo, if installed), compared with `torque`, and simulated for 5 s.
+
+        Args:
+            path: of the file.
+            into: another URDF of the same arm, with meshes for instance, to put the model in.
+            force: whether to overwrite.
+
+        Raises:
+            UsageError: the file exists or cannot be written, or these are not the consistent parameters.
+            RobotFileError: `into` is not a URDF of this arm.
+            ModelError: some friction was not identified, or the file reads back as another model.
+        """
+        from ident.export.export import export_urdf
+
+        return export_urdf(self._exported, path, into=into, force=force)
+
+    def export_mjcf(self, path: str | PathLike[str], *, force: bool = False) -> Export:
+        """Write an MJCF with motor inertia, friction, offsets, coupled motors and closed loops.
+
+        Where MuJoCo is installed it is read again, compared with `torque`, and simulated for 5 s.
+
+        Args:
+            path: of the file.
+            force: whether to overwrite.
+
+        Raises:
+            UsageError: the file exists or cannot be written, or these are not the consistent parameters.
+            ModelError: some friction was not identified, or the file reads back as another model.
+        """
+        from ident.export.export import export_mjcf
+
+        return export_mjcf(self._exported, path, force=force)
+
+    def export_ros2_inertial(self, path: str | PathLike[str], *, force: bool = False) -> Export:
+        """Write the links' bodies as YAML in the form of Universal_Robots_ROS2_Description's `inertia_parameters`.
+
+        Args:
+            path: of the file.
+            force: whether to overwrite.
+
+        Raises:
+            UsageError: the file exists or cannot be written, or these are not the consistent parameters.
+            ModelError: some friction was not identified.
+        """
+        from ident.export.export import export_ros2_inertial
+
+        return export_ros2_inertial(self._exported, path, force=force)
+
+    @cached_property
+    def _exported(self) -> ExportedArm:
+        from ident.export.arm import ExportedArm, refuse_unidentified_friction
+
+        consistent = self.result.consistent
+        if self.kind != "consistent" or consistent is None:
+            raise UsageError(
+                f"the {self.kind} parameters are no bodies, which an export needs",
+                where=self.name,
+                hint='load_model(…, parameters="consistent")',
+            )
+        values = {parameter.name: parameter.value for parameter in consistent.parameters}
+        names = [parameter.name for parameter in self._stored.model.parameters]
+        if set(names) != set(values):
+            raise ResultFileError("the consistent parameters do not belong to the robot file beside them", hint=AGAIN)
+        known = {parameter.name for parameter in consistent.parameters if parameter.known}
+        rubbing = ("viscous", "coulomb", "coupling")
+        refuse_unidentified_friction(
+            [
+                f"{entry.name} of {entry.joint}"
+                for entry in self.result.base_parameters
+                if entry.value is None and entry.kind in rubbing and entry.name not in known
+            ],
+            self.name,
+        )
+        return ExportedArm(
+            self._stored.robot_file, self._stored.model, np.array([values[name] for name in names]), self._dynamics
+        )
 
     def __repr__(self) -> str:
         return f"<dynid.Model {self.name}, {self.dof} joints, {self._base.count} base parameters, {self.kind}>"

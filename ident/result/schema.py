@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, computed_field, model_validator
 
 from drivers.errors import ResultFileError, UsageError
+from drivers.text_file import replace_file
 from ident.model.parameters import Kind
 from ident.verdict.check import PURPOSES, texts
 from ident.verdict.verdict import Verdict
@@ -345,16 +346,6 @@ def check_folder(folder: Path) -> None:
 def write_result(path: Path, result: Result) -> None:
     """Write result.json."""
     replace_file(path, result_json(result) + "\n")
-
-
-def replace_file(path: Path, text: str) -> None:
-    """Write a text file as UTF-8 in one step: an interruption leaves the old file or none, never half of a new one."""
-    unfinished = path.with_name(f".{path.name}.unfinished")
-    try:
-        unfinished.write_text(text, encoding="utf-8")
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 def result_json(result: Result) -> str:

@@ -20,6 +20,7 @@ from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
 from drivers.errors import IdentificationError, UsageError
 from drivers.streams import FloatArray
+from drivers.text_file import replace_file
 from ident.excite.choices import DEFAULT_SECONDS, CriterionName, DesignChoices, Kind
 from ident.excite.constraints.surroundings import surroundings_warning
 from ident.excite.design import Design, design
@@ -28,7 +29,6 @@ from ident.excite.page.page import write_page
 from ident.excite.prior import Prior, find_prior
 from ident.excite.search.search import SearchChoices, SearchResult
 from ident.excite.search.solve import Solver
-from ident.result.schema import replace_file
 from ident.result.tables import Table, table_of_rows
 
 

@@ -318,8 +318,39 @@ _MERGE = (
     _note("checks-of-a-part", "a merged model has checks of its own", "Read them in its own result."),
 )
 
+_EXPORT = (
+    CheckKind(
+        "export-diverges",
+        "serious",
+        ("simulation",),
+        "the exported model diverges in simulation",
+        "Excite the links named as lying on the boundary, or give a prior; smaller time steps help stiff friction.",
+    ),
+    CheckKind(
+        "export-gains-energy",
+        "serious",
+        ("simulation",),
+        "the exported model gains energy without power",
+        "Simulate with smaller time steps; light links with little friction turn too fast for these.",
+    ),
+    CheckKind(
+        "export-loses-motion",
+        "serious",
+        ("simulation",),
+        "the exported model cannot follow a motion within its limits",
+        "Compare the torque limits of the robot file with the torques of the recording.",
+    ),
+    CheckKind(
+        "export-not-read",
+        "warning",
+        ("simulation",),
+        "the exported file was not read again",
+        "Install MuJoCo (pip install mujoco) and export again.",
+    ),
+)
+
 CATALOGUE: dict[str, CheckKind] = {
-    kind.name: kind for kind in (*_RECORDING, *_EXCITATION, *_MODEL, *_VALIDATION, *_MERGE)
+    kind.name: kind for kind in (*_RECORDING, *_EXCITATION, *_MODEL, *_VALIDATION, *_MERGE, *_EXPORT)
 }
 """Every check by its name."""
 

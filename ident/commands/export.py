@@ -1,0 +1,63 @@
+"""The command `dynid export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from ident.commands.options import JSON
+
+app = typer.Typer()
+
+
+@app.command("export")
+def export(
+    model: Path = typer.Argument(help="Folder that identify wrote, or its result.json."),
+    urdf: Path = typer.Option(None, "--urdf", help="URDF to write: the robot's own, or a complete one from MDH."),
+    into: Path = typer.Option(None, "--into", help="URDF of the same arm to put the model in, beside --urdf."),
+    mjcf: Path = typer.Option(None, "--mjcf", help="MJCF to write, for MuJoCo."),
+    ros2_inertial: Path = typer.Option(
+        None, "--ros2-inertial", help="YAML to write, as in Universal_Robots_ROS2_Description."
+    ),
+    force: bool = typer.Option(False, "--force", help="Overwrite the output files."),
+    as_json: bool = JSON,
+) -> None:
+    """Write the physically consistent model for simulators and controllers; each file is read again and simulated.
+
+    Example: dynid export model --urdf arm.urdf --mjcf arm.xml
+    """
+    from dataclasses import asdict
+
+    from daq.commands.console import print_json, progress_line
+    from drivers.errors import UsageError
+    from ident.export.export import check_target
+    from ident.result.model import load_model
+
+    targets = [path for path in (urdf, mjcf, ros2_inertial) if path is not None]
+    if not targets:
+        raise UsageError("names no file to write", hint="--urdf, --mjcf or --ros2-inertial")
+    if into is not None and urdf is None:
+        raise UsageError("--into needs --urdf, the file to write")
+    if len({path.resolve() for path in targets}) < len(targets):
+        raise UsageError("two formats have the same file")
+    for path in targets:
+        check_target(path, force)
+    exports = []
+    with progress_line(quiet=as_json) as progress:
+        progress("model")
+        identified = load_model(model)
+        if urdf is not None:
+            progress("URDF")
+            exports.append(identified.export_urdf(urdf, into=into, force=force))
+        if mjcf is not None:
+            progress("MJCF")
+            exports.append(identified.export_mjcf(mjcf, force=force))
+        if ros2_inertial is not None:
+            progress("ROS 2 inertial parameters")
+            exports.append(identified.export_ros2_inertial(ros2_inertial, force=force))
+    if as_json:
+        print_json({"model": str(model), "files": [{**asdict(one), "path": str(one.path)} for one in exports]})
+        return
+    for one in exports:
+        print(one)

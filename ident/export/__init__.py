@@ -1,0 +1,1 @@
+"""Exports of the physically consistent model: URDF, MJCF, ROS 2 inertial parameters, Pinocchio."""

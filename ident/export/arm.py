@@ -1,0 +1,129 @@
+"""The arm that is exported: bodies of the links, and what turns and rubs at joints and motors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from daq.robot.loader import RobotFile
+from drivers.errors import ModelError
+from drivers.streams import FloatArray
+from ident.estimators.feasible.pseudo_inertia import Body, body_of
+from ident.model.dynamic_model import DynamicModel
+from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.parameters import INERTIAL, Quantity
+
+LINK_SIZE = len(INERTIAL)
+
+
+@dataclass(frozen=True)
+class JointTerms:
+    """What acts along joints or motors beside the links; arrays (a,).
+
+    Attributes:
+        inertia: of the motor or of what turns with the joint [kg·m²].
+        viscous: [N·m·s/rad], positive where it brakes.
+        coulomb: [N·m], positive where it brakes.
+        offset: constant torque [N·m].
+    """
+
+    inertia: FloatArray
+    viscous: FloatArray
+    coulomb: FloatArray
+    offset: FloatArray
+
+
+@dataclass(frozen=True)
+class ExportedArm:
+    """An arm with the standard parameters of bodies that can exist.
+
+    Attributes:
+        robot_file: its limits, shapes and URDF.
+        model: its tree and transmission.
+        values: (p,) standard parameters in the order of `model.parameters`.
+        dynamics: torques of the same parameters, which every file that is read again is compared with.
+    """
+
+    robot_file: RobotFile
+    model: DynamicModel
+    values: FloatArray
+    dynamics: InverseDynamics
+
+    @cached_property
+    def bodies(self) -> tuple[Body, ...]:
+        """The links' bodies, each in the frame of its joint, in the order of the tree."""
+        links = self.values[: LINK_SIZE * len(self.model.joints)].reshape(-1, LINK_SIZE)
+        return tuple(body_of(link) for link in links)
+
+    @property
+    def coupling(self) -> FloatArray:
+        """(a, a) R of q_motor = R·q_joint."""
+        return self.dynamics.coupling
+
+    @property
+    def coupled(self) -> tuple[bool, ...]:
+        """(a,) whether several joints move a motor."""
+        return (False,) * self.model.dof if self.model.transmission is None else self.model.transmission.coupled
+
+    @property
+    def closed(self) -> bool:
+        """Whether some joints have no motor and follow the others."""
+        return self.model.transmission is not None and self.model.transmission.closed
+
+    @cached_property
+    def motors(self) -> JointTerms:
+        """Of the motors, on their own motion."""
+        return self._terms(of_pairs=False)
+
+    @cached_property
+    def at_joints(self) -> JointTerms:
+        """Of the joints: those of the motors that one joint alone moves, and what turns with a coupled joint itself."""
+        pairs, motors = self._terms(of_pairs=True), self.motors
+        single = self.coupling[[not several for several in self.coupled]]
+        one = JointTerms(
+            *(values[[not several for several in self.coupled]] for values in vars(motors).values())
+        )
+        return JointTerms(
+            inertia=pairs.inertia + one.inertia @ single**2,
+            # Friction of a coupled joint itself brakes where it is negative (SR400 eq. 8).
+            viscous=-pairs.viscous + one.viscous @ single**2,
+            coulomb=-pairs.coulomb + one.coulomb @ np.abs(single),
+            offset=one.offset @ single,
+        )
+
+    def _terms(self, *, of_pairs: bool) -> JointTerms:
+        kinds: dict[str, Quantity] = {"Iac": "motor_inertia", "Fv": "viscous", "Fs": "coulomb"}
+        terms = {name: np.zeros(self.model.dof) for name in ("motor_inertia", "viscous", "coulomb", "offset")}
+        for parameter, value in zip(self.model.parameters, self.values, strict=True):
+            if parameter.kind == "inertial" or (parameter.kind == "coupling") != of_pairs:
+                continue
+            kind = kinds[parameter.symbol] if parameter.kind == "coupling" else parameter.kind
+            terms[kind][self.model.active.index(parameter.joint)] = value
+        return JointTerms(terms["motor_inertia"], terms["viscous"], terms["coulomb"], terms["offset"])
+
+    @cached_property
+    def home(self) -> FloatArray:
+        """(a,) a position within the limits of the joints with a motor: 0 where it is allowed, else the middle."""
+        return np.array(
+            [
+                0.0 if low <= 0.0 <= high else 0.5 * (low + high)
+                for low, high in (limits.position for limits in self.model.limits)
+            ]
+        )
+
+
+def refuse_unidentified_friction(names: Sequence[str], where: str) -> None:
+    """Refuse friction that no recording determined: an export would pass a guess off as identified.
+
+    Raises:
+        ModelError: there is some.
+    """
+    if names:
+        raise ModelError(
+            f"the recording did not identify {', '.join(names)}, and an export would hold a guess in its place",
+            where=where,
+            hint="record a motion that moves these joints, or give the value under 'known' in the robot file",
+        )

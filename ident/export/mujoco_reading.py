@@ -1,0 +1,216 @@
+"""An exported MJCF or URDF read again by MuJoCo, where it is installed, compared and simulated."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from drivers.errors import ModelError
+from drivers.streams import FloatArray
+from ident.export.arm import ExportedArm
+from ident.export.reading import (
+    BANDWIDTH,
+    DURATION,
+    STATES,
+    Reading,
+    Simulation,
+    energy_gain,
+    largest_share,
+    random_states,
+    tracked_motion,
+    tracking_error,
+    tree_torque_error,
+)
+
+
+def mujoco_installed() -> bool:
+    """Whether there is a MuJoCo to read with."""
+    return find_spec("mujoco") is not None
+
+
+def read_mjcf(arm: ExportedArm, text: str, states: int = STATES) -> Reading:
+    """Read an MJCF's text, compare the motor torques of the constrained model with the arm's, and simulate it.
+
+    Raises:
+        ModelError: MuJoCo cannot read it.
+    """
+    model = _loaded(text, arm.model.name)
+    q, dq, ddq = random_states(arm, states)
+    motors = inverse_dynamics(arm, model, q, dq, ddq)
+    expected = np.linalg.solve(arm.coupling.T, arm.dynamics.torque(q, dq, ddq))
+    simulations = (_fall(arm, model), _track(arm, model))
+    return Reading(_name(), largest_share(motors - expected, expected), states, simulations)
+
+
+def read_urdf(arm: ExportedArm, text: str, states: int = STATES) -> Reading:
+    """Read a URDF's text without its meshes, and compare its torques with the model's; what it cannot hold is added.
+
+    Raises:
+        ModelError: MuJoCo cannot read it.
+    """
+    root = ElementTree.fromstring(text)
+    for link in root.findall("link"):
+        for tag in ("visual", "collision"):
+            for shape in link.findall(tag):
+                link.remove(shape)
+    model = _loaded(ElementTree.tostring(root, encoding="unicode"), arm.model.name)
+    model.opt.gravity[:] = arm.model.gravity
+    active = random_states(arm, states)
+    motion = arm.model.tree_motion(*active)
+    torque = _bare_inverse(arm, model, motion.position, motion.velocity, motion.acceleration)
+    friction = model.dof_frictionloss[_order(arm, model)]
+    torque += friction[:, None] * arm.model.coulomb_direction(motion.velocity)
+    return Reading(_name(), tree_torque_error(arm, torque, active), states)
+
+
+def inverse_dynamics(arm: ExportedArm, model: Any, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> FloatArray:
+    """Controls (a, N) that an MJCF's model needs for a motion (a, N) of the joints with a motor.
+
+    `mj_inverse` of the tree, friction loss by its sign, minus what closed loops carry: the rows of MuJoCo's equality
+    constraints and the directions of the actuators together make up the torque.
+    """
+    import mujoco
+
+    motion = arm.model.tree_motion(q, dq, ddq)
+    order = _order(arm, model)
+    torque = np.zeros((model.nv, q.shape[1]))
+    torque[order] = _bare_inverse(arm, model, motion.position, motion.velocity, motion.acceleration)
+    rates = np.zeros((model.nv, q.shape[1]))
+    rates[order] = motion.velocity
+    torque += model.dof_frictionloss[:, None] * arm.model.coulomb_direction(rates)
+    tendons = _tendon_shares(model)
+    torque += tendons.T @ (model.tendon_frictionloss[:, None] * arm.model.coulomb_direction(tendons @ rates))
+    pull, bias = _actuators(model)
+    controls = np.empty_like(q)
+    data = mujoco.MjData(model)
+    kept = int(model.opt.disableflags), int(model.opt.jacobian)
+    flags = mujoco.mjtDisableBit
+    model.opt.disableflags = kept[0] | int(flags.mjDSBL_FRICTIONLOSS) | int(flags.mjDSBL_LIMIT)
+    model.opt.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
+    for sample in range(q.shape[1]):
+        data.qpos[order], data.qvel[:] = motion.position[:, sample], 0.0
+        mujoco.mj_forward(model, data)
+        carried = np.array(data.efc_J).reshape(data.nefc, model.nv)
+        solved = np.linalg.lstsq(np.vstack([pull, carried]).T, torque[:, sample] - bias, rcond=1e-8)[0]
+        controls[:, sample] = solved[: model.nu]
+    model.opt.disableflags, model.opt.jacobian = kept
+    return controls
+
+
+def _name() -> str:
+    import mujoco
+
+    return f"MuJoCo {mujoco.__version__}"
+
+
+def _loaded(text: str, where: str) -> Any:
+    import mujoco
+
+    try:
+        return mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        raise ModelError(f"MuJoCo does not read the file: {error}", where=where) from error
+
+
+def _order(arm: ExportedArm, model: Any) -> list[int]:
+    """Where the arm's joints stand among MuJoCo's."""
+    return [int(model.jnt_dofadr[model.joint(name).id]) for name in arm.model.link_names]
+
+
+def _bare_inverse(
+    arm: ExportedArm, model: Any, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+) -> FloatArray:
+    """`mj_inverse` (n, N) of the tree alone: no constraints, which are friction loss, limits and loops in MuJoCo."""
+    import mujoco
+
+    order, data = _order(arm, model), mujoco.MjData(model)
+    kept = int(model.opt.disableflags)
+    model.opt.disableflags = kept | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    torque = np.empty_like(position)
+    for sample in range(position.shape[1]):
+        data.qpos[order], data.qvel[order] = position[:, sample], velocity[:, sample]
+        data.qacc[order] = acceleration[:, sample]
+        mujoco.mj_inverse(model, data)
+        torque[:, sample] = data.qfrc_inverse[order]
+    model.opt.disableflags = kept
+    return torque
+
+
+def _tendon_shares(model: Any) -> FloatArray:
+    """(t, nv) rates of the fixed tendons' lengths by those of the joints."""
+    shares = np.zeros((model.ntendon, model.nv))
+    for tendon in range(model.ntendon):
+        first = int(model.tendon_adr[tendon])
+        for wrap in range(first, first + int(model.tendon_num[tendon])):
+            shares[tendon, model.jnt_dofadr[model.wrap_objid[wrap]]] = model.wrap_prm[wrap]
+    return shares
+
+
+def _actuators(model: Any) -> tuple[FloatArray, FloatArray]:
+    """(u, nv) joint torques of one unit of each control, and (nv,) of none: the same at every position."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    kept = int(model.opt.disableflags)
+    model.opt.disableflags = kept | int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+    mujoco.mj_forward(model, data)
+    bias, pull = np.array(data.qfrc_actuator), np.empty((model.nu, model.nv))
+    for actuator in range(model.nu):
+        data.ctrl[:] = 0.0
+        data.ctrl[actuator] = 1.0
+        mujoco.mj_forward(model, data)
+        pull[actuator] = data.qfrc_actuator - bias
+    model.opt.disableflags = kept
+    return pull, bias
+
+
+def _fall(arm: ExportedArm, model: Any) -> Simulation:
+    """Unpowered from the keyframe; the controls compensate the offsets, which would do work."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.ctrl[:] = arm.motors.offset
+    model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    energies = []
+    for _ in range(round(DURATION / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+        energies.append(np.array(data.energy))
+        if not _finite(data):
+            return Simulation("unpowered", finite=False)
+    potential, kinetic = np.array(energies).T
+    return Simulation("unpowered", finite=True, energy_gain=energy_gain(potential + kinetic, kinetic))
+
+
+def _track(arm: ExportedArm, model: Any) -> Simulation:
+    """With the model's torque of the motion and a controller, within the control limits."""
+    import mujoco
+
+    data, active = mujoco.MjData(model), [_order(arm, model)[index] for index in arm.model.active]
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    time = model.opt.timestep * np.arange(round(DURATION / model.opt.timestep))
+    q, dq, ddq = tracked_motion(arm, time)
+    torque = arm.dynamics.torque(q, dq, ddq)
+    inertia = arm.dynamics.inertia(q[:, :1])[0].diagonal()
+    to_motors = np.linalg.inv(arm.coupling.T)
+    positions = np.empty_like(q)
+    for sample in range(len(time)):
+        positions[:, sample] = data.qpos[active]
+        away, slower = q[:, sample] - positions[:, sample], dq[:, sample] - data.qvel[active]
+        data.ctrl[:] = to_motors @ (torque[:, sample] + inertia * (BANDWIDTH**2 * away + 2.0 * BANDWIDTH * slower))
+        mujoco.mj_step(model, data)
+        if not _finite(data):
+            return Simulation("tracking", finite=False)
+    return Simulation("tracking", finite=True, tracking_error=tracking_error(positions, q))
+
+
+def _finite(data: Any) -> bool:
+    """Whether the state is finite; MuJoCo itself starts anew, with a warning, where it is not."""
+    import mujoco
+
+    bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+    counted = any(data.warning[int(kind)].number for kind in bad)
+    return not counted and bool(np.all(np.isfinite(data.qpos)) and np.all(np.isfinite(data.qvel)))

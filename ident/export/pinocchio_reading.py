@@ -1,0 +1,161 @@
+"""An exported URDF read again by Pinocchio, compared and simulated."""
+
+from __future__ import annotations
+
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from drivers.errors import ModelError
+from drivers.streams import FloatArray
+from ident.export.arm import ExportedArm
+from ident.export.reading import (
+    BANDWIDTH,
+    DURATION,
+    STATES,
+    Reading,
+    Simulation,
+    energy_gain,
+    random_states,
+    tracked_motion,
+    tracking_error,
+    tree_torque_error,
+)
+
+STEP = 0.001
+"""[s]"""
+
+SLOW = 1e-3
+"""[rad/s or m/s] below which Coulomb friction is taken as viscous."""
+
+
+def read_urdf(arm: ExportedArm, text: str, states: int = STATES) -> Reading:
+    """Read a URDF's text, compare its torques with the model's, and simulate it.
+
+    Compared is the URDF's `rnea` with its damping and friction, and with what it cannot hold added: motor inertia,
+    offsets, coupled motors, and Gᵀ of closed loops. It is simulated as it is, with gravity as identified.
+
+    Raises:
+        ModelError: Pinocchio cannot read it.
+    """
+    import pinocchio as pin
+
+    try:
+        model = pin.buildModelFromXML(text)
+    except Exception as error:  # Pinocchio raises several kinds, none of them public
+        raise ModelError(f"Pinocchio does not read the URDF: {error}", where=arm.model.name) from error
+    model.gravity.linear = arm.model.gravity
+    tree = _Tree(arm, model, *_stated_friction(text, arm))
+    simulations = (_fall(tree), _track(tree))
+    remark = "closed loops opened, joints without a motor driven too" if arm.closed else ""
+    return Reading(f"Pinocchio {pin.__version__}", _torque_error(arm, tree, states), states, simulations, remark)
+
+
+class _Tree:
+    """The URDF's model with its friction, joints in the arm's order."""
+
+    def __init__(self, arm: ExportedArm, model: Any, damping: FloatArray, friction: FloatArray) -> None:
+        self.arm, self.model, self.data = arm, model, model.createData()
+        self.joints = [model.joints[model.getJointId(name)] for name in arm.model.link_names]
+        self.place = [joint.idx_v for joint in self.joints]
+        self.damping, self.friction = np.zeros(model.nv), np.zeros(model.nv)
+        self.damping[self.place], self.friction[self.place] = damping, friction
+
+    def configuration(self, position: FloatArray) -> FloatArray:
+        """Pinocchio's (nq,) of positions (n,): a continuous joint is a cosine and a sine."""
+        values = np.zeros(self.model.nq)
+        for joint, value in zip(self.joints, position, strict=True):
+            values[joint.idx_q : joint.idx_q + joint.nq] = (
+                (np.cos(value), np.sin(value)) if joint.nq == 2 else (value,)
+            )
+        return values
+
+    def vector(self, values: FloatArray) -> FloatArray:
+        """Pinocchio's (nv,) of velocities or accelerations (n,)."""
+        ordered = np.zeros(self.model.nv)
+        ordered[self.place] = values
+        return ordered
+
+    def step(self, q: FloatArray, v: FloatArray, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """One step of the semi-implicit Euler method, implicit in friction, which stiff joints need."""
+        import pinocchio as pin
+
+        inertia = pin.crba(self.model, self.data, q)
+        inertia = np.triu(inertia) + np.triu(inertia, 1).T
+        braking = self.damping + self.friction / np.maximum(np.abs(v), SLOW)
+        bias = pin.nonLinearEffects(self.model, self.data, q, v)
+        moved = np.linalg.solve(inertia + STEP * np.diag(braking), inertia @ v + STEP * (torque - bias))
+        return pin.integrate(self.model, q, STEP * moved), moved
+
+
+def _torque_error(arm: ExportedArm, tree: _Tree, states: int) -> float:
+    import pinocchio as pin
+
+    active = random_states(arm, states)
+    motion = arm.model.tree_motion(*active)
+    torque = np.array(
+        [
+            pin.rnea(tree.model, tree.data, tree.configuration(a), tree.vector(b), tree.vector(c))[tree.place]
+            for a, b, c in zip(motion.position.T, motion.velocity.T, motion.acceleration.T, strict=True)
+        ]
+    ).T
+    torque += tree.damping[tree.place][:, None] * motion.velocity
+    torque += tree.friction[tree.place][:, None] * arm.model.coulomb_direction(motion.velocity)
+    return tree_torque_error(arm, torque, active)
+
+
+def _stated_friction(text: str, arm: ExportedArm) -> tuple[FloatArray, FloatArray]:
+    """Damping and friction (n,) as the URDF's text states them."""
+    stated = {joint.get("name", ""): joint.find("dynamics") for joint in ElementTree.fromstring(text).iter("joint")}
+    values = np.zeros((2, len(arm.model.joints)))
+    for index, name in enumerate(arm.model.link_names):
+        element = stated.get(name)
+        if element is not None:
+            values[:, index] = float(element.get("damping", "0")), float(element.get("friction", "0"))
+    return values[0], values[1]
+
+
+def _fall(tree: _Tree) -> Simulation:
+    """Unpowered from the home position."""
+    import pinocchio as pin
+
+    arm = tree.arm
+    q, v = tree.configuration(arm.model.tree_position(arm.home[:, None])[:, 0]), np.zeros(tree.model.nv)
+    energies = []
+    for _ in range(round(DURATION / STEP)):
+        kinetic = pin.computeKineticEnergy(tree.model, tree.data, q, v)
+        energies.append((kinetic, pin.computePotentialEnergy(tree.model, tree.data, q)))
+        q, v = tree.step(q, v, np.zeros(tree.model.nv))
+        if not (np.all(np.isfinite(q)) and np.all(np.isfinite(v))):
+            return Simulation("unpowered", finite=False)
+    kinetic, potential = np.array(energies).T
+    return Simulation("unpowered", finite=True, energy_gain=energy_gain(kinetic + potential, kinetic))
+
+
+def _track(tree: _Tree) -> Simulation:
+    """With the torque of the motion, friction included, and a controller."""
+    import pinocchio as pin
+
+    arm = tree.arm
+    time = STEP * np.arange(round(DURATION / STEP))
+    active = tracked_motion(arm, time)
+    motion = arm.model.tree_motion(*active)
+    q, v = tree.configuration(motion.position[:, 0]), tree.vector(motion.velocity[:, 0])
+    inertia = pin.crba(tree.model, tree.data, q).diagonal().copy()
+    positions = np.empty_like(motion.position)
+    for sample in range(len(time)):
+        wanted = tree.configuration(motion.position[:, sample])
+        rate, change = tree.vector(motion.velocity[:, sample]), tree.vector(motion.acceleration[:, sample])
+        away = pin.difference(tree.model, q, wanted)
+        positions[:, sample] = motion.position[:, sample] - away[tree.place]
+        torque = pin.rnea(tree.model, tree.data, wanted, rate, change)
+        torque += tree.damping * rate + tree.friction * np.sign(rate)
+        torque += inertia * (BANDWIDTH**2 * away + 2.0 * BANDWIDTH * (rate - v))
+        q, v = tree.step(q, v, torque)
+        if not (np.all(np.isfinite(q)) and np.all(np.isfinite(v))):
+            return Simulation("tracking", finite=False)
+    moving = list(arm.model.active)
+    return Simulation(
+        "tracking", finite=True, tracking_error=tracking_error(positions[moving], motion.position[moving])
+    )
