@@ -83,9 +83,7 @@ class ExportedArm:
         """Of the joints: those of the motors that one joint alone moves, and what turns with a coupled joint itself."""
         pairs, motors = self._terms(of_pairs=True), self.motors
         single = self.coupling[[not several for several in self.coupled]]
-        one = JointTerms(
-            *(values[[not several for several in self.coupled]] for values in vars(motors).values())
-        )
+        one = JointTerms(*(values[[not several for several in self.coupled]] for values in vars(motors).values()))
         return JointTerms(
             inertia=pairs.inertia + one.inertia @ single**2,
             # Friction of a coupled joint itself brakes where it is negative (SR400 eq. 8).

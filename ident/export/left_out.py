@@ -15,25 +15,17 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
 def left_out_of_urdf(arm: ExportedArm) -> tuple[str, ...]:
     """What a URDF lacks; friction and limits of joints, and the bodies of links, are in it."""
-    names, motors, joints = arm.model.joint_names, arm.motors, arm.at_joints
+    names, joints = arm.model.joint_names, arm.at_joints
     coupled = np.array(arm.coupled)
     sentences = []
-    if np.any(motors.inertia) or np.any(joints.inertia):
-        values = np.where(coupled, motors.inertia, joints.inertia)
-        sentences.append(f"motor inertia [kg·m²], to be added to the diagonal of M(q): {_listed(names, values)}")
-    if np.any(motors.offset):
-        sentences.append(f"constant offsets of the torque [N·m]: {_listed(names, motors.offset)}")
-    if np.any(coupled):
-        rows = "; ".join(
-            f"motor of {names[motor]}: " + " + ".join(f"{factor:g}·{names[j]}" for j, factor in _entries(row))
-            for motor, row in enumerate(arm.coupling)
-            if coupled[motor]
-        )
+    if np.any(joints.inertia):
         sentences.append(
-            f"coupled motors ({rows}), with their viscous friction [N·m·s/rad] "
-            f"{_listed(names, motors.viscous, coupled)} and Coulomb friction [N·m] "
-            f"{_listed(names, motors.coulomb, coupled)}"
+            f"motor inertia [kg·m²], to be added to the diagonal of M(q): {_listed(names, joints.inertia)}"
         )
+    if np.any(joints.offset):
+        sentences.append(f"constant offsets of the torque [N·m]: {_listed(names, joints.offset)}")
+    if np.any(coupled):
+        sentences.append(f"coupled motors: {'; '.join(_motor(arm, motor) for motor in np.flatnonzero(coupled))}")
     if arm.closed:
         passive = [name for name in arm.model.link_names if name not in names]
         sentences.append(f"closed loops: {', '.join(passive)} have no motor and follow the others; here they are free")
@@ -74,11 +66,17 @@ def _smoothing(arm: ExportedArm) -> tuple[str, ...]:
     return (f"the smoothing of Coulomb friction, tanh(q̇/ε) with ε = {arm.model.smoothing:g} rad/s",)
 
 
-def _entries(row: FloatArray) -> list[tuple[int, float]]:
-    return [(int(joint), float(row[joint])) for joint in np.flatnonzero(row)]
+def _motor(arm: ExportedArm, motor: int) -> str:
+    """`the motor of j6 (1·j5 + 1·j6: inertia 0.3 kg·m², …)`."""
+    names, terms, row = arm.model.joint_names, arm.motors, arm.coupling[motor]
+    motion = " + ".join(f"{row[joint]:g}·{names[joint]}" for joint in np.flatnonzero(row))
+    return (
+        f"the motor of {names[motor]} ({motion}: inertia {terms.inertia[motor]:.6g} kg·m², viscous friction "
+        f"{terms.viscous[motor]:.6g} N·m·s/rad, Coulomb friction {terms.coulomb[motor]:.6g} N·m, offset "
+        f"{terms.offset[motor]:.6g} N·m)"
+    )
 
 
-def _listed(names: Sequence[str], values: FloatArray, shown: FloatArray | None = None) -> str:
-    """`j1 0.3, j2 0.12` of those that are shown and not 0."""
-    kept = np.ones(len(names), dtype=bool) if shown is None else shown
-    return ", ".join(f"{n} {v:.6g}" for n, v, keep in zip(names, values, kept, strict=True) if keep and v) or "0"
+def _listed(names: Sequence[str], values: FloatArray) -> str:
+    """`j1 0.3, j2 0.12` of those that are not 0."""
+    return ", ".join(f"{name} {value:.6g}" for name, value in zip(names, values, strict=True) if value)

@@ -161,7 +161,9 @@ def _loops(
             row = np.zeros(len(names))
             row[list(transmission.active)] = -transmission.follow[index]
             row[index] = 1.0
-            _linear_equation(tendons, equalities, names, row, float(transmission.offset[index]), f"{names[index]}_follows")
+            _linear_equation(
+                tendons, equalities, names, row, float(transmission.offset[index]), f"{names[index]}_follows"
+            )
     elif isinstance(transmission, ClosedLoops):
         equations = transmission.equations
         for number_, (row, right) in enumerate(zip(equations.linear, equations.right, strict=True), start=1):

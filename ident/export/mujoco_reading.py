@@ -20,6 +20,7 @@ from ident.export.reading import (
     energy_gain,
     largest_share,
     random_states,
+    released,
     tracked_motion,
     tracking_error,
     tree_torque_error,
@@ -168,11 +169,11 @@ def _actuators(model: Any) -> tuple[FloatArray, FloatArray]:
 
 
 def _fall(arm: ExportedArm, model: Any) -> Simulation:
-    """Unpowered from the keyframe; the controls compensate the offsets, which would do work."""
+    """Unpowered; the controls compensate the offsets, which would do work."""
     import mujoco
 
     data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.qpos[_order(arm, model)] = arm.model.tree_position(released(arm)[:, None])[:, 0]
     data.ctrl[:] = arm.motors.offset
     model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     energies = []
@@ -194,13 +195,13 @@ def _track(arm: ExportedArm, model: Any) -> Simulation:
     time = model.opt.timestep * np.arange(round(DURATION / model.opt.timestep))
     q, dq, ddq = tracked_motion(arm, time)
     torque = arm.dynamics.torque(q, dq, ddq)
-    inertia = arm.dynamics.inertia(q[:, :1])[0].diagonal()
+    inertia = arm.dynamics.inertia(q[:, :1])[0]
     to_motors = np.linalg.inv(arm.coupling.T)
     positions = np.empty_like(q)
     for sample in range(len(time)):
         positions[:, sample] = data.qpos[active]
         away, slower = q[:, sample] - positions[:, sample], dq[:, sample] - data.qvel[active]
-        data.ctrl[:] = to_motors @ (torque[:, sample] + inertia * (BANDWIDTH**2 * away + 2.0 * BANDWIDTH * slower))
+        data.ctrl[:] = to_motors @ (torque[:, sample] + inertia @ (BANDWIDTH**2 * away + 2.0 * BANDWIDTH * slower))
         mujoco.mj_step(model, data)
         if not _finite(data):
             return Simulation("tracking", finite=False)

@@ -18,6 +18,7 @@ from ident.export.reading import (
     Simulation,
     energy_gain,
     random_states,
+    released,
     tracked_motion,
     tracking_error,
     tree_torque_error,
@@ -25,6 +26,11 @@ from ident.export.reading import (
 
 STEP = 0.001
 """[s]"""
+
+FARTHEST = 2e-3
+"""Travel [rad or m] in a step from which on it is cut into parts, `MOST_PARTS` at most."""
+
+MOST_PARTS = 20
 
 SLOW = 1e-3
 """[rad/s or m/s] below which Coulomb friction is taken as viscous."""
@@ -66,9 +72,7 @@ class _Tree:
         """Pinocchio's (nq,) of positions (n,): a continuous joint is a cosine and a sine."""
         values = np.zeros(self.model.nq)
         for joint, value in zip(self.joints, position, strict=True):
-            values[joint.idx_q : joint.idx_q + joint.nq] = (
-                (np.cos(value), np.sin(value)) if joint.nq == 2 else (value,)
-            )
+            values[joint.idx_q : joint.idx_q + joint.nq] = (np.cos(value), np.sin(value)) if joint.nq == 2 else (value,)
         return values
 
     def vector(self, values: FloatArray) -> FloatArray:
@@ -77,16 +81,24 @@ class _Tree:
         ordered[self.place] = values
         return ordered
 
-    def step(self, q: FloatArray, v: FloatArray, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def inertia(self, q: FloatArray) -> FloatArray:
+        """Inertia matrix (nv, nv)."""
+        import pinocchio as pin
+
+        upper = np.triu(pin.crba(self.model, self.data, q))
+        return np.asarray(upper + np.triu(upper, 1).T)
+
+    def step(
+        self, q: FloatArray, v: FloatArray, torque: FloatArray, duration: float = STEP
+    ) -> tuple[FloatArray, FloatArray]:
         """One step of the semi-implicit Euler method, implicit in friction, which stiff joints need."""
         import pinocchio as pin
 
-        inertia = pin.crba(self.model, self.data, q)
-        inertia = np.triu(inertia) + np.triu(inertia, 1).T
+        inertia = self.inertia(q)
         braking = self.damping + self.friction / np.maximum(np.abs(v), SLOW)
         bias = pin.nonLinearEffects(self.model, self.data, q, v)
-        moved = np.linalg.solve(inertia + STEP * np.diag(braking), inertia @ v + STEP * (torque - bias))
-        return pin.integrate(self.model, q, STEP * moved), moved
+        moved = np.linalg.solve(inertia + duration * np.diag(braking), inertia @ v + duration * (torque - bias))
+        return pin.integrate(self.model, q, duration * moved), moved
 
 
 def _torque_error(arm: ExportedArm, tree: _Tree, states: int) -> float:
@@ -107,7 +119,8 @@ def _torque_error(arm: ExportedArm, tree: _Tree, states: int) -> float:
 
 def _stated_friction(text: str, arm: ExportedArm) -> tuple[FloatArray, FloatArray]:
     """Damping and friction (n,) as the URDF's text states them."""
-    stated = {joint.get("name", ""): joint.find("dynamics") for joint in ElementTree.fromstring(text).iter("joint")}
+    # Of the robot's own joints: those of a transmission or a ros2_control section are elements `joint` too.
+    stated = {joint.get("name", ""): joint.find("dynamics") for joint in ElementTree.fromstring(text).findall("joint")}
     values = np.zeros((2, len(arm.model.joints)))
     for index, name in enumerate(arm.model.link_names):
         element = stated.get(name)
@@ -117,16 +130,19 @@ def _stated_friction(text: str, arm: ExportedArm) -> tuple[FloatArray, FloatArra
 
 
 def _fall(tree: _Tree) -> Simulation:
-    """Unpowered from the home position."""
+    """Unpowered."""
     import pinocchio as pin
 
     arm = tree.arm
-    q, v = tree.configuration(arm.model.tree_position(arm.home[:, None])[:, 0]), np.zeros(tree.model.nv)
-    energies = []
+    q, v = tree.configuration(arm.model.tree_position(released(arm)[:, None])[:, 0]), np.zeros(tree.model.nv)
+    energies, nothing = [], np.zeros(tree.model.nv)
     for _ in range(round(DURATION / STEP)):
         kinetic = pin.computeKineticEnergy(tree.model, tree.data, q, v)
         energies.append((kinetic, pin.computePotentialEnergy(tree.model, tree.data, q)))
-        q, v = tree.step(q, v, np.zeros(tree.model.nv))
+        # Without friction a light wrist turns so fast that a whole step would gain energy.
+        parts = int(np.clip(np.ceil(np.abs(v).max() * STEP / FARTHEST), 1, MOST_PARTS))
+        for _ in range(parts):
+            q, v = tree.step(q, v, nothing, STEP / parts)
         if not (np.all(np.isfinite(q)) and np.all(np.isfinite(v))):
             return Simulation("unpowered", finite=False)
     kinetic, potential = np.array(energies).T
@@ -142,7 +158,7 @@ def _track(tree: _Tree) -> Simulation:
     active = tracked_motion(arm, time)
     motion = arm.model.tree_motion(*active)
     q, v = tree.configuration(motion.position[:, 0]), tree.vector(motion.velocity[:, 0])
-    inertia = pin.crba(tree.model, tree.data, q).diagonal().copy()
+    inertia = tree.inertia(q)
     positions = np.empty_like(motion.position)
     for sample in range(len(time)):
         wanted = tree.configuration(motion.position[:, sample])
@@ -151,7 +167,7 @@ def _track(tree: _Tree) -> Simulation:
         positions[:, sample] = motion.position[:, sample] - away[tree.place]
         torque = pin.rnea(tree.model, tree.data, wanted, rate, change)
         torque += tree.damping * rate + tree.friction * np.sign(rate)
-        torque += inertia * (BANDWIDTH**2 * away + 2.0 * BANDWIDTH * (rate - v))
+        torque += inertia @ (BANDWIDTH**2 * away + 2.0 * BANDWIDTH * (rate - v))
         q, v = tree.step(q, v, torque)
         if not (np.all(np.isfinite(q)) and np.all(np.isfinite(v))):
             return Simulation("tracking", finite=False)

@@ -43,7 +43,7 @@ class Simulation:
     """5 s of an arm that was read from a file.
 
     Attributes:
-        motion: "unpowered": falling from the home position, offsets compensated; or "tracking".
+        motion: "unpowered": let go within its limits, offsets compensated; or "tracking".
         finite: whether it came to its end with finite positions and velocities.
         energy_gain: of the unpowered arm, the rise of its energy over the start, over the largest kinetic energy.
         tracking_error: largest distance from the motion over its amplitude; None of the unpowered arm.
@@ -181,6 +181,13 @@ def tracked_motion(arm: ExportedArm, time: FloatArray) -> tuple[FloatArray, Floa
         0.5 * amplitude * rate * np.sin(rate * time),
         0.5 * amplitude * rate**2 * np.cos(rate * time),
     )
+
+
+def released(arm: ExportedArm) -> FloatArray:
+    """(a,) where an unpowered arm is let go: away from the home position, which may be upright and in balance."""
+    low, high = (np.array(limit) for limit in zip(*(limits.position for limits in arm.model.limits), strict=True))
+    farther = np.where(high - arm.home >= arm.home - low, high, low)
+    return np.asarray(arm.home + SHARE * (farther - arm.home))
 
 
 def energy_gain(energy: FloatArray, kinetic: FloatArray) -> float:

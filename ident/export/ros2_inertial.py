@@ -51,9 +51,7 @@ def ros2_inertial(arm: ExportedArm) -> str:
         for name, body in zip(names, arm.bodies, strict=True)
     }
     rotations = {name: {"roll": 0.0, "pitch": 0.0, "yaw": 0.0} for name in names}
-    content = {
-        "inertia_parameters": {**masses, "center_of_mass": centres, "rotation": rotations, "tensor": tensors}
-    }
+    content = {"inertia_parameters": {**masses, "center_of_mass": centres, "rotation": rotations, "tensor": tensors}}
     frames = (
         "Put it in place of the same entries of physical_parameters.yaml; keep base_mass and links there."
         if has_ur_frames(arm)
@@ -101,4 +99,3 @@ def check_ros2_inertial(arm: ExportedArm, text: str) -> None:
         expected = [body.mass, *body.com, *body.inertia[np.triu_indices(3)]]
         if not np.array_equal(found, expected):
             raise ModelError(f"the YAML reads back another body for {name}; it was not written", where=arm.model.name)
-

@@ -92,7 +92,9 @@ def dynamics_attributes(arm: ExportedArm, index: int) -> dict[str, str]:
     return {"damping": number(terms.viscous[motor]), "friction": number(terms.coulomb[motor])}
 
 
-def _link(root: ElementTree.Element, name: str, segments: list[tuple[FloatArray, FloatArray, float]]) -> ElementTree.Element:
+def _link(
+    root: ElementTree.Element, name: str, segments: list[tuple[FloatArray, FloatArray, float]]
+) -> ElementTree.Element:
     link = ElementTree.SubElement(root, "link", name=name)
     for start, end, radius in segments:
         visual = ElementTree.SubElement(link, "visual")

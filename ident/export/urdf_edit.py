@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 FRAME_TOLERANCE = 1e-6
 """How far [m, rad] the frames of another URDF may lie from those that were identified."""
 
+VISIBLE = 1e-9
+"""[rad] from which on a rounded right angle is worth a word."""
+
 
 def edited_urdf(arm: ExportedArm, xml: str, where: str) -> str:
     """The text of a URDF with the arm's bodies, friction and limits in it.
@@ -73,7 +76,7 @@ def edited_urdf(arm: ExportedArm, xml: str, where: str) -> str:
     comment = document.createComment("\n" + comment_text([f"    {line}" for line in lines]) + "  ")
     root.insertBefore(comment, root.firstChild)
     root.insertBefore(document.createTextNode("\n  "), comment)
-    return document.toxml() + "\n"
+    return "\n".join(['<?xml version="1.0"?>', *(node.toxml() for node in document.childNodes)]) + "\n"
 
 
 def check_joints(arm: ExportedArm, xml: str, where: str) -> None:
@@ -105,7 +108,11 @@ def _limits(joint: Element, arm: ExportedArm, index: int) -> dict[str, str]:
     """New limits; a torque limit that the robot file does not know stays, and a continuous joint gets no positions."""
     attributes = limit_attributes(arm, index)
     own = next(iter(_children(joint, "limit")), None)
-    if arm.model.limits[arm.model.active.index(index)].torque is None and own is not None and own.hasAttribute("effort"):
+    if (
+        arm.model.limits[arm.model.active.index(index)].torque is None
+        and own is not None
+        and own.hasAttribute("effort")
+    ):
         attributes["effort"] = own.getAttribute("effort")
     if joint.getAttribute("type") == "continuous":
         del attributes["lower"], attributes["upper"]
@@ -159,7 +166,7 @@ def _exact_right_angles(
             _, rotation = _placement(joint)
             nearest = np.round(rotation)
             if np.any(rotation != nearest) and np.all(np.abs(rotation - nearest) < RIGHT_ANGLE_TOLERANCE):
-                if np.abs(rotation - nearest).max() > 1e-15:
+                if np.abs(rotation - nearest).max() > VISIBLE:
                     changed.append(joint.getAttribute("name"))
                 origin = next(iter(_children(joint, "origin")))
                 origin.setAttribute("rpy", numbers(roll_pitch_yaw(nearest)))
