@@ -33,6 +33,7 @@ def export(
     from drivers.errors import UsageError
     from ident.export.export import check_target
     from ident.result.model import load_model
+    from ident.verdict.verdict import judge, together
 
     targets = [path for path in (urdf, mjcf, ros2_inertial) if path is not None]
     if not targets:
@@ -56,8 +57,13 @@ def export(
         if ros2_inertial is not None:
             progress("ROS 2 inertial parameters")
             exports.append(identified.export_ros2_inertial(ros2_inertial, force=force))
+    checks = [check for one in exports for check in one.checks]
+    verdicts = [("identification", identified.result.verdict), ("export", judge(checks, None))]
+    simulation = together([one for one in verdicts if "simulation" in one[1].purposes]).purposes["simulation"]
     if as_json:
-        print_json({"model": str(model), "files": [{**asdict(one), "path": str(one.path)} for one in exports]})
+        files = [{**asdict(one), "path": str(one.path)} for one in exports]
+        print_json({"model": str(model), "files": files, "simulation": asdict(simulation)})
         return
     for one in exports:
         print(one)
+    print(f"for simulation: {simulation.grade}, {simulation.because}")

@@ -25,7 +25,7 @@ def left_out_of_urdf(arm: ExportedArm) -> tuple[str, ...]:
     if np.any(joints.offset):
         sentences.append(f"constant offsets of the torque [N·m]: {_listed(names, joints.offset)}")
     if np.any(coupled):
-        sentences.append(f"coupled motors: {'; '.join(_motor(arm, motor) for motor in np.flatnonzero(coupled))}")
+        sentences.append(f"coupled motors: {'; '.join(_motor(arm, int(motor)) for motor in np.flatnonzero(coupled))}")
     if arm.closed:
         passive = [name for name in arm.model.link_names if name not in names]
         sentences.append(f"closed loops: {', '.join(passive)} have no motor and follow the others; here they are free")

@@ -1,4 +1,4 @@
-"""An MJCF of the whole model: bodies, armature, friction, motors with offsets, coupled motors, closed loops, gravity."""
+"""An MJCF of the whole model: bodies, motors with inertia, friction and offsets, coupled motors, closed loops."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def _geoms(element: ElementTree.Element, segments: list[Segment]) -> None:
 
 
 def _motors(arm: ExportedArm, tendons: ElementTree.Element, actuators: ElementTree.Element) -> None:
-    """An actuator per motor; one that several joints move pulls at a fixed tendon with the motor's inertia and friction.
+    """An actuator per motor; where several joints move it, at a fixed tendon with the motor's inertia and friction.
 
     A constant bias beside the control holds the offset: force = ctrl − Fo.
     """

@@ -41,7 +41,7 @@ def read_mjcf(arm: ExportedArm, text: str, states: int = STATES) -> Reading:
     model = _loaded(text, arm.model.name)
     q, dq, ddq = random_states(arm, states)
     motors = inverse_dynamics(arm, model, q, dq, ddq)
-    expected = np.linalg.solve(arm.coupling.T, arm.dynamics.torque(q, dq, ddq))
+    expected = np.asarray(np.linalg.solve(arm.coupling.T, arm.dynamics.torque(q, dq, ddq)), dtype=np.float64)
     simulations = (_fall(arm, model), _track(arm, model))
     return Reading(_name(), largest_share(motors - expected, expected), states, simulations)
 

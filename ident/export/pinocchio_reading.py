@@ -154,7 +154,7 @@ def _track(tree: _Tree) -> Simulation:
     import pinocchio as pin
 
     arm = tree.arm
-    time = STEP * np.arange(round(DURATION / STEP))
+    time = np.asarray(STEP * np.arange(round(DURATION / STEP)), dtype=np.float64)
     active = tracked_motion(arm, time)
     motion = arm.model.tree_motion(*active)
     q, v = tree.configuration(motion.position[:, 0]), tree.vector(motion.velocity[:, 0])

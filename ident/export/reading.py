@@ -61,7 +61,11 @@ class Simulation:
             return f"{self.motion}: diverges"
         if self.tracking_error is not None:
             return f"{self.motion}: finite, at most {100 * self.tracking_error:.2g} % of the amplitude off"
-        return f"{self.motion}: finite, energy rises by at most {100 * (self.energy_gain or 0.0):.2g} % of its kinetic part"
+        if not self.energy_gain:
+            return f"{self.motion}: finite, energy never above its start"
+        return (
+            f"{self.motion}: finite, energy at most {100 * self.energy_gain:.2g} % of its kinetic part above its start"
+        )
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.export.arm import ExportedArm
 from ident.export.left_out import left_out_of_urdf
-from ident.export.shapes import link_segments
+from ident.export.shapes import Segment, link_segments
 from ident.export.xml_text import comment_text, number, numbers, roll_pitch_yaw
 from ident.model.joints import BASE_INDEX
 
@@ -23,12 +23,11 @@ PASSIVE_TRIALS = 200
 
 def notes(arm: ExportedArm) -> list[str]:
     """Lines of the comment at the head of the file."""
-    lines = [
+    return [
         f"Dynamic model of {arm.model.name}, identified with dynid. Inertials are physically consistent; the bodies of",
         "single links are one choice among those with the same torques. Not in this file:",
         *(f"- {sentence}" for sentence in left_out_of_urdf(arm)),
     ]
-    return lines
 
 
 def new_urdf(arm: ExportedArm) -> str:
@@ -92,9 +91,7 @@ def dynamics_attributes(arm: ExportedArm, index: int) -> dict[str, str]:
     return {"damping": number(terms.viscous[motor]), "friction": number(terms.coulomb[motor])}
 
 
-def _link(
-    root: ElementTree.Element, name: str, segments: list[tuple[FloatArray, FloatArray, float]]
-) -> ElementTree.Element:
+def _link(root: ElementTree.Element, name: str, segments: list[Segment]) -> ElementTree.Element:
     link = ElementTree.SubElement(root, "link", name=name)
     for start, end, radius in segments:
         visual = ElementTree.SubElement(link, "visual")

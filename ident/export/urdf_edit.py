@@ -207,7 +207,10 @@ def _replace(document: Document, element: Element, tag: str, content: ElementTre
     """Put an element in the place of the first with its tag, or last; written one level below its parent."""
     indent = "\n" + "  " * 2
     ElementTree.indent(content, level=2)
-    new = document.importNode(minidom.parseString(ElementTree.tostring(content)).documentElement, deep=True)
+    parsed = minidom.parseString(ElementTree.tostring(content)).documentElement
+    if parsed is None:
+        raise ValueError("an element without content")
+    new = document.importNode(parsed, deep=True)
     old = _children(element, tag)
     if old:
         element.replaceChild(new, old[0])
