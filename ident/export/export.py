@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-from drivers.errors import RobotFileError, UsageError
+from drivers.errors import ModelError, RobotFileError, UsageError
 from drivers.text_file import replace_file
 from ident.export import mujoco_reading, pinocchio_reading
 from ident.export.arm import ExportedArm
@@ -87,9 +87,13 @@ def export_urdf(
     else:
         text = new_urdf(arm)
     readings = [pinocchio_reading.read_urdf(arm, text)]
+    checks = []
     if mujoco_reading.mujoco_installed():
-        readings.append(mujoco_reading.read_urdf(arm, text))
-    return _written(target, "URDF", text, left_out_of_urdf(arm), readings, [])
+        try:
+            readings.append(mujoco_reading.read_urdf(arm, text))
+        except ModelError as error:  # what MuJoCo refuses may be of the robot's own, such as the inertia of its base
+            checks.append(raised("export-not-read", f"{error.message}."))
+    return _written(target, "URDF", text, left_out_of_urdf(arm), readings, checks)
 
 
 def export_mjcf(arm: ExportedArm, path: str | PathLike[str], *, force: bool = False) -> Export:

@@ -6,13 +6,14 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from drivers.errors import ModelError
 from drivers.streams import FloatArray
 from ident.export.arm import ExportedArm
 from ident.export.left_out import left_out_of_mjcf
 from ident.export.shapes import Segment, link_segments
 from ident.export.urdf import link_name
 from ident.export.xml_text import comment_text, number, numbers, quaternion
-from ident.model.joints import BASE_INDEX
+from ident.model.joints import BASE_INDEX, ancestors
 from ident.model.linkages.closed_loops import ClosedLoops
 from ident.model.loops import loop_ends, place_tree
 from ident.model.transmission import LinearTransmission
@@ -20,8 +21,9 @@ from ident.model.transmission import LinearTransmission
 TIME_STEP = 0.001
 """[s] of the file: friction and stiff loops want it shorter than MuJoCo's default of 2 ms."""
 
-LOOP_STIFFNESS = {"solref": "0.002 1", "solimp": "0.99 0.9999 0.001 0.5 2"}
-"""How hard loops are closed: MuJoCo's constraints are springs, these among the stiffest that the time step allows."""
+LOOP_STIFFNESS = {"solref": "0.002 1", "solimp": "0.9999 0.9999 0.001 0.5 2"}
+"""How hard loops are closed: MuJoCo's constraints are springs. The stiffest that the time step allows, and an impedance
+that leaves 1e-4 of the acceleration to the spring."""
 
 SECOND_POINT = 0.1
 """[m] along the axis of an opened joint at which a second point holds the axes parallel, where one does not do."""
@@ -31,8 +33,13 @@ RANK = 1e-8
 
 
 def mjcf(arm: ExportedArm) -> str:
-    """The text of the MJCF; bodies in the frames of the robot file, named after their joints."""
+    """The text of the MJCF; bodies in the frames of the robot file, named after their joints.
+
+    Raises:
+        ModelError: a coupled motor turns with joints of different branches.
+    """
     model = arm.model
+    _check_coupled(arm)
     root = ElementTree.Element("mujoco", model=model.name)
     lines = [
         f"Dynamic model of {model.name}, identified with dynid; torque in ctrl, offsets included [N·m].",
@@ -62,6 +69,21 @@ def mjcf(arm: ExportedArm) -> str:
     _keyframe(arm, root, world)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _check_coupled(arm: ExportedArm) -> None:
+    """Refuse what MuJoCo's inertia matrix has no place for: joints of different branches that one motor couples."""
+    joints = arm.model.joints
+    for motor, several in enumerate(arm.coupled):
+        moving = [arm.model.active[joint] for joint in np.flatnonzero(arm.coupling[motor])]
+        branch = {*ancestors(joints, max(moving)), max(moving)}
+        if several and arm.motors.inertia[motor] and not branch.issuperset(moving):
+            raise ModelError(
+                f"the motor of {arm.model.joint_names[motor]} turns with joints of different branches, "
+                f"{', '.join(joints[index].name for index in moving)}: MuJoCo cannot couple their inertias",
+                where=arm.model.name,
+                hint="export a URDF, or the C code",
+            )
 
 
 def _bodies(arm: ExportedArm, world: ElementTree.Element) -> dict[int, ElementTree.Element]:

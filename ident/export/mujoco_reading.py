@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import Any
 from xml.etree import ElementTree
@@ -32,21 +34,28 @@ def mujoco_installed() -> bool:
     return find_spec("mujoco") is not None
 
 
-def read_mjcf(arm: ExportedArm, text: str, states: int = STATES) -> Reading:
+def read_mjcf(arm: ExportedArm, text: str) -> Reading:
     """Read an MJCF's text, compare the motor torques of the constrained model with the arm's, and simulate it.
 
     Raises:
         ModelError: MuJoCo cannot read it.
     """
-    model = _loaded(text, arm.model.name)
+    model = loaded(text, arm.model.name)
+    error = torque_error(arm, model, STATES)
+    with _without_log_file():
+        simulations = _fall(arm, model), _track(arm, model)
+    return Reading(_name(), error, STATES, simulations)
+
+
+def torque_error(arm: ExportedArm, model: Any, states: int) -> float:
+    """Largest difference of an MJCF's motor torques from the arm's at random states, over the largest torque."""
     q, dq, ddq = random_states(arm, states)
     motors = inverse_dynamics(arm, model, q, dq, ddq)
     expected = np.asarray(np.linalg.solve(arm.coupling.T, arm.dynamics.torque(q, dq, ddq)), dtype=np.float64)
-    simulations = (_fall(arm, model), _track(arm, model))
-    return Reading(_name(), largest_share(motors - expected, expected), states, simulations)
+    return largest_share(motors - expected, expected)
 
 
-def read_urdf(arm: ExportedArm, text: str, states: int = STATES) -> Reading:
+def read_urdf(arm: ExportedArm, text: str) -> Reading:
     """Read a URDF's text without its meshes, and compare its torques with the model's; what it cannot hold is added.
 
     Raises:
@@ -57,14 +66,14 @@ def read_urdf(arm: ExportedArm, text: str, states: int = STATES) -> Reading:
         for tag in ("visual", "collision"):
             for shape in link.findall(tag):
                 link.remove(shape)
-    model = _loaded(ElementTree.tostring(root, encoding="unicode"), arm.model.name)
+    model = loaded(ElementTree.tostring(root, encoding="unicode"), arm.model.name)
     model.opt.gravity[:] = arm.model.gravity
-    active = random_states(arm, states)
+    active = random_states(arm)
     motion = arm.model.tree_motion(*active)
     torque = _bare_inverse(arm, model, motion.position, motion.velocity, motion.acceleration)
     friction = model.dof_frictionloss[_order(arm, model)]
     torque += friction[:, None] * arm.model.coulomb_direction(motion.velocity)
-    return Reading(_name(), tree_torque_error(arm, torque, active), states)
+    return Reading(_name(), tree_torque_error(arm, torque, active), STATES)
 
 
 def inverse_dynamics(arm: ExportedArm, model: Any, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> FloatArray:
@@ -94,7 +103,8 @@ def inverse_dynamics(arm: ExportedArm, model: Any, q: FloatArray, dq: FloatArray
     for sample in range(q.shape[1]):
         data.qpos[order], data.qvel[:] = motion.position[:, sample], 0.0
         mujoco.mj_forward(model, data)
-        carried = np.array(data.efc_J).reshape(data.nefc, model.nv)
+        # Rows without effect are left out, and what is behind the last row is not cleared.
+        carried = np.array(data.efc_J)[: data.nefc * model.nv].reshape(data.nefc, model.nv)
         solved = np.linalg.lstsq(np.vstack([pull, carried]).T, torque[:, sample] - bias, rcond=1e-8)[0]
         controls[:, sample] = solved[: model.nu]
     model.opt.disableflags, model.opt.jacobian = kept
@@ -107,7 +117,12 @@ def _name() -> str:
     return f"MuJoCo {mujoco.__version__}"
 
 
-def _loaded(text: str, where: str) -> Any:
+def loaded(text: str, where: str) -> Any:
+    """The `mujoco.MjModel` of an MJCF's or a URDF's text.
+
+    Raises:
+        ModelError: MuJoCo cannot read it.
+    """
     import mujoco
 
     try:
@@ -206,6 +221,19 @@ def _track(arm: ExportedArm, model: Any) -> Simulation:
         if not _finite(data):
             return Simulation("tracking", finite=False)
     return Simulation("tracking", finite=True, tracking_error=tracking_error(positions, q))
+
+
+@contextmanager
+def _without_log_file() -> Iterator[None]:
+    """Keep MuJoCo from writing its warnings to a file MUJOCO_LOG.TXT wherever the user is."""
+    import mujoco
+
+    kept = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(kept)
 
 
 def _finite(data: Any) -> bool:

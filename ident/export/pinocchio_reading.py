@@ -36,15 +36,33 @@ SLOW = 1e-3
 """[rad/s or m/s] below which Coulomb friction is taken as viscous."""
 
 
-def read_urdf(arm: ExportedArm, text: str, states: int = STATES) -> Reading:
-    """Read a URDF's text, compare its torques with the model's, and simulate it.
-
-    Compared is the URDF's `rnea` with its damping and friction, and with what it cannot hold added: motor inertia,
-    offsets, coupled motors, and Gᵀ of closed loops. It is simulated as it is, with gravity as identified.
+def read_urdf(arm: ExportedArm, text: str) -> Reading:
+    """Read a URDF's text, compare its torques with the model's, and simulate it as it is, with gravity as identified.
 
     Raises:
         ModelError: Pinocchio cannot read it.
     """
+    import pinocchio as pin
+
+    tree = _read(arm, text)
+    error = _torque_error(tree, STATES)
+    remark = "closed loops opened, joints without a motor driven too" if arm.closed else ""
+    return Reading(f"Pinocchio {pin.__version__}", error, STATES, (_fall(tree), _track(tree)), remark)
+
+
+def torque_error(arm: ExportedArm, text: str, states: int) -> float:
+    """Largest difference of a URDF's torques from the model's at random states, over the largest torque.
+
+    Compared is its `rnea` with its damping and friction, and with what it cannot hold added: motor inertia, offsets,
+    coupled motors, and Gᵀ of closed loops.
+
+    Raises:
+        ModelError: Pinocchio cannot read it.
+    """
+    return _torque_error(_read(arm, text), states)
+
+
+def _read(arm: ExportedArm, text: str) -> _Tree:
     import pinocchio as pin
 
     try:
@@ -52,10 +70,7 @@ def read_urdf(arm: ExportedArm, text: str, states: int = STATES) -> Reading:
     except Exception as error:  # Pinocchio raises several kinds, none of them public
         raise ModelError(f"Pinocchio does not read the URDF: {error}", where=arm.model.name) from error
     model.gravity.linear = arm.model.gravity
-    tree = _Tree(arm, model, *_stated_friction(text, arm))
-    simulations = (_fall(tree), _track(tree))
-    remark = "closed loops opened, joints without a motor driven too" if arm.closed else ""
-    return Reading(f"Pinocchio {pin.__version__}", _torque_error(arm, tree, states), states, simulations, remark)
+    return _Tree(arm, model, *_stated_friction(text, arm))
 
 
 class _Tree:
@@ -101,9 +116,10 @@ class _Tree:
         return pin.integrate(self.model, q, duration * moved), moved
 
 
-def _torque_error(arm: ExportedArm, tree: _Tree, states: int) -> float:
+def _torque_error(tree: _Tree, states: int) -> float:
     import pinocchio as pin
 
+    arm = tree.arm
     active = random_states(arm, states)
     motion = arm.model.tree_motion(*active)
     torque = np.array(

@@ -6,7 +6,7 @@ Edited as a DOM tree, since ElementTree loses what stands before the root and re
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 from xml.dom import minidom
 from xml.etree import ElementTree
@@ -136,9 +136,10 @@ def _moved_links(joints: Mapping[str, Element], carriers: set[str]) -> set[str]:
 
 def _fix(document: Document, joint: Element, position: float) -> None:
     """Make a locked joint a fixed one, at its position [rad or m]."""
-    translation, rotation = _placement(joint)
+    translation, rotation = np.array(_origin(joint, "xyz")), rotation_of(*_origin(joint, "rpy"))
     axis = next(iter(_children(joint, "axis")), None)
-    direction = np.array([1.0, 0.0, 0.0] if axis is None else [float(w) for w in axis.getAttribute("xyz").split()])
+    words = (axis.getAttribute("xyz") if axis is not None else "") or "1 0 0"
+    direction = np.array([float(word) for word in words.split()])
     direction /= np.linalg.norm(direction)
     if joint.getAttribute("type") == "prismatic":
         translation = translation + rotation @ direction * position
@@ -158,28 +159,40 @@ def _exact_right_angles(
     """Write angles such as 1.5708 in full where the identification took them as right angles; names of the joints."""
     by_child = {_child_link(joint): joint for joint in joints.values()}
     changed = []
-    for index, name in enumerate(arm.model.link_names):
-        if set(np.unique(np.abs(arm.model.joints[index].rotation))) - {0.0, 1.0}:
+    for model_joint in arm.model.joints:
+        chain = [joints[model_joint.name]]
+        while (parent := _end(chain[-1], "parent")) not in carriers and parent in by_child:
+            chain.append(by_child[parent])
+        angles = [_origin(joint, "rpy") for joint in chain]
+        exact = [_exact(one) for one in angles]
+        if _distance(exact, model_joint.rotation) >= _distance(angles, model_joint.rotation):
             continue
-        joint: Element | None = joints[name]
-        while joint is not None:
-            _, rotation = _placement(joint)
-            nearest = np.round(rotation)
-            if np.any(rotation != nearest) and np.all(np.abs(rotation - nearest) < RIGHT_ANGLE_TOLERANCE):
-                if np.abs(rotation - nearest).max() > VISIBLE:
-                    changed.append(joint.getAttribute("name"))
-                origin = next(iter(_children(joint, "origin")))
-                origin.setAttribute("rpy", numbers(roll_pitch_yaw(nearest)))
-            parent = _end(joint, "parent")
-            joint = None if parent in carriers else by_child.get(parent)
+        for joint, rounded, full in zip(chain, angles, exact, strict=True):
+            if rounded != full:
+                next(iter(_children(joint, "origin"))).setAttribute("rpy", numbers(full))
+            if max(abs(one - other) for one, other in zip(rounded, full, strict=True)) > VISIBLE:
+                changed.append(joint.getAttribute("name"))
     return changed
 
 
-def _placement(joint: Element) -> tuple[FloatArray, FloatArray]:
+def _exact(angles: Sequence[float]) -> list[float]:
+    """The angles [rad], those next to a multiple of π/2 replaced by it."""
+    nearest = [0.5 * math.pi * round(angle / (0.5 * math.pi)) for angle in angles]
+    return [n if abs(a - n) < RIGHT_ANGLE_TOLERANCE else a for a, n in zip(angles, nearest, strict=True)]
+
+
+def _distance(chain: Sequence[Sequence[float]], rotation: FloatArray) -> float:
+    """Largest difference of a rotation from that of a chain of joints, the last one first, by their angles [rad]."""
+    total = np.eye(3)
+    for angles in chain:
+        total = rotation_of(*angles) @ total
+    return float(np.abs(total - rotation).max())
+
+
+def _origin(joint: Element, key: str) -> list[float]:
     origin = next(iter(_children(joint, "origin")), None)
-    words = {key: (origin.getAttribute(key) if origin is not None else "") or "0 0 0" for key in ("xyz", "rpy")}
-    xyz, rpy = ([float(word) for word in words[key].split()] for key in ("xyz", "rpy"))
-    return np.array(xyz), rotation_of(*rpy)
+    text = (origin.getAttribute(key) if origin is not None else "") or "0 0 0"
+    return [float(word) for word in text.split()]
 
 
 def _children(element: Element, tag: str) -> list[Element]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 
 import numpy as np
@@ -52,4 +53,4 @@ def quaternion(rotation: FloatArray) -> tuple[float, float, float, float]:
 
 def comment_text(lines: Iterable[str]) -> str:
     """Lines as a comment may hold them: XML forbids two hyphens in a row there, and one at the end."""
-    return "\n".join(line.replace("--", "- -") for line in lines).rstrip("-") + "\n"
+    return "\n".join(re.sub("-(?=-)", "- ", line) for line in lines).rstrip("-") + "\n"

@@ -344,8 +344,8 @@ _EXPORT = (
         "export-not-read",
         "warning",
         ("simulation",),
-        "the exported file was not read again",
-        "Install MuJoCo (pip install mujoco) and export again.",
+        "MuJoCo did not read the exported file",
+        "Install MuJoCo (pip install mujoco) and export again, or see what it does not accept.",
     ),
 )
 

@@ -1,0 +1,88 @@
+"""Files are read again before they are put in their place, and nothing is overwritten unasked."""
+
+from __future__ import annotations
+
+import pytest
+from exported_arms import exported_arm
+
+from drivers.errors import ModelError, UsageError
+from ident.export import export, mujoco_reading
+from ident.export.arm import refuse_unidentified_friction
+from ident.export.export import check_target, export_mjcf, export_ros2_inertial, export_urdf
+from ident.export.reading import Reading, Simulation, check_same_torque, simulation_checks
+
+EXPORTERS = (export_urdf, export_mjcf, export_ros2_inertial)
+
+
+@pytest.fixture(scope="module")
+def arm(three_joint):
+    return exported_arm(three_joint)
+
+
+@pytest.mark.parametrize("write", EXPORTERS)
+def test_a_file_is_written_once_and_overwritten_when_asked(arm, tmp_path, write):
+    pytest.importorskip("mujoco")
+    path = tmp_path / "arm"
+    outcome = write(arm, path)
+    first = path.read_text(encoding="utf-8")
+    assert outcome.path == path
+    assert outcome.checks == ()
+    path.write_text("mine")
+    with pytest.raises(UsageError, match=r"exists.*--force"):
+        write(arm, path)
+    assert path.read_text() == "mine"
+    write(arm, path, force=True)
+    assert path.read_text(encoding="utf-8") == first
+    assert [entry.name for entry in tmp_path.iterdir()] == ["arm"]
+
+
+def test_what_reads_back_as_another_model_is_not_written(arm, tmp_path, monkeypatch):
+    monkeypatch.setattr(export, "new_urdf", lambda arm: new_urdf(arm).replace('<mass value="', '<mass value="1'))
+    from ident.export.urdf import new_urdf
+
+    with pytest.raises(ModelError, match=r"Pinocchio .* reads another model.*was not written"):
+        export_urdf(arm, tmp_path / "arm.urdf")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_targets_that_cannot_be_written_are_refused(tmp_path):
+    with pytest.raises(UsageError, match="is a folder"):
+        check_target(tmp_path, force=True)
+    with pytest.raises(UsageError, match="does not exist"):
+        check_target(tmp_path / "none" / "arm.urdf", force=True)
+
+
+def test_without_mujoco_a_check_says_so(arm, tmp_path, monkeypatch):
+    monkeypatch.setattr(mujoco_reading, "mujoco_installed", lambda: False)
+    outcome = export_mjcf(arm, tmp_path / "arm.xml")
+    assert [check.name for check in outcome.checks] == ["export-not-read"]
+    assert outcome.checks[0].purposes == ("simulation",)
+    assert [reading.reader.split()[0] for reading in export_urdf(arm, tmp_path / "arm.urdf").readings] == ["Pinocchio"]
+
+
+@pytest.mark.parametrize(
+    ("simulation", "name"),
+    [
+        (Simulation("unpowered", finite=False), "export-diverges"),
+        (Simulation("unpowered", finite=True, energy_gain=0.06), "export-gains-energy"),
+        (Simulation("tracking", finite=True, tracking_error=0.6), "export-loses-motion"),
+        (Simulation("unpowered", finite=True, energy_gain=0.04), None),
+        (Simulation("tracking", finite=True, tracking_error=0.4), None),
+    ],
+)
+def test_what_a_simulation_shows_is_a_check(simulation, name):
+    reading = Reading("MuJoCo", 1e-15, 10, (simulation,))
+    assert [check.name for check in simulation_checks(reading)] == ([] if name is None else [name])
+    assert all(check.severity == "serious" for check in simulation_checks(reading))
+
+
+@pytest.mark.parametrize("error", [2e-6, float("nan"), float("inf")])
+def test_other_torques_are_refused(error):
+    with pytest.raises(ModelError, match="reads another model"):
+        check_same_torque(Reading("Pinocchio", error, 10), "arm.urdf")
+
+
+def test_friction_that_was_not_identified_is_named():
+    refuse_unidentified_friction([], "arm")
+    with pytest.raises(ModelError, match="did not identify Fs2 of j2"):
+        refuse_unidentified_friction(["Fs2 of j2"], "arm")
