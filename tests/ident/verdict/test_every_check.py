@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from unittest.mock import patch
 
 import numpy as np
 import pytest
+from exported_arms import exported_arm
 
 from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording
 from daq.robot.loader import RobotFile, parse_robot
 from ident.assessment.recording_checks import recording_checks
 from ident.checks.recording_check import recording_info
 from ident.experiments.merged_result import merge_results
+from ident.export import mujoco_reading, pinocchio_reading
+from ident.export.arm import ExportedArm
+from ident.export.export import export_mjcf
+from ident.export.reading import simulation_checks
+from ident.export.urdf import new_urdf
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
+from ident.model.true_parameters import truth_vector
 from ident.regression import least_squares
 from ident.regression.observability import ExperimentChoices
 from ident.result.schema import Result
@@ -198,6 +208,36 @@ def spoilt_end(values: np.ndarray) -> np.ndarray:
     return values
 
 
+def exported(robot_file: RobotFile) -> ExportedArm:
+    """The true arm."""
+    return exported_arm(robot_file, truth_vector(robot_file))
+
+
+def in_simulation(arm: ExportedArm, **dynamics: str) -> Names:
+    """Checks of a URDF whose joints have other `dynamics`."""
+    text = new_urdf(arm)
+    for name, value in dynamics.items():
+        text = re.sub(f' {name}="[^"]*"', f' {name}="{value}"', text)
+    return frozenset(check.name for check in simulation_checks(pinocchio_reading.read_urdf(arm, text)))
+
+
+def in_mujoco(arm: ExportedArm) -> Names:
+    """Checks of an MJCF."""
+    pytest.importorskip("mujoco")
+    return mjcf_checks(arm)
+
+
+def without_mujoco(arm: ExportedArm) -> Names:
+    """The same where MuJoCo is not installed."""
+    with patch.object(mujoco_reading, "mujoco_installed", lambda: False):
+        return mjcf_checks(arm)
+
+
+def mjcf_checks(arm: ExportedArm) -> Names:
+    with TemporaryDirectory() as folder:
+        return frozenset(check.name for check in export_mjcf(arm, Path(folder) / "arm.xml").checks)
+
+
 CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "recording-not-closed": (lambda b: b.names(replace(b.recorded(), complete=False)), lambda b: b.names(b.recorded())),
     "wrong-time-axis": (
@@ -335,6 +375,19 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.merged(b.result(b.recorded()), b.result(b.recorded(4, 12.0))),
         lambda b: b.clean_merge(),
     ),
+    "export-diverges": (
+        lambda b: in_simulation(exported(b.arm), damping="-300"),
+        lambda b: in_simulation(exported(b.arm)),
+    ),
+    "export-gains-energy": (
+        lambda b: in_simulation(exported(b.arm), damping="-0.5", friction="0"),
+        lambda b: in_simulation(exported(b.arm), damping="0", friction="0"),
+    ),
+    "export-loses-motion": (
+        lambda b: in_mujoco(exported(b.said({"torque: 100}": "torque: 0.5}", "torque: 50}": "torque: 0.5}"}))),
+        lambda b: in_mujoco(exported(b.arm)),
+    ),
+    "export-not-read": (lambda b: without_mujoco(exported(b.arm)), lambda b: in_mujoco(exported(b.arm))),
 }
 """Name → what raises it, what does not."""
 
