@@ -14,7 +14,6 @@ from drivers.errors import ModelError
 from drivers.streams import FloatArray
 from ident.export.arm import ExportedArm
 from ident.export.reading import (
-    BANDWIDTH,
     DURATION,
     STATES,
     Reading,
@@ -25,6 +24,7 @@ from ident.export.reading import (
     released,
     tracked_motion,
     tracking_error,
+    tracking_gains,
     tree_torque_error,
 )
 
@@ -210,13 +210,14 @@ def _track(arm: ExportedArm, model: Any) -> Simulation:
     time = model.opt.timestep * np.arange(round(DURATION / model.opt.timestep))
     q, dq, ddq = tracked_motion(arm, time)
     torque = arm.dynamics.torque(q, dq, ddq)
-    inertia = arm.dynamics.inertia(q[:, :1])[0]
+    friction = arm.at_joints.coulomb + np.abs(arm.coupling.T) @ np.where(arm.coupled, arm.motors.coulomb, 0.0)
+    stiffness, damping = tracking_gains(arm.dynamics.inertia(q[:, :1])[0], friction, np.ptp(q, axis=1))
     to_motors = np.linalg.inv(arm.coupling.T)
     positions = np.empty_like(q)
     for sample in range(len(time)):
         positions[:, sample] = data.qpos[active]
         away, slower = q[:, sample] - positions[:, sample], dq[:, sample] - data.qvel[active]
-        data.ctrl[:] = to_motors @ (torque[:, sample] + inertia @ (BANDWIDTH**2 * away + 2.0 * BANDWIDTH * slower))
+        data.ctrl[:] = to_motors @ (torque[:, sample] + stiffness @ away + damping @ slower)
         mujoco.mj_step(model, data)
         if not _finite(data):
             return Simulation("tracking", finite=False)

@@ -11,7 +11,6 @@ from drivers.errors import ModelError
 from drivers.streams import FloatArray
 from ident.export.arm import ExportedArm
 from ident.export.reading import (
-    BANDWIDTH,
     DURATION,
     STATES,
     Reading,
@@ -21,6 +20,7 @@ from ident.export.reading import (
     released,
     tracked_motion,
     tracking_error,
+    tracking_gains,
     tree_torque_error,
 )
 
@@ -174,7 +174,8 @@ def _track(tree: _Tree) -> Simulation:
     active = tracked_motion(arm, time)
     motion = arm.model.tree_motion(*active)
     q, v = tree.configuration(motion.position[:, 0]), tree.vector(motion.velocity[:, 0])
-    inertia = tree.inertia(q)
+    amplitude = tree.vector(np.ptp(motion.position, axis=1))
+    stiffness, damping = tracking_gains(tree.inertia(q), tree.friction, amplitude)
     positions = np.empty_like(motion.position)
     for sample in range(len(time)):
         wanted = tree.configuration(motion.position[:, sample])
@@ -183,7 +184,7 @@ def _track(tree: _Tree) -> Simulation:
         positions[:, sample] = motion.position[:, sample] - away[tree.place]
         torque = pin.rnea(tree.model, tree.data, wanted, rate, change)
         torque += tree.damping * rate + tree.friction * np.sign(rate)
-        torque += inertia @ (BANDWIDTH**2 * away + 2.0 * BANDWIDTH * (rate - v))
+        torque += stiffness @ away + damping @ (rate - v)
         q, v = tree.step(q, v, torque)
         if not (np.all(np.isfinite(q)) and np.all(np.isfinite(v))):
             return Simulation("tracking", finite=False)

@@ -31,6 +31,9 @@ SHARE = 0.25
 BANDWIDTH = 30.0
 """[rad/s] of the controller that tracks it, critically damped."""
 
+STUCK = 0.05
+"""Of the amplitude: how far a joint may stay behind until the controller overcomes its dry friction."""
+
 LOST = 0.5
 """The motion counts as lost where a joint is farther from it than this share of its amplitude."""
 
@@ -192,6 +195,20 @@ def released(arm: ExportedArm) -> FloatArray:
     low, high = (np.array(limit) for limit in zip(*(limits.position for limits in arm.model.limits), strict=True))
     farther = np.where(high - arm.home >= arm.home - low, high, low)
     return np.asarray(arm.home + SHARE * (farther - arm.home))
+
+
+def tracking_gains(inertia: FloatArray, coulomb: FloatArray, amplitude: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Stiffness and damping (n, n) of a controller: `BANDWIDTH` on the inertia, and stiff enough against dry friction.
+
+    Args:
+        inertia: (n, n) [kg·m²].
+        coulomb: (n,) friction [N·m], which a light wrist has much of beside its inertia.
+        amplitude: (n,) of the motion [rad or m].
+    """
+    against_friction = coulomb / (STUCK * np.maximum(amplitude, 1e-300))
+    stiffness = BANDWIDTH**2 * inertia + np.diag(against_friction)
+    damping = 2.0 * BANDWIDTH * inertia + np.diag(2.0 * np.sqrt(against_friction * inertia.diagonal()))
+    return stiffness, damping
 
 
 def energy_gain(energy: FloatArray, kinetic: FloatArray) -> float:
