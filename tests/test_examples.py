@@ -80,7 +80,7 @@ def test_options_named_in_the_docs_exist():
         for parameter in command.params:
             known.update([*parameter.opts, *parameter.secondary_opts])
     for page in PAGES:
-        for option in re.findall(r"--[a-z][a-z-]+", page.read_text(encoding="utf-8")):
+        for option in re.findall(r"--[a-z][a-z0-9-]+", page.read_text(encoding="utf-8")):
             assert option in known | {"--strict"}, f"{page.name}: {option}"
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from exported_arms import exported_arm
 
+from daq.robot.loader import parse_robot
 from drivers.errors import ModelError, UsageError
 from ident.export import export, mujoco_reading
 from ident.export.arm import refuse_unidentified_friction
@@ -34,6 +37,16 @@ def test_a_file_is_written_once_and_overwritten_when_asked(arm, tmp_path, write)
     write(arm, path, force=True)
     assert path.read_text(encoding="utf-8") == first
     assert [entry.name for entry in tmp_path.iterdir()] == ["arm"]
+
+
+def test_names_that_xml_and_yaml_have_to_escape_come_through(three_joint, tmp_path):
+    text = three_joint.text
+    for plain, odd in (("j1", '"a <b> & c--d"'), ("j2", '"on: [1, 2]"'), ("j3", '"Gelenk-ß"')):
+        text = re.sub(rf"\b{plain}\b", odd, text)
+    arm = exported_arm(parse_robot(text, where="odd", folder=None))
+    for write in EXPORTERS:
+        outcome = write(arm, tmp_path / write.__name__)
+        assert [check.severity for check in outcome.checks if check.severity == "serious"] == []
 
 
 def test_what_reads_back_as_another_model_is_not_written(arm, tmp_path, monkeypatch):
