@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from drivers.errors import ModelError, ResultFileError, UsageError
+from drivers.errors import ModelError, UsageError
 from drivers.streams import FloatArray
 from ident.estimators.feasible.consistent import ConsistentParameters, consistent_parameters
 from ident.linear_algebra.triangular import triangular
@@ -25,7 +25,7 @@ from ident.regression.estimate import Estimate
 from ident.regression.observability import describe
 from ident.result.arrays import outward, samples
 from ident.result.schema import Result, read_result
-from ident.result.stored_model import AGAIN, StoredModel, stored_estimate, stored_model
+from ident.result.stored_model import StoredModel, stored_estimate, stored_model
 from ident.result.tables import Table, table_of_rows
 
 if TYPE_CHECKING:
@@ -384,32 +384,9 @@ class Model:
 
     @cached_property
     def _exported(self) -> ExportedArm:
-        from ident.export.arm import ExportedArm, refuse_unidentified_friction
+        from ident.result.exported import exported_arm
 
-        consistent = self.result.consistent
-        if self.kind != "consistent" or consistent is None:
-            raise UsageError(
-                f"the {self.kind} parameters are no bodies, which an export needs",
-                where=self.name,
-                hint='load_model(…, parameters="consistent")',
-            )
-        values = {parameter.name: parameter.value for parameter in consistent.parameters}
-        names = [parameter.name for parameter in self._stored.model.parameters]
-        if set(names) != set(values):
-            raise ResultFileError("the consistent parameters do not belong to the robot file beside them", hint=AGAIN)
-        known = {parameter.name for parameter in consistent.parameters if parameter.known}
-        rubbing = ("viscous", "coulomb", "coupling")
-        refuse_unidentified_friction(
-            [
-                f"{entry.name} of {entry.joint}"
-                for entry in self.result.base_parameters
-                if entry.value is None and entry.kind in rubbing and entry.name not in known
-            ],
-            self.name,
-        )
-        return ExportedArm(
-            self._stored.robot_file, self._stored.model, np.array([values[name] for name in names]), self._dynamics
-        )
+        return exported_arm(self.result, self.kind, self._stored, self._dynamics)
 
     def __repr__(self) -> str:
         return f"<dynid.Model {self.name}, {self.dof} joints, {self._base.count} base parameters, {self.kind}>"

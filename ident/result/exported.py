@@ -1,0 +1,49 @@
+"""The arm that a result's exports are made of."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.errors import ResultFileError, UsageError
+from ident.export.arm import ExportedArm, refuse_unidentified_friction
+from ident.model.inverse_dynamics import InverseDynamics
+from ident.result.schema import Result
+from ident.result.stored_model import AGAIN, StoredModel
+
+FRICTION = ("viscous", "coulomb", "coupling")
+"""Kinds of parameters that an export takes from the recording or not at all."""
+
+
+def exported_arm(result: Result, kind: str, stored: StoredModel, dynamics: InverseDynamics) -> ExportedArm:
+    """The arm of a result's consistent parameters.
+
+    Args:
+        result: that holds them.
+        kind: parameters of the model that is to be exported.
+        stored: the result's robot file and model.
+        dynamics: of the model.
+
+    Raises:
+        UsageError: the model's parameters are no bodies.
+        ResultFileError: parts of the result do not belong together.
+        ModelError: some friction has neither a value nor an entry in the robot file's `known`.
+    """
+    consistent = result.consistent
+    if kind != "consistent" or consistent is None:
+        raise UsageError(
+            f"the {kind} parameters are no bodies, which an export needs",
+            where=result.robot,
+            hint='load_model(…, parameters="consistent")',
+        )
+    values = {parameter.name: parameter.value for parameter in consistent.parameters}
+    names = [parameter.name for parameter in stored.model.parameters]
+    if set(names) != set(values):
+        raise ResultFileError("the consistent parameters do not belong to the robot file beside them", hint=AGAIN)
+    known = {parameter.name for parameter in consistent.parameters if parameter.known}
+    unidentified = [
+        f"{entry.name} of {entry.joint}"
+        for entry in result.base_parameters
+        if entry.value is None and entry.kind in FRICTION and entry.name not in known
+    ]
+    refuse_unidentified_friction(unidentified, result.robot)
+    return ExportedArm(stored.robot_file, stored.model, np.array([values[name] for name in names]), dynamics)
