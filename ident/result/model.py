@@ -34,6 +34,13 @@ if TYPE_CHECKING:
 
 Parameters = Literal["consistent", "full", "essential"]
 
+KINDS: dict[Parameters, str] = {
+    "consistent": "the base parameters of bodies that can exist",
+    "full": "all base parameters as estimated",
+    "essential": "the significant base parameters, the others 0",
+}
+"""What the models hold, for comments in what they write."""
+
 ROUNDING = 1e-9
 """Entries of a regressor below this are rounding: sines of 180° and the like."""
 
@@ -387,6 +394,36 @@ class Model:
         from ident.result.exported import exported_arm
 
         return exported_arm(self.result, self.kind, self._stored, self._dynamics)
+
+    def export_c(
+        self, path: str | PathLike[str], *, real: Literal["double", "float"] = "double", force: bool = False
+    ) -> tuple[Path, Path]:
+        """Write C99 source of this model: torque, gravity, friction, inertia matrix and base regressor.
+
+        Straight-line code for this arm and these parameters, without allocation, with a self-test.
+
+        Args:
+            path: of both files, without suffix: `arm` gives arm.h and arm.c.
+            real: type of the arithmetic.
+            force: whether to overwrite.
+
+        Returns:
+            The header and the source.
+
+        Raises:
+            UsageError: a file exists, cannot be written, or has a name that C cannot include.
+            ModelError: a parameter has no value, or loops of the arm are solved numerically.
+        """
+        from ident.export.c_code.write import write_c  # only those who export pay for it
+
+        if self._missing:
+            raise ModelError(
+                f"{', '.join(self._base.names[index] for index in self._missing)} has no value: the recording did not "
+                "excite it",
+                where=self.name,
+                hint='record a motion that does, or load_model(…, parameters="essential"), which takes it as 0',
+            )
+        return write_c(self._dynamics, path, real=real, kind=KINDS[self.kind], force=force)
 
     def __repr__(self) -> str:
         return f"<dynid.Model {self.name}, {self.dof} joints, {self._base.count} base parameters, {self.kind}>"

@@ -1,0 +1,1 @@
+"""C99 source of an identified model: straight-line code for one robot."""

@@ -1,0 +1,260 @@
+"""Arithmetic expressions with common parts shared, simplified while they are built.
+
+An expression is a node of a graph and a sign. Equal nodes are stored once (hash-consing), signs move out of products
+and sums, operands of commutative operations are sorted: so `b − a` and `−(a − b)` are the same node. Zeros, ones and
+constants never become operations, and like terms meet: c₁·x + c₂·x = (c₁ + c₂)·x, a + (b − a) = b.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from drivers.streams import FloatArray
+
+Kind = Literal["constant", "symbol", "add", "subtract", "multiply", "sin", "cos", "sign", "tanh"]
+
+
+@dataclass(frozen=True)
+class Node:
+    """One operation, or an operand.
+
+    Attributes:
+        kind: which.
+        operands: numbers of the nodes that it takes, all smaller than its own.
+        value: of a constant, never negative.
+        name: of a symbol.
+    """
+
+    kind: Kind
+    operands: tuple[int, ...] = ()
+    value: float = 0.0
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Operations:
+    """How many operations a computation takes; subtractions count as additions, changes of sign not at all."""
+
+    multiplications: int
+    additions: int
+    sines: int
+    others: int
+
+    def text(self) -> str:
+        """For a comment."""
+        parts = [
+            f"{self.multiplications} multiplications",
+            f"{self.additions} additions",
+            f"{self.sines} sines and cosines",
+        ]
+        if self.others:
+            parts.append(f"{self.others} signs or tanh")
+        return ", ".join(parts)
+
+
+class Graph:
+    """The nodes of all expressions that belong together.
+
+    Attributes:
+        nodes: each behind its operands.
+    """
+
+    def __init__(self) -> None:
+        self.nodes: list[Node] = []
+        self._numbers: dict[Node, int] = {}
+
+    def constant(self, value: float) -> Expression:
+        """A number."""
+        magnitude = abs(float(value))
+        return Expression(self, self._number(Node("constant", value=magnitude)), value < 0.0)
+
+    def symbol(self, name: str) -> Expression:
+        """An input."""
+        return Expression(self, self._number(Node("symbol", name=name)))
+
+    def operation(self, kind: Kind, *operands: int) -> int:
+        """Number of the node of an operation."""
+        return self._number(Node(kind, operands))
+
+    def live(self, outputs: Sequence[Expression]) -> list[int]:
+        """Numbers of the nodes that the outputs need, each behind its operands."""
+        needed = {output.node for output in outputs}
+        for number in range(len(self.nodes) - 1, -1, -1):
+            if number in needed:
+                needed.update(self.nodes[number].operands)
+        return sorted(needed)
+
+    def operations(self, outputs: Sequence[Expression]) -> Operations:
+        """What computing all outputs together takes."""
+        kinds = [self.nodes[number].kind for number in self.live(outputs)]
+        return Operations(
+            multiplications=kinds.count("multiply"),
+            additions=kinds.count("add") + kinds.count("subtract"),
+            sines=kinds.count("sin") + kinds.count("cos"),
+            others=kinds.count("sign") + kinds.count("tanh"),
+        )
+
+    def evaluate(self, outputs: Sequence[Expression], inputs: Mapping[str, FloatArray]) -> FloatArray:
+        """Values (outputs, N) for symbols (N,) by name."""
+        count = len(next(iter(inputs.values())))
+        values: dict[int, FloatArray] = {}
+        for number in self.live(outputs):
+            node = self.nodes[number]
+            operands = [values[operand] for operand in node.operands]
+            if node.kind == "constant":
+                values[number] = np.full(count, node.value)
+            elif node.kind == "symbol":
+                values[number] = np.asarray(inputs[node.name], dtype=np.float64)
+            else:
+                values[number] = _NUMERIC[node.kind](*operands)
+        return np.array([-values[output.node] if output.negative else values[output.node] for output in outputs])
+
+    def _number(self, node: Node) -> int:
+        number = self._numbers.setdefault(node, len(self.nodes))
+        if number == len(self.nodes):
+            self.nodes.append(node)
+        return number
+
+
+_NUMERIC = {
+    "add": np.add,
+    "subtract": np.subtract,
+    "multiply": np.multiply,
+    "sin": np.sin,
+    "cos": np.cos,
+    "sign": np.sign,
+    "tanh": np.tanh,
+}
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A node of a graph, or its negative."""
+
+    graph: Graph = field(repr=False)
+    node: int
+    negative: bool = False
+
+    @property
+    def constant(self) -> float | None:
+        """Its value if it is a number."""
+        node = self.graph.nodes[self.node]
+        if node.kind != "constant":
+            return None
+        return -node.value if self.negative else node.value
+
+    def __neg__(self) -> Expression:
+        return self if self.constant == 0.0 else Expression(self.graph, self.node, not self.negative)
+
+    def __add__(self, other: Expression | float) -> Expression:
+        right = self._expression(other)
+        one, two = self.constant, right.constant
+        if one is not None and two is not None:
+            return self.graph.constant(one + two)
+        if one == 0.0:
+            return right
+        if two == 0.0:
+            return self
+        (factor, node), (other_factor, other_node) = self._coefficient(), right._coefficient()
+        if node == other_node:
+            return Expression(self.graph, node) * (factor + other_factor)
+        for term, total in ((self, right), (right, self)):
+            rest = total._without(term)
+            if rest is not None:
+                return rest
+        first, second = sorted((self, right), key=lambda expression: expression.node)
+        kind: Kind = "add" if first.negative == second.negative else "subtract"
+        return Expression(self.graph, self.graph.operation(kind, first.node, second.node), first.negative)
+
+    def __sub__(self, other: Expression | float) -> Expression:
+        return self + -self._expression(other)
+
+    def __mul__(self, other: Expression | float) -> Expression:
+        right = self._expression(other)
+        one, two = self.constant, right.constant
+        if one is not None and two is not None:
+            return self.graph.constant(one * two)
+        if one is not None:
+            return right._scaled(one)
+        if two is not None:
+            return self._scaled(two)
+        nodes = sorted((self.node, right.node))
+        return Expression(
+            self.graph, self.graph.operation("multiply", nodes[0], nodes[1]), self.negative != right.negative
+        )
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+    def __rsub__(self, other: float) -> Expression:
+        return -self + other
+
+    def _expression(self, other: Expression | float) -> Expression:
+        return other if isinstance(other, Expression) else self.graph.constant(other)
+
+    def _coefficient(self) -> tuple[float, int]:
+        """Factor c and node x of c·x; (±1, itself) where it is no product with a number."""
+        sign = -1.0 if self.negative else 1.0
+        node = self.graph.nodes[self.node]
+        if node.kind == "multiply":
+            for factor, other in (node.operands, node.operands[::-1]):
+                if self.graph.nodes[factor].kind == "constant":
+                    return sign * self.graph.nodes[factor].value, other
+        return sign, self.node
+
+    def _scaled(self, factor: float) -> Expression:
+        own, node = self._coefficient()
+        total = own * factor
+        if total == 0.0:
+            return self.graph.constant(0.0)
+        if abs(total) == 1.0:
+            return Expression(self.graph, node, total < 0.0)
+        number = self.graph.constant(abs(total)).node
+        return Expression(
+            self.graph, self.graph.operation("multiply", min(number, node), max(number, node)), total < 0.0
+        )
+
+    def _without(self, term: Expression) -> Expression | None:
+        """What is left of this sum where −`term` is one of its two parts."""
+        node = self.graph.nodes[self.node]
+        if node.kind not in ("add", "subtract"):
+            return None
+        left = Expression(self.graph, node.operands[0], self.negative)
+        right = Expression(self.graph, node.operands[1], self.negative != (node.kind == "subtract"))
+        for part, rest in ((left, right), (right, left)):
+            if part.node == term.node and part.negative != term.negative:
+                return rest
+        return None
+
+
+def sine(angle: Expression) -> Expression:
+    """Sine, odd."""
+    return _odd("sin", angle, math.sin)
+
+
+def cosine(angle: Expression) -> Expression:
+    """Cosine, even."""
+    if angle.constant is not None:
+        return angle.graph.constant(math.cos(angle.constant))
+    return Expression(angle.graph, angle.graph.operation("cos", angle.node))
+
+
+def sign(value: Expression) -> Expression:
+    """Sign: 1, 0 or −1."""
+    return _odd("sign", value, lambda number: float(np.sign(number)))
+
+
+def hyperbolic_tangent(value: Expression) -> Expression:
+    """Hyperbolic tangent, odd."""
+    return _odd("tanh", value, math.tanh)
+
+
+def _odd(kind: Kind, value: Expression, of_number: Callable[[float], float]) -> Expression:
+    if value.constant is not None:
+        return value.graph.constant(of_number(value.constant))
+    return Expression(value.graph, value.graph.operation(kind, value.node), value.negative)

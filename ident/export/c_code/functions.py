@@ -1,0 +1,149 @@
+"""The functions of an arm's C code: what they take, what they give, and the expressions of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import ModelError
+from ident.export.c_code.axes import inertial_column, link_axes
+from ident.export.c_code.composite import tree_inertia
+from ident.export.c_code.expressions import Expression, Graph
+from ident.export.c_code.frames import combination, joint_frames
+from ident.export.c_code.joint_terms import friction, joint_parameter_column, joint_terms
+from ident.export.c_code.recursion import link_motions, link_wrench, tree_torques
+from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.parameters import INERTIAL
+from ident.model.transmission import LinearTransmission
+
+SIZE = len(INERTIAL)
+
+
+@dataclass(frozen=True)
+class Function:
+    """One C function.
+
+    Attributes:
+        name: without the arm's prefix.
+        summary: what it gives, for a comment.
+        inputs: names of its arrays (n,).
+        output: name of what it writes.
+        rows: the output's entries, (1, n) for a vector.
+        matrix: whether the output has rows and columns.
+    """
+
+    name: str
+    summary: str
+    inputs: tuple[str, ...]
+    output: str
+    rows: tuple[tuple[Expression, ...], ...]
+    matrix: bool = False
+
+    @property
+    def outputs(self) -> list[Expression]:
+        """All entries, row by row."""
+        return [entry for row in self.rows for entry in row]
+
+
+def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ...]:
+    """The functions of an arm with identified parameters.
+
+    Raises:
+        ModelError: loops of the arm are solved numerically.
+    """
+    model = dynamics.model
+    refuse_numerical_loops(dynamics)
+    count = model.dof
+    q, dq, ddq = ([graph.symbol(f"{name}{joint}") for joint in range(count)] for name in ("q", "dq", "ddq"))
+    still = [graph.constant(0.0)] * count
+    follow = model.transmission.follow if isinstance(model.transmission, LinearTransmission) else np.eye(count)
+    standard = np.zeros(len(model.parameters))
+    standard[list(dynamics.base.columns)] = dynamics.parameters
+    inertial = [standard[SIZE * link : SIZE * (link + 1)] for link in range(len(model.joints))]
+    terms = joint_terms(dynamics)
+
+    frames = joint_frames(graph, model, q, dq, ddq)
+    motions = link_motions(graph, frames, model.gravity)
+    moving = tree_torques(frames, [link_wrench(*pair) for pair in zip(motions, inertial, strict=True)])
+    rubbing = friction(graph, terms, model.smoothing, dq)
+    rotors = [combination(graph, row, ddq) for row in terms.inertia]
+    links = [combination(graph, column, moving) for column in follow.T]
+    torque = tuple(a + b + c for a, b, c in zip(links, rotors, rubbing, strict=True))
+
+    resting_frames = joint_frames(graph, model, q, still, still)
+    resting = link_motions(graph, resting_frames, model.gravity)
+    holding = tree_torques(resting_frames, [link_wrench(*pair) for pair in zip(resting, inertial, strict=True)])
+    gravity = tuple(combination(graph, column, holding) for column in follow.T)
+
+    entries = tree_inertia(graph, resting_frames, inertial)
+    mass: list[list[Expression]] = [[graph.constant(0.0)] * count for _ in range(count)]
+    for i in range(count):
+        for j in range(i + 1):
+            total = graph.constant(float(terms.inertia[i, j]))
+            for (row, column), entry in entries.items():
+                share = follow[row, i] * follow[column, j]
+                if row != column:
+                    share += follow[column, i] * follow[row, j]
+                total = total + entry * float(share)
+            mass[i][j] = mass[j][i] = total
+
+    axes = link_axes(graph, frames)
+    columns = [
+        inertial_column(graph, motions[number // SIZE], axes[number // SIZE], number % SIZE, follow)
+        if model.parameters[number].kind == "inertial"
+        else joint_parameter_column(graph, dynamics, number, dq, ddq)
+        for number in dynamics.base.columns
+    ]
+    regressor = tuple(tuple(column[joint] for column in columns) for joint in range(count))
+
+    functions = [
+        Function(
+            "torque", "Torques of a motion, friction and motor inertia included.", ("q", "dq", "ddq"), "tau", (torque,)
+        ),
+        Function("gravity", "Torques of gravity.", ("q",), "tau", (gravity,)),
+        Function("friction", "Torques of friction, constant offsets included.", ("dq",), "tau", (tuple(rubbing),)),
+        Function(
+            "mass_matrix",
+            "Joint-space inertia matrix, motor inertia included.",
+            ("q",),
+            "M",
+            tuple(tuple(row) for row in mass),
+            matrix=True,
+        ),
+        Function(
+            "regressor",
+            "Base regressor Y with torque = Y * parameters.",
+            ("q", "dq", "ddq"),
+            "Y",
+            regressor,
+            matrix=True,
+        ),
+    ]
+    if not np.array_equal(dynamics.coupling, np.eye(count)):
+        functions.append(_motor_torque(graph, dynamics))
+    return tuple(functions)
+
+
+def refuse_numerical_loops(dynamics: InverseDynamics) -> None:
+    """Refuse an arm whose joints without a motor follow by equations that straight-line code cannot solve.
+
+    Raises:
+        ModelError: it is one.
+    """
+    model = dynamics.model
+    if model.transmission is not None and model.transmission.solved_numerically:
+        raise ModelError(
+            "C code needs joints that follow linearly; a loop of this arm is solved numerically",
+            where=model.name,
+            hint="parallelograms and equations can be exported; for this arm, use the model from Python",
+        )
+
+
+def _motor_torque(graph: Graph, dynamics: InverseDynamics) -> Function:
+    shares = np.linalg.inv(dynamics.coupling).T
+    tau = [graph.symbol(f"tau{joint}") for joint in range(dynamics.model.dof)]
+    rows = tuple(combination(graph, np.where(np.abs(row) < 1e-12, 0.0, row), tau) for row in shares)
+    return Function(
+        "motor_torque", "Torques of the motors from those of the joints (coupled motors).", ("tau",), "motor", (rows,)
+    )

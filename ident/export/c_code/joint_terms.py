@@ -1,0 +1,106 @@
+"""What acts at the joints beside the links: motor inertia, friction, offsets, as numbers and as expressions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.export.c_code.expressions import Expression, Graph, hyperbolic_tangent, sign
+from ident.export.c_code.frames import combination
+from ident.model.dynamic_model import DynamicModel
+from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.joint_columns import JointColumn, joint_column
+
+
+@dataclass(frozen=True)
+class JointTerms:
+    """Torques at the n joints with a motor: inertia·q̈ + viscous·q̇ + Σ coulomb·sign(motion·q̇) + offset.
+
+    Attributes:
+        inertia: (n, n) [kg·m²] of the motors.
+        viscous: (n, n) [N·m·s/rad].
+        coulomb: (motion (n,), torques (n,) [N·m]) of each Coulomb column.
+        offset: (n,) [N·m].
+    """
+
+    inertia: FloatArray
+    viscous: FloatArray
+    coulomb: tuple[tuple[FloatArray, FloatArray], ...]
+    offset: FloatArray
+
+
+def joint_terms(dynamics: InverseDynamics) -> JointTerms:
+    """The joint terms of identified parameters."""
+    model = dynamics.model
+    inertia, viscous = np.zeros((2, model.dof, model.dof))
+    offset = np.zeros(model.dof)
+    coulomb = []
+    for number, value in zip(dynamics.base.columns, dynamics.parameters, strict=True):
+        parameter = model.parameters[number]
+        if parameter.kind == "inertial" or value == 0.0:
+            continue
+        column = joint_column(model, parameter)
+        motion, torques = _motion(model, column), float(value) * _rows(dynamics, column)
+        if column.quantity == "motor_inertia":
+            inertia += np.outer(torques, motion)
+        elif column.quantity == "viscous":
+            viscous += np.outer(torques, motion)
+        elif column.quantity == "coulomb":
+            coulomb.append((motion, torques))
+        else:
+            offset += torques
+    return JointTerms(inertia, viscous, tuple(coulomb), offset)
+
+
+def friction(graph: Graph, terms: JointTerms, smoothing: float, velocity: Sequence[Expression]) -> list[Expression]:
+    """Friction and offsets (n,) at the joints' velocities (n,)."""
+    totals = [combination(graph, row, velocity) for row in terms.viscous]
+    for motion, torques in terms.coulomb:
+        direction = coulomb_direction(combination(graph, motion, velocity), smoothing)
+        totals = [total + direction * float(torque) for total, torque in zip(totals, torques, strict=True)]
+    return [total + float(constant) for total, constant in zip(totals, terms.offset, strict=True)]
+
+
+def joint_parameter_column(
+    graph: Graph,
+    dynamics: InverseDynamics,
+    number: int,
+    velocity: Sequence[Expression],
+    acceleration: Sequence[Expression],
+) -> list[Expression]:
+    """The regressor's column (n,) of a standard parameter that is no link's."""
+    model = dynamics.model
+    column = joint_column(model, model.parameters[number])
+    motion = _motion(model, column)
+    if column.quantity == "motor_inertia":
+        signal = combination(graph, motion, acceleration)
+    elif column.quantity == "viscous":
+        signal = combination(graph, motion, velocity)
+    elif column.quantity == "coulomb":
+        signal = coulomb_direction(combination(graph, motion, velocity), model.smoothing)
+    else:
+        signal = graph.constant(1.0)
+    return [signal * float(factor) for factor in _rows(dynamics, column)]
+
+
+def coulomb_direction(velocity: Expression, smoothing: float) -> Expression:
+    """sign(q̇), or tanh(q̇/ε) where ε [rad/s] is not 0."""
+    return hyperbolic_tangent(velocity * (1.0 / smoothing)) if smoothing > 0.0 else sign(velocity)
+
+
+def _motion(model: DynamicModel, column: JointColumn) -> FloatArray:
+    motion = np.zeros(model.dof)
+    for joint, factor in column.motion:
+        motion[joint] = factor
+    return motion
+
+
+def _rows(dynamics: InverseDynamics, column: JointColumn) -> FloatArray:
+    """Torques (n,) at the joints of a unit of the column's signal: Rᵀ times those at the motors."""
+    motors = np.zeros(dynamics.model.dof)
+    for motor, factor in column.rows:
+        motors[motor] = factor
+    return np.asarray(dynamics.coupling.T @ motors)

@@ -1,0 +1,71 @@
+"""Write the C code of an identified arm."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+
+from drivers.errors import UsageError
+from ident.export.c_code.expressions import Graph
+from ident.export.c_code.functions import arm_functions
+from ident.export.c_code.names import identifier, source_paths
+from ident.export.c_code.reference import check_expressions, reference
+from ident.export.c_code.source import Description, header, source
+from ident.export.c_code.statements import Dialect, Real
+from ident.model.inverse_dynamics import InverseDynamics
+
+
+def write_c(
+    dynamics: InverseDynamics,
+    path: str | PathLike[str],
+    *,
+    real: Real = "double",
+    kind: str = "base parameters",
+    force: bool = False,
+) -> tuple[Path, Path]:
+    """Write a C99 header and source with an arm's inverse dynamics, its terms and its base regressor.
+
+    Args:
+        dynamics: of the identified parameters.
+        path: of both files, without suffix: `arm` for arm.h and arm.c.
+        real: type of the arithmetic.
+        kind: which parameters these are, for a comment.
+        force: whether to overwrite.
+
+    Returns:
+        The header and the source.
+
+    Raises:
+        UsageError: a file exists, cannot be written, or has a name that C cannot include.
+        ModelError: loops of the arm are solved numerically, or its parameters do not fit into the type.
+    """
+    header_path, source_path = source_paths(Path(path))
+    for file in (header_path, source_path):
+        if file.exists() and not force:
+            raise UsageError("exists already", where=str(file), hint="overwrite it with --force")
+    graph = Graph()
+    functions = arm_functions(graph, dynamics)
+    check_expressions(graph, functions, dynamics)
+    prefix = identifier(dynamics.model.name)
+    dialect = Dialect(real, f"{prefix}_real", f"{prefix}_sign")
+    model = dynamics.model
+    description = Description(
+        robot=model.name,
+        prefix=prefix,
+        joints=tuple(
+            f"{model.joints[index].name}{' (prismatic)' if model.joints[index].prismatic else ''}"
+            for index in model.active
+        ),
+        parameters=tuple(zip(dynamics.base.names, dynamics.parameters.tolist(), strict=True)),
+        kind=kind,
+    )
+    texts = {
+        header_path: header(description, functions, dialect),
+        source_path: source(graph, description, functions, dialect, reference(dynamics, real), header_path.name),
+    }
+    for file, text in texts.items():
+        try:
+            file.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise UsageError(f"cannot be written: {error.strerror}", where=str(file)) from error
+    return header_path, source_path
