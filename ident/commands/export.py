@@ -20,24 +20,35 @@ def export(
     ros2_inertial: Path = typer.Option(
         None, "--ros2-inertial", help="YAML to write, as in Universal_Robots_ROS2_Description."
     ),
+    c: Path = typer.Option(None, "--c", help="C99 code to write: `arm` for arm.h and arm.c."),
+    c_float: bool = typer.Option(False, "--c-float", help="C code in float, not double."),
+    parameters: str = typer.Option(
+        "consistent",
+        "--parameters",
+        help="Of the C code: consistent, full or essential; other formats need consistent.",
+    ),
     force: bool = typer.Option(False, "--force", help="Overwrite the output files."),
     as_json: bool = JSON,
 ) -> None:
     """Write the physically consistent model for simulators and controllers; each file is read again and simulated.
 
-    Example: dynid export model --urdf arm.urdf --mjcf arm.xml
+    Example: dynid export model --urdf arm.urdf --mjcf arm.xml --c arm
     """
     from dataclasses import asdict
+    from typing import cast
 
     from daq.commands.console import print_json, progress_line
     from drivers.errors import UsageError
+    from ident.export.c_code.names import source_paths
     from ident.export.export import check_target
-    from ident.result.model import load_model
+    from ident.result.model import Parameters, load_model
     from ident.verdict.verdict import judge, together
 
-    targets = [path for path in (urdf, mjcf, ros2_inertial) if path is not None]
+    targets = [path for path in (urdf, mjcf, ros2_inertial, *(source_paths(c) if c else ())) if path is not None]
     if not targets:
-        raise UsageError("names no file to write", hint="--urdf, --mjcf or --ros2-inertial")
+        raise UsageError("names no file to write", hint="--urdf, --mjcf, --ros2-inertial or --c")
+    if c_float and c is None:
+        raise UsageError("--c-float needs --c, the files to write")
     if into is not None and urdf is None:
         raise UsageError("--into needs --urdf, the file to write")
     if len({path.resolve() for path in targets}) < len(targets):
@@ -47,7 +58,7 @@ def export(
     exports = []
     with progress_line(quiet=as_json) as progress:
         progress("model")
-        identified = load_model(model)
+        identified = load_model(model, cast(Parameters, parameters))
         if urdf is not None:
             progress("URDF")
             exports.append(identified.export_urdf(urdf, into=into, force=force))
@@ -57,9 +68,9 @@ def export(
         if ros2_inertial is not None:
             progress("ROS 2 inertial parameters")
             exports.append(identified.export_ros2_inertial(ros2_inertial, force=force))
-    checks = [check for one in exports for check in one.checks]
-    verdicts = [("identification", identified.result.verdict), ("export", judge(checks, None))]
-    simulation = together([one for one in verdicts if "simulation" in one[1].purposes]).purposes["simulation"]
+        if c is not None:
+            progress("C code")
+            exports.append(identified.export_c(c, real="float" if c_float else "double", force=force))
     if as_json:
         files = [{**asdict(one), "path": str(one.path)} for one in exports]
         print_json({"model": str(model), "files": files, "simulation": asdict(simulation)})

@@ -389,15 +389,9 @@ class Model:
 
         return export_ros2_inertial(self._exported, path, force=force)
 
-    @cached_property
-    def _exported(self) -> ExportedArm:
-        from ident.result.exported import exported_arm
-
-        return exported_arm(self.result, self.kind, self._stored, self._dynamics)
-
     def export_c(
         self, path: str | PathLike[str], *, real: Literal["double", "float"] = "double", force: bool = False
-    ) -> tuple[Path, Path]:
+    ) -> Export:
         """Write C99 source of this model: torque, gravity, friction, inertia matrix and base regressor.
 
         Straight-line code for this arm and these parameters, without allocation, with a self-test.
@@ -407,14 +401,11 @@ class Model:
             real: type of the arithmetic.
             force: whether to overwrite.
 
-        Returns:
-            The header and the source.
-
         Raises:
             UsageError: a file exists, cannot be written, or has a name that C cannot include.
-            ModelError: a parameter has no value, or loops of the arm are solved numerically.
+            ModelError: a parameter was not identified, or loops of the arm are solved numerically.
         """
-        from ident.export.c_code.write import write_c  # only those who export pay for it
+        from ident.export.c_code.write import write_c
 
         if self._missing:
             raise ModelError(
@@ -423,7 +414,14 @@ class Model:
                 where=self.name,
                 hint='record a motion that does, or load_model(…, parameters="essential"), which takes it as 0',
             )
-        return write_c(self._dynamics, path, real=real, kind=KINDS[self.kind], force=force)
+        dynamics = self._exported.dynamics if self.kind == "consistent" else self._dynamics
+        return write_c(dynamics, path, real=real, kind=KINDS[self.kind], force=force)
+
+    @cached_property
+    def _exported(self) -> ExportedArm:
+        from ident.result.exported import exported_arm
+
+        return exported_arm(self.result, self.kind, self._stored, self._dynamics)
 
     def __repr__(self) -> str:
         return f"<dynid.Model {self.name}, {self.dof} joints, {self._base.count} base parameters, {self.kind}>"

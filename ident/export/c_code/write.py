@@ -6,12 +6,14 @@ from os import PathLike
 from pathlib import Path
 
 from drivers.errors import UsageError
+from drivers.text_file import replace_file
 from ident.export.c_code.expressions import Graph
 from ident.export.c_code.functions import arm_functions
 from ident.export.c_code.names import identifier, source_paths
 from ident.export.c_code.reference import check_expressions, reference
 from ident.export.c_code.source import Description, header, source
 from ident.export.c_code.statements import Dialect, Real
+from ident.export.export import Export, check_target
 from ident.model.inverse_dynamics import InverseDynamics
 
 
@@ -22,7 +24,7 @@ def write_c(
     real: Real = "double",
     kind: str = "base parameters",
     force: bool = False,
-) -> tuple[Path, Path]:
+) -> Export:
     """Write a C99 header and source with an arm's inverse dynamics, its terms and its base regressor.
 
     Args:
@@ -32,17 +34,11 @@ def write_c(
         kind: which parameters these are, for a comment.
         force: whether to overwrite.
 
-    Returns:
-        The header and the source.
-
     Raises:
         UsageError: a file exists, cannot be written, or has a name that C cannot include.
         ModelError: loops of the arm are solved numerically, or its parameters do not fit into the type.
     """
-    header_path, source_path = source_paths(Path(path))
-    for file in (header_path, source_path):
-        if file.exists() and not force:
-            raise UsageError("exists already", where=str(file), hint="overwrite it with --force")
+    header_path, source_path = (check_target(file, force) for file in source_paths(Path(path)))
     graph = Graph()
     functions = arm_functions(graph, dynamics)
     check_expressions(graph, functions, dynamics)
@@ -65,7 +61,15 @@ def write_c(
     }
     for file, text in texts.items():
         try:
-            file.write_text(text, encoding="utf-8")
+            replace_file(file, text)
         except OSError as error:
             raise UsageError(f"cannot be written: {error.strerror}", where=str(file)) from error
-    return header_path, source_path
+    torque = functions[0]
+    return Export(
+        path=source_path,
+        format=f"C99 in {real}, {kind}; header {header_path.name}; {torque.name}: "
+        f"{graph.operations(torque.outputs).text()}",
+        left_out=(),
+        readings=(),
+        checks=(),
+    )
