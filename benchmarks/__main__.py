@@ -16,6 +16,7 @@ from pathlib import Path
 
 from benchmarks import (
     accuracy,
+    c_code,
     decimation,
     excitation,
     memory,
@@ -42,6 +43,8 @@ GOALS = {
     "import_vs_import_numpy": ("≤", 1.0),
     "plant_vs_real_time": ("≥", 30.0),
     "excitation_time_to_cond12_vs_slsqp_pin": ("≥", 4.0),
+    "c_vs_pinocchio_cpp_ur5e": ("≥", 4.0),
+    "c_vs_pinocchio_cpp_panda": ("≥", 4.0),
 }
 """What each figure should reach; the others are there for orientation."""
 
@@ -58,12 +61,26 @@ RUNS = (
     decimation.run,
     pipeline.run,
     model.run,
+    c_code.run,
     plant.run,
     recorder.run,
     excitation.run,
 )
 
-MODULES = (regressor, parameters, memory, accuracy, decimation, startup, pipeline, model, plant, recorder, excitation)
+MODULES = (
+    regressor,
+    parameters,
+    memory,
+    accuracy,
+    decimation,
+    startup,
+    pipeline,
+    model,
+    c_code,
+    plant,
+    recorder,
+    excitation,
+)
 
 
 def main() -> None:
