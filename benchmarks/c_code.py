@@ -8,6 +8,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,7 @@ PINOCCHIO_OPTIONS = (
 )
 
 
-def run(calls: int = 200_000, repeats: int = 7) -> dict[str, float]:
+def run(calls: int = 200_000, repeats: int = 7, robots: Sequence[str] = ("ur5e", "panda", "sr400")) -> dict[str, float]:
     """Nanoseconds per call; nothing where there is no compiler, no Eigen for the side of Pinocchio."""
     if shutil.which("cc") is None:
         print("c_code: no C compiler 'cc', left out", file=sys.stderr)
@@ -52,7 +53,7 @@ def run(calls: int = 200_000, repeats: int = 7) -> dict[str, float]:
     results: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for robot in ("ur5e", "panda", "sr400"):
+        for robot in robots:
             model = build_model(load_robot(robot))
             truth = truth_vector(load_robot(robot))
             states = random_states(model, STATES)

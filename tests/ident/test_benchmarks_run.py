@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, decimation, parameters, regressor
+from benchmarks import accuracy, c_code, decimation, parameters, regressor
 from benchmarks.agreement import DisagreementError, check
 from benchmarks.timing import medians
 
@@ -38,6 +38,14 @@ def test_sides_that_differ_are_not_compared():
 def test_both_sides_agree_on_few_samples(run, name):
     results = run(600, 1)
     assert results[name] > 0
+    assert all(np.isfinite(list(results.values())))
+
+
+@pytest.mark.realtime
+def test_c_code_sums_up_to_the_same_torques_as_python():
+    results = c_code.run(1000, 1, ["sr400"])
+    if not results:
+        pytest.skip("no C compiler 'cc'")
     assert all(np.isfinite(list(results.values())))
 
 

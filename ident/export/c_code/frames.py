@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from ident.export.c_code.vectors import (
 )
 from ident.linear_algebra.vectors import axis_rotation
 from ident.model.dynamic_model import DynamicModel
-from ident.model.joints import Joint
+from ident.model.joints import BASE_INDEX, Joint
 from ident.model.newton_euler import rotation_coefficients
 from ident.model.transmission import LinearTransmission
 
@@ -31,47 +31,60 @@ ROUNDING = 1e-15
 
 
 @dataclass(frozen=True)
+class Shortcut:
+    """The orientation of a frame straight from that of its grandparent, over two joints about parallel axes.
+
+    In a parallelogram the sum of their angles is simpler than either: the forearm turns as the rod's motor does, and
+    what both compute is shared.
+
+    Attributes:
+        steps: rotations that take a vector of the grandparent's frame to this one, one after the other.
+        velocity, acceleration: of both joints together.
+    """
+
+    steps: tuple[Matrix, ...]
+    velocity: Expression
+    acceleration: Expression
+
+
+@dataclass(frozen=True)
 class JointFrame:
     """A joint's frame in its parent's.
 
     Attributes:
-        joint: of the tree; its rotation and translation at position zero of `turn`.
+        joint: of the tree.
         translation: of the origin, in the parent's frame.
+        angle: of a revolute joint, without its constant part.
         velocity, acceleration: of the joint.
-        constant: rotation from the joint's frame at position zero to the parent's.
-        turn: rotation about the joint's axis; None of a prismatic joint.
+        constant: rotation from the joint's frame at `angle` zero to the parent's; 1 where `turn` holds it.
+        turn: rotation about the joint's axis; 1 of a prismatic joint.
         planar: number of the coordinate axis that `turn` leaves alone, with the sine and cosine of the angle about it;
-            None where the axis is skew, and then `turn` holds the constant rotation too.
+            None where there is none.
+        shortcut: where there is one.
     """
 
     joint: Joint
     translation: Vector
+    angle: Expression
     velocity: Expression
     acceleration: Expression
     constant: Matrix
-    turn: Matrix | None
+    turn: Matrix
     planar: tuple[int, Expression, Expression] | None
+    shortcut: Shortcut | None = None
 
     def to_joint(self, vector: Vector) -> Vector:
         """A vector of the parent's frame in the joint's."""
-        if self.turn is not None and self.planar is None:
-            return apply(transpose(self.turn), vector)
-        steady = apply(transpose(self.constant), vector)
-        return steady if self.turn is None else apply(transpose(self.turn), steady)
+        return apply(transpose(self.turn), apply(transpose(self.constant), vector))
 
     def to_parent(self, vector: Vector) -> Vector:
         """A vector of the joint's frame in the parent's."""
-        if self.turn is not None and self.planar is None:
-            return apply(self.turn, vector)
-        return apply(self.constant, vector if self.turn is None else apply(self.turn, vector))
+        return apply(self.constant, apply(self.turn, vector))
 
     def tensor_to_parent(self, tensor: Matrix) -> Matrix:
         """A symmetric tensor of the joint's frame in the parent's axes."""
-        if self.turn is not None and self.planar is None:
-            return _turned(self.turn, tensor)
-        if self.planar is not None:
-            tensor = _turned_in_plane(*self.planar, tensor)
-        return _turned(self.constant, tensor)
+        turned = _turned(self.turn, tensor) if self.planar is None else _turned_in_plane(*self.planar, tensor)
+        return _turned(self.constant, turned)
 
 
 def joint_frames(
@@ -90,11 +103,14 @@ def joint_frames(
         if not isinstance(model.transmission, LinearTransmission):
             raise TypeError("the joints without a motor do not follow linearly")
         follow, offset = model.transmission.follow, model.transmission.offset
-    motions = [[combination(graph, row, signal) for signal in (position, velocity, acceleration)] for row in follow]
-    return tuple(
-        _joint_frame(graph, joint, float(start), *motion)
-        for joint, start, motion in zip(model.joints, offset, motions, strict=True)
-    )
+    frames: list[JointFrame] = []
+    for joint, start, row in zip(model.joints, offset, follow, strict=True):
+        motion = [combination(graph, row, signal) for signal in (position, velocity, acceleration)]
+        frame = _joint_frame(graph, joint, float(start), *motion)
+        if joint.parent != BASE_INDEX:
+            frame = replace(frame, shortcut=_shortcut(graph, frames[joint.parent], frame))
+        frames.append(frame)
+    return tuple(frames)
 
 
 def combination(graph: Graph, factors: FloatArray, signals: Sequence[Expression]) -> Expression:
@@ -108,32 +124,41 @@ def combination(graph: Graph, factors: FloatArray, signals: Sequence[Expression]
 def _joint_frame(
     graph: Graph, joint: Joint, start: float, position: Expression, velocity: Expression, acceleration: Expression
 ) -> JointFrame:
-    translation = constant_vector(graph, joint.translation)
+    translation, identity = constant_vector(graph, joint.translation), constant_matrix(graph, np.eye(3))
     if joint.prismatic:
         along = scale(_exact(joint.rotation @ joint.axis), position + start)
-        constant = constant_matrix(graph, _exact(joint.rotation))
-        return JointFrame(joint, add(translation, along), velocity, acceleration, constant, None, None)
+        still, constant = graph.constant(0.0), constant_matrix(graph, _exact(joint.rotation))
+        return JointFrame(joint, add(translation, along), still, velocity, acceleration, constant, identity, None)
     # The constant part of the angle goes into the constant rotation: sin(q + π/2) is then cos q.
-    if start != 0.0:
-        joint = Joint(
-            joint.name,
-            joint.parent,
-            joint.prismatic,
-            joint.rotation @ axis_rotation(joint.axis, start),
-            joint.translation,
-            joint.axis,
-        )
-    s, c = sine(position), cosine(position)
+    joint = replace(joint, rotation=_exact(joint.rotation @ axis_rotation(joint.axis, start)))
     aligned = [index for index in range(3) if abs(abs(joint.axis[index]) - 1.0) < ROUNDING]
-    if aligned:
-        index = aligned[0]
-        planar = (index, s * float(np.sign(joint.axis[index])), c)
-        turn = _plane_rotation(graph, *planar)
-        return JointFrame(
-            joint, translation, velocity, acceleration, constant_matrix(graph, _exact(joint.rotation)), turn, planar
-        )
-    turn = _skew_rotation(s, c, joint)
-    return JointFrame(joint, translation, velocity, acceleration, constant_matrix(graph, joint.rotation), turn, None)
+    if not aligned:
+        turn = _skew_rotation(sine(position), cosine(position), joint)
+        return JointFrame(joint, translation, position, velocity, acceleration, identity, turn, None)
+    planar = _planar(joint, aligned[0], position)
+    turn, constant = _plane_rotation(graph, *planar), constant_matrix(graph, joint.rotation)
+    return JointFrame(joint, translation, position, velocity, acceleration, constant, turn, planar)
+
+
+def _planar(joint: Joint, axis: int, angle: Expression) -> tuple[int, Expression, Expression]:
+    return axis, sine(angle) * float(np.sign(joint.axis[axis])), cosine(angle)
+
+
+def _shortcut(graph: Graph, parent: JointFrame, frame: JointFrame) -> Shortcut | None:
+    """The shortcut over a joint and its parent if their axes are parallel and the sum of their angles is one angle."""
+    if parent.planar is None or frame.planar is None:
+        return None
+    angle = parent.angle + frame.angle
+    if graph.nodes[angle.node].kind not in ("symbol", "constant"):
+        return None
+    if not np.array_equal(frame.joint.rotation @ frame.joint.axis, parent.joint.axis):
+        return None
+    turn = _plane_rotation(graph, *_planar(parent.joint, parent.planar[0], angle))
+    return Shortcut(
+        steps=(transpose(parent.constant), transpose(turn), transpose(frame.constant)),
+        velocity=parent.velocity + frame.velocity,
+        acceleration=parent.acceleration + frame.acceleration,
+    )
 
 
 def _skew_rotation(s: Expression, c: Expression, joint: Joint) -> Matrix:

@@ -53,11 +53,17 @@ def link_motions(graph: Graph, frames: Sequence[JointFrame], gravity: FloatArray
     base = link_motion(none, none, constant_vector(graph, -gravity))
     motions: list[LinkMotion] = []
     for frame in frames:
-        parent = base if frame.joint.parent == BASE_INDEX else motions[frame.joint.parent]
-        own_velocity = scale(frame.joint.axis, frame.velocity)
-        own_acceleration = scale(frame.joint.axis, frame.acceleration)
+        parent = _motion_of(frame.joint.parent, motions, base)
         velocity, acceleration = frame.to_joint(parent.velocity), frame.to_joint(parent.acceleration)
         linear = frame.to_joint(add(parent.linear, apply(parent.swing, frame.translation)))
+        rates = frame.velocity, frame.acceleration
+        if frame.shortcut is not None:
+            before = _motion_of(frames[frame.joint.parent].joint.parent, motions, base)
+            velocity, acceleration = before.velocity, before.acceleration
+            for step in frame.shortcut.steps:
+                velocity, acceleration = apply(step, velocity), apply(step, acceleration)
+            rates = frame.shortcut.velocity, frame.shortcut.acceleration
+        own_velocity, own_acceleration = (scale(frame.joint.axis, rate) for rate in rates)
         turned = cross(velocity, own_velocity)
         if frame.joint.prismatic:
             linear = add(add(linear, own_acceleration), add(turned, turned))
@@ -66,6 +72,10 @@ def link_motions(graph: Graph, frames: Sequence[JointFrame], gravity: FloatArray
             velocity = add(velocity, own_velocity)
         motions.append(link_motion(velocity, acceleration, linear))
     return motions
+
+
+def _motion_of(index: int, motions: Sequence[LinkMotion], base: LinkMotion) -> LinkMotion:
+    return base if index == BASE_INDEX else motions[index]
 
 
 def link_motion(velocity: Vector, acceleration: Vector, linear: Vector) -> LinkMotion:

@@ -70,6 +70,21 @@ def test_joints_that_follow_and_coupled_motors(text):
     assert_equal(random_dynamics(build_model(parse_robot(text, where="arm.yaml", folder=None))))
 
 
+def test_axes_against_the_coordinates():
+    model = build_model(load_robot("sr400"))
+    flipped = tuple(replace(joint, axis=joint.axis * (-1.0) ** number) for number, joint in enumerate(model.joints))
+    assert_equal(random_dynamics(replace(model, joints=flipped)))
+
+
+def test_a_link_that_stays_level_turns_as_its_grandparent_does():
+    level = FOLLOWING.replace("alpha: pi/2, d: 0.15", "alpha: 0, d: 0.15").replace("{arm: -0.6, lift: 2}", "{arm: -1}")
+    dynamics = random_dynamics(build_model(parse_robot(level, where="arm.yaml", folder=None)))
+    assert_equal(dynamics)
+    graph = Graph()
+    torque = arm_functions(graph, dynamics)[0]
+    assert graph.operations(torque.outputs).sines == 2
+
+
 def test_essential_parameters_take_fewer_operations():
     model = build_model(load_robot("ur5e"))
     base = base_parameters(model)

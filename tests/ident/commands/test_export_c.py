@@ -1,0 +1,95 @@
+"""`dynid export --c` as a user calls it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from compiled_arm import self_test
+from loop_arms import four_bar_arm
+from true_results import true_result
+
+import dynid
+from daq.robot.loader import load_robot
+from drivers.errors import ModelError
+from dynid import command
+from ident.result.schema import write_result
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory) -> Path:
+    """A folder that identify wrote."""
+    folder = tmp_path_factory.mktemp("identified")
+    dynid.identify(dynid.simulate("up6", duration=10.0, seed=1)).save(folder)
+    return folder
+
+
+def run(monkeypatch, capsys, *arguments: object) -> tuple[int, str, str]:
+    """Exit status, standard output, standard error."""
+    monkeypatch.setattr(sys, "argv", ["dynid", "export", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        command.main()
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), captured.out, captured.err
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("kind", ["consistent", "full", "essential"])
+def test_code_of_all_three_models_passes_its_test(model, kind, tmp_path, monkeypatch, capsys):
+    status, out, _ = run(monkeypatch, capsys, model, "--c", tmp_path / "arm", "--parameters", kind)
+    assert status == 0
+    assert "multiplications" in out
+    assert self_test(tmp_path / "arm.c", "up6").returncode == 0
+
+
+def test_json(model, tmp_path, monkeypatch, capsys):
+    status, out, _ = run(monkeypatch, capsys, model, "--c", tmp_path / "arm.c", "--c-float", "--json")
+    assert status == 0
+    assert [file["path"] for file in json.loads(out)["files"]] == [str(tmp_path / "arm.c")]
+    assert "typedef float up6_real;" in (tmp_path / "arm.h").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--c-float", "--urdf", "OUT/arm.urdf"], "--c-float needs --c"),
+        (["--c", "OUT/arm", "--parameters", "some"], "there are no 'some' parameters"),
+        (["--c", 'OUT/a"b'], "no name for C files"),
+        (["--c", "OUT/no/arm"], "folder that does not exist"),
+        (["--c", "OUT/arm", "--urdf", "OUT/arm.c"], "same file"),
+        ([], "names no file"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(model, arguments, message, tmp_path, monkeypatch, capsys):
+    given = [argument.replace("OUT", str(tmp_path)) for argument in arguments]
+    status, _, error = run(monkeypatch, capsys, model, *given)
+    assert (status, error.count("\n")) == (2, 1)
+    assert message in error
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_that_exists_needs_force(model, tmp_path, monkeypatch, capsys):
+    (tmp_path / "arm.h").write_text("mine")
+    status, _, error = run(monkeypatch, capsys, model, "--c", tmp_path / "arm")
+    assert (status, error.count("\n")) == (2, 1)
+    assert (tmp_path / "arm.h").read_text() == "mine"
+    assert run(monkeypatch, capsys, model, "--c", tmp_path / "arm", "--force")[0] == 0
+
+
+def test_loops_solved_numerically_are_refused_in_a_sentence(tmp_path, monkeypatch, capsys):
+    write_result(tmp_path / "result.json", true_result(four_bar_arm()))
+    status, _, error = run(
+        monkeypatch, capsys, tmp_path / "result.json", "--c", tmp_path / "arm", "--parameters", "full"
+    )
+    assert (status, error.count("\n")) == (1, 1)
+    assert "solved numerically" in error
+
+
+def test_a_model_with_an_unidentified_parameter_is_refused(tmp_path):
+    robot_file = load_robot("up6")
+    unknown = dynid.Model(true_result(robot_file, {"Fv2": None}), "full")
+    with pytest.raises(ModelError, match="Fv2 has no value"):
+        unknown.export_c(tmp_path / "arm")
+    assert not list(tmp_path.iterdir())
