@@ -56,8 +56,8 @@ class JointFrame:
         translation: of the origin, in the parent's frame.
         angle: of a revolute joint, without its constant part.
         velocity, acceleration: of the joint.
-        constant: rotation from the joint's frame at `angle` zero to the parent's; 1 where `turn` holds it.
-        turn: rotation about the joint's axis; 1 of a prismatic joint.
+        constant: rotation from the joint's frame at `angle` zero to the parent's; the identity where `turn` holds it.
+        turn: rotation about the joint's axis; the identity of a prismatic joint.
         planar: number of the coordinate axis that `turn` leaves alone, with the sine and cosine of the angle about it;
             None where there is none.
         shortcut: where there is one.

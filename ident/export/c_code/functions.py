@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.errors import ModelError
+from drivers.streams import FloatArray
 from ident.export.c_code.axes import inertial_column, link_axes
 from ident.export.c_code.composite import tree_inertia
 from ident.export.c_code.expressions import Expression, Graph
@@ -76,18 +78,7 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
     holding = tree_torques(resting_frames, [link_wrench(*pair) for pair in zip(resting, inertial, strict=True)])
     gravity = tuple(combination(graph, column, holding) for column in follow.T)
 
-    entries = tree_inertia(graph, resting_frames, inertial)
-    mass: list[list[Expression]] = [[graph.constant(0.0)] * count for _ in range(count)]
-    for i in range(count):
-        for j in range(i + 1):
-            total = graph.constant(float(terms.inertia[i, j]))
-            for (row, column), entry in entries.items():
-                share = follow[row, i] * follow[column, j]
-                if row != column:
-                    share += follow[column, i] * follow[row, j]
-                total = total + entry * float(share)
-            mass[i][j] = mass[j][i] = total
-
+    mass = _joint_inertia(graph, tree_inertia(graph, resting_frames, inertial), follow, terms.inertia)
     axes = link_axes(graph, frames)
     columns = [
         inertial_column(graph, motions[number // SIZE], axes[number // SIZE], number % SIZE, follow)
@@ -108,7 +99,7 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
             "Joint-space inertia matrix, motor inertia included.",
             ("q",),
             "M",
-            tuple(tuple(row) for row in mass),
+            mass,
             matrix=True,
         ),
         Function(
@@ -123,6 +114,24 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
     if not np.array_equal(dynamics.coupling, np.eye(count)):
         functions.append(_motor_torque(graph, dynamics))
     return tuple(functions)
+
+
+def _joint_inertia(
+    graph: Graph, entries: Mapping[tuple[int, int], Expression], follow: FloatArray, motors: FloatArray
+) -> tuple[tuple[Expression, ...], ...]:
+    """Gᵀ·M·G of the tree's inertia matrix, of which the lower triangle is given, plus the motors' (n, n)."""
+    count = follow.shape[1]
+    matrix: list[list[Expression]] = [[graph.constant(0.0)] * count for _ in range(count)]
+    for i in range(count):
+        for j in range(i + 1):
+            total = graph.constant(float(motors[i, j]))
+            for (row, column), entry in entries.items():
+                share = follow[row, i] * follow[column, j]
+                if row != column:
+                    share += follow[column, i] * follow[row, j]
+                total = total + entry * float(share)
+            matrix[i][j] = matrix[j][i] = total
+    return tuple(tuple(row) for row in matrix)
 
 
 def refuse_numerical_loops(dynamics: InverseDynamics) -> None:
