@@ -41,6 +41,8 @@ class InverseDynamics:
         base: its base parameters.
         parameters: (b,) their values.
         coupling: (n, n) R of q_motor = R·q_joint.
+        joint_columns: the columns that are no link's, with their values.
+        rotor_inertia: (n, n) of the motors, and of what turns with a coupled joint beside its motor [kg·m²].
     """
 
     def __init__(self, model: DynamicModel, base: BaseParameters, parameters: FloatArray) -> None:
@@ -48,13 +50,13 @@ class InverseDynamics:
         self.coupling = np.eye(model.dof) if model.transmission is None else model.transmission.coupling
         self._coupled = model.transmission is not None and not np.array_equal(self.coupling, np.eye(model.dof))
         standard = model.parameters
-        self._joint_columns: list[tuple[JointColumn, float]] = [
+        self.joint_columns: list[tuple[JointColumn, float]] = [
             (joint_column(model, standard[column]), float(value))
             for column, value in zip(base.columns, parameters, strict=True)
             if standard[column].kind != "inertial"
         ]
-        self._rotors = self._rotor_inertia()
-        inertial, extra = _with_masses(model, base, parameters)
+        self.rotor_inertia = self._summed_rotors()
+        inertial, extra = with_masses(model, base, parameters)
         self._arms: list[tuple[Any, Any, float]] = []
         for arm, sign in ((pinocchio_model(model, inertial), 1.0), (_point_masses(model, extra), -1.0)):
             if arm is not None:
@@ -65,7 +67,7 @@ class InverseDynamics:
         if position.shape[1] >= LOOP_BELOW:
             motors = model_torque(self.model, self.base.columns, self.parameters, position, velocity, acceleration)
             return self._to_joints(motors)
-        total = self.links(position, velocity, acceleration) + self._rotors @ acceleration
+        total = self.links(position, velocity, acceleration) + self.rotor_inertia @ acceleration
         return total + self.friction(velocity)
 
     def links(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
@@ -85,7 +87,7 @@ class InverseDynamics:
     def friction(self, velocity: FloatArray) -> FloatArray:
         """Friction and offsets (n, N) [N·m] at joint velocities (n, N)."""
         motors = np.zeros_like(velocity)
-        for column, value in self._joint_columns:
+        for column, value in self.joint_columns:
             if column.quantity != "motor_inertia":
                 signal = column_signal(self.model, column, velocity, velocity)
                 for motor, factor in column.rows:
@@ -102,12 +104,12 @@ class InverseDynamics:
             unit = still.copy()
             unit[joint] = 1.0
             matrices[:, :, joint] = (self.links(position, still, unit) - holding).T
-        return np.asarray(0.5 * (matrices + matrices.transpose(0, 2, 1)) + self._rotors)
+        return np.asarray(0.5 * (matrices + matrices.transpose(0, 2, 1)) + self.rotor_inertia)
 
-    def _rotor_inertia(self) -> FloatArray:
+    def _summed_rotors(self) -> FloatArray:
         """Inertia (n, n) [kg·m²] of the motors, and of what turns with a coupled joint beside its motor."""
         matrix = np.zeros((self.model.dof, self.model.dof))
-        for column, value in self._joint_columns:
+        for column, value in self.joint_columns:
             if column.quantity == "motor_inertia":
                 for motor, factor in column.rows:
                     for joint, share in column.motion:
@@ -123,7 +125,7 @@ def _from_tree(follow: FloatArray, tree: FloatArray) -> FloatArray:
     return np.asarray(follow.T @ tree if follow.ndim == 2 else np.einsum("mnN,mN->nN", follow, tree))
 
 
-def _with_masses(
+def with_masses(
     model: DynamicModel, base: BaseParameters, parameters: FloatArray
 ) -> tuple[FloatArray, dict[int, float]]:
     """Inertial standard parameters (10·links,) with these dynamics but for extra point masses, link → [kg]."""

@@ -25,6 +25,7 @@ from ident.regression.estimate import Estimate
 from ident.regression.observability import describe
 from ident.result.arrays import outward, samples
 from ident.result.schema import Result, read_result
+from ident.result.simulated_motion import STEP, Controller, SimulatedMotion, simulated_motion
 from ident.result.stored_model import StoredModel, stored_estimate, stored_model
 from ident.result.tables import Table, table_of_rows
 
@@ -275,6 +276,51 @@ class Model:
         driving = torque - self._dynamics.torque(position, velocity, np.zeros_like(velocity))
         acceleration = np.asarray(np.linalg.solve(matrices, driving.T[..., None])[..., 0].T, dtype=np.float64)
         return outward(acceleration, single=single)
+
+    def simulate(
+        self,
+        q0: npt.ArrayLike,
+        dq0: npt.ArrayLike,
+        torque: npt.ArrayLike | Controller | None,
+        duration: float,
+        *,
+        step: float = STEP,
+    ) -> SimulatedMotion:
+        """Simulate the arm forward in time, with friction, closed loops and coupled motors.
+
+        Dry friction is a set-valued force (Moreau's midpoint rule, `ident.simulation.time_stepping`): a joint stays at
+        rest until the torque breaks it away. A Coulomb column with smoothing is simulated as one without. Joint limits,
+        floor and collisions are not.
+
+        Args:
+            q0: (n,) positions at the start [rad].
+            dq0: (n,) velocities at the start [rad/s].
+            torque: (n,) constant joint torques [N·m]; (N, n), evenly spaced from start to end, interpolated; a
+                controller (t, q, dq) → (n,), asked once per step; None for no torque.
+            duration: [s].
+            step: [s]; the error grows with its square, at reversals and stops in proportion to it.
+
+        Raises:
+            DataError: a wrong shape, or a value is not finite.
+            UsageError: duration or step is not positive.
+            ModelError: the model cannot be simulated (negative Coulomb friction, a parameter without a value, an
+                inertia matrix that is not positive definite), a loop does not close, or the motion diverges.
+
+        Example:
+            >>> import dynid
+            >>> model = dynid.identify(dynid.simulate("ur5e", duration=10.0, seed=1)).model
+            >>> goal = model.simulate([0.0] * 6, [0.0] * 6, lambda t, q, dq: -200 * q - 40 * dq, 0.5)
+            >>> goal.position.shape
+            (501, 6)
+        """
+        if self._missing:
+            raise ModelError(
+                f"{', '.join(self._base.names[index] for index in self._missing)} has no value: the recording did not "
+                "excite it",
+                where=self.name,
+                hint='simulate the physically consistent model (parameters="consistent", the default)',
+            )
+        return simulated_motion(self._dynamics, q0, dq0, torque, duration, step)
 
     def regressor(self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike) -> FloatArray:
         """Regressor Y(q, q̇, q̈), (N, n, b) or (n, b): torque = Y @ parameters["value"].

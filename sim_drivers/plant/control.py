@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.streams import FloatArray
 from sim_drivers.plant.friction import FrictionParameters
-from sim_drivers.plant.rigid_body import RigidArm
+from ident.model.rigid_arm import RigidArm
 
 DAMPING_RATIO = 1.0
 INTEGRAL_SHARE = 0.1

@@ -1,4 +1,4 @@
-"""Rigid-body dynamics of a simulated arm between the positions and the torques of its motors.
+"""Rigid-body dynamics of an arm at its motors, one sample at a time: for simulation.
 
 An arm without loops and coupling is Pinocchio's. With them, the tree follows the motors by q_tree = T·q_m + b with
 T = G·R⁻¹, so that the power that motors give is the power that the tree's joints take (SR400 eq. 4 and 6):
@@ -40,6 +40,9 @@ class RigidArm(Protocol):
     def inverse(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Torques [N·m] that a motion needs."""
 
+    def bias(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
+        """Torques [N·m] of a motion without acceleration: gravity, Coriolis and centrifugal."""
+
     def gravity(self, position: FloatArray) -> FloatArray:
         """Torques [N·m] that hold the arm."""
 
@@ -80,7 +83,7 @@ class _Tree:
         self._arm.armature = armature
         self._data = self._arm.createData()
         self._aba, self._rnea, self._crba = pin.aba, pin.rnea, pin.crba
-        self._gravity = pin.computeGeneralizedGravity
+        self._gravity, self._bias = pin.computeGeneralizedGravity, pin.nonLinearEffects
         self._depth_first, self._order = _numbered_depth_first(self._arm)
         self._depth_first_data = self._depth_first.createData()
 
@@ -99,6 +102,10 @@ class _Tree:
 
     def inverse(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
         torque: FloatArray = self._rnea(self._arm, self._data, position, velocity, acceleration).copy()
+        return torque
+
+    def bias(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
+        torque: FloatArray = self._bias(self._arm, self._data, position, velocity).copy()
         return torque
 
     def gravity(self, position: FloatArray) -> FloatArray:
@@ -164,6 +171,10 @@ class _Constrained(ABC):
         follow, *tree = self._motion(position, velocity, acceleration)
         rotors = self.armature * acceleration + self._pair @ acceleration
         return np.asarray(follow.T @ self._tree.inverse(*tree) + rotors)
+
+    def bias(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
+        follow, *tree = self._motion(position, velocity, np.zeros_like(position))
+        return np.asarray(follow.T @ self._tree.inverse(*tree))
 
     def gravity(self, position: FloatArray) -> FloatArray:
         still = np.zeros_like(position)

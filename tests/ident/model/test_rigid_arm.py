@@ -13,8 +13,8 @@ from daq.robot.loader import RobotFile, load_robot, parse_robot
 from daq.robot.schema import JointLimits
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.joints import Joint
+from ident.model.rigid_arm import RigidArm, rigid_arm
 from ident.model.true_parameters import truth_vector
-from sim_drivers.plant.rigid_body import RigidArm, rigid_arm
 
 
 def agrees_with_inverse_dynamics(arm: RigidArm, position, velocity, acceleration) -> None:
