@@ -40,11 +40,25 @@ def print_result(result: Result) -> None:
             for i, joint in enumerate(result.joints)
         ],
     )
+    _print_simulation(result)
     print(
         f"\ncondition number {result.excitation.condition:.4g}, "
         f"column-normalised {result.excitation.scaled_condition:.4g}"
     )
     print_verdict(result.verdict)
+
+
+def _print_simulation(result: Result) -> None:
+    """Motion error of the simulated consistent model beside its torque error."""
+    consistent = result.consistent
+    if consistent is None or consistent.simulation is None or consistent.validation is None:
+        return
+    motion = consistent.simulation
+    print_table(
+        f"\nConsistent model simulated on held-out motion ({motion.duration:.3g} s, recorded torque and soft PD)",
+        ("joint", "torque RMSE", "motion RMSE [rad]", "largest [rad]"),
+        zip(result.joints, consistent.validation.rmse, motion.position_rmse, motion.max_position_error, strict=True),
+    )
 
 
 def print_verdict(verdict: Verdict) -> None:

@@ -98,6 +98,9 @@ def _consistency_checks(identification: Identification) -> list[Check]:
             f"{free * 100:.1f} %: check the geometry, the drive gains and the signs of the torques"
         )
         checks.append(raised("consistency-costs", text))
+    if consistent.tracking_failure:
+        text = f"the physically consistent model could not be simulated on held-out data: {consistent.tracking_failure}"
+        checks.append(raised("simulation-failed", text))
     if consistent.parameters.boundary:
         names = [identification.model.link_names[link] for link in consistent.parameters.boundary]
         text = f"the links of {', '.join(names)} lie at the boundary of what can exist"

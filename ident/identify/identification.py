@@ -26,6 +26,7 @@ from ident.regression.velocity_reversals import REVERSAL_SHARE, check_share
 from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared
+from ident.simulation.tracking import TrackingError
 from ident.verdict.check import Check, texts
 
 FrictionModel = Literal["none", "viscous", "coulomb", "coulomb-viscous"]
@@ -145,11 +146,15 @@ class ConsistentFit:
     Attributes:
         parameters: of the model.
         fit, validation: errors.
+        tracking: of the simulated arm on the held-out motion; None where not all joints moved or it failed.
+        tracking_failure: why it failed; empty where it did not.
     """
 
     parameters: ConsistentParameters
     fit: FitFigures
     validation: FitFigures
+    tracking: TrackingError | None = None
+    tracking_failure: str = ""
 
 
 @dataclass(frozen=True)

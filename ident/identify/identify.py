@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
-from drivers.errors import UsageError
+from drivers.errors import ModelError, UsageError
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.validation import fit_figures
 from ident.estimators.estimator import Estimator, estimable, estimator_of
@@ -26,14 +26,16 @@ from ident.identify.identification import (
 from ident.identify.preparation import PreparedData, Progress, compare_run, prepare_data
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel, build_model
+from ident.model.inverse_dynamics import InverseDynamics
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
 from ident.regression.estimate import estimate_of
 from ident.regression.jackknife import FilteredRun
 from ident.regression.least_squares import ENERGY_METHODS
-from ident.regression.observability import Experiment, experiment_base, find_experiment, predictable_torques
+from ident.regression.observability import Experiment, experiment_base, find_experiment, predictable_torques, whole_arm
 from ident.regression.observation_matrix import Reduction, only_torques
 from ident.regression.pruning import prune
+from ident.simulation.tracking import tracking_error
 
 __all__ = ["Progress", "apply_model_choices", "identify"]
 
@@ -98,6 +100,9 @@ def identify(
     progress("physical consistency")
     estimate = estimate_of(reduction, solution, corrected.covariance, corrected.blocks)
     consistent = _consistent_fit(found_consistent(model, base, estimate, robot_file), kernel, prepared)
+    if consistent is not None and experiment == whole_arm(model):
+        progress("simulation")
+        consistent = _simulated(consistent, model, base, prepared)
 
     progress("validation")
     fit_series = _flat(fit)
@@ -146,6 +151,19 @@ def _consistent_fit(
         fit=fit_figures(_flat(compare_run(kernel, parameters.base, run) for run in data.runs)),
         validation=fit_figures(_flat(compare_run(kernel, parameters.base, run) for run in data.validation_runs)),
     )
+
+
+def _simulated(
+    consistent: ConsistentFit, model: DynamicModel, base: BaseParameters, data: PreparedData
+) -> ConsistentFit:
+    """The fit with what the simulated arm makes of the longest held-out segment."""
+    segments = [segment for run in data.validation_runs for segment in run.prepared.segments]
+    longest = max(segments, key=lambda segment: len(segment.time))
+    try:
+        tracking = tracking_error(InverseDynamics(model, base, consistent.parameters.base), longest)
+    except ModelError as error:
+        return replace(consistent, tracking_failure=str(error))
+    return replace(consistent, tracking=tracking)
 
 
 def _with_notes(run: PreparedRun, estimator: Estimator) -> PreparedRun:

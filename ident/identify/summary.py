@@ -94,6 +94,7 @@ def summarise(
             identification.consistent.parameters,
             identification.consistent.fit,
             identification.consistent.validation,
+            identification.consistent.tracking,
         ),
         drive_gains=gain_results(robot),
         fit=fit_result(identification.fit),

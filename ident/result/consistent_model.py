@@ -12,7 +12,15 @@ from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import INERTIAL
 from ident.regression.estimate import Estimate
-from ident.result.schema import UNITS, ConsistentModel, Fit, LinkResult, StandardParameterResult
+from ident.result.schema import (
+    UNITS,
+    ConsistentModel,
+    Fit,
+    LinkResult,
+    SimulatedMotionError,
+    StandardParameterResult,
+)
+from ident.simulation.tracking import NATURAL_FREQUENCY, TrackingError
 
 
 def link_results(model: DynamicModel, consistent: ConsistentParameters) -> list[LinkResult]:
@@ -46,6 +54,7 @@ def consistent_model(
     consistent: ConsistentParameters,
     fit: FitFigures | None = None,
     validation: FitFigures | None = None,
+    tracking: TrackingError | None = None,
 ) -> ConsistentModel:
     """The consistent model with what it costs.
 
@@ -58,6 +67,7 @@ def consistent_model(
         consistent: what came of it.
         fit: its error on the identification data, where there are any.
         validation: on held-out data.
+        tracking: of the simulated arm on a held-out motion.
     """
     prior = robot_file.robot.prior
     return ConsistentModel(
@@ -88,6 +98,17 @@ def consistent_model(
         limits_hit=list(consistent.limits_hit),
         fit=None if fit is None else fit_result(fit),
         validation=None if validation is None else fit_result(validation),
+        simulation=None if tracking is None else _simulated(tracking),
+    )
+
+
+def _simulated(tracking: TrackingError) -> SimulatedMotionError:
+    return SimulatedMotionError(
+        duration=tracking.duration,
+        natural_frequency=NATURAL_FREQUENCY,
+        position_rmse=tracking.position_rmse.tolist(),
+        velocity_rmse=tracking.velocity_rmse.tolist(),
+        max_position_error=tracking.max_position_error.tolist(),
     )
 
 

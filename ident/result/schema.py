@@ -164,6 +164,16 @@ class StandardParameterResult(_Part):
     known: bool = Field(description="named in the robot file")
 
 
+class SimulatedMotionError(_Part):
+    """How far the simulated arm departs from a held-out motion, driven by its recorded torque and a soft controller."""
+
+    duration: float = Field(description="of the simulated motion, the beginning of the longest held-out segment [s]")
+    natural_frequency: float = Field(description="of the critically damped PD controller [rad/s]")
+    position_rmse: list[float] = Field(description="per joint [rad or m]")
+    velocity_rmse: list[float] = Field(description="per joint [rad/s or m/s]")
+    max_position_error: list[float] = Field(description="per joint [rad or m]")
+
+
 class ConsistentModel(_Part):
     """The model whose links, inertias and friction can exist, and what this costs."""
 
@@ -177,6 +187,9 @@ class ConsistentModel(_Part):
     limits_hit: list[str] = Field(description="ranges of the robot file that hold a parameter")
     fit: Fit | None
     validation: Fit | None
+    simulation: SimulatedMotionError | None = Field(
+        default=None, description="null where nothing was held out, not all joints moved, or the simulation failed"
+    )
 
 
 class EstimateResult(_Part):

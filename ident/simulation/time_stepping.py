@@ -7,10 +7,10 @@ From (q, v), with the step h and the torque τ of the step,
     q⁺ = q½ + h/2·v⁺
 
 λ is the dry friction that belongs to the velocity v⁺ after the step, a set-valued force: at rest it takes any value up
-to the limit (`dry_friction`). So a joint at rest stays there (to rounding) until the torque breaks it away, nothing
-creeps or chatters, there is no smoothing velocity to choose and no stiff slope to integrate, and reversals need no event
-search. Without dry friction the rule is symmetric in time and of second order: the energy error is bounded (∝ h²) and
-does not drift. A reversal or a stop is placed within the step, first order in h. Viscous friction is implicit, and
+to the limit (`dry_friction`). So a joint at rest stays there (to rounding) until the torque breaks it away. Nothing
+creeps or chatters, there is no smoothing velocity to choose and no stiff slope to integrate, and reversals need no
+event search. Without dry friction the rule is symmetric in time and of second order: the energy error is bounded (∝ h²)
+and does not drift. A reversal or a stop is placed within the step, first order in h. Viscous friction is implicit, and
 never unstable. (J. J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, 1988; V. Acary and
 B. Brogliato, Numerical methods for nonsmooth dynamical systems, 2008, ch. 10.)
 """

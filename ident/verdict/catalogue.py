@@ -266,6 +266,13 @@ _MODEL = (
         "the physically consistent model predicts held-out torque clearly worse than the unconstrained one",
         "The geometry, a drive gain or the signs of the torque may be wrong, or a friction column is missing.",
     ),
+    CheckKind(
+        "simulation-failed",
+        "serious",
+        ("simulation",),
+        "the physically consistent model could not be simulated along the held-out motion",
+        "Read the reason; a prior for links at the boundary keeps their inertia away from zero.",
+    ),
     _note(
         "links-on-boundary",
         "links lie at the boundary of what can exist",

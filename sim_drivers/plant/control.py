@@ -12,8 +12,8 @@ from typing import Protocol
 import numpy as np
 
 from drivers.streams import FloatArray
-from sim_drivers.plant.friction import FrictionParameters
 from ident.model.rigid_arm import RigidArm
+from sim_drivers.plant.friction import FrictionParameters
 
 DAMPING_RATIO = 1.0
 INTEGRAL_SHARE = 0.1

@@ -20,11 +20,11 @@ from daq.robot.schema import TruthJoint
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
 from ident.model.dynamic_model import build_model
+from ident.model.rigid_arm import RigidArm, rigid_arm
 from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.control import Braking, ComputedTorque, JointController, Pid, Target, independent_inertia
 from sim_drivers.plant.friction import SimulatedFriction, bristle_stiffness, friction_parameters, steepest_slope
 from sim_drivers.plant.pair_friction import PairFriction
-from ident.model.rigid_arm import RigidArm, rigid_arm
 from sim_drivers.plant.sensors import EncoderSpeed, Measurement, TorqueSensor, drive_gains, quantised
 from sim_drivers.plant.thermal import JointHeat, copper_losses
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ident.report.number_text import number, percent
 from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.schema import ConsistentModel, Fit
@@ -17,9 +19,18 @@ def section(data: ReportData) -> ReportSection | None:
         "links": result.standard_parameters,
         "joints": [entry for entry in consistent.parameters if entry.unit and not _of_link(entry.name)],
         "consistent": consistent,
+        "simulated": _simulated(result.joints, consistent),
         "tiles": _tiles(consistent, result.validation),
     }
     return ReportSection("Links", "links", "links.html.j2", context)
+
+
+def _simulated(joints: Sequence[str], consistent: ConsistentModel) -> list[tuple[str, float | None, float, float]]:
+    """Torque error [N·m], motion error and its largest value [rad or m] of each joint on held-out data."""
+    if consistent.simulation is None or consistent.validation is None:
+        return []
+    motion = consistent.simulation
+    return list(zip(joints, consistent.validation.rmse, motion.position_rmse, motion.max_position_error, strict=True))
 
 
 def _of_link(name: str) -> bool:

@@ -513,7 +513,7 @@ def test_progress_names_the_steps(recorded):
     steps = []
     identify([recorded()], [], IdentifyChoices(), progress=steps.append)
     assert steps == [
-        "base parameters", "preprocessing", "delay", "regression", "error bars", "physical consistency",
+        "base parameters", "preprocessing", "delay", "regression", "error bars", "physical consistency", "simulation",
         "validation", "plausibility",
     ]  # fmt: skip
 

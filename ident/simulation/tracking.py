@@ -1,0 +1,90 @@
+"""What a simulator's user feels of a model: how far the simulated arm departs from a recorded motion.
+
+The recorded torque drives the simulated arm, and a soft PD controller holds it near the recorded motion:
+
+    τ = τ_recorded + m·(ω²·(q_recorded − q) + 2ω·(q̇_recorded − q̇))
+
+with m the diagonal of the inertia matrix at the mean posture. Without the controller any arm would fall away from the
+motion, also the true one, for small errors grow; with it, an error δτ of the model's torque moves joint i by about
+δτᵢ/(mᵢ·ω²). Its damping is integrated implicitly, like viscous friction: joints whose axes nearly align move against
+each other with so little inertia that an explicit one would be unstable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.model.inverse_dynamics import InverseDynamics
+from ident.signals.prepared import Segment
+from ident.simulation.forward_arm import ForwardArm
+from ident.simulation.time_stepping import integrate
+
+NATURAL_FREQUENCY = 10.0
+"""ω [rad/s] of the controller, critically damped: soft, so that it does not hide the model's errors."""
+
+STEP = 4e-3
+"""[s]"""
+
+LONGEST = 10.0
+"""Duration [s] of the motion that is simulated at most: its beginning."""
+
+
+@dataclass(frozen=True)
+class TrackingError:
+    """How far a simulated arm departs from a recorded motion.
+
+    Attributes:
+        duration: of the motion [s].
+        position_rmse: (n,) root mean square error [rad or m].
+        velocity_rmse: (n,) [rad/s or m/s].
+        max_position_error: (n,) [rad or m].
+    """
+
+    duration: float
+    position_rmse: FloatArray
+    velocity_rmse: FloatArray
+    max_position_error: FloatArray
+
+
+def tracking_error(inverse: InverseDynamics, segment: Segment) -> TrackingError:
+    """Simulate the beginning of a recorded segment.
+
+    Args:
+        inverse: the model.
+        segment: its motion, and the torques of all motors.
+
+    Raises:
+        ModelError: the model cannot be simulated, or the motion diverges.
+    """
+    arm = ForwardArm(inverse)
+    duration = min(float(segment.time[-1] - segment.time[0]), LONGEST)
+    steps = max(1, round(duration / STEP))
+    time = np.linspace(0.0, duration, steps + 1)
+    position, velocity = (_at(time, segment, signal) for signal in (segment.position, segment.velocity))
+    mean_inertia = np.diagonal(arm.inertia(position.mean(axis=0)))
+    stiffness, damping = NATURAL_FREQUENCY**2 * mean_inertia, 2.0 * NATURAL_FREQUENCY * mean_inertia
+    arm.viscous = arm.viscous + np.diag(damping)
+    torque = _at(time[:-1] + 0.5 * duration / steps, segment, inverse.coupling.T @ segment.torque)
+
+    def drive(now: float, q: FloatArray, rate: FloatArray) -> FloatArray:
+        step = round(now / duration * steps)
+        wanted = 0.5 * (velocity[step] + velocity[step + 1])  # the damping acts on the mean velocity of the step
+        return np.asarray(torque[step] + stiffness * (position[step] - q) + damping * wanted)
+
+    motion = integrate(arm, position[0], velocity[0], drive, duration, steps)
+    departed = motion.position - position
+    return TrackingError(
+        duration=duration,
+        position_rmse=np.sqrt(np.mean(departed**2, axis=0)),
+        velocity_rmse=np.sqrt(np.mean((motion.velocity - velocity) ** 2, axis=0)),
+        max_position_error=np.max(np.abs(departed), axis=0),
+    )
+
+
+def _at(time: FloatArray, segment: Segment, signal: FloatArray) -> FloatArray:
+    """A signal (n, N) of the segment at times (M,) from its start, (M, n)."""
+    stamps = segment.time - segment.time[0]
+    return np.array([np.interp(time, stamps, row) for row in signal]).T
