@@ -50,6 +50,8 @@ if TYPE_CHECKING:
     from ident.tasks.loads import IdentifiedPayload as IdentifiedPayload
     from ident.tasks.loads import drive_gains as drive_gains
     from ident.tasks.loads import payload as payload
+    from ident.tasks.prediction import Prediction as Prediction
+    from ident.tasks.prediction import predict as predict
     from ident.tasks.validation import Validation as Validation
     from ident.tasks.validation import compare as compare
     from ident.tasks.validation import merge as merge
@@ -82,6 +84,7 @@ _HOMES = {
     "ident.tasks.excitation": ("ExcitationTrajectory", "design_excitation", "load_trajectory"),
     "ident.tasks.identification": ("IdentificationResult", "identify", "load_result"),
     "ident.tasks.loads": ("IdentifiedGains", "IdentifiedPayload", "drive_gains", "payload"),
+    "ident.tasks.prediction": ("Prediction", "predict"),
     "ident.tasks.validation": ("Validation", "compare", "merge", "validate"),
     "sim_drivers.synthetic.simulated_run": ("simulate",),
 }

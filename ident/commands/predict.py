@@ -1,0 +1,62 @@
+"""The command `dynid predict`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from ident.commands.options import JSON
+
+app = typer.Typer()
+
+
+@app.command("predict")
+def predict_torque(
+    model: Path = typer.Argument(help="Folder that identify wrote, or its result.json."),
+    recording: Path = typer.Argument(help="Recording of the same arm (.h5)."),
+    out: Path = typer.Option(None, "-o", "--out", help="Recording to write (.h5)."),
+    parameters: str = typer.Option("consistent", "--parameters", help="consistent, full or essential."),
+    page: Path = typer.Option(None, "--page", help="Page with plots to write (.html)."),
+    force: bool = typer.Option(False, "--force", help="Overwrite the output files."),
+    as_json: bool = JSON,
+) -> None:
+    """Predict a recording's torques part by part (gravity, friction, inertia, Coriolis), and what the model leaves.
+
+    Example: dynid predict model run.h5 -o predicted.h5 --page predicted.html
+    """
+    from daq.commands.console import print_json, print_table
+    from daq.recording.writer import require_writable
+    from drivers.errors import UsageError
+    from ident.tasks.prediction import predict
+
+    file = out if out is not None else Path(f"{recording.stem}-predicted.h5")
+    if file.exists() and recording.exists() and file.samefile(recording):
+        raise UsageError(f"--out {file} is the recording itself", hint="name another file")
+    require_writable(file, overwrite=force)
+    if page is not None and page.exists() and not force:
+        raise UsageError(f"--page {page} exists already", hint="choose another name or --force")
+    prediction = predict(model, recording, parameters=parameters)  # type: ignore[arg-type]  # the task checks it
+    prediction.save(file, overwrite=force)
+    if page is not None:
+        prediction.page(page)
+    summary = prediction.summary
+    if as_json:
+        print_json(
+            {
+                "file": str(file),
+                "page": None if page is None else str(page),
+                "parameters": parameters,
+                "samples": len(prediction.time),
+                "segments": len(prediction.segments.segments),
+                "rate_hz": prediction.segments.segments[0].rate,
+                "joints": [dict(row) for row in summary],
+            }
+        )
+        return
+    print_table(
+        f"{summary.title} [N·m]",
+        [column.name.replace("_", " ") for column in summary.columns],
+        [list(row.values()) for row in summary],
+    )
+    print(f"\n{file}" + ("" if page is None else f"\n{page}"))

@@ -1,0 +1,151 @@
+"""What an identified model says of a recording: torque, its parts, their standard deviation, and what remains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.robot.loader import RobotFile
+from drivers.streams import FloatArray
+from ident.identify.revalidate import stored_choices
+from ident.result.model import Model
+from ident.signals.joint_signals import JointSignals, joint_positions, read_joint_signals
+from ident.signals.pipeline import prepare
+from ident.signals.prepared import Prepared, Segment
+
+Part = Literal["inertial", "coriolis", "gravity", "friction"]
+"""M(q)·q̈ with motor inertia; C(q, q̇)·q̇; g(q); friction with offsets. Together they are the predicted torque."""
+
+PARTS: tuple[Part, ...] = ("inertial", "coriolis", "gravity", "friction")
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentPrediction:
+    """The torques of one gap-free segment, N samples of n joints, at the joints.
+
+    Attributes:
+        time: (N,) the recording's clock [s].
+        rate: [Hz].
+        position, velocity, acceleration: (N, n) low-passed as at the identification [rad, rad/s, rad/s² or m…].
+        parts: (N, n) of each part [N·m or N]; their sum is the prediction.
+        std: (N, n) standard deviation σ of the prediction from that of the parameters [N·m or N].
+        measured: (N, n) recorded torque, shifted by the delay, not filtered; None where none was recorded [N·m or N].
+        residual: (N, n) measured minus predicted, both through the torque filter of the identification; None likewise.
+    """
+
+    time: FloatArray
+    rate: float
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    parts: dict[Part, FloatArray]
+    std: FloatArray
+    measured: FloatArray | None
+    residual: FloatArray | None
+
+    @property
+    def torque(self) -> FloatArray:
+        """Predicted torque (N, n) [N·m or N]."""
+        return np.asarray(sum(self.parts.values()))
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingPrediction:
+    """All segments of a recording.
+
+    Attributes:
+        segments: in order of time.
+        noise: (n,) standard deviation of the filtered torque's residual at the identification [N·m or N]; None where
+            the result does not know it of every joint.
+        torque_origin: where the recorded torque comes from; empty where none was recorded.
+        steps: how the recording was processed, a sentence per step.
+    """
+
+    segments: tuple[SegmentPrediction, ...]
+    noise: FloatArray | None
+    torque_origin: str
+    steps: tuple[str, ...]
+
+
+def predict_recording(model: Model, robot_file: RobotFile, recording: Recording) -> RecordingPrediction:
+    """Predict the torques of a recording, filters and delay as at the identification, samples at rest included.
+
+    Args:
+        model: what predicts.
+        robot_file: of its result; its drive gains turn a recorded signal into torque.
+        recording: of the same arm.
+
+    Raises:
+        DataError: the recording lacks positions, a joint, or a gain.
+        ModelError: a parameter without a value acts on the motion.
+        ResultFileError: the result holds no covariance.
+    """
+    signals = _signals(recording, robot_file)
+    choices = replace(stored_choices(model.result), keep_rest=True)
+    prepared = prepare(signals, choices)
+    segments = tuple(_predicted(model, prepared, segment, signals) for segment in prepared.segments)
+    deviations = model.result.residuals.joint_std
+    known = len(deviations) == model.dof and all(value is not None for value in deviations)
+    noise = model.coupling.T**2 @ np.square(np.array(deviations, dtype=np.float64)) if known else None
+    return RecordingPrediction(
+        segments=segments,
+        noise=None if noise is None else np.sqrt(noise),
+        torque_origin=signals.torque_origin,
+        steps=(
+            *(f"{step.name}: {step.text}" for step in prepared.steps if step.name != "parallel filter"),
+            f"residual: measured and predicted torque, zero-phase low-pass of {prepared.cutoffs.torque:.4g} Hz, "
+            "all samples kept",
+        ),
+    )
+
+
+def _signals(recording: Recording, robot_file: RobotFile) -> JointSignals:
+    """Positions and torques; torques of 0 and an empty origin where none was recorded."""
+    robot = robot_file.robot
+    stream = recording.streams.get(JOINTS_STREAM)
+    signals = {"torque", "current", *(robot.drive(name).signal for name in robot.joint_names)}
+    if stream is None or signals & set(stream.channels):
+        return read_joint_signals(recording, robot)
+    positions = joint_positions(recording, robot)
+    nothing = np.zeros_like(positions.position)
+    return JointSignals(positions.label, positions.joint_names, positions.time, positions.position, nothing, "")
+
+
+def _predicted(model: Model, prepared: Prepared, segment: Segment, signals: JointSignals) -> SegmentPrediction:
+    """The segment without its ends, where the filters are not valid."""
+    used = segment.used
+
+    def rows(values: FloatArray) -> FloatArray:
+        return np.ascontiguousarray(values[:, used].T)
+
+    q, dq, ddq = rows(segment.position), rows(segment.velocity), rows(segment.acceleration)
+    gravity, coriolis, friction = model.gravity(q), model.coriolis(q, dq), model.friction(dq)
+    torque = model.torque(q, dq, ddq)
+    measured = residual = None
+    if signals.torque_origin:
+        at_joints = model.coupling.T @ segment.torque
+        measured = rows(at_joints)
+        whole = [
+            np.ascontiguousarray(signal.T) for signal in (segment.position, segment.velocity, segment.acceleration)
+        ]
+        every_sample = replace(prepared.parallel_filter, factor=1)
+        residual = rows(every_sample.apply(at_joints - model.torque(*whole).T))
+    return SegmentPrediction(
+        time=segment.time[used],
+        rate=segment.rate,
+        position=q,
+        velocity=dq,
+        acceleration=ddq,
+        parts={
+            "inertial": torque - coriolis - gravity - friction,
+            "coriolis": coriolis,
+            "gravity": gravity,
+            "friction": friction,
+        },
+        std=model.torque_std(q, dq, ddq),
+        measured=measured,
+        residual=residual,
+    )

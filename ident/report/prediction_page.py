@@ -1,0 +1,146 @@
+"""The page of a prediction: one self-contained HTML file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.identify.predict import PARTS, RecordingPrediction, SegmentPrediction
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.report.figures import (
+    BOTTOM,
+    MEASURED,
+    PREDICTED,
+    RESIDUAL,
+    TOP,
+    Figure,
+    axis_name,
+    axis_ref,
+    base_layout,
+    note,
+    plain,
+    row_domains,
+)
+from ident.report.html_file import page_templates, write_html
+from ident.report.section import Tile
+from ident.report.traces import broken_line, packed, points_per_trace
+from ident.result.tables import Table
+
+PANEL, GAP = 150, 30
+
+PART_COLOURS = {"inertial": "#CC79A7", "coriolis": "#E69F00", "gravity": "#009E73", "friction": "#56B4E9"}
+
+Line = tuple[str, str, list[FloatArray]]
+"""Label, colour, and a signal (N, n) for each segment."""
+
+
+def write_prediction_page(
+    path: Path, robot: str, recording: str, joints: Sequence[str], summary: Table, predicted: RecordingPrediction
+) -> None:
+    """Write the page.
+
+    Args:
+        path: of the file.
+        robot: its name.
+        recording: what was predicted.
+        joints: names (n,).
+        summary: of the joints' torques.
+        predicted: what is plotted.
+
+    Raises:
+        UsageError: the file cannot be written.
+    """
+    segments = predicted.segments
+    samples = sum(len(segment.time) for segment in segments)
+    text = (
+        page_templates()
+        .get_template("prediction_page.html.j2")
+        .render(
+            robot=robot,
+            recording=recording,
+            tiles=[
+                Tile("Samples", f"{samples:,}".replace(",", "\u202f"), f"{segments[0].rate:.6g} Hz"),
+                Tile("Segments", str(len(segments)), "gap-free"),
+            ],
+            summary=summary,
+            steps=predicted.steps,
+            plots={
+                "torque": _figure("torque-plot", joints, segments, _torque_lines(segments), _torque_caption(predicted)),
+                "residual": _residual_figure(joints, predicted),
+                "parts": _figure(
+                    "parts-plot",
+                    joints,
+                    segments,
+                    [(part, PART_COLOURS[part], [one.parts[part] for one in segments]) for part in PARTS],
+                    "The parts of the predicted torque; together they are its whole.",
+                ),
+            },
+        )
+    )
+    write_html(path, text)
+
+
+def _torque_lines(segments: Sequence[SegmentPrediction]) -> list[Line]:
+    measured = [one.measured for one in segments if one.measured is not None]
+    lines: list[Line] = [("measured", MEASURED, measured)] if measured else []
+    return [*lines, ("predicted", PREDICTED, [one.torque for one in segments])]
+
+
+def _torque_caption(predicted: RecordingPrediction) -> str:
+    if not predicted.torque_origin:
+        return "No torque was recorded."
+    return f"Measured: {predicted.torque_origin}, shifted by the delay, not filtered."
+
+
+def _residual_figure(joints: Sequence[str], predicted: RecordingPrediction) -> Figure | None:
+    """The residual with the band that it leaves without contact in one of 20 samples."""
+    residual = [one.residual for one in predicted.segments if one.residual is not None]
+    if not residual:
+        return None
+    lines: list[Line] = [("residual", RESIDUAL, residual)]
+    caption = (
+        "Measured minus predicted torque, both low-passed as at the identification: what the arm exerts on its "
+        "surroundings. An external torque that acts on the arm has the opposite sign."
+    )
+    if predicted.noise is not None:
+        band = [WITHIN_95_PERCENT * np.sqrt(one.std**2 + predicted.noise**2) for one in predicted.segments]
+        lines += [("95 %", PREDICTED, band), ("", PREDICTED, [-limit for limit in band])]
+        caption += " Red: its 95 % interval without contact."
+    return _figure("residual-plot", joints, predicted.segments, lines, caption)
+
+
+def _figure(
+    anchor: str, joints: Sequence[str], segments: Sequence[SegmentPrediction], lines: Sequence[Line], caption: str
+) -> Figure:
+    """One panel a joint over one time axis; a line without a label belongs to the one before."""
+    start = float(segments[0].time[0])
+    times = [segment.time - start for segment in segments]
+    height = TOP + BOTTOM + PANEL * len(joints) + GAP * (len(joints) - 1)
+    domains = row_domains(len(joints), height, GAP)
+    points = points_per_trace(len(joints))
+    data: list[dict[str, Any]] = []
+    axes: dict[str, Any] = {
+        "xaxis": {"title": {"text": "time [s]"}, "anchor": axis_ref("y", len(joints)), "zeroline": False}
+    }
+    notes = []
+    for joint, (name, domain) in enumerate(zip(joints, domains, strict=True)):
+        axes[axis_name("y", joint + 1)] = {"title": {"text": "N·m"}, "domain": list(domain), "anchor": "x", "nticks": 5}
+        notes.append(note(f"<b>{plain(name)}</b>", 0, domain[1]))
+        group = ""
+        for label, colour, signals in lines:
+            group = label or group
+            x, y = broken_line(times, [np.ascontiguousarray(signal[:, joint]) for signal in signals], points)
+            data.append(
+                {
+                    "type": "scatter", "mode": "lines", "name": group, "legendgroup": group,
+                    "showlegend": joint == 0 and bool(label), "x": packed(x), "y": packed(y), "xaxis": "x",
+                    "yaxis": axis_ref("y", joint + 1), "line": {"color": colour, "width": 1.3},
+                    "hovertemplate": "%{y:.4g} N·m",
+                }
+            )  # fmt: skip
+    layout = base_layout(height, hovermode="x unified", annotations=notes, **axes)
+    return Figure(anchor, height, data, layout, f"{caption} Time counts from the first sample. Drag to zoom.")

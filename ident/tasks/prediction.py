@@ -1,0 +1,246 @@
+"""Predict the torques of a recording with an identified model in one call; the prediction saves and shows itself."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, Stream, software_versions
+from daq.recording.writer import write_recording
+from daq.robot.loader import RobotFile
+from drivers.streams import UNITS, FloatArray
+from ident.identify.predict import PARTS, RecordingPrediction, predict_recording
+from ident.report.prediction_page import write_prediction_page
+from ident.result.model import Model, Parameters, load_model
+from ident.result.stored_model import stored_model
+from ident.result.tables import Table, table_of_rows
+from ident.tasks.identification import IdentificationResult
+from ident.tasks.runs import Run, recording_of
+
+PREDICTION_STREAM = "prediction"
+
+DESCRIPTIONS = {
+    "predicted_torque": "of the model: inertial, Coriolis, gravity and friction torque together",
+    "inertial_torque": "M(q)*ddq, motor inertia included",
+    "coriolis_torque": "C(q, dq)*dq, centrifugal torque included",
+    "gravity_torque": "g(q)",
+    "friction_torque": "viscous and Coulomb friction, constant offsets included",
+    "predicted_torque_std": "standard deviation of predicted_torque from that of the parameters",
+    "residual_torque": "measured minus predicted, low-passed: what the arm exerts on its surroundings; an external "
+    "torque that acts on the arm has the opposite sign",
+    "residual_torque_std": "standard deviation of residual_torque without contact: that of the prediction and of the "
+    "residuals of the identification",
+}
+"""Quantity → description of the stream `prediction`; torques at the joints."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The torques that a model predicts for a recording: N samples of n joints, gap-free segments one after another.
+
+    The motion is low-passed and the measured torque shifted by the delay as at the identification; ends of segments,
+    where filters are not valid, are left out.
+
+    Attributes:
+        robot_file: of the model.
+        label: what messages call the recording.
+        joint_names: (n,).
+        time: (N,) the recording's clock [s].
+        position, velocity, acceleration: (N, n) [rad, rad/s, rad/s² or m…].
+        torque: (N, n) predicted joint torque [N·m or N], the sum of the next four.
+        inertial: (N, n) M(q)·q̈, motor inertia included.
+        coriolis: (N, n) C(q, q̇)·q̇.
+        gravity: (N, n) g(q).
+        friction: (N, n) viscous and Coulomb friction and offsets.
+        std: (N, n) standard deviation σ of `torque` from that of the parameters.
+        measured: (N, n) recorded joint torque, not filtered; None where none was recorded.
+        residual: (N, n) measured minus predicted, both low-passed: what the arm exerts on its surroundings (an external
+            torque that acts on the arm has the opposite sign); None likewise.
+        residual_std: (N, n) σ of `residual` without contact, from `std` and the residuals of the identification; None
+            where they are not known.
+        origin: which model predicts what, in words.
+        segments: the same segment by segment.
+        comment: of the recording.
+
+    Example:
+        >>> import dynid
+        >>> run, other = (dynid.simulate("ur5e", duration=10.0, seed=seed) for seed in (1, 2))
+        >>> prediction = dynid.predict(dynid.identify(run), other)
+        >>> prediction.gravity.shape == prediction.torque.shape == prediction.residual.shape
+        True
+        >>> sorted(prediction.recording.streams)
+        ['joints', 'prediction']
+    """
+
+    robot_file: RobotFile = field(repr=False)
+    label: str
+    joint_names: tuple[str, ...]
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    torque: FloatArray
+    inertial: FloatArray
+    coriolis: FloatArray
+    gravity: FloatArray
+    friction: FloatArray
+    std: FloatArray
+    measured: FloatArray | None
+    residual: FloatArray | None
+    residual_std: FloatArray | None
+    origin: str
+    segments: RecordingPrediction = field(repr=False)
+    comment: str = ""
+
+    @cached_property
+    def recording(self) -> Recording:
+        """All of it as a recording: stream `joints` (processed motion, measured torque) and stream `prediction`."""
+        joints = {
+            "position": self.position,
+            "velocity": self.velocity,
+            "acceleration": self.acceleration,
+            "torque": self.measured,
+        }
+        torque = f"{self.segments.torque_origin}, at the joints, shifted by the delay, not filtered"
+        motion = dict.fromkeys(("position", "velocity", "acceleration"), "low-passed as at the identification")
+        of_model = {
+            "predicted_torque": self.torque,
+            **{f"{part}_torque": getattr(self, part) for part in PARTS},
+            "predicted_torque_std": self.std,
+            "residual_torque": self.residual,
+            "residual_torque_std": self.residual_std,
+        }
+        start = float(self.time[0])
+        return Recording(
+            robot_text=self.robot_file.text,
+            urdf_text=self.robot_file.urdf_text or "",
+            streams={
+                JOINTS_STREAM: self._stream(JOINTS_STREAM, joints, {**motion, "torque": torque}),
+                PREDICTION_STREAM: self._stream(PREDICTION_STREAM, of_model, DESCRIPTIONS),
+            },
+            events=tuple(Event(start, "info", "predict", text) for text in (self.origin, *self.segments.steps)),
+            created=datetime.now(UTC).isoformat(timespec="seconds"),
+            versions=software_versions(),
+            host=platform.node(),
+            comment=self.comment,
+        )
+
+    def _stream(self, name: str, signals: Mapping[str, FloatArray | None], said: Mapping[str, str]) -> Stream:
+        channels = {
+            quantity: Channel(quantity, values, UNITS.get(quantity, UNITS["torque"]), self.joint_names, said[quantity])
+            for quantity, values in signals.items()
+            if values is not None
+        }
+        return Stream(name, self.time, self.time, channels)
+
+    @property
+    def summary(self) -> Table:
+        """Root mean square of each joint's torques [N·m]; the largest residual, and the mean σ of prediction and it."""
+        headings = ("measured", "predicted", *PARTS, "residual")
+        signals = (self.measured, self.torque, *(getattr(self, part) for part in PARTS), self.residual)
+        columns = [_rms(signal, len(self.joint_names)) for signal in signals]
+        largest = _each(None if self.residual is None else np.abs(self.residual).max(axis=0), len(self.joint_names))
+        deviations = [_rms(self.std, len(self.joint_names)), _rms(self.residual_std, len(self.joint_names))]
+        rows = list(zip(self.joint_names, *columns, largest, *deviations, strict=True))
+        names = (*headings, "largest_residual", "std", "residual_std")
+        return table_of_rows(
+            f"Torques of {self.label}, root mean squares", [("joint", ""), *((name, "N·m") for name in names)], rows
+        )
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write `recording` (.h5), as `dynid predict -o` does.
+
+        Raises:
+            RecordingError: the file exists, or cannot be written.
+        """
+        write_recording(Path(path), self.recording, overwrite=overwrite)
+
+    def page(self, path: str | PathLike[str]) -> None:
+        """Write a page (HTML): predicted and measured torque, its parts, the residual with its 95 % band.
+
+        Raises:
+            UsageError: it cannot be written.
+        """
+        write_prediction_page(
+            Path(path), self.robot_file.robot.name, self.label, self.joint_names, self.summary, self.segments
+        )
+
+    def __str__(self) -> str:
+        return str(self.summary)
+
+    def _repr_html_(self) -> str:
+        return self.summary._repr_html_()
+
+
+def predict(
+    identified: IdentificationResult | Model | str | PathLike[str], run: Run, *, parameters: Parameters = "consistent"
+) -> Prediction:
+    """Predict the joint torques [N·m] of a recording, part by part, with standard deviations and what remains.
+
+    Args:
+        identified: a result, a model (its own parameters count), or the folder or file of a result.
+        run: a recording of the same arm, or its path; without a recorded torque there is no residual.
+        parameters: "consistent", "full" or "essential", as in `load_model`.
+
+    Raises:
+        DataError: the recording lacks positions, a joint or a gain, or is too short.
+        ModelError: the model is not that of the whole arm, or a parameter without a value acts on the motion.
+        ResultFileError: no result, or it holds no covariance.
+        UsageError: there are no such parameters.
+
+    Example:
+        >>> import dynid
+        >>> run, other = (dynid.simulate("ur5e", duration=10.0, seed=seed) for seed in (1, 2))
+        >>> prediction = dynid.predict(dynid.identify(run), other)
+        >>> prediction.summary.columns[1].heading
+        'measured [N·m]'
+    """
+    model = _model(identified, parameters)
+    recording = recording_of(run)
+    robot_file = stored_model(model.result).robot_file
+    predicted = predict_recording(model, robot_file, recording)
+    segments = predicted.segments
+    std = np.concatenate([one.std for one in segments])
+    measured = [one.measured for one in segments if one.measured is not None]
+    residual = [one.residual for one in segments if one.residual is not None]
+    return Prediction(
+        robot_file=robot_file,
+        label=recording.label,
+        joint_names=model.joint_names,
+        time=np.concatenate([one.time for one in segments]),
+        position=np.concatenate([one.position for one in segments]),
+        velocity=np.concatenate([one.velocity for one in segments]),
+        acceleration=np.concatenate([one.acceleration for one in segments]),
+        torque=np.concatenate([one.torque for one in segments]),
+        **{part: np.concatenate([one.parts[part] for one in segments]) for part in PARTS},
+        std=std,
+        measured=np.concatenate(measured) if measured else None,
+        residual=np.concatenate(residual) if residual else None,
+        residual_std=np.sqrt(std**2 + predicted.noise**2) if residual and predicted.noise is not None else None,
+        origin=f"{model.kind} parameters of {model.name}, identified {model.result.created}, along {recording.label}",
+        segments=predicted,
+        comment=recording.comment,
+    )
+
+
+def _model(identified: IdentificationResult | Model | str | PathLike[str], parameters: Parameters) -> Model:
+    if isinstance(identified, Model):
+        return identified
+    if isinstance(identified, IdentificationResult):
+        return Model(identified.result, parameters)
+    return load_model(identified, parameters)
+
+
+def _rms(signal: FloatArray | None, count: int) -> list[float | None]:
+    return _each(None if signal is None else np.sqrt(np.mean(signal**2, axis=0)), count)
+
+
+def _each(values: FloatArray | None, count: int) -> list[float | None]:
+    return [None] * count if values is None else [float(value) for value in values]
