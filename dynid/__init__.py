@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from drivers.errors import WorkError as WorkError
     from ident.result.model import Model as Model
     from ident.result.model import load_model as load_model
-    from ident.result.simulated_motion import SimulatedMotion as SimulatedMotion
     from ident.result.tables import Table as Table
     from ident.tasks.arm import base_parameters as base_parameters
     from ident.tasks.excitation import ExcitationTrajectory as ExcitationTrajectory
@@ -78,7 +77,6 @@ _HOMES = {
         "WorkError",
     ),
     "ident.result.model": ("Model", "load_model"),
-    "ident.result.simulated_motion": ("SimulatedMotion",),
     "ident.result.tables": ("Table",),
     "ident.tasks.arm": ("base_parameters",),
     "ident.tasks.excitation": ("ExcitationTrajectory", "design_excitation", "load_trajectory"),

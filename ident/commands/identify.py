@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import DELAY, JSON, SIGNIFICANCE
+from ident.commands.options import ACCEPT, DELAY, JSON, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE, SIGNIFICANCE
 
 app = typer.Typer()
 
@@ -53,6 +53,10 @@ def identify_recordings(
         False, "--keep-rest", help="Keep samples at rest: segments in which no joint moves, motors at rest."
     ),
     significance: float = SIGNIFICANCE,
+    accept: Path = ACCEPT,
+    max_error: float = MAX_ERROR,
+    max_joint_error: float = MAX_JOINT_ERROR,
+    max_rmse: float = MAX_RMSE,
     as_json: bool = JSON,
 ) -> None:
     """Identify the dynamic model, validate it on held-out data, write result.json and report.html.
@@ -60,13 +64,14 @@ def identify_recordings(
     Example: dynid identify run.h5 --validate val.h5 -o model
     """
     from daq.commands.console import progress_line
-    from ident.commands.options import delay_option, joints_option
+    from ident.commands.options import delay_option, joints_option, limits_option
     from ident.commands.print_result import print_result
     from ident.result.schema import check_folder
     from ident.tasks.identification import identify
 
     folder = out if out is not None else Path(f"{recordings[0].stem}-model")
     check_folder(folder)
+    limits = limits_option(accept, max_error, max_joint_error, max_rmse)
     with progress_line(quiet=as_json) as progress:
         result = identify(
             recordings,
@@ -94,12 +99,15 @@ def identify_recordings(
             stop=stop,
             keep_rest=keep_rest,
             significance=significance,
+            accept=limits,
             progress=progress,
         )
         progress("report")
         result.save(folder)
     if as_json:
         print(result.to_json())
-        return
-    print_result(result.result)
-    print(f"\n{folder / 'result.json'}\n{folder / 'report.html'}")
+    else:
+        print_result(result.result)
+        print(f"\n{folder / 'result.json'}\n{folder / 'report.html'}")
+    if result.acceptance is not None and not result.acceptance.passed:
+        raise typer.Exit(1)

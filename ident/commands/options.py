@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
+from typing import Any
 
 import typer
 
@@ -12,6 +14,34 @@ JSON = typer.Option(False, "--json", help="One JSON object on standard output, n
 ROBOT = typer.Argument(help="Built-in robot or robot file.")
 SIGNIFICANCE = typer.Option(15.0, "--significance", help="Threshold of the relative standard deviation [%].")
 DELAY = typer.Option("auto", "--delay", help="Delay of torque behind position: auto, or SECONDS.")
+
+
+ACCEPT = typer.Option(None, "--accept", help="YAML file of limits; exit status 1 where one is not kept.")
+MAX_ERROR = typer.Option(None, "--max-error", help="Limit of the held-out relative error, a ratio such as 0.08.")
+MAX_JOINT_ERROR = typer.Option(None, "--max-joint-error", help="The same for every joint by itself.")
+MAX_RMSE = typer.Option(None, "--max-rmse", help="Limit of every joint's held-out RMSE [N·m or N].")
+
+
+def limits_option(
+    accept: Path | None, max_error: float | None, max_joint_error: float | None, max_rmse: float | None
+) -> dict[str, Any] | None:
+    """Limits of a file and of options, which go before the file's; None where there are none.
+
+    Raises:
+        UsageError: the file cannot be read, or a limit is wrong.
+    """
+    from ident.verdict.acceptance import declared, read_limits
+
+    limits = {} if accept is None else read_limits(accept).model_dump(exclude_none=True)
+    given = (
+        ("--max-error", "relative_error", max_error),
+        ("--max-joint-error", "joint_relative_error", max_joint_error),
+        ("--max-rmse", "rmse", max_rmse),
+    )
+    for option, key, limit in given:
+        if limit is not None:
+            limits |= declared({key: limit}, option).model_dump(exclude_none=True)
+    return limits or None
 
 
 def delay_option(text: str) -> float | None:

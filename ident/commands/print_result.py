@@ -46,6 +46,8 @@ def print_result(result: Result) -> None:
         f"column-normalised {result.excitation.scaled_condition:.4g}"
     )
     print_verdict(result.verdict)
+    if result.acceptance is not None:
+        print(f"\n{result.acceptance}")
 
 
 def _print_simulation(result: Result) -> None:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ident.commands.options import JSON
+from ident.commands.options import ACCEPT, JSON, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE
+
+if TYPE_CHECKING:
+    from ident.tasks.validation import RecordingValidation, Validation
 
 app = typer.Typer()
 
@@ -15,44 +19,64 @@ app = typer.Typer()
 def validate_model(
     result: Path = typer.Argument(help="Folder that identify wrote, or its result.json."),
     recordings: list[Path] = typer.Argument(help="Held-out recordings (.h5), each judged apart."),
+    accept: Path = ACCEPT,
+    max_error: float = MAX_ERROR,
+    max_joint_error: float = MAX_JOINT_ERROR,
+    max_rmse: float = MAX_RMSE,
     as_json: bool = JSON,
 ) -> None:
     """Predict the torques of other recordings with a stored model.
 
-    Example: dynid validate model val.h5
+    Example: dynid validate model val.h5 --max-error 0.08
     """
+    from ident.commands.options import limits_option
+    from ident.tasks.validation import validate
+
+    limits = limits_option(accept, max_error, max_joint_error, max_rmse)
+    validation = validate(result, recordings, accept=limits)
+    if as_json:
+        _print_object(result, validation)
+    else:
+        _print_tables(validation)
+    if validation.acceptance is not None and not validation.acceptance.passed:
+        raise typer.Exit(1)
+
+
+def _print_object(result: Path, validation: Validation) -> None:
     from dataclasses import asdict
 
     from daq.commands.console import print_json
-    from ident.commands.print_result import print_fit, print_verdict
-    from ident.tasks.validation import validate
 
-    validation = validate(result, recordings)
-    if as_json:
-        print_json(
-            {
-                "result": str(result),
-                "joints": list(validation.joints),
-                "full": validation.full.model_dump(),
-                "essential": validation.essential.model_dump(),
-                "verdict": asdict(validation.verdict),
-                "recordings": [
-                    {
-                        "recording": one.recording,
-                        "full": one.full.model_dump(),
-                        "essential": one.essential.model_dump(),
-                        "verdict": asdict(one.verdict),
-                    }
-                    for one in validation.recordings
-                ],
-            }
-        )
-        return
+    def fits(one: Validation | RecordingValidation) -> dict[str, Any]:
+        return {
+            "full": one.full.model_dump(),
+            "essential": one.essential.model_dump(),
+            "consistent": None if one.consistent is None else one.consistent.model_dump(),
+            "verdict": asdict(one.verdict),
+        }
+
+    print_json(
+        {
+            "result": str(result),
+            "joints": list(validation.joints),
+            **fits(validation),
+            "acceptance": None if validation.acceptance is None else asdict(validation.acceptance),
+            "recordings": [{"recording": one.recording, **fits(one)} for one in validation.recordings],
+        }
+    )
+
+
+def _print_tables(validation: Validation) -> None:
+    from ident.commands.print_result import print_fit, print_verdict
+
     for one in validation.recordings:
         print(one.recording)
-        for name, fit in (("full", one.full), ("essential", one.essential)):
-            print_fit(f"{name} model", validation.joints, fit)
+        for name, fit in (("consistent", one.consistent), ("full", one.full), ("essential", one.essential)):
+            if fit is not None:
+                print_fit(f"{name} model", validation.joints, fit)
         print_verdict(one.verdict)
         print()
     if len(validation.recordings) > 1:
         print(f"All recordings together: {validation.verdict.headline}")
+    if validation.acceptance is not None:
+        print(validation.acceptance)

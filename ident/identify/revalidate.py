@@ -9,6 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from daq.recording.recording import Recording
 from drivers.errors import ResultFileError
+from drivers.streams import FloatArray
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.validation import FitFigures, fit_figures, overfitting_checks
 from ident.identify.summary import held_out_errors
@@ -30,10 +31,16 @@ CHECKS_OF_VALIDATION = ("overfitting", "errors-near-standstill", "not-validated"
 
 @dataclass(frozen=True)
 class Revalidation:
-    """Torques of the full and of the essential model beside those of a recording."""
+    """Torques of the full, the essential and the physically consistent model beside those of a recording.
+
+    Attributes:
+        series, essential_series: of the full and of the essential model.
+        consistent_series: of the physically consistent one; None where the result holds none.
+    """
 
     series: tuple[TorqueSeries, ...]
     essential_series: tuple[TorqueSeries, ...]
+    consistent_series: tuple[TorqueSeries, ...] | None
 
     @property
     def full(self) -> FitFigures:
@@ -44,6 +51,11 @@ class Revalidation:
     def essential(self) -> FitFigures:
         """Errors of the essential model."""
         return fit_figures(self.essential_series)
+
+    @property
+    def consistent(self) -> FitFigures | None:
+        """Errors of the physically consistent model."""
+        return None if self.consistent_series is None else fit_figures(self.consistent_series)
 
 
 def revalidate(result: Result, recording: Recording) -> Revalidation:
@@ -66,14 +78,19 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
     inside = (seconds >= (start or 0.0)) & (seconds <= (np.inf if stop is None else stop))
     tolerance = stored_rest_tolerance(result)
     torques = predictable_torques(model, stored_parts.experiments, motion.label, motion.position[inside], tolerance)
-    full_series, essential_series = (
-        tuple(
-            only_predicted(part, torques)
-            for part in compare_torques(model, base.columns, values, prepared.segments, prepared.parallel_filter)
-        )
-        for values in (full, essential)
+
+    def compared(values: FloatArray) -> tuple[TorqueSeries, ...]:
+        series = compare_torques(model, base.columns, values, prepared.segments, prepared.parallel_filter)
+        return tuple(only_predicted(part, torques) for part in series)
+
+    consistent = result.consistent
+    return Revalidation(
+        compared(full),
+        compared(essential),
+        None
+        if consistent is None
+        else compared(np.array([consistent.base_values.get(name, 0.0) for name in base.names])),
     )
-    return Revalidation(full_series, essential_series)
 
 
 def validation_verdict(result: Result, recording: Recording, fit: Fit) -> Verdict:

@@ -14,6 +14,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from drivers.errors import ResultFileError, UsageError
 from drivers.text_file import replace_file
 from ident.model.parameters import Kind
+from ident.verdict.acceptance import Acceptance
 from ident.verdict.check import PURPOSES, texts
 from ident.verdict.verdict import Verdict
 
@@ -319,6 +320,7 @@ class Result(_Part):
     recordings: list[RecordingUse]
     versions: dict[str, str]
     verdict: Verdict
+    acceptance: Acceptance | None = Field(default=None, description="null where no limits were declared")
     experiments: list[ExperimentResult] = Field(default=[], description="empty: all joints moved, all torques used")
     merge: Merge | None = None
     estimate: EstimateResult | None = None

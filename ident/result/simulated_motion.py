@@ -35,13 +35,6 @@ class SimulatedMotion:
         position: (N, n) [rad or m].
         velocity: (N, n) [rad/s or m/s].
         torque: (N, n) joint torques of the step that begins with the sample; the last row repeats the one before [N·m].
-
-    Example:
-        >>> import dynid
-        >>> model = dynid.identify(dynid.simulate("ur5e", duration=10.0, seed=1)).model
-        >>> motion = model.simulate([0.0] * 6, [0.0] * 6, None, duration=0.5)
-        >>> motion.time.shape, motion.position.shape
-        ((501,), (501, 6))
     """
 
     joint_names: tuple[str, ...]

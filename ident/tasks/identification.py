@@ -10,6 +10,7 @@ from typing import get_args
 
 from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import UsageError
+from ident.identify.acceptance import result_figures
 from ident.identify.identification import FrictionModel, IdentifyChoices, ModelChoices
 from ident.identify.identify import Progress
 from ident.identify.identify import identify as identify_recordings
@@ -24,7 +25,9 @@ from ident.result.schema import Fit, Result, check_folder, read_result, result_j
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.signals.options import FilterKind
 from ident.signals.pipeline import PreprocessChoices
+from ident.tasks.acceptance import Limits, limits_of
 from ident.tasks.runs import Runs, recordings_of
+from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
 from ident.verdict.verdict import Verdict
 
 
@@ -63,6 +66,11 @@ class IdentificationResult:
     def verdict(self) -> Verdict:
         """How far the model can be trusted: headline, purposes, joints, checks; printed as a few lines."""
         return self.result.verdict
+
+    @property
+    def acceptance(self) -> Acceptance | None:
+        """Whether the declared limits are kept, limit by limit; None where none were declared."""
+        return self.result.acceptance
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -164,7 +172,8 @@ class IdentificationResult:
         return result_json(self.result)
 
     def __str__(self) -> str:
-        return "\n".join([str(self.parameters), "", str(self.errors), "", str(self.verdict)])
+        accepted = [] if self.acceptance is None else ["", str(self.acceptance)]
+        return "\n".join([str(self.parameters), "", str(self.errors), "", str(self.verdict), *accepted])
 
     def __repr__(self) -> str:
         return f"<dynid.IdentificationResult {self.result.robot}, {len(self.result.base_parameters)} base parameters>"
@@ -200,6 +209,7 @@ def identify(
     stop: float | None = None,
     keep_rest: bool = False,
     significance: float = SIGNIFICANT_RSD,
+    accept: Limits | None = None,
     progress: Progress = lambda step: None,
 ) -> IdentificationResult:
     """Identify the dynamic model from recordings and validate it on held-out data: all that `dynid identify` does.
@@ -233,6 +243,8 @@ def identify(
         stop: leave out samples after this time [s from the first stamp].
         keep_rest: keep segments in which no joint moves, and torques of motors at rest.
         significance: threshold of the relative standard deviation [%].
+        accept: limits that the model must keep on held-out data, such as {"relative_error": 0.08}, or the path of a
+            YAML file with them; the outcome is the result's `acceptance`.
         progress: called with the name of each step before it begins.
 
     Raises:
@@ -278,10 +290,15 @@ def identify(
         ),
         reversals=leave_out_reversals,
     )
+    limits = None if accept is None else limits_of(accept)
     recordings, held_out = recordings_of(runs), recordings_of(validation)
     robot_file = None if robot is None else load_robot(robot)
+    if limits is not None and recordings:
+        check_joints(limits, (robot_file or recordings[0].robot()).robot.joint_names)
     identification = identify_recordings(recordings, held_out, choices, robot_file, progress)
     result = summarise(identification, recordings, held_out)
+    if limits is not None:
+        result = result.model_copy(update={"acceptance": judge_acceptance(limits, result_figures(result))})
     recorded = recorded_runs(identification, recordings, held_out)
     return IdentificationResult(result, identification.fit_series, identification.validation_series, recorded)
 

@@ -11,6 +11,7 @@ from daq.robot.loader import RobotFile
 from drivers.errors import UsageError
 from ident.assessment.validation import fit_figures
 from ident.experiments.merged_result import merge_results
+from ident.identify.acceptance import validation_figures
 from ident.identify.revalidate import revalidate, validation_verdict
 from ident.regression.least_squares import Method
 from ident.regression.pruning import SIGNIFICANT_RSD
@@ -18,8 +19,10 @@ from ident.result.consistent_model import fit_result
 from ident.result.model import Model, result_path
 from ident.result.schema import Fit, Result, read_result
 from ident.result.tables import Cell, Table, table_of_rows
+from ident.tasks.acceptance import Limits, limits_of
 from ident.tasks.identification import IdentificationResult, check_significance, error_table, identify
 from ident.tasks.runs import Run, Runs, recording_of, recordings_of
+from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
 from ident.verdict.verdict import Verdict, together
 
 Identified = IdentificationResult | Model | str | PathLike[str]
@@ -34,12 +37,14 @@ class RecordingValidation:
         recording: what messages call it.
         full: errors of all base parameters.
         essential: the same of the significant ones.
+        consistent: the same of the physically consistent ones; None where the result holds none.
         verdict: on the model, from the checks of its identification, those of this recording, and these errors.
     """
 
     recording: str
     full: Fit
     essential: Fit
+    consistent: Fit | None
     verdict: Verdict
 
 
@@ -51,8 +56,10 @@ class Validation:
         joints: names (n,).
         full: errors of all base parameters over all recordings: `relative_error` (a ratio), `rmse` per joint [N·m], …
         essential: the same of the significant ones.
+        consistent: the same of the physically consistent ones; None where the result holds none.
         verdict: the worst of the recordings', purpose by purpose.
         recordings: each apart.
+        acceptance: whether all recordings together keep the declared limits; None where none were declared.
 
     Example:
         >>> import dynid
@@ -67,31 +74,40 @@ class Validation:
     joints: tuple[str, ...]
     full: Fit
     essential: Fit
+    consistent: Fit | None
     verdict: Verdict
     recordings: tuple[RecordingValidation, ...]
+    acceptance: Acceptance | None = None
 
     @property
     def errors(self) -> Table:
         """Errors of the filtered torque of each joint [N·m, %]."""
-        return error_table("Errors", self.joints, {"full": self.full, "essential": self.essential})
+        fits: dict[str, Fit | None] = {"full": self.full, "essential": self.essential}
+        if self.consistent is not None:
+            fits["consistent"] = self.consistent
+        return error_table("Errors", self.joints, fits)
 
     def __str__(self) -> str:
-        return f"{self.errors}\n\n{self.verdict}"
+        accepted = "" if self.acceptance is None else f"\n\n{self.acceptance}"
+        return f"{self.errors}\n\n{self.verdict}{accepted}"
 
     def _repr_html_(self) -> str:
         return f"{self.verdict._repr_html_()}{self.errors._repr_html_()}"
 
 
-def validate(identified: Identified, runs: Runs) -> Validation:
+def validate(identified: Identified, runs: Runs, *, accept: Limits | None = None) -> Validation:
     """Predict the torques [N·m] of recordings with an identified model and compare, each recording apart.
 
     Args:
         identified: a result, a model, or the folder or file of one.
         runs: a held-out recording or several, or their paths.
+        accept: limits that all recordings together must keep, such as {"relative_error": 0.08}, or the path of a YAML
+            file with them.
 
     Raises:
         DataError: a recording lacks signals, or its motion is outside what the model covers.
         ResultFileError: the result's parts do not belong together.
+        UsageError: wrong limits.
 
     Example:
         >>> import dynid
@@ -99,21 +115,32 @@ def validate(identified: Identified, runs: Runs) -> Validation:
         >>> dynid.validate(result.model, dynid.simulate("ur5e", duration=10.0, seed=2)).full.relative_error < 0.2
         True
     """
+    limits = None if accept is None else limits_of(accept)
     result, recordings = _result(identified), recordings_of(runs)
     if not recordings:
         raise UsageError("no recording to validate with")
+    if limits is not None:
+        check_joints(limits, result.joints)
     compared = [revalidate(result, recording) for recording in recordings]
     apart = []
     for recording, fits in zip(recordings, compared, strict=True):
         full = fit_result(fits.full)
         verdict = validation_verdict(result, recording, full)
-        apart.append(RecordingValidation(recording.label, full, fit_result(fits.essential), verdict))
+        consistent = None if fits.consistent is None else fit_result(fits.consistent)
+        apart.append(RecordingValidation(recording.label, full, fit_result(fits.essential), consistent, verdict))
+    full = fit_result(fit_figures([part for fits in compared for part in fits.series]))
+    of_consistent = [part for fits in compared for part in fits.consistent_series or ()]
+    consistent = fit_result(fit_figures(of_consistent)) if of_consistent else None
+    verdict = together([(one.recording, one.verdict) for one in apart])
+    figures = validation_figures(result, full, consistent, verdict)
     return Validation(
         joints=tuple(result.joints),
-        full=fit_result(fit_figures([part for fits in compared for part in fits.series])),
+        full=full,
         essential=fit_result(fit_figures([part for fits in compared for part in fits.essential_series])),
-        verdict=together([(one.recording, one.verdict) for one in apart]),
+        consistent=consistent,
+        verdict=verdict,
         recordings=tuple(apart),
+        acceptance=None if limits is None else judge_acceptance(limits, figures),
     )
 
 

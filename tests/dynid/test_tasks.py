@@ -136,8 +136,11 @@ def test_no_run_is_refused():
         dynid.identify([])
 
 
+LIMITS = dict.fromkeys(("max_error", "max_joint_error", "max_rmse"), "accept")
+
 RENAMED = {
-    "identify": {"validate": "validation"},
+    "identify": {"validate": "validation", **LIMITS},
+    "validate": LIMITS,
     "excite": {"from": "earlier"},
     "import": {"column": "columns"},
     "merge": {"validate": "validation"},
@@ -152,6 +155,8 @@ OF_FILES = {"out", "json", "help", "force", "page", "comment", "up_and_down"}
     ("command", "function"),
     [
         ("identify", dynid.identify),
+        ("validate", dynid.validate),
+        ("predict", dynid.predict),
         ("merge", dynid.merge),
         ("payload", dynid.payload),
         ("gains", dynid.drive_gains),

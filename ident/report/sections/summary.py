@@ -17,6 +17,7 @@ def section(data: ReportData) -> ReportSection:
     result = data.result
     context = {
         "verdict": result.verdict,
+        "acceptance": result.acceptance,
         "purpose_words": PURPOSE_WORDS,
         "tiles": _tiles(result),
         "rows": [_row(result, joint) for joint in data.worst_first],

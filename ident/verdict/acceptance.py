@@ -1,0 +1,233 @@
+"""Acceptance: limits that a user declares for a model, and whether it keeps them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from daq.robot.section import Positive, Section
+from drivers.errors import UsageError
+from drivers.yaml_file import read_mapping, validated
+from ident.verdict.check import PURPOSE_WORDS, Purpose
+from ident.verdict.verdict import GRADES, Grade, Verdict
+
+
+def _checked(value: Any) -> Any:
+    """One sentence for both forms: pydantic would tell of each by itself."""
+    of_joints = value if isinstance(value, dict) else {"": value}
+    for joint, limit in of_joints.items():
+        number = isinstance(limit, (int, float)) and not isinstance(limit, bool) and math.isfinite(limit)
+        if not number or limit <= 0:
+            of = f" for {joint}" if joint else ""
+            raise ValueError(f"found {limit!r}{of}, but a limit is a number above 0, or a mapping joint: number")
+    return value
+
+
+OfJoints = Annotated[float | dict[str, float], BeforeValidator(_checked)]
+"""One limit for every joint, or one for each joint named."""
+
+
+class AcceptanceLimits(Section):
+    """Limits for a model; what is not named is not asked. Errors are those of the physically consistent model."""
+
+    relative_error: Positive | None = Field(default=None, description="held-out error of all joints, as a ratio")
+    joint_relative_error: OfJoints | None = Field(default=None, description="the same per joint")
+    rmse: OfJoints | None = Field(default=None, description="held-out root mean square error per joint [N·m or N]")
+    consistent: bool | None = Field(default=None, description="true: physically consistent parameters must exist")
+    consistency_cost: Positive | None = Field(
+        default=None, description="held-out error of the consistent model over that of the unconstrained one"
+    )
+    motion_rmse: OfJoints | None = Field(
+        default=None, description="motion error per joint of the arm simulated on held-out data [rad or m]"
+    )
+    purposes: dict[Purpose, Grade] | None = Field(default=None, description="purpose: least grade of the verdict")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for name in ("relative_error", "joint_relative_error"):
+            given = getattr(self, name)
+            largest = max(given.values(), default=0.0) if isinstance(given, dict) else given or 0.0
+            if largest > 1.0:
+                raise ValueError(f"{name} {largest:g} is a ratio, not a percentage: 0.08 is 8 %")
+        if self.consistent is False:
+            raise ValueError("consistent: false asks for nothing; leave the key out")
+        return self
+
+    @property
+    def joints(self) -> set[str]:
+        """Names of the joints that limits are given for."""
+        return {
+            name
+            for limit in (self.joint_relative_error, self.rmse, self.motion_rmse)
+            if isinstance(limit, Mapping)
+            for name in limit
+        }
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """One limit and what came of it.
+
+    Attributes:
+        name: key of the limit.
+        subject: joint or purpose; empty where it concerns the whole model.
+        limit: as declared.
+        value: of the model; None where it is not known, which fails.
+        passed: whether the limit is kept.
+        text: the same in a sentence.
+    """
+
+    name: str
+    subject: str
+    limit: float | str
+    value: float | str | None
+    passed: bool
+    text: str
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """Whether a model keeps all declared limits.
+
+    Attributes:
+        passed: whether every criterion passed.
+        criteria: in the order of the limits' keys.
+    """
+
+    passed: bool
+    criteria: tuple[Criterion, ...]
+
+    @property
+    def lines(self) -> list[str]:
+        """For the terminal: the outcome, what failed, how many limits are kept."""
+        failed = [criterion for criterion in self.criteria if not criterion.passed]
+        kept = len(self.criteria) - len(failed)
+        headline = f"Acceptance {'passed' if self.passed else 'FAILED'}: {kept} of {len(self.criteria)} limits kept."
+        return [headline, *(f"  {criterion.text}" for criterion in failed)]
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
+
+
+@dataclass(frozen=True)
+class ModelFigures:
+    """What limits are compared with.
+
+    Attributes:
+        model: whose errors these are, in words.
+        relative_error: held-out, of all joints; None where not known, as everywhere.
+        joint_relative_error, rmse, motion_rmse: by the joint's name.
+        consistent: whether physically consistent parameters exist.
+        consistency_cost: held-out error of the consistent model over that of the unconstrained one.
+        verdict: on the model.
+    """
+
+    model: str
+    relative_error: float | None
+    joint_relative_error: Mapping[str, float | None]
+    rmse: Mapping[str, float | None]
+    motion_rmse: Mapping[str, float | None]
+    consistent: bool
+    consistency_cost: float | None
+    verdict: Verdict
+
+
+def read_limits(path: Path) -> AcceptanceLimits:
+    """Read limits from a YAML file.
+
+    Raises:
+        UsageError: it cannot be read, or a key is wrong; names file and key.
+    """
+    where = str(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot be read: {error.strerror}", where=where) from error
+    except UnicodeDecodeError as error:
+        raise UsageError("is not UTF-8 text", where=where) from error
+    content = read_mapping(text, kind="a file of limits", where=where, refusal=UsageError, hint="relative_error: 0.08")
+    return declared(content, where)
+
+
+def declared(content: Mapping[Any, Any], where: str) -> AcceptanceLimits:
+    """Limits from a file's keys.
+
+    Raises:
+        UsageError: a key is wrong, or there is none.
+    """
+    limits = validated(content, AcceptanceLimits, where=where, refusal=UsageError)
+    if not limits.model_dump(exclude_none=True):
+        raise UsageError("declares no limit", where=where, hint="relative_error: 0.08")
+    return limits
+
+
+def check_joints(limits: AcceptanceLimits, joints: Sequence[str]) -> None:
+    """Refuse limits for joints that the robot has not.
+
+    Raises:
+        UsageError: names them.
+    """
+    unknown = sorted(limits.joints - set(joints))
+    if unknown:
+        raise UsageError(
+            f"limits for {', '.join(unknown)}, which the robot has not",
+            where="accept",
+            hint=f"joints: {', '.join(joints)}",
+        )
+
+
+def judge_acceptance(limits: AcceptanceLimits, figures: ModelFigures) -> Acceptance:
+    """Compare a model's figures with the limits. A figure that is not known fails; a value at its limit passes."""
+    criteria = tuple(_criteria(limits, figures))
+    return Acceptance(all(criterion.passed for criterion in criteria), criteria)
+
+
+def _criteria(limits: AcceptanceLimits, figures: ModelFigures) -> Iterator[Criterion]:
+    of_model = f"held-out error of the {figures.model} model"
+    if limits.relative_error is not None:
+        yield _below("relative_error", "", limits.relative_error, figures.relative_error, of_model, "")
+    per_joint: tuple[tuple[str, OfJoints | None, Mapping[str, float | None], str, str], ...] = (
+        ("joint_relative_error", limits.joint_relative_error, figures.joint_relative_error, of_model, ""),
+        ("rmse", limits.rmse, figures.rmse, f"held-out RMSE of the {figures.model} model", " N·m"),
+    )
+    for name, limit, values, words, unit in per_joint:
+        yield from _of_joints(name, limit, values, words, unit)
+    if limits.consistent:
+        text = f"physically consistent parameters {'exist' if figures.consistent else 'were not found'}"
+        yield Criterion("consistent", "", "yes", "yes" if figures.consistent else "no", figures.consistent, text)
+    if limits.consistency_cost is not None:
+        words = "held-out error of the consistent model over that of the unconstrained one"
+        yield _below("consistency_cost", "", limits.consistency_cost, figures.consistency_cost, words, "")
+    yield from _of_joints("motion_rmse", limits.motion_rmse, figures.motion_rmse, "simulated motion error", " rad")
+    for purpose, least in (limits.purposes or {}).items():
+        judged = figures.verdict.purposes.get(purpose)
+        passed = judged is not None and GRADES.index(judged.grade) <= GRADES.index(least)
+        found = "not judged" if judged is None else f"{judged.grade}, {judged.because}"
+        text = f"{PURPOSE_WORDS[purpose]}: {found}; at least {least} is asked for"
+        yield Criterion("purposes", purpose, least, None if judged is None else judged.grade, passed, text)
+
+
+def _of_joints(
+    name: str, limit: OfJoints | None, values: Mapping[str, float | None], words: str, unit: str
+) -> Iterator[Criterion]:
+    if limit is None:
+        return
+    of_each = limit if isinstance(limit, dict) else dict.fromkeys(values, limit)
+    for joint, own in of_each.items():
+        yield _below(name, joint, own, values.get(joint), words, unit)
+
+
+def _below(name: str, joint: str, limit: float, value: float | None, words: str, unit: str) -> Criterion:
+    known = value if value is not None and math.isfinite(value) else None
+    passed = known is not None and known <= limit
+    of = f"{joint}: " if joint else ""
+    if known is None:
+        text = f"{of}{words} is not known; at most {limit:.4g}{unit} is asked for"
+    else:
+        text = f"{of}{words} is {known:.4g}{unit}, {'within' if passed else 'above'} the limit of {limit:.4g}{unit}"
+    return Criterion(name, joint, limit, known, passed, text)

@@ -1,0 +1,130 @@
+"""The commands that use a model: predict, acceptance, diff; and bad input one by one."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+import dynid
+from dynid import command
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Recordings and a model of a small arm."""
+    folder = tmp_path_factory.mktemp("work")
+    for name, seed in (("run", 1), ("val", 2)):
+        recording = dynid.simulate("up6", duration=10.0, seed=seed, rate=100.0)
+        dynid.write_recording(folder / f"{name}.h5", recording)
+    dynid.identify(folder / "run.h5", validation=folder / "val.h5").save(folder / "model")
+    (folder / "limits.yaml").write_text("relative_error: 0.5\nconsistent: true\n")
+    (folder / "elbow.yaml").write_text("rmse: {elbow: 1}\n")
+    return folder
+
+
+def run(monkeypatch, capsys, folder: Path, *arguments: str) -> tuple[int, str, str]:
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
+    with pytest.raises(SystemExit) as stopped:
+        command.main()
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), captured.out, captured.err
+
+
+def test_predict_writes_a_recording_that_info_reads_and_a_page(monkeypatch, capsys, folder):
+    status, out, _ = run(
+        monkeypatch, capsys, folder, "predict", "model", "val.h5", "-o", "out.h5", "--page", "out.html"
+    )
+    assert status == 0
+    assert "residual" in out
+    assert "out.h5" in out
+    assert (folder / "out.html").exists()
+    status, out, _ = run(monkeypatch, capsys, folder, "info", "out.h5", "--json")
+    assert status == 0
+    streams = json.loads(out)["streams"]
+    assert set(streams) == {"joints", "prediction"}
+    assert streams["prediction"]["channels"]["gravity_torque"]["unit"] == "N*m"
+
+
+def test_predict_prints_one_object_and_overwrites_by_force_only(monkeypatch, capsys, folder):
+    arguments = ("predict", "model", "val.h5", "-o", "again.h5", "--json")
+    status, out, _ = run(monkeypatch, capsys, folder, *arguments)
+    assert status == 0
+    told = json.loads(out)
+    assert told["file"] == "again.h5"
+    assert [joint["joint"] for joint in told["joints"]] == list(dynid.load_robot("up6").robot.joint_names)
+    assert told["samples"] > 500
+    status, out, _ = run(monkeypatch, capsys, folder, *arguments)
+    assert status == 2
+    assert "exists already" in json.loads(out)["error"]
+    assert run(monkeypatch, capsys, folder, *arguments, "--force")[0] == 0
+
+
+def test_identify_fails_where_a_limit_is_not_kept_and_writes_everything(monkeypatch, capsys, folder):
+    arguments = ("identify", "run.h5", "--validate", "val.h5", "--max-error", "1e-6", "-o", "failed")
+    status, out, _ = run(monkeypatch, capsys, folder, *arguments)
+    assert status == 1
+    assert "Acceptance FAILED: 0 of 1 limits kept." in out
+    assert "held-out error of the consistent model is" in out
+    stored = json.loads((folder / "failed" / "result.json").read_text())
+    assert stored["acceptance"]["passed"] is False
+    assert "Acceptance failed" in (folder / "failed" / "report.html").read_text()
+    assert dynid.load_result(folder / "failed").acceptance.passed is False
+
+
+def test_identify_passes_with_a_file_and_prints_one_object(monkeypatch, capsys, folder):
+    arguments = ("identify", "run.h5", "--validate", "val.h5", "--accept", "limits.yaml", "-o", "passed", "--json")
+    status, out, _ = run(monkeypatch, capsys, folder, *arguments)
+    assert status == 0
+    assert json.loads(out)["acceptance"]["passed"] is True
+
+
+def test_validate_fails_where_a_limit_is_not_kept(monkeypatch, capsys, folder):
+    status, out, _ = run(monkeypatch, capsys, folder, "validate", "model", "val.h5", "--max-rmse", "1e-9", "--json")
+    assert status == 1
+    criteria = json.loads(out)["acceptance"]["criteria"]
+    assert len(criteria) == 3
+    assert not any(criterion["passed"] for criterion in criteria)
+    status, out, _ = run(monkeypatch, capsys, folder, "validate", "model", "val.h5", "--accept", "limits.yaml")
+    assert status == 0
+    assert "Acceptance passed: 2 of 2 limits kept." in out
+
+
+def test_an_option_goes_before_the_files_limit(monkeypatch, capsys, folder):
+    arguments = ("validate", "model", "val.h5", "--accept", "limits.yaml", "--max-error", "1e-6", "--json")
+    status, out, _ = run(monkeypatch, capsys, folder, *arguments)
+    assert status == 1
+    criteria = {criterion["name"]: criterion for criterion in json.loads(out)["acceptance"]["criteria"]}
+    assert criteria["relative_error"]["limit"] == 1e-6
+    assert criteria["consistent"]["passed"] is True
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["predict", "nowhere", "val.h5"], "nowhere: cannot be read"),
+        (["predict", "model", "nowhere.h5"], "nowhere.h5: no such file"),
+        (["predict", "model", "limits.yaml"], "is not an HDF5 file"),
+        (["predict", "model", "val.h5", "-o", "val.h5", "--force"], "is the recording itself"),
+        (["predict", "model", "val.h5", "-o", "nowhere/out.h5"], "there is no such folder"),
+        (["predict", "model", "val.h5", "-o", "new.h5", "--parameters", "best"], "there are no 'best' parameters"),
+        (["predict", "model", "val.h5", "-o", "new.h5", "--page", "limits.yaml"], "limits.yaml exists already"),
+        (["validate", "model", "val.h5", "--max-error", "8"], "8 is a ratio, not a percentage"),
+        (["validate", "model", "val.h5", "--max-error", "-1"], "--max-error: relative_error"),
+        (["validate", "model", "val.h5", "--max-rmse", "nan"], "--max-rmse: rmse: found nan"),
+        (["validate", "model", "val.h5", "--accept", "nowhere.yaml"], "nowhere.yaml: cannot be read"),
+        (["validate", "model", "val.h5", "--accept", "elbow.yaml"], "limits for elbow, which the robot has not"),
+        (["identify", "run.h5", "--accept", "elbow.yaml", "-o", "new"], "limits for elbow, which the robot has not"),
+        (["identify", "run.h5", "--accept", "model", "-o", "new"], "model: cannot be read"),
+    ],
+)
+def test_bad_input_is_told_in_one_line(monkeypatch, capsys, folder, arguments, words):
+    status, out, err = run(monkeypatch, capsys, folder, *arguments)
+    assert (status, out) == (2, ""), err
+    assert words in err
+    assert len(err.strip().splitlines()) == 1
+    assert not (folder / "new").exists()
+    assert not (folder / "new.h5").exists()
