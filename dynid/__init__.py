@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from ident.result.model import load_model as load_model
     from ident.result.tables import Table as Table
     from ident.tasks.arm import base_parameters as base_parameters
+    from ident.tasks.difference import diff as diff
     from ident.tasks.excitation import ExcitationTrajectory as ExcitationTrajectory
     from ident.tasks.excitation import design_excitation as design_excitation
     from ident.tasks.excitation import load_trajectory as load_trajectory
@@ -79,6 +80,7 @@ _HOMES = {
     "ident.result.model": ("Model", "load_model"),
     "ident.result.tables": ("Table",),
     "ident.tasks.arm": ("base_parameters",),
+    "ident.tasks.difference": ("diff",),
     "ident.tasks.excitation": ("ExcitationTrajectory", "design_excitation", "load_trajectory"),
     "ident.tasks.identification": ("IdentificationResult", "identify", "load_result"),
     "ident.tasks.loads": ("IdentifiedGains", "IdentifiedPayload", "drive_gains", "payload"),

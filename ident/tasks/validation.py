@@ -116,7 +116,7 @@ def validate(identified: Identified, runs: Runs, *, accept: Limits | None = None
         True
     """
     limits = None if accept is None else limits_of(accept)
-    result, recordings = _result(identified), recordings_of(runs)
+    result, recordings = result_of(identified), recordings_of(runs)
     if not recordings:
         raise UsageError("no recording to validate with")
     if limits is not None:
@@ -168,7 +168,7 @@ def merge(
     """
     check_significance(significance)
     named = [
-        (_label(identified, position), _result(identified)) for position, identified in enumerate(results, start=1)
+        (_label(identified, position), result_of(identified)) for position, identified in enumerate(results, start=1)
     ]
     held_out = None if validation is None else recording_of(validation)
     merged, validated = merge_results(named, held_out, significance)
@@ -224,7 +224,12 @@ def _rmse(fit: Fit | None, joints: Sequence[str]) -> list[float | None]:
     return [None] * len(joints) if fit is None else list(fit.rmse)
 
 
-def _result(identified: Identified) -> Result:
+def result_of(identified: Identified) -> Result:
+    """The result, read where a path is given.
+
+    Raises:
+        ResultFileError: no such file, or it is no result.
+    """
     if isinstance(identified, (IdentificationResult, Model)):
         return identified.result
     return read_result(result_path(identified))

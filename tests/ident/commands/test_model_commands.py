@@ -102,9 +102,24 @@ def test_an_option_goes_before_the_files_limit(monkeypatch, capsys, folder):
     assert criteria["consistent"]["passed"] is True
 
 
+def test_diff_prints_tables_and_one_object(monkeypatch, capsys, folder):
+    status, out, _ = run(monkeypatch, capsys, folder, "diff", "model", "model")
+    assert status == 0
+    assert "0 of" in out
+    assert "Held-out errors" in out
+    status, out, _ = run(monkeypatch, capsys, folder, "diff", "model", "model/result.json", "--json")
+    assert status == 0
+    told = json.loads(out)
+    assert told["agree"] is True
+    assert {"name", "first", "first_std", "second", "z"} <= set(told["parameters"][0])
+    assert len(told["errors"]) == 4
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (["diff", "model", "nowhere"], "nowhere: cannot be read"),
+        (["diff", "limits.yaml", "model"], "is not JSON"),
         (["predict", "nowhere", "val.h5"], "nowhere: cannot be read"),
         (["predict", "model", "nowhere.h5"], "nowhere.h5: no such file"),
         (["predict", "model", "limits.yaml"], "is not an HDF5 file"),

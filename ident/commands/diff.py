@@ -1,0 +1,53 @@
+"""The command `dynid diff`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from ident.commands.options import JSON
+
+app = typer.Typer()
+
+
+@app.command("diff")
+def compare_models(
+    first: Path = typer.Argument(help="Folder that identify wrote, or its result.json."),
+    second: Path = typer.Argument(help="The same of another identification of this arm."),
+    as_json: bool = JSON,
+) -> None:
+    """Set two models of one arm side by side: parameters with z-scores, held-out errors, checks.
+
+    Example: dynid diff model-may model-june
+    """
+    from dataclasses import asdict
+
+    from daq.commands.console import print_json, print_table
+    from ident.tasks.difference import diff
+
+    difference = diff(first, second)
+    tables = {
+        "parameters": difference.parameters,
+        "errors": difference.errors,
+        "purposes": difference.purposes,
+        "checks": difference.checks,
+    }
+    if as_json:
+        print_json(
+            {
+                "first": str(first),
+                "second": str(second),
+                "headline": difference.headline,
+                "agree": difference.agree,
+                "test": None if difference.test is None else asdict(difference.test),
+                "shared_recordings": list(difference.shared),
+                **{name: [dict(row) for row in table] for name, table in tables.items()},
+            }
+        )
+        return
+    print(f"first: {first}\nsecond: {second}\n{difference.headline}")
+    for table in tables.values():
+        if len(table):
+            headings = [column.heading.replace("_", " ") for column in table.columns]
+            print_table(f"\n{table.title}", headings, [list(row.values()) for row in table])

@@ -1,0 +1,223 @@
+"""Two identified models side by side in one call."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+
+import numpy as np
+
+from drivers.errors import UsageError
+from drivers.streams import FloatArray
+from ident.regression.estimate import Estimate
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest, chi_square_test
+from ident.result.model import Model
+from ident.result.schema import Fit, Result
+from ident.result.stored_model import stored_estimate, stored_model
+from ident.result.tables import Cell, Table, table_of_rows
+from ident.tasks.identification import IdentificationResult
+from ident.tasks.validation import result_of
+from ident.verdict.check import PURPOSE_WORDS
+
+
+@dataclass(frozen=True)
+class ModelDifference:
+    """Two models of one arm side by side; the columns `first` and `second` are the models.
+
+    Attributes:
+        parameters: base parameters as estimated, with σ, the difference second − first, and z, the difference over its
+            σ; empty where a model has no value or no σ.
+        errors: held-out errors of each joint, and of all together.
+        purposes: grade of each purpose.
+        checks: severity of each check that one of the two raises; empty where a model does not raise it.
+        test: of all parameters together, with both covariances: chi-square, its degrees of freedom, and the probability
+            of a larger one if the arm is the same; None where a covariance is not stored.
+        shared: recordings that both were identified from, by file name; their errors are then not independent.
+    """
+
+    parameters: Table
+    errors: Table
+    purposes: Table
+    checks: Table
+    test: SignificanceTest | None
+    shared: tuple[str, ...]
+
+    @property
+    def agree(self) -> bool | None:
+        """Whether the parameters agree within their errors (p ≥ 0.01); None where that is not known."""
+        return None if self.test is None else self.test.passed
+
+    @property
+    def headline(self) -> str:
+        """The comparison of the parameters in a sentence or two."""
+        scores = self.parameters["z"]
+        beyond = int(np.sum(np.abs(scores) > WITHIN_95_PERCENT))
+        known = int(np.sum(np.isfinite(scores)))
+        text = f"{beyond} of {known} base parameters differ by more than {WITHIN_95_PERCENT:g} σ"
+        if self.test is None:
+            text += "; together they cannot be tested, since a covariance is missing."
+        else:
+            words = "agree" if self.agree else "differ significantly"
+            text += (
+                f"; together they {words} (chi-square {self.test.statistic:.3g} for {self.test.freedom} parameters, "
+                f"{self.test.p_text})."
+            )
+        if self.shared:
+            text += f" Both were identified from {', '.join(self.shared)}: their errors are not independent."
+        return text
+
+    def __str__(self) -> str:
+        tables = (self.parameters, self.errors, self.purposes, self.checks)
+        return "\n\n".join([self.headline, *(str(table) for table in tables if len(table))])
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        tables = (self.parameters, self.errors, self.purposes, self.checks)
+        return f"<p>{escape(self.headline)}</p>" + "".join(table._repr_html_() for table in tables if len(table))
+
+
+def diff(
+    first: IdentificationResult | Model | str | PathLike[str],
+    second: IdentificationResult | Model | str | PathLike[str],
+) -> ModelDifference:
+    """Compare two models of one arm: parameters with z-scores, held-out errors, checks.
+
+    Args:
+        first: a result, a model, or the folder or file of one.
+        second: the same of the other.
+
+    Raises:
+        UsageError: other robots, joints or base parameters.
+        ResultFileError: no result, or its parts do not belong together.
+
+    Example:
+        >>> import dynid
+        >>> one, other = (dynid.identify(dynid.simulate("ur5e", duration=10.0, seed=seed)) for seed in (1, 2))
+        >>> difference = dynid.diff(one, other)
+        >>> difference.agree, abs(difference.parameters.row("Fv1")["z"]) < 5
+        (True, True)
+    """
+    one, other = result_of(first), result_of(second)
+    _check_comparable(one, other)
+    return ModelDifference(
+        parameters=_parameters(one, other),
+        errors=_errors(one, other),
+        purposes=_purposes(one, other),
+        checks=_checks(one, other),
+        test=_test(one, other),
+        shared=_shared(one, other),
+    )
+
+
+def _check_comparable(one: Result, other: Result) -> None:
+    if one.robot != other.robot:
+        raise UsageError(f"the models are of different robots: {one.robot} and {other.robot}")
+    if one.joints != other.joints:
+        raise UsageError(f"the models have different joints: {', '.join(one.joints)}; {', '.join(other.joints)}")
+    texts = [{entry.name: entry.expression for entry in result.base_parameters} for result in (one, other)]
+    apart = [name for name in {**texts[0], **texts[1]} if texts[0].get(name) != texts[1].get(name)]
+    if apart:
+        raise UsageError(
+            f"the models have different base parameters ({', '.join(apart[:5])}{', …' if len(apart) > 5 else ''})",
+            hint="identify both with the same joints moving, the same geometry and the same friction columns",
+        )
+
+
+def _parameters(one: Result, other: Result) -> Table:
+    second = {entry.name: entry for entry in other.base_parameters}
+    rows: list[tuple[Cell, ...]] = []
+    for entry in one.base_parameters:
+        twin = second[entry.name]
+        difference = None if entry.value is None or twin.value is None else twin.value - entry.value
+        variance = None if entry.std is None or twin.std is None else entry.std**2 + twin.std**2
+        score = None if difference is None or not variance else difference / variance**0.5
+        rows.append((entry.name, entry.value, entry.std, twin.value, twin.std, difference, score, entry.unit))
+    names = ("name", "first", "first_std", "second", "second_std", "difference", "z", "unit")
+    return table_of_rows(f"Base parameters of {one.robot}", [(name, "") for name in names], rows)
+
+
+def _errors(one: Result, other: Result) -> Table:
+    fits = (one.validation, other.validation)
+    rows: list[tuple[Cell, ...]] = [
+        (
+            joint,
+            *(_entry(fit, "rmse", i) for fit in fits),
+            *(_percent(_entry(fit, "joint_relative_error", i)) for fit in fits),
+        )
+        for i, joint in enumerate(one.joints)
+    ]
+    rows.append(("all", None, None, *(_percent(None if fit is None else fit.relative_error) for fit in fits)))
+    headings = [("joint", ""), ("first_rmse", "N·m"), ("second_rmse", "N·m"), ("first", "%"), ("second", "%")]
+    return table_of_rows(f"Held-out errors: {one.validation_source}; {other.validation_source}", headings, rows)
+
+
+def _entry(fit: Fit | None, quantity: str, joint: int) -> float | None:
+    values: list[float | None] = [] if fit is None else getattr(fit, quantity)
+    return values[joint] if joint < len(values) else None
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100.0 * share
+
+
+def _purposes(one: Result, other: Result) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for purpose, words in PURPOSE_WORDS.items():
+        judged = [result.verdict.purposes.get(purpose) for result in (one, other)]
+        rows.append((words, *(None if found is None else found.grade for found in judged)))
+    return table_of_rows("Verdict", [(name, "") for name in ("purpose", "first", "second")], rows)
+
+
+def _checks(one: Result, other: Result) -> Table:
+    severities = [{check.name: check.severity for check in result.verdict.checks} for result in (one, other)]
+    rows: list[tuple[Cell, ...]] = [
+        (name, severities[0].get(name), severities[1].get(name)) for name in {**severities[0], **severities[1]}
+    ]
+    return table_of_rows("Checks", [(name, "") for name in ("check", "first", "second")], rows)
+
+
+def _test(one: Result, other: Result) -> SignificanceTest | None:
+    """Whether the parameters that both estimate with a known variance differ significantly.
+
+    Where the jackknives have too few blocks for the test, their variances count by their mean alone, as in merging.
+    """
+    from scipy.stats import chi2
+
+    if one.estimate is None or other.estimate is None:
+        return None
+    estimates = [stored_estimate(result, stored_model(result).base) for result in (one, other)]
+    places = [_known_places(estimate) for estimate in estimates]
+    common = [column for column in places[0] if column in places[1]]
+    if not common:
+        return None
+    chosen = [[of_columns[column] for column in common] for of_columns in places]
+    first, second = (estimate.values[places] for estimate, places in zip(estimates, chosen, strict=True))
+    parts = list(zip(estimates, chosen, strict=True))
+    total = sum(estimate.covariance[np.ix_(places, places)] for estimate, places in parts)
+    test = chi_square_test(second - first, np.asarray(total), min(estimate.blocks for estimate in estimates))
+    if test is not None:
+        return test
+    scaled = np.asarray(sum(_scaled_covariance(estimate)[np.ix_(places, places)] for estimate, places in parts))
+    statistic = float((second - first) @ np.linalg.solve(scaled, second - first))
+    return SignificanceTest(statistic, len(common), float(chi2.sf(statistic, len(common))))
+
+
+def _known_places(estimate: Estimate) -> dict[int, int]:
+    """Column → its place in the estimate, of values whose variance is known."""
+    known = np.isfinite(np.diag(estimate.covariance))
+    return {column: place for place, column in enumerate(estimate.active) if known[place]}
+
+
+def _scaled_covariance(estimate: Estimate) -> FloatArray:
+    """(a, a) for white residuals, times the mean ratio of the corrected variance to it."""
+    known = np.isfinite(np.diag(estimate.covariance))
+    root = estimate.root[:, known]
+    ratio = float(np.trace(root @ estimate.covariance[np.ix_(known, known)] @ root.T)) / int(known.sum())
+    inverse = np.linalg.inv(estimate.root)
+    return np.asarray(ratio * (inverse @ inverse.T))
+
+
+def _shared(one: Result, other: Result) -> tuple[str, ...]:
+    used = {use.sha256 for use in other.recordings if use.role == "identification"}
+    return tuple(use.file for use in one.recordings if use.role == "identification" and use.sha256 in used)
