@@ -183,6 +183,7 @@ def test_missing_keys_and_wrong_types_are_named(tmp_path_factory, content, data)
         "estimate",
         "warnings",
         "consistent",
+        "acceptance",
     }
     key = data.draw(st.sampled_from(sorted(set(broken) - optional)))
     wrong = data.draw(st.sampled_from(["missing", "list", "object"]))

@@ -16,6 +16,7 @@ from exported_arms import exported_arm
 
 from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording
 from daq.robot.loader import RobotFile, parse_robot
+from drivers.errors import ModelError
 from ident.assessment.recording_checks import recording_checks
 from ident.checks.recording_check import recording_info
 from ident.experiments.merged_result import merge_results
@@ -166,6 +167,12 @@ class Bench:
         with patch("ident.identify.identify.found_consistent", return_value=None):
             return self.found()
 
+    def diverging(self) -> Names:
+        """A model whose simulated motion diverges."""
+        error = ModelError("the simulated motion diverges at 1.2 s")
+        with patch("ident.identify.identify.tracking_error", side_effect=error):
+            return self.found()
+
     def sticking(self, *recorded: object) -> Recording:
         """Friction that sticks at reversals."""
         recording = self.recorded(*recorded)
@@ -255,6 +262,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     ),
     "weights-not-settled": (lambda b: b.unsettled(), lambda b: b.clean()),
     "no-consistent-model": (lambda b: b.inconsistent(), lambda b: b.clean()),
+    "simulation-failed": (lambda b: b.diverging(), lambda b: b.clean()),
     "consistency-costs": (lambda b: b.found(changed(b.recorded(), lambda i: i * [-1, 1, 1])), lambda b: b.clean()),
     "links-on-boundary": (lambda b: b.found(changed(b.recorded(), lambda i: i * [-1, 1, 1])), lambda b: b.clean()),
     "errors-near-standstill": (
