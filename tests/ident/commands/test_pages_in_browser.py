@@ -27,6 +27,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.report import TruthTable, write_report
 from ident.tasks.identification import identify
+from ident.tasks.prediction import predict
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
@@ -80,10 +81,17 @@ def recording_page(folder: Path) -> Path:
     return folder / "info" / INFO_PAGE
 
 
+def prediction_page(folder: Path) -> Path:
+    path = folder / "prediction.html"
+    predict(identify(recorded(1)), recorded(2)).page(path)
+    return path
+
+
 PAGES: dict[str, Callable[[Path], Path]] = {
     "identification": identification_page,
     "excitation": excitation_page,
     "recording": recording_page,
+    "prediction": prediction_page,
 }
 """What writes each page into a folder; a new page is one line here."""
 
