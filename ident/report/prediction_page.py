@@ -129,7 +129,8 @@ def _figure(
     notes = []
     for joint, (name, domain) in enumerate(zip(joints, domains, strict=True)):
         axes[axis_name("y", joint + 1)] = {"title": {"text": "N·m"}, "domain": list(domain), "anchor": "x", "nticks": 5}
-        notes.append(note(f"<b>{plain(name)}</b>", 0, domain[1]))
+        # To the right: on a phone the legend takes two lines.
+        notes.append(note(f"<b>{plain(name)}</b>", 1, domain[1], xanchor="right"))
         group = ""
         for label, colour, signals in lines:
             group = label or group
