@@ -13,7 +13,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from daq.motion.trajectories import Motion, SumOfSines, motion_extremes
+from daq.motion.limits import motion_extremes
+from daq.motion.trajectories import Motion, SumOfSines
 from daq.robot.loader import load_robot
 from ident.excite.choices import DesignChoices
 from ident.excite.criteria import MotionSize

@@ -7,8 +7,9 @@ from itertools import combinations
 
 import numpy as np
 
+from daq.motion.limits import check_limits
 from daq.motion.motion_check import MotionCheck, MotionFigures
-from daq.motion.trajectories import PointToPoint, check_limits, slow_move
+from daq.motion.trajectories import PointToPoint, slow_move
 from daq.robot.schema import JointLimits
 from drivers.errors import MotionRefusedError, UsageError
 from drivers.streams import FloatArray

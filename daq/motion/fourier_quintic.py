@@ -6,8 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.motion.trajectories import FourierSeries
+from daq.motion.trajectories import QUINTIC_ACCELERATION, FourierSeries, Pieces
 from drivers.streams import FloatArray
+
+_LARGEST = ((1.0, np.sqrt(3.0) / 18.0), (QUINTIC_ACCELERATION, 1.0), (60.0, 6.0), (360.0, 12.0))
+"""Largest magnitudes of the first to fourth derivative of u − 10u³ + 15u⁴ − 6u⁵ and of u²(1 − u)²/2."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,14 @@ class FourierQuintic:
         acceleration = acceleration - change * (1.0 - 6.0 * u * v)
         return position, velocity, acceleration
 
-    def extreme_times(self) -> FloatArray:
-        """None: where sines and a polynomial add up, the extremes have no closed form; the grid finds them."""
-        return np.zeros(0)
+    def pieces(self) -> Pieces:
+        """One period; the bounds of series and polynomial are added."""
+        series = FourierSeries(self.period, self.offset, self.sine, self.cosine).largest_derivatives()
+        harmonics = 2.0 * np.pi / self.period * np.arange(1, self.sine.shape[1] + 1)
+        speed, change = np.abs(self.sine.sum(axis=1)), np.abs(self.cosine @ harmonics)
+        polynomial = [
+            speed * of_speed / self.period**power + change * of_change / self.period ** (power - 1)
+            for power, (of_speed, of_change) in enumerate(_LARGEST)
+        ]
+        largest = series + np.array(polynomial)
+        return Pieces(np.zeros(1), np.array([self.period]), largest[:, :, None])

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from daq.motion.trajectories import Motion
+import numpy as np
+
+from daq.motion.trajectories import Motion, Pieces
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 
@@ -40,6 +42,8 @@ class TimeScaled:
         position, velocity, acceleration = self.motion.evaluate(time * self.scale)
         return position, velocity * self.scale, acceleration * self.scale**2
 
-    def extreme_times(self) -> FloatArray:
-        """Those of the motion at full speed, later [s]."""
-        return self.motion.extreme_times() / self.scale
+    def pieces(self) -> Pieces:
+        """Those of the motion at full speed, later and slower."""
+        pieces = self.motion.pieces()
+        slower = self.scale ** np.arange(1, 5)
+        return Pieces(pieces.start / self.scale, pieces.end / self.scale, pieces.largest * slower[:, None, None])

@@ -1,4 +1,4 @@
-"""Motions given by formulas: position, velocity and acceleration at any time, and where their extremes lie."""
+"""Motions given by formulas: position, velocity and acceleration at any time, and bounds of their derivatives."""
 
 from __future__ import annotations
 
@@ -10,19 +10,32 @@ from typing import Protocol, Self
 import numpy as np
 
 from daq.robot.schema import JointLimits
-from drivers.errors import UsageError
 from drivers.streams import FloatArray
 
-GRID_RATE = 1000.0
-"""Limits are checked on a grid of at least this many points per second [Hz], and where the extremes lie."""
-LIMIT_TOLERANCE = 1e-9
+SHORTEST_RAMP = 0.1
+"""Shortest time from rest to full speed that a motion may have [s]; no arm's position loop settles much faster."""
 QUINTIC_VELOCITY = 15.0 / 8.0
 """Largest velocity of a fifth-order move of length 1 in time 1."""
 QUINTIC_ACCELERATION = 10.0 / np.sqrt(3.0)
 """Its largest acceleration."""
-_NEGLIGIBLE = 1e-14
-"""Share of the largest coefficient below which a harmonic does not move a zero, but would be divided by."""
-_MAX_GRID = 2_000_000
+_JERK, _SNAP = 60.0, 360.0
+"""Its largest third and fourth derivative."""
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Parts of a motion, in each of which its formula is smooth, with bounds that hold everywhere within.
+
+    Together they contain every value that the motion takes; of a part that is repeated there is one.
+
+    Attributes:
+        start, end: (M,) [s].
+        largest: (4, n, M) at least the magnitude of velocity, acceleration, jerk and its derivative [rad/s, … rad/s⁴].
+    """
+
+    start: FloatArray
+    end: FloatArray
+    largest: FloatArray
 
 
 class Motion(Protocol):
@@ -35,8 +48,15 @@ class Motion(Protocol):
     def evaluate(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Position, velocity, acceleration (n, N) at times (N,) [s]."""
 
-    def extreme_times(self) -> FloatArray:
-        """Times [s] at which the formula has its extremes; empty where only a grid finds them."""
+    def pieces(self) -> Pieces:
+        """Its smooth parts, with bounds of its derivatives; `daq.motion.limits` encloses its extremes by them."""
+
+
+class Oscillation(Motion, Protocol):
+    """A motion that goes on before 0 and after `duration`."""
+
+    def largest_derivatives(self) -> FloatArray:
+        """(4, n) as `Pieces.largest`, at any time."""
 
 
 @dataclass(frozen=True)
@@ -78,35 +98,19 @@ class FourierSeries:
         acceleration = (self.cosine * harmonics) @ cosines - (self.sine * harmonics) @ sines
         return position, velocity, acceleration
 
-    def extreme_times(self) -> FloatArray:
-        """Times [s] within one period at which position, velocity or acceleration of some joint is extreme.
+    def largest_derivatives(self) -> FloatArray:
+        """(4, n) the sums of the harmonics' amplitudes."""
+        harmonics = 2.0 * np.pi / self.period * np.arange(1, self.sine.shape[1] + 1)
+        return _sums_of_powers(np.hypot(self.sine, self.cosine) / harmonics, harmonics)
 
-        They are the zeros of q̇, q̈ and the jerk, trigonometric polynomials of degree H: with z = exp(iωt), the roots
-        on the unit circle of a polynomial of degree 2H.
-        """
-        order = np.arange(1, self.sine.shape[1] + 1)
-        harmonics = 2.0 * np.pi / self.period * order
-        times: list[FloatArray] = []
-        for sine, cosine in zip(self.sine, self.cosine, strict=True):
-            # d/dt maps (a cos + b sin) to (lω b cos − lω a sin).
-            of_cos, of_sin = sine, cosine
-            for _ in range(3):
-                times.append(_trigonometric_zeros(of_cos, of_sin) * self.period / (2.0 * np.pi))
-                of_cos, of_sin = harmonics * of_sin, -harmonics * of_cos
-        return np.unique(np.concatenate(times))
+    def pieces(self) -> Pieces:
+        """One period."""
+        return Pieces(np.zeros(1), np.array([self.period]), self.largest_derivatives()[:, :, None])
 
 
-def _trigonometric_zeros(of_cos: FloatArray, of_sin: FloatArray) -> FloatArray:
-    """Angles in [0, 2π) at which Σ_l (of_cos_l cos(lφ) + of_sin_l sin(lφ)) vanishes."""
-    scale = float(np.max(np.abs([of_cos, of_sin]), initial=0.0))
-    if scale == 0.0:
-        return np.zeros(0)
-    positive = 0.5 * (of_cos - 1j * of_sin) / scale  # coefficient of z^l; of z^-l its conjugate
-    positive[np.abs(positive) < _NEGLIGIBLE] = 0.0
-    roots = np.roots(np.concatenate([positive[::-1], [0.0], np.conj(positive)]))
-    # Double zeros leave the circle by the square root of the rounding error; a few points too many do no harm.
-    near = roots[np.abs(np.abs(roots) - 1.0) < 1e-4]
-    return np.asarray(np.mod(np.angle(near), 2.0 * np.pi))
+def _sums_of_powers(amplitude: FloatArray, frequency: FloatArray) -> FloatArray:
+    """(4, n) sums over the columns of amplitude · frequency^k, k = 1 … 4."""
+    return np.array([(amplitude * frequency**power).sum(axis=-1) for power in (1, 2, 3, 4)])
 
 
 @dataclass(frozen=True)
@@ -134,9 +138,13 @@ class SumOfSines:
         acceleration = -np.einsum("nk,nkt->nt", self.amplitude * self.frequency**2, sines)
         return position, velocity, acceleration
 
-    def extreme_times(self) -> FloatArray:
-        """None: frequencies without a common period have no closed form; the grid finds the extremes."""
-        return np.zeros(0)
+    def largest_derivatives(self) -> FloatArray:
+        """(4, n) the sums of the sines' amplitudes."""
+        return _sums_of_powers(np.abs(self.amplitude), np.abs(self.frequency))
+
+    def pieces(self) -> Pieces:
+        """All of it."""
+        return Pieces(np.zeros(1), np.array([self.duration]), self.largest_derivatives()[:, :, None])
 
 
 @dataclass(frozen=True)
@@ -175,10 +183,12 @@ class PointToPoint:
         acceleration = way * (60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)) / length**2
         return position, velocity, acceleration
 
-    def extreme_times(self) -> FloatArray:
-        """Ends, middle (velocity) and u = (3 ± √3)/6 (acceleration) of every move [s]."""
-        shares = np.array([0.0, (3.0 - np.sqrt(3.0)) / 6.0, 0.5, (3.0 + np.sqrt(3.0)) / 6.0, 1.0])
-        return np.asarray((self._starts[:-1, None] + self.durations[:, None] * shares).ravel())
+    def pieces(self) -> Pieces:
+        """Its moves; the rests have no further values."""
+        way = np.abs(np.diff(self.points, axis=0).T)
+        factors = (QUINTIC_VELOCITY, QUINTIC_ACCELERATION, _JERK, _SNAP)
+        largest = [factor * way / self.durations**power for power, factor in enumerate(factors, start=1)]
+        return Pieces(self._starts[:-1], self._starts[:-1] + self.durations, np.array(largest))
 
 
 class SampledMotion:
@@ -200,26 +210,22 @@ class SampledMotion:
     def evaluate(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Position, velocity, acceleration (n, N) at times (N,) [s]; held at the ends."""
         inside = np.clip(time, 0.0, self.duration)
-        moving = (time >= 0.0) & (time <= self.duration)
+        # A time that was scaled may miss the end by its rounding, and there the acceleration is not 0.
+        moving = (time >= 0.0) & (time <= self.duration * (1.0 + 1e-12))
         return (
             np.asarray(self._position(inside)),
             np.asarray(self._velocity(inside)) * moving,
             np.asarray(self._acceleration(inside)) * moving,
         )
 
-    def extreme_times(self) -> FloatArray:
-        """The knots, where the acceleration is extreme, and the zeros of velocity and acceleration [s]."""
+    def pieces(self) -> Pieces:
+        """From knot to knot; there the jerk is constant."""
         knots = np.asarray(self._position.x, dtype=np.float64)
-        width = np.diff(knots)
-        start, end = self._acceleration(knots[:-1]), self._acceleration(knots[1:])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            at_zero = knots[:-1] + width * start / (start - end)
-            jerk, speed = (end - start) / width, self._velocity(knots[:-1])
-            root = np.sqrt(start**2 - 2.0 * jerk * speed)
-            turns = [knots[:-1] + (-start + sign * root) / jerk for sign in (1.0, -1.0)]
-        candidates = np.concatenate([values.ravel() for values in (at_zero, *turns)])
-        candidates = candidates[np.isfinite(candidates) & (candidates > 0.0) & (candidates < self.duration)]
-        return np.unique(np.concatenate([knots, candidates]))
+        velocity, acceleration = self._velocity(knots), np.abs(self._acceleration(knots))
+        jerk = np.abs(np.diff(self._acceleration(knots), axis=1)) / np.diff(knots)
+        fastest = np.maximum(acceleration[:, :-1], acceleration[:, 1:])
+        speed = np.abs(velocity[:, :-1]) + fastest * np.diff(knots)
+        return Pieces(knots[:-1], knots[1:], np.array([speed, fastest, jerk, np.zeros_like(jerk)]))
 
 
 @dataclass(frozen=True)
@@ -235,7 +241,7 @@ class RestToRest:
         ramp: [s] at each end.
     """
 
-    motion: Motion
+    motion: Oscillation
     periods: int
     ramp: float
 
@@ -259,84 +265,22 @@ class RestToRest:
         position, velocity, acceleration = self.motion.evaluate(own)
         return position, velocity * pace, acceleration * pace**2 + velocity * pace_change
 
-    def extreme_times(self) -> FloatArray:
-        """Those of the motion at full pace [s]; in the ramps the grid finds them."""
-        inner = self.motion.extreme_times()
-        starts = self.ramp + self.motion.duration * np.arange(self.periods)
-        return np.concatenate([[0.0, self.duration], (starts[:, None] + inner).ravel()])
-
-
-@dataclass(frozen=True)
-class Extremes:
-    """The largest values of a motion, a value a joint.
-
-    Attributes:
-        lowest, highest: position [rad or m].
-        velocity, acceleration: magnitude.
-        times: (4, n) when each of the four is reached [s].
-    """
-
-    lowest: FloatArray
-    highest: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    times: FloatArray
-
-
-def motion_extremes(motion: Motion) -> Extremes:
-    """The extremes of a motion over its duration, on a grid of at least 1 kHz and at the formula's own."""
-    count = int(min(max(motion.duration * GRID_RATE, 2000.0), _MAX_GRID)) + 1
-    time = np.unique(np.concatenate([np.linspace(0.0, motion.duration, count), motion.extreme_times()]))
-    position, velocity, acceleration = motion.evaluate(time)
-    extremes = (position.argmin(1), position.argmax(1), np.abs(velocity).argmax(1), np.abs(acceleration).argmax(1))
-    rows = np.arange(len(position))
-    return Extremes(
-        position[rows, extremes[0]],
-        position[rows, extremes[1]],
-        np.abs(velocity[rows, extremes[2]]),
-        np.abs(acceleration[rows, extremes[3]]),
-        time[np.array(extremes)],
-    )
-
-
-def check_limits(motion: Motion, limits: Sequence[JointLimits], where: str) -> None:
-    """Refuse a motion that leaves a joint's range or exceeds its velocity or acceleration limit.
-
-    Raises:
-        UsageError: names the joint, the value, the limit and the time.
-    """
-    extremes = motion_extremes(motion)
-    if len(extremes.lowest) != len(limits):
-        raise UsageError(f"moves {len(extremes.lowest)} joints, but the robot has {len(limits)}", where=where)
-    for joint, limit in enumerate(limits):
-        low, high = limit.position
-        cases = (
-            ("position", "rad or m", -extremes.lowest[joint], -low, -1.0),
-            ("position", "rad or m", extremes.highest[joint], high, 1.0),
-            ("velocity", "rad/s or m/s", extremes.velocity[joint], limit.velocity, 1.0),
-            ("acceleration", "rad/s² or m/s²", extremes.acceleration[joint], limit.acceleration, 1.0),
+    def pieces(self) -> Pieces:
+        """The ramps, where the chain rule gives the derivatives of position by time, and one period between them."""
+        own = self.motion.largest_derivatives()
+        rates = (QUINTIC_VELOCITY, QUINTIC_ACCELERATION, _JERK)
+        a, b, c = (rate / self.ramp**power for power, rate in enumerate(rates, start=1))
+        ramp = np.array(
+            [
+                own[0],
+                own[1] + own[0] * a,
+                own[2] + 3.0 * own[1] * a + own[0] * b,
+                own[3] + 6.0 * own[2] * a + own[1] * (3.0 * a**2 + 4.0 * b) + own[0] * c,
+            ]
         )
-        for case, (quantity, unit, value, allowed, sign) in enumerate(cases):
-            if not value <= allowed + LIMIT_TOLERANCE * max(1.0, abs(allowed)):
-                raise UsageError(
-                    f"joint {limit.name}: {quantity} {sign * value:.5g} at {extremes.times[case, joint]:.3f} s "
-                    f"passes its limit of {sign * allowed:.5g} {unit}",
-                    where=where,
-                    hint="reduce the amplitude or slow the motion down",
-                )
-
-
-def check_rest(motion: Motion, limits: Sequence[JointLimits], where: str) -> None:
-    """Refuse a motion that does not begin and end at rest (velocity below 0.1 % of the limit).
-
-    Raises:
-        UsageError: names the joint and the velocity.
-    """
-    _, velocity, _ = motion.evaluate(np.array([0.0, motion.duration]))
-    for joint, limit in enumerate(limits):
-        for moment, value in zip(("begins", "ends"), velocity[joint], strict=True):
-            if not abs(value) <= 1e-3 * limit.velocity:
-                raise UsageError(f"{moment} with joint {limit.name} at {value:.4g} rad/s, not at rest", where=where)
+        begin, length = np.array([0.0, self.ramp, self.duration - self.ramp]), self.motion.duration
+        end = np.array([self.ramp, self.ramp + length, self.duration])
+        return Pieces(begin, end, np.stack([ramp, own, ramp], axis=-1))
 
 
 def slow_move(start: FloatArray, end: FloatArray, limits: Sequence[JointLimits], share: float = 0.1) -> PointToPoint:

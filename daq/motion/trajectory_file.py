@@ -29,15 +29,15 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from daq.motion.fourier_quintic import FourierQuintic
+from daq.motion.limits import check_limits, check_rest
 from daq.motion.trajectories import (
+    SHORTEST_RAMP,
     FourierSeries,
     Motion,
     PointToPoint,
     RestToRest,
     SampledMotion,
     SumOfSines,
-    check_limits,
-    check_rest,
 )
 from daq.robot.schema import Robot
 from daq.robot.section import Finite, NonNegative, Positive
@@ -51,6 +51,7 @@ _LOOKS = 997
 
 Row = Annotated[tuple[Finite, ...], Field(min_length=1)]
 Rows = Annotated[tuple[Row, ...], Field(min_length=1)]
+Ramp = Annotated[Finite, Field(ge=SHORTEST_RAMP, description="[s] from rest to full speed, and back")]
 
 
 def _same_shape(*named: tuple[str, Rows]) -> None:
@@ -89,7 +90,7 @@ class FourierTrajectory(_Trajectory):
     cosine: Rows
     amplitudes: Literal["velocity", "position"] = "velocity"
     periods: int = Field(default=1, ge=1, le=10_000)
-    ramp: Positive = Field(default=2.0, description="[s]")
+    ramp: Ramp = 2.0
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -132,7 +133,7 @@ class SinesTrajectory(_Trajectory):
     offset: Row
     amplitude: Rows
     frequency: Rows = Field(description="[rad/s]")
-    ramp: Positive = Field(default=2.0, description="[s]")
+    ramp: Ramp = 2.0
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -16,8 +16,9 @@ from typing import Protocol
 
 import numpy as np
 
+from daq.motion.limits import check_limits
 from daq.motion.player import Player, Punctuality, dry_run, ticks
-from daq.motion.trajectories import Motion, check_limits
+from daq.motion.trajectories import Motion
 from daq.recording.recorder import Recorder
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.schema import Robot

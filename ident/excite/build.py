@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from daq.motion.trajectories import SHORTEST_RAMP
 from daq.robot.loader import RobotFile
 from drivers.closest import did_you_mean
 from drivers.errors import UsageError
@@ -195,10 +196,10 @@ def _waves(choices: DesignChoices) -> int:
 
 
 def _check(choices: DesignChoices) -> None:
-    positive = {"period": choices.period, "ramp": choices.ramp}
-    for name, value in positive.items():
-        if not 0.0 < value < np.inf:
-            raise UsageError(f"--{name} {value:g} is not a positive number of seconds")
+    if not 0.0 < choices.period < np.inf:
+        raise UsageError(f"--period {choices.period:g} is not a positive number of seconds")
+    if not SHORTEST_RAMP <= choices.ramp < np.inf:
+        raise UsageError(f"--ramp {choices.ramp:g} is too short; at least {SHORTEST_RAMP:g} s from rest to full speed")
     counts = {"harmonics": choices.harmonics, "periods": choices.periods}
     for name, count in counts.items():
         if count < 1:

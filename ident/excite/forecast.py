@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.motion.trajectories import Extremes, Motion, motion_extremes
+from daq.motion.limits import Extremes, motion_extremes
+from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
 from drivers.streams import FloatArray
 from ident.excite.prior import Prior, recording_rate

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from daq.motion.motion_check import MotionFigures, SmallestClearance
-from daq.motion.trajectories import GRID_RATE, Motion
+from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
 from drivers.errors import MotionRefusedError
 from drivers.streams import FloatArray
@@ -24,10 +24,12 @@ from ident.excite.path import Path
 from ident.excite.prior import find_prior
 from ident.model.dynamic_model import build_model
 
+GRID_RATE = 1000.0
+"""Grid [Hz] of the motion itself."""
 APPROACH_RATE = 200.0
 """Grid [Hz] of the way to the start pose, which takes a tenth of the velocity limits."""
 MOST_SAMPLES = 400_000
-"""A motion of more than 400 s is checked on a grid that is coarser than 1 kHz."""
+"""A motion of more than 400 s without repetition is checked on a grid that is coarser than 1 kHz."""
 TOLERANCE = 1e-3
 """Of distances [m] and of limit utilisations: a design was checked on another grid."""
 
@@ -99,8 +101,7 @@ class ArmMotionCheck:
         return self._check(motion, APPROACH_RATE, "the way to the start pose", from_here=True)
 
     def _check(self, motion: Motion, rate: float, where: str, *, from_here: bool) -> MotionFigures:
-        count = int(min(max(motion.duration * rate, 200.0), MOST_SAMPLES)) + 1
-        time = np.linspace(0.0, motion.duration, count)
+        time = _grid(motion, rate, where)
         path = Path(time, *motion.evaluate(time))
         clearances = []
         for watched in self._watched(path):
@@ -171,6 +172,29 @@ class ArmMotionCheck:
         up = -gravity / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
         speed = np.linalg.norm(np.diff(tool, axis=1), axis=0) / np.diff(path.time)
         return float((up @ tool).min()), float(np.linalg.norm(tool, axis=0).max()), float(speed.max())
+
+
+def _grid(motion: Motion, rate: float, where: str) -> FloatArray:
+    """Times (N,) [s] at a rate, of a part of the motion that is repeated only once.
+
+    Raises:
+        MotionRefusedError: they would be more than `MOST_SAMPLES` at `APPROACH_RATE`.
+    """
+    pieces = motion.pieces()
+    widths = pieces.end - pieces.start
+    total = float(widths.sum())
+    if total * APPROACH_RATE > MOST_SAMPLES:
+        raise MotionRefusedError(
+            f"lasts {total:.0f} s without repetition; at most {MOST_SAMPLES / APPROACH_RATE:.0f} s can be checked",
+            where=where,
+            hint="divide it into several motions",
+        )
+    rate = min(max(rate, 200.0 / total), MOST_SAMPLES / total)
+    grids = [
+        np.linspace(start, end, int(np.ceil(rate * (end - start))) + 1)
+        for start, end in zip(pieces.start, pieces.end, strict=True)
+    ]
+    return np.unique(np.concatenate(grids))
 
 
 _HINT = "change the motion, or correct mounting and workspace of the robot file"

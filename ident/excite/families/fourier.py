@@ -14,7 +14,14 @@ from daq.motion.trajectory_file import FourierQuinticTrajectory, FourierTrajecto
 from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
-from ident.excite.families.moving_joints import MovingJoints, check_count, check_positive, midrange, unwrapped
+from ident.excite.families.moving_joints import (
+    MovingJoints,
+    check_count,
+    check_positive,
+    check_ramp,
+    midrange,
+    unwrapped,
+)
 from ident.excite.path import Path
 
 _SCALE_POINTS = 40
@@ -177,7 +184,7 @@ class FourierFamily(_Family):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_positive("ramp", self.ramp)
+        check_ramp(self.ramp)
 
     @property
     def _series(self) -> Series:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.motion.trajectories import Motion, RestToRest
+from daq.motion.trajectories import SHORTEST_RAMP, Motion, RestToRest
 from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
@@ -148,6 +148,12 @@ def check_positive(name: str, value: float) -> None:
     """Refuse what is no time span; a UsageError."""
     if not 0.0 < value < np.inf:
         raise UsageError(f"a {name} of {value:g} s is not possible", hint="it must be a positive number of seconds")
+
+
+def check_ramp(value: float) -> None:
+    """Refuse a ramp that is shorter than a trajectory file may have; a UsageError."""
+    if not SHORTEST_RAMP <= value < np.inf:
+        raise UsageError(f"a ramp of {value:g} s is not possible", hint=f"it must be at least {SHORTEST_RAMP:g} s")
 
 
 def check_count(name: str, value: int, least: int) -> None:

@@ -13,7 +13,14 @@ from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.families.bounded import from_share, to_share
-from ident.excite.families.moving_joints import MovingJoints, check_count, check_positive, midrange, unwrapped
+from ident.excite.families.moving_joints import (
+    MovingJoints,
+    check_count,
+    check_positive,
+    check_ramp,
+    midrange,
+    unwrapped,
+)
 from ident.excite.path import Path
 
 _POINTS_A_WAVE = 40
@@ -53,7 +60,7 @@ class SinesFamily:
 
     def __post_init__(self) -> None:
         check_positive("duration", self.duration)
-        check_positive("ramp", self.ramp)
+        check_ramp(self.ramp)
         check_count("sines", self.sines, 1)
         low, high = self._band
         if not 0.0 < low < high < np.inf:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.motion.trajectories import Motion, check_limits
+from daq.motion.limits import check_limits
+from daq.motion.trajectories import Motion
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.path import Family, Path

@@ -10,8 +10,8 @@ import pytest
 
 from daq.motion import motion_check
 from daq.motion.approach import approaches, checked_approach
+from daq.motion.limits import check_rest, motion_extremes
 from daq.motion.motion_check import load_motion_check
-from daq.motion.trajectories import check_rest, motion_extremes
 from daq.robot.loader import load_robot
 from drivers.errors import MotionRefusedError
 

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.motion.fourier_quintic import FourierQuintic
-from daq.motion.trajectories import FourierSeries, motion_extremes
+from daq.motion.limits import motion_extremes
+from daq.motion.trajectories import FourierSeries
 
 
 def make(seed, period=6.0, joints=3, harmonics=4, periods=1):

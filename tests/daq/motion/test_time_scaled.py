@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from daq.motion.limits import check_rest, motion_extremes
 from daq.motion.time_scaled import TimeScaled
-from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest, check_rest, motion_extremes
+from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest
 from daq.robot.loader import load_robot
 from drivers.errors import UsageError
 

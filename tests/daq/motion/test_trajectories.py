@@ -7,19 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.motion.trajectories import (
-    FourierSeries,
-    PointToPoint,
-    RestToRest,
-    SampledMotion,
-    SumOfSines,
-    check_limits,
-    check_rest,
-    motion_extremes,
-    slow_move,
-)
+from daq.motion.limits import motion_extremes
+from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest, SampledMotion, SumOfSines, slow_move
 from daq.robot.schema import JointLimits
-from drivers.errors import UsageError
 
 
 def series(seed: int, joints: int, harmonics: int, period: float) -> FourierSeries:
@@ -91,29 +81,9 @@ def test_position_amplitudes_are_the_papers_formula():
     assert motion.evaluate(time)[0][0] == pytest.approx(expected)
 
 
-@settings(deadline=None, max_examples=50)
-@given(SERIES)
-def test_the_extremes_of_a_series_are_found_without_a_grid(motion):
-    at_extremes = motion.evaluate(motion.extreme_times())
-    on_grid = motion.evaluate(np.linspace(0.0, motion.period, 5000))
-    for found, seen in zip(at_extremes, on_grid, strict=True):
-        assert np.all(found.max(axis=1) >= seen.max(axis=1) - 1e-7 * (1 + np.abs(seen).max()))
-        assert np.all(found.min(axis=1) <= seen.min(axis=1) + 1e-7 * (1 + np.abs(seen).max()))
-
-
 def samples(seed: int) -> SampledMotion:
     generator = np.random.default_rng(seed)
     return SampledMotion(np.cumsum([0.0, *generator.uniform(0.2, 1.0, 7)]), generator.standard_normal((3, 8)))
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_the_extremes_of_a_spline_are_found_without_a_grid(seed):
-    motion = samples(seed)
-    at_extremes = motion.evaluate(motion.extreme_times())
-    on_grid = motion.evaluate(np.linspace(0.0, motion.duration, 5000))
-    for found, seen in zip(at_extremes, on_grid, strict=True):
-        assert np.all(found.max(axis=1) >= seen.max(axis=1) - 1e-9)
-        assert np.all(found.min(axis=1) <= seen.min(axis=1) + 1e-9)
 
 
 POINTS = PointToPoint(np.array([[0.0, 1.0], [2.0, -1.0], [1.0, 0.0]]), np.array([1.0, 2.0]), 0.5)
@@ -160,23 +130,6 @@ def test_a_ramped_series_is_the_series_in_between_and_rests_at_its_ends():
 
 def limits(position: float, velocity: float, acceleration: float) -> list[JointLimits]:
     return [JointLimits(name="j1", position=(-position, position), velocity=velocity, acceleration=acceleration)]
-
-
-ONE_SINE = FourierSeries(2.0, np.array([0.0]), np.array([[1.0]]), np.array([[0.0]]))  # 1/π rad, 1 rad/s, π rad/s²
-
-
-@pytest.mark.parametrize("quantity", ["position", "velocity", "acceleration"])
-def test_limits_are_sharp(quantity):
-    exact = {"position": 1.0 / np.pi, "velocity": 1.0, "acceleration": np.pi}
-    check_limits(ONE_SINE, limits(**exact), "test")
-    with pytest.raises(UsageError, match=f"joint j1: {quantity}"):
-        check_limits(ONE_SINE, limits(**{**exact, quantity: exact[quantity] * (1 - 1e-6)}), "test")
-
-
-def test_a_motion_must_rest_at_its_ends():
-    with pytest.raises(UsageError, match="begins with joint j1"):
-        check_rest(ONE_SINE, limits(9, 9, 9), "test")
-    check_rest(RestToRest(ONE_SINE, 1, 1.0), limits(9, 9, 9), "test")
 
 
 @pytest.mark.parametrize("way", [0.0, 0.01, 3.0])

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kinematic_arm import ROBOT_FILE
 
-from daq.motion.trajectories import check_limits
+from daq.motion.limits import check_limits
 from daq.motion.trajectory_file import dump_trajectory, load_trajectory, parse_trajectory
 from drivers.errors import UsageError
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from loop_arms import four_bar_arm
 
-from daq.motion.trajectories import check_limits, check_rest
+from daq.motion.limits import check_limits, check_rest
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.constraints.within_limits import criterion_within_limits

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from daq.motion.trajectories import motion_extremes
+from daq.motion.limits import motion_extremes
 from daq.motion.trajectory_file import load_trajectory
 from daq.robot.loader import load_robot
 from dynid import command

@@ -7,7 +7,7 @@ import functools
 import numpy as np
 import pytest
 
-from daq.motion.trajectories import check_limits, check_rest
+from daq.motion.limits import check_limits, check_rest
 from daq.robot.loader import builtin_robots, load_robot
 from drivers.errors import UsageError
 from ident.excite.build import build_problem

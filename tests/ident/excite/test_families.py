@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from daq.motion.trajectories import RestToRest, check_limits
+from daq.motion.limits import check_limits
+from daq.motion.trajectories import RestToRest
 from daq.motion.trajectory_file import dump_trajectory, parse_trajectory
 from daq.robot.loader import load_robot
 from daq.robot.schema import JointLimits

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.motion.trajectories import RestToRest, motion_extremes
+from daq.motion.limits import motion_extremes
+from daq.motion.trajectories import RestToRest
 from drivers.streams import FloatArray
 from ident.excite import forecast as module
 from ident.excite.forecast import excitation_figures

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.motion.trajectories import check_limits, check_rest, motion_extremes
+from daq.motion.limits import check_limits, check_rest, motion_extremes
 from daq.robot.loader import builtin_robots, load_robot
 from sim_drivers.synthetic.random_points import LIMIT_SHARE, random_points_motion
 
