@@ -15,6 +15,7 @@ from typing import NoReturn
 import typer
 
 from drivers.errors import INTERRUPTED_STATUS, DynidError, InputError
+from drivers.terminal import show_visibly
 
 COMMANDS_GROUP = "dynid.commands"
 USAGE_STATUS = 2
@@ -70,6 +71,7 @@ def report_error(error: DynidError, as_json: bool) -> None:
 def main() -> None:
     """Run the command line: exit status 0 done, 1 the work failed, 2 bad usage or input, 130 interrupted."""
     as_json = "--json" in sys.argv[1:]
+    show_visibly()
     for variable in BLAS_THREADS:
         os.environ.setdefault(variable, "1")
     try:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
+
+from drivers.terminal import styled, visible
 
 WIDTH_WITHOUT_TERMINAL = 160
 
@@ -37,14 +40,16 @@ def print_table(title: str, headers: Sequence[str], rows: Iterable[Sequence[obje
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=Text(title) if title else None, title_justify="left", show_edge=False, pad_edge=False)
+    table = Table(title=Text(visible(title)) if title else None, title_justify="left", show_edge=False, pad_edge=False)
     for column, header in enumerate(headers):
-        table.add_column(Text(header), justify="left" if column == 0 else "right", overflow="fold")
+        table.add_column(Text(visible(header)), justify="left" if column == 0 else "right", overflow="fold")
     for row in rows:
-        table.add_row(*(Text(cell(value)) for value in row))
-    console = Console(highlight=False)
+        table.add_row(*(Text(visible(cell(value))) for value in row))
+    out = styled(sys.stdout)
+    console = Console(file=out, highlight=False)
     # Into a file or a pipe tables keep their full width.
-    Console(highlight=False, width=console.width if console.is_terminal else WIDTH_WITHOUT_TERMINAL).print(table)
+    width = console.width if console.is_terminal else WIDTH_WITHOUT_TERMINAL
+    Console(file=out, highlight=False, width=width).print(table)
 
 
 def cell(value: object) -> str:
@@ -58,10 +63,11 @@ def cell(value: object) -> str:
 def progress_line(*, quiet: bool) -> Iterator[Callable[[str], None]]:
     """Tells what is being done: a spinner where standard error is a terminal, nothing elsewhere."""
     from rich.console import Console
+    from rich.text import Text
 
-    console = Console(stderr=True, highlight=False)
+    console = Console(file=styled(sys.stderr), highlight=False)
     if quiet or not console.is_terminal:
         yield lambda step: None
         return
     with console.status("…") as status:
-        yield status.update
+        yield lambda step: status.update(Text(visible(step)))

@@ -30,6 +30,7 @@ from daq.session.realtime import give_realtime_back
 from daq.session.supervisor import Limits
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.streams import Batch, FloatArray
+from drivers.terminal import styled, visible
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -218,7 +219,7 @@ def draw(reader: Connection) -> None:
     if (first := next(pictures, None)) is None:
         return
     # Only now: before the first picture a person may be asked on the same terminal.
-    with Live(picture(first), console=Console(file=sys.stderr), auto_refresh=False) as live:
+    with Live(picture(first), console=Console(file=styled(sys.stderr)), auto_refresh=False) as live:
         for status in pictures:
             live.update(picture(status), refresh=True)
 
@@ -247,9 +248,9 @@ def picture(status: Status) -> Group:
 
     head = Table.grid(padding=(0, 1))
     bar = ProgressBar(total=max(status.total, 1e-9), completed=min(status.elapsed, status.total), width=30)
-    head.add_row(Text(status.state), bar, Text(f"{status.elapsed:.1f} of {status.total:.1f} s; Ctrl-C stops"))
+    head.add_row(Text(visible(status.state)), bar, Text(f"{status.elapsed:.1f} of {status.total:.1f} s; Ctrl-C stops"))
     streams = [
-        Text(f"{s.name}: {s.rate:.1f} Hz, {s.samples} samples, {s.lost} lost", style="red" if s.lost else "")
+        Text(f"{visible(s.name)}: {s.rate:.1f} Hz, {s.samples} samples, {s.lost} lost", style="red" if s.lost else "")
         for s in status.streams
     ]
     arm = []
@@ -258,5 +259,5 @@ def picture(status: Status) -> Group:
     if status.temperature is not None:
         arm.append(f"hottest {status.temperature:.1f} °C ({status.temperature_joint})")
     disk = f"waiting for the disk {status.backlog / 2**10:.0f} KiB, dropped {status.overflow} samples"
-    lines = [Text("; ".join(arm))] if arm else []
+    lines = [Text(visible("; ".join(arm)))] if arm else []
     return Group(head, *streams, *lines, Text(disk, style="red" if status.overflow else ""))

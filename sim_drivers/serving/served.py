@@ -17,6 +17,7 @@ from types import FrameType
 from typing import Protocol, Self
 
 from drivers.errors import DynidError, UsageError, WorkError
+from drivers.terminal import styled, visible
 
 REFRESH = 0.5
 """[s] between two live lines."""
@@ -98,7 +99,8 @@ def serve_until_interrupted(served: Served, name: str, *, live: bool) -> None:
                     _say(served.messages.popleft(), live=shown)
                 if live:
                     shown = True
-                    print(f"{CLEAR_LINE}{served.live_line()}", end="", file=sys.stderr, flush=True)
+                    line = visible(served.live_line())
+                    print(f"{CLEAR_LINE}{line}", end="", file=styled(sys.stderr), flush=True)
     if shown:
         print(file=sys.stderr)
     if isinstance(served.failure, DynidError):
@@ -125,4 +127,4 @@ def _obey_typed_faults(served: Served) -> None:
 
 
 def _say(message: str, *, live: bool) -> None:
-    print(f"{CLEAR_LINE if live else ''}dynid: {message}", file=sys.stderr, flush=True)
+    print(f"{CLEAR_LINE if live else ''}dynid: {visible(message)}", file=styled(sys.stderr), flush=True)

@@ -102,3 +102,26 @@ def test_a_broken_third_party_package_is_named_and_left_out(monkeypatch, capsys)
     assert status == 0
     assert "ur5e" in out
     assert "no_such_package.commands:app could not be loaded" in err
+
+
+HOSTILE = "arm\x1b]0;owned\x07\x1b[2J\x9b31m\u202e"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["info", HOSTILE], ["check", HOSTILE], ["identify", HOSTILE], [HOSTILE], ["info", f"--{HOSTILE}"]],
+)
+@pytest.mark.parametrize("as_json", [False, True])
+def test_what_was_given_commands_no_terminal(monkeypatch, capsys, arguments, as_json):
+    status, out, err = run(monkeypatch, capsys, *arguments, *(["--json"] if as_json else []))
+    assert status == 2
+    assert not set("\x1b\x07\x9b\u202e") & set(out + err)
+    assert "1b" in out + err
+
+
+def test_what_a_file_says_commands_no_terminal(monkeypatch, capsys, tmp_path):
+    path = tmp_path / f"{HOSTILE.replace('/', '')}.yaml"
+    path.write_text('name: "a\\e[2J"\nmodel: {mdh: [{joint: "j\\e[31m", antecedent: "b\\a"}]}\n"k\\e[5m": 1\n')
+    status, out, err = run(monkeypatch, capsys, "check", str(path))
+    assert status == 2
+    assert not set("\x1b\x07\x9b\u202e") & set(out + err)

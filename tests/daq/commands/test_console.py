@@ -82,3 +82,11 @@ def test_tables_in_a_pipe_keep_every_column_and_markup_as_text(capsys):
 def test_an_empty_table_has_its_headers(capsys):
     print_table("nothing", ["name", "value"], [])
     assert "name" in capsys.readouterr().out
+
+
+def test_tables_command_no_terminal(capsys):
+    print_table("a\x1b[2J", ["b\x07"], [["c\x9b31m"]])
+    out = capsys.readouterr().out
+    assert "a\\u001b[2J" in out
+    assert "b\\u0007" in out
+    assert "c\\u009b31m" in out

@@ -78,6 +78,16 @@ def test_every_figure_is_drawn():
     assert "torque" not in console.export_text().partition("recording")[2]
 
 
+def test_names_of_a_controller_command_no_terminal() -> None:
+    stream = StreamStatus("joints\x1b[2J", 500.0, 10, 0)
+    status = Status("motion\x07", 1.0, 2.0, (stream,), 0.5, "j\x9b1m", 40.0, "k\u202e", 0, 0)
+    console = Console(width=160, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
+    console.print(picture(status))
+    text = console.export_text()
+    assert not set("\x1b\x07\x9b\u202e") & set(text)
+    assert "joints\\u001b[2J" in text
+
+
 def test_a_picture_is_sent_at_most_once_a_period(clock: SimulatedClock) -> None:
     reader, writer = os.pipe()
     publisher = Publisher(writer, LIMITS, IDLE, clock)
