@@ -11,8 +11,10 @@ import select
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from typing import Protocol
 
 _PR_SET_TIMERSLACK = 29
@@ -25,8 +27,27 @@ class HasFileno(Protocol):
         """The descriptor."""
 
 
+@dataclass(frozen=True)
+class Breakdown:
+    """The end of a thread that nobody asked for.
+
+    Attributes:
+        thread: its name.
+        error: what ended it.
+    """
+
+    thread: str
+    error: Exception
+
+    def __str__(self) -> str:
+        return f"the thread '{self.thread}' broke: {type(self.error).__name__}: {self.error}"
+
+
 class Clock:
     """The computer's monotonic clock and the operating system's threads."""
+
+    def __init__(self) -> None:
+        self._breakdowns: deque[Breakdown] = deque()
 
     def now(self) -> float:
         """Monotonic time [s]."""
@@ -59,8 +80,23 @@ class Clock:
         return threading.Lock()
 
     def thread(self, target: Callable[..., object], name: str, args: Sequence[object] = ()) -> threading.Thread:
-        """A daemon thread that may wait on this clock; not started yet."""
-        return threading.Thread(target=target, name=name, args=tuple(args), daemon=True)
+        """A daemon thread that may wait on this clock; not started yet. What breaks it is one of `breakdowns`."""
+        return threading.Thread(target=self.watched(target, name), name=name, args=tuple(args), daemon=True)
+
+    def watched(self, target: Callable[..., object], name: str) -> Callable[..., None]:
+        """The work of a thread; an error that it lets through becomes one of `breakdowns`."""
+
+        def work(*args: object) -> None:
+            try:
+                target(*args)
+            except Exception as error:  # whatever it is: who relies on the thread must learn that it is gone
+                self._breakdowns.append(Breakdown(name, error))
+
+        return work
+
+    def breakdowns(self) -> list[Breakdown]:
+        """Threads of this clock that broke since the last call; a session asks in every cycle, and ends by one."""
+        return [self._breakdowns.popleft() for _ in range(len(self._breakdowns))]
 
     def select(
         self, readers: Sequence[HasFileno], writers: Sequence[HasFileno], seconds: float

@@ -103,6 +103,7 @@ class Publisher:
         self._temperature: tuple[float, str] | None = None
         self._past: deque[tuple[float, Mapping[str, int]]] = deque(maxlen=RATE_PICTURES)
         self._sent = -np.inf
+        self._gone = False
 
     def add(self, batch: Batch) -> None:
         """Note a batch."""
@@ -118,10 +119,19 @@ class Publisher:
         if now - self._sent < PERIOD:
             return
         self._sent = now
-        with suppress(Exception):  # the pipe is full, or the display is gone
+        with suppress(Exception):  # the pipe is full
             message = json.dumps(asdict(self.status(state, elapsed, total, now))).encode() + b"\n"
             if len(message) <= MESSAGE_LIMIT:
-                os.write(self._pipe, message)
+                self._write(message, now)
+
+    def _write(self, message: bytes, now: float) -> None:
+        if self._gone:
+            return
+        try:
+            os.write(self._pipe, message)
+        except BrokenPipeError:
+            self._gone = True
+            self._recorder.event(now, "info", "live view", "the display ended; the recording goes on without it")
 
     def status(self, state: str, elapsed: float, total: float, now: float) -> Status:
         """The picture at `now` [s, host clock]."""

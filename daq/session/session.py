@@ -251,6 +251,8 @@ def record(
         finally:
             noticed, interrupted = course.source_time(), course.interrupted
             _stop(driver, player)
+        for breakdown in clock.breakdowns():
+            recorder.event(course.source_time(), "error", "session", str(breakdown))
         for message in course.clocks.messages():
             recorder.event(course.source_time(), "info", "clocks", message)
         stopped_by = str(error) if error is not None else interrupted
@@ -369,6 +371,8 @@ def _cycle(
         if batch.lost:
             when = float(batch.time[0]) if len(batch.time) else float("nan")
             recorder.event(when, "warning", batch.stream, f"{batch.lost} samples lost")
+    for breakdown in course.clock.breakdowns():
+        raise WorkError(str(breakdown))
     now = course.clock.now()
     breach = None
     for batch in batches:

@@ -24,7 +24,8 @@ VELOCITY_MARGIN = 1.1
 STALE_PERIODS = 5
 STALE_FLOOR = 0.05
 """An ordinary PC stalls for tens of milliseconds itself: below this [s] nobody can tell that from a silent source."""
-
+VALUE_AGES = {"position": (0.0, 1.0), "velocity": (0.0, 1.0), "torque": (0.0, 1.0), "temperature": (5.0, 60.0)}
+"""Of each quantity with a limit, how old [s] the newest value may be at least, and where its rate is unknown."""
 
 IndexArray = npt.NDArray[np.intp]
 
@@ -114,6 +115,12 @@ def stale_after(rate: float) -> float:
     return max(STALE_PERIODS / rate, STALE_FLOOR) if rate > 0 else np.inf
 
 
+def value_stale_after(quantity: str, rate: float) -> float:
+    """Age [s] from which a value with a limit is stale, in a stream of this rate [Hz], 0 where it is unknown."""
+    floor, unknown = VALUE_AGES[quantity]
+    return max(floor, stale_after(rate)) if rate > 0 else unknown
+
+
 _Part = tuple[FloatArray, IndexArray]
 """Values (N, m) of m joints, and which joints (m,) they are."""
 
@@ -136,6 +143,16 @@ class Supervisor:
         self._parts = _partial_channels(limits.joints, layouts)
         self._all = np.arange(len(limits.joints))
         self._last_arrival: dict[str, float] = {}
+        bounds = {
+            "position": np.minimum(limits.highest, -limits.lowest),
+            "velocity": limits.velocity,
+            "torque": limits.torque,
+            "temperature": limits.temperature,
+        }
+        # When each joint's newest value came [s, host clock]; NaN before the first, and where there is no limit.
+        self._last_value = {quantity: np.full(len(limits.joints), np.nan) for quantity in bounds}
+        self._limited = {quantity: np.isfinite(bound) for quantity, bound in bounds.items()}
+        self._value_stale_after = {quantity: _oldest(quantity, layouts) for quantity in bounds}
         self._commands: deque[tuple[float, FloatArray]] = deque()
 
     def commanded(self, host_time: float, position: FloatArray) -> None:
@@ -150,6 +167,7 @@ class Supervisor:
         limits = self._limits
         if (part := self._part(block, "position")) is not None:
             position, at = part
+            self._note_values("position", part, now)
             self._add(found, block, "position", "rad", part, position >= limits.lowest[at], limits.lowest)
             self._add(found, block, "position", "rad", part, position <= limits.highest[at], limits.highest)
             if len(at) == len(limits.joints):
@@ -161,18 +179,21 @@ class Supervisor:
                 self._add(found, block, "tracking error", "rad", (error, at), error <= bound, bound)
         if (part := self._part(block, "velocity")) is not None:
             speed, at = np.abs(part[0]), part[1]
+            self._note_values("velocity", part, now)
             self._add(found, block, "velocity", "rad/s", (speed, at), speed <= limits.velocity[at], limits.velocity)
         if (part := self._torque(block)) is not None:
             torque, at = part
+            self._note_values("torque", part, now)
             self._add(found, block, "torque", "N·m", part, torque <= limits.torque[at], limits.torque)
         if (part := self._part(block, "temperature")) is not None:
             heat, at = part
+            self._note_values("temperature", part, now)
             within = (heat <= limits.temperature[at]) | np.isnan(heat)
             self._add(found, block, "temperature", "°C", part, within, limits.temperature)
         return min(found, key=lambda entry: entry[0])[1] if found else None
 
     def check_ages(self, now: float, explain: Callable[[str, float], str] | None = None) -> Breach | None:
-        """The stream that has been silent for too long, once it has begun.
+        """What has been silent for too long, once it has begun: a stream, or a quantity of joints that has a limit.
 
         Args:
             now: [s, host clock].
@@ -183,11 +204,25 @@ class Supervisor:
             if now - arrival > allowed:
                 cause = "" if explain is None else explain(stream, allowed)
                 return Breach("stale data", f"stream {stream}", now - arrival, allowed, float("nan"), "s", cause)
+        for quantity, newest in self._last_value.items():
+            allowed = self._value_stale_after[quantity]
+            stale = np.flatnonzero(now - newest > allowed)
+            if len(stale):
+                who = f"{quantity} of {', '.join(self._limits.joints[joint] for joint in stale)}"
+                age = float(now - newest[stale].min())
+                return Breach("stale data", who, age, allowed, float("nan"), "s")
         return None
 
     def restart_ages(self, now: float) -> None:
         """Forgive the time until `now` [s, host clock], in which this process could not look."""
         self._last_arrival = dict.fromkeys(self._last_arrival, now)
+        for newest in self._last_value.values():
+            newest[~np.isnan(newest)] = now
+
+    def _note_values(self, quantity: str, part: _Part, now: float) -> None:
+        values, joints = part
+        came = joints[np.isfinite(values).any(axis=0)]
+        self._last_value[quantity][came[self._limited[quantity][came]]] = now
 
     def _part(self, block: Batch, quantity: str) -> _Part | None:
         """What a block says of a quantity of joints; None where it says nothing of any."""
@@ -249,6 +284,13 @@ class Supervisor:
             unit,
         )
         found.append((row, breach))
+
+
+def _oldest(quantity: str, layouts: Sequence[StreamLayout]) -> float:
+    """Age [s] from which the values of a quantity are stale; that of the slowest stream that has them."""
+    names = {quantity, "current"} if quantity == "torque" else {quantity}
+    rates = [layout.rate for layout in layouts for channel in layout.channels if channel.quantity in names]
+    return max((value_stale_after(quantity, rate) for rate in rates), default=np.inf)
 
 
 def _partial_channels(

@@ -145,6 +145,10 @@ class Receiver:
         if message.is_remote_frame:
             self._drained = arrived
             return True
+        if message.is_fd:
+            self._trouble("CAN FD frame(s) left out", arrived)
+            self._drained = arrived
+            return True
         identifier, data = message.arbitration_id, bytes(message.data)
         if message.is_extended_id:
             identifier |= EXTENDED

@@ -47,6 +47,7 @@ class SimulatedClock(Clock):
     """Time for a test; the thread that makes it takes part, others do when `thread` made them."""
 
     def __init__(self) -> None:
+        super().__init__()
         self._now = START
         self._waiters: list[_Waiter] = []
         self._test = threading.get_ident()
@@ -104,7 +105,7 @@ class SimulatedClock(Clock):
         return _Lock(self)
 
     def thread(self, target: Callable[..., object], name: str, args: Sequence[object] = ()) -> threading.Thread:
-        return _Thread(self, target, name, tuple(args))
+        return _Thread(self, self.watched(target, name), name, tuple(args))
 
     def call_at(self, moment: float, action: Callable[[], object]) -> threading.Thread:
         """Do something at a time of this clock, in a thread of its own."""
@@ -352,6 +353,8 @@ def simulated_time() -> Iterator[SimulatedClock]:
     finally:
         backends["virtual"] = before
     left = clock.end()
+    for breakdown in clock.breakdowns():
+        raise breakdown.error
     if clock.errors:
         raise clock.errors[0]
     if left:

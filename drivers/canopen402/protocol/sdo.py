@@ -21,6 +21,8 @@ from drivers.errors import ConnectionFailedError
 _UPLOAD = 0x40
 _DOWNLOAD = 0x23
 """Expedited, with its size: four bytes, less one for every 4 that are added."""
+_LENGTH = 8
+"""Of every SDO frame (CiA 301, 7.2.4.3) [bytes]."""
 
 
 class CanopenNetwork(Network):
@@ -54,6 +56,8 @@ class _Client(SdoClient):
         self._timeout = timeout
 
     def on_response(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        if len(data) != _LENGTH:
+            raise ValueError(f"an SDO answer of {len(data)} bytes")  # the receiver reports it and leaves it out
         with self._answered:
             super().on_response(can_id, data, timestamp)  # type: ignore[no-untyped-call]
             self._answered.notify_all()

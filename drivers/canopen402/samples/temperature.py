@@ -95,10 +95,8 @@ class TemperaturePoll:
                     return
                 try:
                     values[index] = read_temperature(drive, source)
-                except ConnectionFailedError as error:
+                except (ConnectionFailedError, ConnectionLostError) as error:  # an adapter may take the next request
                     self._report(drive, str(error))
-                except ConnectionLostError:
-                    return  # the samples will say it
             self._readings.append(TemperatureReading(self._clock.now(), values))
             turn = max(turn, math.floor((self._clock.now() - begin) / step))
 
