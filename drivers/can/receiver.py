@@ -21,6 +21,8 @@ POLL = 0.005
 """How long [s] the receiving thread waits for a frame before it looks whether it shall end."""
 BUFFER_FRAMES = 200_000
 """Frames that may wait to be taken: 40 s of six drives at 400 Hz."""
+CLASSICAL_BYTES = 8
+"""Most data bytes of a frame that is not CAN FD."""
 NOTICE_PERIOD = 1.0
 """At most one notice of a kind in so many seconds."""
 FAULTY_LIMIT = 1000
@@ -145,7 +147,7 @@ class Receiver:
         if message.is_remote_frame:
             self._drained = arrived
             return True
-        if message.is_fd:
+        if message.is_fd or message.dlc > CLASSICAL_BYTES:
             self._trouble("CAN FD frame(s) left out", arrived)
             self._drained = arrived
             return True

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kinematic_arm import NAMES, ROBOT_FILE
 
-from daq.session.supervisor import TRACKING_WINDOW, VELOCITY_MARGIN, Limits, Supervisor, stale_after
+from daq.session.supervisor import TRACKING_WINDOW, VELOCITY_MARGIN, Limits, Supervisor, stale_after, value_stale_after
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 LIMITS = Limits.of_robot(ROBOT_FILE.robot, tracking_error=0.05)
@@ -135,7 +137,51 @@ def test_the_order_of_columns_changes_nothing(order, shoulder, elbow):
     assert sorted_one.check(sorted_block, 0.0) == mixed_one.check(mixed_block, 0.0)
 
 
-def test_a_stream_that_is_not_essential_may_fall_silent():
-    supervisor = Supervisor(LIMITS, thermometer("elbow"))
+def test_a_stream_that_is_not_essential_may_fall_silent_where_nothing_in_it_has_a_limit():
+    supervisor = Supervisor(LIMITS, thermometer("room"))
     supervisor.check(heat(20.0), 50.0)
     assert supervisor.check_ages(1e6) is None
+    unlimited = replace(LIMITS, temperature=np.array([70.0, np.inf]))
+    supervisor = Supervisor(unlimited, thermometer("elbow"))
+    supervisor.check(heat(20.0), 50.0)
+    assert supervisor.check_ages(1e6) is None
+
+
+@pytest.mark.parametrize("then", [None, np.nan])
+def test_a_temperature_with_a_limit_that_stops_arriving_is_a_breach(then):
+    supervisor = Supervisor(LIMITS, thermometer("shoulder", "elbow"))
+    allowed = value_stale_after("temperature", 5.0)
+    assert supervisor.check_ages(1e6) is None  # it has not begun
+    for second in range(60):
+        supervisor.check(heat(20.0, 30.0 if second < 30 or then is None else then), float(second))
+        assert (supervisor.check_ages(float(second)) is None) == (then is None or second <= 29 + allowed)
+        if second > 29 + allowed and then is not None:
+            break
+    if then is None:
+        breach = supervisor.check_ages(59.0 + 1.01 * allowed)
+        assert breach is not None
+        assert breach.joint == "temperature of shoulder, elbow"
+    else:
+        breach = supervisor.check_ages(float(second))
+        assert breach is not None
+        assert breach.joint == "temperature of elbow"
+    assert str(breach).startswith(f"stale data of {breach.joint}: ")
+    supervisor.restart_ages(100.0)
+    assert supervisor.check_ages(100.0 + 0.9 * allowed) is None
+    assert supervisor.check_ages(100.0 + 1.1 * allowed) is not None
+
+
+def test_a_quantity_that_arrives_in_another_stream_is_not_stale():
+    layouts = (StreamLayout("joints", (ChannelLayout("temperature", NAMES),), 500.0), *thermometer("elbow")[1:])
+    supervisor = Supervisor(LIMITS, layouts)
+    supervisor.check(heat(20.0), 0.0)
+    for second in range(100):
+        supervisor.check(Batch("joints", np.zeros(1), np.zeros(1), {"temperature": np.full((1, 2), 30.0)}), second)
+        assert supervisor.check_ages(second) is None
+
+
+def test_values_of_unknown_rate_are_waited_for_longer():
+    assert value_stale_after("temperature", 0.0) == 60.0
+    assert value_stale_after("torque", 0.0) == 1.0
+    assert value_stale_after("torque", 500.0) == stale_after(500.0)
+    assert value_stale_after("temperature", 0.5) == 10.0

@@ -299,6 +299,58 @@ def test_what_the_driver_says_ends_a_motion_at_once(
     assert_closed(path, arm, report)
 
 
+def test_a_thread_that_breaks_ends_the_motion(tmp_path: Path, clock: SimulatedClock) -> None:
+    arm, path = KinematicArm(clock=clock), tmp_path / "run.h5"
+
+    def work() -> None:
+        clock.sleep(AFTER)
+        raise KeyError("0x581")
+
+    clock.thread(work, "temperatures").start()
+    report = run(path, arm, PLAY)
+    assert isinstance(report.error, WorkError)
+    assert report.stopped_by == "the thread 'temperatures' broke: KeyError: '0x581'"
+    assert stopped(arm) == pytest.approx(SEEN, abs=2 * PERIOD)
+    assert_closed(path, arm, report)
+
+
+def test_a_recorder_that_breaks_ends_the_motion(
+    tmp_path: Path, clock: SimulatedClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm, path = KinematicArm(clock=clock), tmp_path / "run.h5"
+    take = Recorder._take
+
+    def broken(self: Recorder, item: object) -> None:
+        if clock.now() - arm.begun > AFTER:
+            raise ZeroDivisionError("a bug")
+        take(self, item)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Recorder, "_take", broken)
+    report = run(path, arm, PLAY)
+    assert "recorder run.h5' broke: ZeroDivisionError: a bug" in str(report.stopped_by)
+    assert stopped(arm) < AFTER + 1.0
+    assert isinstance(report.error, WorkError)
+
+
+def test_a_thread_that_breaks_while_the_arm_is_stopped_is_an_event(tmp_path: Path, clock: SimulatedClock) -> None:
+    arm, path = KinematicArm(clock=clock), tmp_path / "run.h5"
+    stop = arm.stop
+
+    def work() -> None:
+        raise KeyError("late")
+
+    def stop_and_break() -> None:
+        stop()
+        thread = clock.thread(work, "late")
+        thread.start()
+        thread.join()
+
+    arm.stop = stop_and_break  # type: ignore[method-assign]
+    assert run(path, arm, duration=0.3).error is None
+    events = [event for event in read_recording(path).events if event.level == "error"]
+    assert [event.message for event in events] == ["the thread 'late' broke: KeyError: 'late'"]
+
+
 def test_a_command_that_breaks_ends_the_motion(tmp_path: Path, clock: SimulatedClock) -> None:
     class Deaf(KinematicArm):
         def command(self, position: np.ndarray) -> None:

@@ -176,6 +176,15 @@ def test_truncated_and_unreadable_frames_are_left_out_and_counted(clock: Simulat
         assert bus.flushed == 3
 
 
+def test_frames_of_can_fd_are_left_out_and_counted(clock: SimulatedClock) -> None:
+    flexible = message(1, bytes(12), is_fd=True)
+    with receiving(FedBus(clock, message(1, b"a"), flexible, flexible, message(1, b"b")), clock) as receiver:
+        assert [data for _, _, data in take(receiver, 2)] == [b"a", b"b"]
+        receiver.report_rest()
+        said = [notice.message for notice in receiver.notices()]
+    assert said == ["1 CAN FD frame(s) left out", "1 CAN FD frame(s) left out"]
+
+
 def test_what_was_not_told_yet_is_told_at_the_end(clock: SimulatedClock) -> None:
     bus = FedBus(clock, *[message(1, b"12", dlc=8) for _ in range(3)], message(2, b"12"))
     with receiving(bus, clock) as receiver:
