@@ -122,16 +122,16 @@ class Publisher:
         with suppress(Exception):  # the pipe is full
             message = json.dumps(asdict(self.status(state, elapsed, total, now))).encode() + b"\n"
             if len(message) <= MESSAGE_LIMIT:
-                self._write(message, now)
+                self._write(message)
 
-    def _write(self, message: bytes, now: float) -> None:
+    def _write(self, message: bytes) -> None:
         if self._gone:
             return
         try:
             os.write(self._pipe, message)
         except BrokenPipeError:
             self._gone = True
-            self._recorder.event(now, "info", "live view", "the display ended; the recording goes on without it")
+            self._recorder.event(np.nan, "info", "live view", "the display ended; the recording goes on without it")
 
     def status(self, state: str, elapsed: float, total: float, now: float) -> Status:
         """The picture at `now` [s, host clock]."""

@@ -78,6 +78,23 @@ def test_every_figure_is_drawn():
     assert "torque" not in console.export_text().partition("recording")[2]
 
 
+def test_the_end_of_the_display_is_one_event(clock: SimulatedClock) -> None:
+    reader, writer = os.pipe()
+    told: list[tuple[object, ...]] = []
+    recorder = SimpleNamespace(backlog=0, overflow=0, event=lambda *event: told.append(event))
+    publisher = Publisher(writer, LIMITS, recorder, clock)
+    publisher.show("motion", 1.0, 2.0)
+    assert told == []
+    os.close(reader)
+    for _ in range(3):
+        clock.sleep(2 * PERIOD)
+        publisher.show("motion", 1.0, 2.0)
+    os.close(writer)
+    ((_, level, source, message),) = told
+    assert (level, source) == ("info", "live view")
+    assert "the recording goes on" in str(message)
+
+
 def test_names_of_a_controller_command_no_terminal() -> None:
     stream = StreamStatus("joints\x1b[2J", 500.0, 10, 0)
     status = Status("motion\x07", 1.0, 2.0, (stream,), 0.5, "j\x9b1m", 40.0, "k\u202e", 0, 0)
