@@ -18,8 +18,10 @@ from canopen_recording import Bench, Run, arm_on_bus, swing
 
 from daq.session.session import READ_TIMEOUT
 from daq.session.supervisor import STALE_FLOOR
-from drivers.can.receiver import POLL
+from drivers.can.receiver import POLL, Receiver
 from drivers.canopen402.monitor.presence import HEARTBEATS_MISSED
+from drivers.canopen402.samples import temperature
+from drivers.canopen402.samples.sync import SyncProducer
 from drivers.errors import ConnectionFailedError
 from sim_drivers.canopen.network import LOOP_PERIOD, TICKS_PER_CHORE
 from sim_drivers.canopen.server import GRANULARITY, LONGEST_WAIT
@@ -192,6 +194,32 @@ def test_a_drive_that_says_no_more_that_it_lives_ends_the_motion(tmp_path: Path,
             assert FAULT - BEAT < last < FAULT + LOOK
         assert LIMIT < when - last <= LIMIT + PERIOD
         assert run.slots[-1] == round(when / PERIOD) - 1  # the newest row that was sure then
+
+
+@pytest.mark.parametrize(
+    ("thread", "place", "name"),
+    [
+        ("can ", Receiver, "_keep"),
+        ("SYNC", SyncProducer, "_send_outputs"),
+        ("temperatures", temperature, "read_temperature"),
+    ],
+)
+def test_any_thread_that_breaks_ends_the_motion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, thread: str, place: object, name: str
+) -> None:
+    with arm_on_bus(HEARTBEATS) as bench:
+        works = getattr(place, name)
+
+        def breaks(*arguments: object) -> object:
+            if FAULT < bench.clock.now() - bench.begun < FAULT + 1.0:
+                raise KeyError("a bug")
+            return works(*arguments)
+
+        monkeypatch.setattr(place, name, breaks)
+        run = bench.record(tmp_path, motion=swing())
+        when = assert_stopped(bench, run, f"the thread '{thread}")
+        assert str(run.report.stopped_by).endswith("broke: KeyError: 'a bug'")
+        assert FAULT < when < FAULT + 0.25
 
 
 def test_a_drive_without_power_makes_the_samples_stale(tmp_path: Path) -> None:
