@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterable
-from typing import Any, TextIO, cast
+from typing import Any, TextIO
 
 _COMMANDING = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f"  # control characters (C0 without tab and line feed, DEL, C1)
@@ -50,8 +50,10 @@ class VisibleStream:
 
 def show_visibly() -> None:
     """From now on whatever this process prints is visible; what draws on a terminal asks for `styled`."""
-    out, err = (cast(TextIO, VisibleStream(styled(stream))) for stream in (sys.stdout, sys.stderr))
-    sys.stdout, sys.stderr = out, err
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if not isinstance(stream, VisibleStream):
+            setattr(sys, name, VisibleStream(stream))
 
 
 def styled(stream: TextIO) -> TextIO:
