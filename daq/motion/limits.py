@@ -23,7 +23,7 @@ _SHARPNESS = 1e-10
 _BATCH = 4096
 """Intervals that are evaluated at once, about."""
 _MOST = 1_000_000
-"""Intervals that are evaluated in all; what is undecided then counts with its bound."""
+"""Times that are evaluated in all, and four for each piece; what is undecided then counts with its bound."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def motion_extremes(motion: Motion, sufficient: FloatArray | None = None) -> Ext
             _Intervals(pieces.start[part], pieces.end[part], np.arange(count)[part], np.full(shape, np.inf))
             for part in (slice(begin, begin + _BATCH) for begin in range(0, count, _BATCH))
         ]
-        while waiting and looked < _MOST:
+        while waiting and looked < _MOST + 4 * count:
             intervals = waiting.pop()
             edges, rise = _divided(intervals, pieces)
             values = _values(motion, edges)

@@ -175,7 +175,7 @@ def design_excitation(
         points: of a point-to-point motion.
         period: of one repetition [s].
         periods: repetitions.
-        ramp: from rest to full speed, and back [s].
+        ramp: from rest to full speed, and back [s]; at least 0.1.
         seed: of the random starts.
         time: duration of the search [s]; 20 s without `starts`.
         starts: number of starts; the result does not depend on the machine's speed.

@@ -85,6 +85,8 @@ def test_every_kind_moves_from_rest_to_rest_and_survives_its_text(content):
         ({**QUINTIC, "offset": [0.0]}, "'offset' has 1 joints"),
         ({**QUINTIC, "cosine": [[0.1], [0.2]]}, "'cosine' is 2 × 1, but 'sine' is 2 × 2"),
         ({**QUINTIC, "ramp": 2.0}, "ramp: unknown key"),
+        ({**FOURIER, "ramp": 0.05}, "ramp: found 0.05, but it should be greater than or equal to 0.1"),
+        ({**SINES, "ramp": 1e-3}, "ramp: found 0.001"),
         ({**QUINTIC, "periods": 0}, "periods: found 0"),
         ({**QUINTIC, "period": 50_000.0}, "lasts 150000 s"),
         ({**QUINTIC, "cosine": [[0.1, 0.0], [9.0, 0.1]]}, "joint elbow: position"),

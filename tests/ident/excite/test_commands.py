@@ -146,6 +146,7 @@ REFUSED = [
     (["arm.yaml", "--period", "0"], ["--period 0"]),
     (["arm.yaml", "--period", "nan"], ["--period nan"]),
     (["arm.yaml", "--ramp=-1"], ["--ramp -1"]),
+    (["arm.yaml", "--ramp", "0.001"], ["--ramp 0.001", "at least 0.1 s"]),
     (["arm.yaml", "--periods", "0"], ["--periods 0"]),
     (["arm.yaml", "--harmonics", "0"], ["--harmonics 0"]),
     (["arm.yaml", "--margin", "1"], ["--margin 1"]),

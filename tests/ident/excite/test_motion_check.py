@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from daq.motion.motion_check import MotionCheck
-from daq.motion.trajectories import PointToPoint, slow_move
+from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest, slow_move
 from daq.robot.loader import builtin_robots, load_robot, parse_robot
 from drivers.errors import MotionRefusedError
 from ident.excite.constraints.obstacle_distances import box_distances
@@ -194,3 +194,14 @@ def test_every_built_in_robot_has_poses_that_it_may_move_around(name) -> None:
         except MotionRefusedError:
             continue
     assert accepted >= 2
+
+
+def test_what_is_repeated_is_looked_at_once_and_what_is_too_long_is_refused():
+    series = FourierSeries(60.0, np.array([0.0, 0.3, 0.2]), np.full((3, 1), 0.02), np.zeros((3, 1)))
+    once, often = (arm().trajectory(RestToRest(series, periods, 1.0), "traj") for periods in (1, 1000))
+    assert often.duration == pytest.approx(60_002.0)
+    assert (often.lowest, often.farthest) == pytest.approx((once.lowest, once.farthest))
+    assert often.tool_speed == pytest.approx(once.tool_speed, rel=1e-3)
+    slow = PointToPoint(np.array([[0.0, 0.3, 0.2], [0.1, 0.3, 0.2]]), np.array([2001.0]))
+    with pytest.raises(MotionRefusedError, match="lasts 2001 s without repetition; at most 2000 s"):
+        arm().trajectory(slow, "traj")
