@@ -392,3 +392,17 @@ def test_closing_ends_the_thread_and_is_safe_twice(controller: Make, connect: Co
     assert not any(thread.name.startswith("rtde ") for thread in threading.enumerate())
     with pytest.raises(ConnectionLostError, match="not connected"):
         receiver.take(0.1)
+
+
+def test_a_receiving_thread_that_breaks_is_told(
+    clock: SimulatedClock, controller: Make, connect: Connect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    receiver = connect(controller(lambda number: paced(500.0, start=10.0)))
+
+    def broken() -> None:
+        raise KeyError("a bug")
+
+    monkeypatch.setattr(receiver, "_receive_until_pause", broken)
+    receiver.start()
+    clock.sleep(0.01)
+    assert [str(one) for one in clock.breakdowns()] == [f"the thread 'rtde {receiver.where}' broke: KeyError: 'a bug'"]

@@ -373,3 +373,18 @@ def test_over_a_socket_that_closes_and_comes_back() -> None:
         driver.close()
         peer.close()
         listener.close()
+
+
+def test_a_reading_thread_that_breaks_is_told(
+    clock: SimulatedClock, line: SerialLine, opened: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = opened()
+
+    def broken(_: object) -> None:
+        raise KeyError("a bug")
+
+    monkeypatch.setattr(driver._port, "_put", broken)
+    line.say("T1=20\n")
+    clock.sleep(0.05)
+    (breakdown,) = clock.breakdowns()
+    assert str(breakdown) == f"the thread 'thermometer {line.path}' broke: KeyError: 'a bug'"
