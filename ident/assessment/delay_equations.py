@@ -16,7 +16,7 @@ import numpy.typing as npt
 from drivers.streams import FloatArray
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import rows_by_block
-from ident.regression.velocity_reversals import REVERSAL_SHARE, reversal_mask
+from ident.regression.velocity_reversals import STICKING_SHARE, reversal_mask
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
 from ident.signals.repetition import IntArray, motion_phases
@@ -149,7 +149,7 @@ def _reversing(kernel: RegressorKernel, segment: Segment, parallel_filter: ZeroP
     It does for about one period of its cut-off: with half a period, simulated joints that stick still bias the delay.
     """
     reach = _cutoff_period(parallel_filter)
-    mask = reversal_mask(kernel, segment, REVERSAL_SHARE)
+    mask = reversal_mask(kernel, segment, STICKING_SHARE)
     reversals = np.cumsum(np.pad(mask.astype(np.int64), ((0, 0), (reach + 1, reach))), axis=1)
     near = reversals[:, 2 * reach + 1 :] - reversals[:, : -2 * reach - 1]
     return np.asarray(near[:, :: parallel_filter.factor] > 0)

@@ -30,7 +30,7 @@ from ident.regression.least_squares import ENERGY_METHODS, ordinary_least_square
 from ident.regression.observability import experiment_states, moving_motors, whole_arm
 from ident.regression.observation_matrix import only_torques
 from ident.regression.pruning import relative_std
-from ident.regression.velocity_reversals import REVERSAL_SHARE, all_equations, leave_out_reversals
+from ident.regression.velocity_reversals import STICKING_SHARE, all_equations, leave_out_reversals
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -46,8 +46,8 @@ MOST_OVERSAMPLED = 6.0
 decimation leaves 4.5 to 5."""
 
 FRICTION_CHANGE = 3.0
-"""A friction estimate that changes by more σ than this without reversals gives a warning; on motions that were followed
-exactly it changes by up to 2.4 σ, since data are left out."""
+"""A friction estimate that changes by more σ than this without reversals (`STICKING_SHARE`) gives a warning; on motions
+that were followed exactly it changes by up to 2.4 σ, since data are left out."""
 
 CONSISTENCY_COST = 1.25
 """Held-out error of the consistent model over the unconstrained one's that gives a warning; public recordings of the
@@ -268,12 +268,12 @@ def _experiment_checks(identification: Identification) -> list[Check]:
 
 
 def _reversal_checks(identification: Identification) -> list[Check]:
-    """A friction estimate that changes without the equations near velocity reversals."""
+    """A friction estimate that changes without more of the equations near velocity reversals."""
     choices, base, before = identification.choices, identification.base, identification.solution
-    if choices.method in ENERGY_METHODS or choices.reversal_share:
+    if choices.method in ENERGY_METHODS or choices.reversal_share >= STICKING_SHARE:
         return []
     kernel = RegressorKernel(identification.model, base.columns)
-    parts = [leave_out_reversals(kernel, run.prepared, REVERSAL_SHARE) for run in identification.runs]
+    parts = [leave_out_reversals(kernel, run.prepared, STICKING_SHARE) for run in identification.runs]
     estimator = estimator_of(choices.method, kernel, parts, None)
     try:
         after = estimator.solve(only_torques(estimator.reduce(parts), identification.experiment.torques), before.active)
@@ -292,8 +292,9 @@ def _reversal_checks(identification: Identification) -> list[Check]:
         return []
     changes = ", ".join(f"{base.names[i]} by {changed[i]:+.1f} σ" for i in largest)
     text = (
-        "Coulomb friction is not well defined near velocity reversals: without those equations the friction estimate "
-        f"changes ({changes}), which the error bars do not cover; compare --leave-out-reversals {REVERSAL_SHARE:g}"
+        "Coulomb friction is not well defined near velocity reversals: with more of those equations left out the "
+        f"friction estimate changes ({changes}), which the error bars do not cover; compare "
+        f"--leave-out-reversals {STICKING_SHARE:g}"
     )
     return [raised("friction-near-reversals", text)]
 

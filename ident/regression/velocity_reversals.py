@@ -7,7 +7,7 @@ rests while others move holds its load by a friction that says nothing of the lo
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -21,10 +21,13 @@ from ident.model.regressor import RegressorKernel
 from ident.signals.motion_masks import moving_mask
 from ident.signals.prepared import Prepared, Segment, Step
 
-REVERSAL_SHARE = 0.2
-"""Of a velocity's root mean square: below it a motor is near a reversal, and its equation is left out by default, in
-the identification and in the search of a delay (docs/identification.md has the figures)."""
+REVERSAL_SHARE = 0.05
+"""Of a velocity's root mean square: below it a motor is near a reversal, and its equation is left out by default
+(docs/identification.md has the figures)."""
 
+STICKING_SHARE = 0.2
+"""The same, below which a joint that sticks can affect an equation: the search of a delay and the check of friction
+near reversals do without these, where data are plenty and a bias counts."""
 
 REST_REACH = 0.5
 """Periods of the parallel filter's cut-off by which a rest reaches into the motion before and after it: half the width
@@ -58,21 +61,6 @@ def leave_out_rest(kernel: RegressorKernel, prepared: Prepared) -> Prepared:
     return replace(prepared, segments=tuple(segments), steps=(*prepared.steps, step))
 
 
-def without_reversals(
-    kernel: RegressorKernel, segments: Sequence[Segment], share: float = REVERSAL_SHARE
-) -> tuple[Segment, ...]:
-    """Segments without the equations of motors slower than `share` of their velocity's root mean square, nor at rest.
-
-    The search of a delay takes these: a joint that sticks at a reversal passes its torque on late, which
-    looks like a delay of many milliseconds.
-    """
-    masks = (reversal_mask(kernel, part, share) for part in segments)
-    return tuple(
-        replace(part, reversing=mask if part.reversing is None else mask | part.reversing)
-        for part, mask in zip(segments, masks, strict=True)
-    )
-
-
 def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: float) -> Prepared:
     """The same data without the equations near velocity reversals.
 
@@ -87,7 +75,11 @@ def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: floa
     check_share(share)
     if share == 0.0:
         return prepared
-    segments = without_reversals(kernel, prepared.segments, share)
+    masks = (reversal_mask(kernel, part, share) for part in prepared.segments)
+    segments = tuple(
+        replace(part, reversing=mask if part.reversing is None else mask | part.reversing)
+        for part, mask in zip(prepared.segments, masks, strict=True)
+    )
     counted = sum(int(part.used.sum()) for part in segments) * kernel.model.dof
     left_out = sum(int((part.reversing & part.used).sum()) for part in segments if part.reversing is not None)
     step = Step(

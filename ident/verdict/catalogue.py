@@ -244,8 +244,8 @@ _MODEL = (
         "friction-near-reversals",
         "warning",
         PARAMETERS,
-        "the friction estimate changes without the equations near velocity reversals",
-        "Compare --leave-out-reversals 0.2.",
+        "the friction estimate changes with more equations left out near velocity reversals",
+        "Compare --leave-out-reversals with the share in the sentence.",
     ),
     _note(
         "indefinite-inertia",

@@ -22,6 +22,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression import least_squares
 from ident.regression.observability import ExperimentChoices
+from ident.regression.velocity_reversals import STICKING_SHARE
 from ident.result.schema import Result
 from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.synthetic.measurement import simulate_recording
@@ -569,6 +570,7 @@ def test_friction_that_sticks_at_reversals_is_warned_of(recorded, three_joint):
     sticking = replace(clean, streams={JOINTS_STREAM: replace(stream, channels=channels)})
     (told,) = warned(identify([sticking], [], IdentifyChoices(reversals=0.0)))
     assert "Fs" in told
-    assert "--leave-out-reversals 0.2" in told
-    assert not warned(identify([sticking], [], IdentifyChoices()))
+    assert f"--leave-out-reversals {STICKING_SHARE:g}" in told
+    assert warned(identify([sticking], [], IdentifyChoices()))
+    assert not warned(identify([sticking], [], IdentifyChoices(reversals=STICKING_SHARE)))
     assert not warned(identify([sticking], [], IdentifyChoices(model=ModelChoices(friction="viscous"))))
