@@ -264,7 +264,7 @@ def test_moves_share_the_time_so_that_all_use_their_limits_alike():
 def test_one_unit_of_a_coefficient_uses_a_limit_fully():
     limits = tuple(
         JointLimits(name=name, position=(-2.0, 2.0), velocity=v, acceleration=a)
-        for name, v, a in (("slow", 0.1, 10.0), ("weak", 3.0, 0.1), ("short", 100.0, 1000.0))
+        for name, v, a in (("slow", 0.1, 10.0), ("weak", 3.0, 0.1), ("short", 75.0, 1000.0))
     )
     family = FourierFamily(limits, 6.0, 2, (0, 1, 2), np.zeros(3), 1, 1.0)
     for number in range(1, 5):

@@ -220,7 +220,7 @@ def test_undetermined_parameters_come_from_the_prior_and_say_so() -> None:
         ("known: {total_mass: {}}", "or 'min', 'max' or both"),
         ("prior: {links: {wrist_1_joint: {mass: -2}}}", "greater than 0"),
         ("prior: {links: {wrist_1_joint: {com: [0, 0, 0]}}}", "'com' needs 'mass'"),
-        ("prior: {links: {tool: {mass: 1}}}", "names joint 'tool'"),
+        ("prior: {links: {tool: {mass: 1}}}", "'prior.links' names 'tool', but there are only"),
         (
             "prior: {links: {wrist_1_joint: {mass: 1, com: [0, 0, 0], inertia: [1, 0, 0, 1, 0, 3]}}}",
             "no body has this inertia",
