@@ -41,6 +41,9 @@ def sim(
     worst_stuffing: bool = typer.Option(False, "--worst-stuffing", help="Every CAN frame as long as it can be."),
     thermometer: bool = typer.Option(False, "--thermometer", help="Its serial thermometer beside it."),
     payload: str | None = typer.Option(None, "--payload", help="MASS@X,Y,Z: kg, and m in the flange frame."),
+    position: str | None = typer.Option(
+        None, "--position", help="Where it stands at first, joint after joint, rad or m; default: mid-range."
+    ),
     seed: int = typer.Option(1, "--seed", help="Of the noise."),
     realtime: bool = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs the right to it)."),
     no_ui: bool = typer.Option(False, "--no-ui", help="No live line on standard error."),
@@ -57,4 +60,4 @@ def sim(
     if realtime:
         ask_for_realtime()
     bus = BusOptions(interface, channel, swap, worst_stuffing, thermometer)
-    simulate(robot, wire, host, version, seed, live=not (no_ui or as_json), bus=bus, payload=payload)
+    simulate(robot, wire, host, version, seed, live=not (no_ui or as_json), bus=bus, payload=payload, position=position)

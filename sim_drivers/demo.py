@@ -79,7 +79,7 @@ def run_demo(
     duration: float,
     seed: int,
     progress: Callable[[str], None] = lambda step: None,
-    arm: Callable[[str, int], AbstractContextManager[Record]] = over_rtde,
+    arm: Callable[[str, int, FloatArray], AbstractContextManager[Record]] = over_rtde,
 ) -> Demo:
     """Serve a simulated arm, move and record it over RTDE, identify, validate and report it.
 
@@ -89,7 +89,7 @@ def run_demo(
         duration: of the identification motion [s], rounded to whole periods.
         seed: of the motions and of the noise.
         progress: called before each step.
-        arm: serves a robot, with noise of a seed, and gives what records it.
+        arm: serves a robot with noise of a seed, at first at a position (n,), and gives what records it.
 
     Raises:
         RobotFileError: the robot file has no truth.
@@ -118,16 +118,17 @@ def run_demo(
     }
     paths = []
     lost = samples = 0
-    with arm(robot, seed) as record:
-        for name, trajectory_text in trajectories.items():
-            trajectory = folder / f"{name}.yaml"
-            trajectory.write_text(trajectory_text, encoding="utf-8")
-            paths.append(folder / f"{name}.h5")
-            seconds = load_trajectory(trajectory, robot_file.robot).motion.duration
-            progress(f"recording {seconds:.0f} s for {name} over RTDE")
+    for name, trajectory_text in trajectories.items():
+        trajectory = folder / f"{name}.yaml"
+        trajectory.write_text(trajectory_text, encoding="utf-8")
+        paths.append(folder / f"{name}.h5")
+        motion = load_trajectory(trajectory, robot_file.robot).motion
+        progress(f"recording {motion.duration:.0f} s for {name} over RTDE")
+        # The arm stands where the motion starts: a slow approach takes 20 s and shows nothing.
+        with arm(robot, seed, motion.evaluate(np.zeros(1))[0][:, 0]) as record:
             recorded = record(trajectory, paths[-1])
-            lost += recorded.lost
-            samples += recorded.samples
+        lost += recorded.lost
+        samples += recorded.samples
     # From here on it is what a user does: two recordings on disk, nothing known but their content.
     recordings = [[read_recording(path)] for path in paths]
     identification = identify(recordings[0], recordings[1], IdentifyChoices(), progress=progress)

@@ -16,6 +16,7 @@ from typing import Any
 from daq.recording.recording import JOINTS_STREAM
 from daq.session.realtime import may_have_realtime
 from drivers.errors import ConnectionFailedError, WorkError
+from drivers.streams import FloatArray
 
 HOSTS = tuple(f"127.0.0.{number}" for number in (1, 2, 3, 4, 5))
 """Loopback addresses that are tried in turn: the ports are fixed, another simulated arm may have them."""
@@ -39,13 +40,18 @@ Record = Callable[[Path, Path], Recorded]
 
 
 @contextmanager
-def over_rtde(robot: str, seed: int) -> Iterator[Record]:
+def over_rtde(robot: str, seed: int, position: FloatArray | None = None) -> Iterator[Record]:
     """Serve a simulated arm over RTDE while the block runs; gives what moves and records it from another process.
+
+    Args:
+        robot: built-in robot or robot file.
+        seed: of the noise.
+        position: (n,) of its joints at first [rad or m]; the middle of their ranges where None.
 
     Raises:
         ConnectionFailedError: it could not be started.
     """
-    with simulated_arm(robot, seed) as host:
+    with simulated_arm(robot, seed, position=position) as host:
 
         def record(trajectory: Path, out: Path) -> Recorded:
             joints = record_over_wire(robot, host, trajectory, out)["streams"][JOINTS_STREAM]
@@ -55,13 +61,15 @@ def over_rtde(robot: str, seed: int) -> Iterator[Record]:
 
 
 @contextmanager
-def simulated_arm(robot: str, seed: int, hosts: Sequence[str] = HOSTS) -> Iterator[str]:
+def simulated_arm(
+    robot: str, seed: int, hosts: Sequence[str] = HOSTS, position: FloatArray | None = None
+) -> Iterator[str]:
     """Serve a simulated arm over RTDE while the block runs; gives the address that it listens on.
 
     Raises:
         ConnectionFailedError: it could not be started on any of the addresses.
     """
-    process, host = _start(robot, seed, hosts)
+    process, host = _start(robot, seed, hosts, position)
     try:
         yield host
     finally:
@@ -73,10 +81,13 @@ def simulated_arm(robot: str, seed: int, hosts: Sequence[str] = HOSTS) -> Iterat
             process.wait()
 
 
-def _start(robot: str, seed: int, hosts: Sequence[str]) -> tuple[subprocess.Popen[str], str]:
+def _start(
+    robot: str, seed: int, hosts: Sequence[str], position: FloatArray | None
+) -> tuple[subprocess.Popen[str], str]:
+    start = [] if position is None else ["--position=" + ",".join(repr(float(angle)) for angle in position)]
     reason = "no address was tried"
     for host in hosts:
-        arguments = _dynid("sim", robot, "--host", host, "--seed", str(seed), "--no-ui", *_priority())
+        arguments = _dynid("sim", robot, "--host", host, "--seed", str(seed), "--no-ui", *start, *_priority())
         process = subprocess.Popen(
             arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )

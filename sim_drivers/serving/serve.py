@@ -10,6 +10,7 @@ from sim_drivers.serving.served import BusOptions, Served, serve_until_interrupt
 
 if TYPE_CHECKING:
     from daq.robot.loader import RobotFile
+    from drivers.streams import FloatArray
 
 WIRES = ("rtde", "canopen", "slcan", "can", "thermometer")
 
@@ -27,6 +28,7 @@ def simulate(
     live: bool,
     bus: BusOptions = AS_THE_ROBOT_FILE_SAYS,
     payload: str | None = None,
+    position: str | None = None,
 ) -> None:
     """Serve a simulated arm until Ctrl-C or SIGTERM.
 
@@ -39,9 +41,11 @@ def simulate(
         live: whether a line on standard error shows its state.
         bus: how its bus differs from its robot file's.
         payload: see `sim_drivers.plant.altered_arm.with_payload`; None for none.
+        position: see `start_position`; the middle of the joints' ranges where None.
 
     Raises:
-        UsageError: a bus, a version, a payload or an arm that cannot be simulated, or wrong keys of a connection.
+        UsageError: a bus, a version, a payload, a position or an arm that cannot be simulated, or wrong keys of a
+            connection.
         RobotFileError: the robot file cannot be read, or has no truth.
         ConnectionFailedError: an address cannot be listened on, or a bus not opened.
     """
@@ -54,18 +58,50 @@ def simulate(
         from sim_drivers.plant.altered_arm import with_payload
 
         robot_file = with_payload(robot_file, payload)
-    served = _served(robot_file, wire, host, version, seed, bus)
+    start = None if position is None else start_position(robot_file, position)
+    served = _served(robot_file, wire, host, version, seed, bus, start)
     serve_until_interrupted(served, robot_file.robot.name, live=live)
 
 
-def _served(robot_file: RobotFile, wire: str, host: str, version: str, seed: int, bus: BusOptions) -> Served:
+def start_position(robot_file: RobotFile, text: str) -> FloatArray:
+    """Where an arm stands at first: `A,B,…`, a number for each joint [rad or m].
+
+    Raises:
+        UsageError: not of that form, another number of joints, or beyond a joint's range.
+    """
+    import numpy as np
+
+    joints = robot_file.robot.joints
+    hint = f"--position {','.join('0' for _ in joints)}, rad or m, for {', '.join(robot_file.robot.joint_names)}"
+    try:
+        numbers = [float(number) for number in text.split(",")]
+    except ValueError:
+        raise UsageError(f"'{text}' is not a position", hint=hint) from None
+    if len(numbers) != len(joints):
+        raise UsageError(f"'{text}' has {len(numbers)} numbers for {len(joints)} joints", hint=hint)
+    for number, joint in zip(numbers, joints, strict=True):
+        least, most = joint.position
+        if not least <= number <= most:
+            raise UsageError(f"--position: {number:g} of {joint.name} is not within {least:g} to {most:g}", hint=hint)
+    return np.array(numbers)
+
+
+def _served(
+    robot_file: RobotFile,
+    wire: str,
+    host: str,
+    version: str,
+    seed: int,
+    bus: BusOptions,
+    position: FloatArray | None,
+) -> Served:
     from sim_drivers.plant.plant import Plant
 
     if wire == "thermometer":
         from sim_drivers.serving.thermometer import thermometer_alone
 
         return thermometer_alone(robot_file, seed)
-    plant = Plant(robot_file, seed=seed)
+    plant = Plant(robot_file, seed=seed, position=position)
     served: Served
     if wire == "rtde":
         served = RtdeServer(plant, host=host, version=version, joints=robot_file.robot.joints)

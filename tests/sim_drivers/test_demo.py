@@ -67,6 +67,14 @@ def test_truth_is_projected_and_lies_inside(demo):
 
 
 @pytest.mark.slow
+def test_the_arm_stands_where_each_motion_starts(demo):
+    for name in ("identification", "validation"):
+        recording = read_recording(demo.folder / f"{name}.h5")
+        (approach,) = [event.message for event in recording.events if "approach" in event.message]
+        assert approach == "approach to the start pose, 0.10 s"
+
+
+@pytest.mark.slow
 def test_json_is_one_strict_object(demo, capsys):
     print_demo(demo, as_json=True)
     shown = json.loads(capsys.readouterr().out)
@@ -101,7 +109,7 @@ def test_an_arm_is_recorded_over_rtde(tmp_path):
     motion = {"robot": "ur5e", "kind": "sines", "duration": 2.0, "ramp": 0.5, **sines}
     (tmp_path / "motion.yaml").write_text(yaml.safe_dump(motion))
     recorded, reason = None, ""
-    with over_rtde(str(tmp_path / "arm.yaml"), 1) as record:
+    with over_rtde(str(tmp_path / "arm.yaml"), 1, np.full(6, 0.02)) as record:
         try:
             recorded = record(tmp_path / "motion.yaml", tmp_path / "run.h5")
         except WorkError as error:  # a stall longer than that stops the motion, and is told

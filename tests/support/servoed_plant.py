@@ -74,10 +74,10 @@ class ServoedPlant:
 
 
 @contextmanager
-def in_simulated_time(robot: str, seed: int) -> Iterator[Record]:
+def in_simulated_time(robot: str, seed: int, position: np.ndarray) -> Iterator[Record]:
     """In place of `sim_drivers.simulated_arm.over_rtde`."""
     robot_file = load_robot(robot)
-    plant = Plant(robot_file, seed=seed)
+    plant = Plant(robot_file, seed=seed, position=position)
 
     def recorded(trajectory: Path, out: Path) -> Recorded:
         played = load_trajectory(trajectory, robot_file.robot)

@@ -1,0 +1,32 @@
+"""Where a simulated arm stands at first."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from daq.robot.loader import load_robot
+from drivers.errors import UsageError
+from sim_drivers.serving.serve import simulate, start_position
+
+
+def test_a_position_is_a_number_for_each_joint() -> None:
+    position = start_position(load_robot("ur5e"), "0.1,-1.5,1e-1,0,0,-0.25")
+    np.testing.assert_array_equal(position, [0.1, -1.5, 0.1, 0.0, 0.0, -0.25])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is not a position"),
+        ("0,0,0,0,0,x", "is not a position"),
+        ("0,0,0,0,0", "5 numbers for 6 joints"),
+        ("0,0,0,0,0,0,0", "7 numbers for 6 joints"),
+        ("0,0,4,0,0,0", "4 of elbow_joint is not within"),
+        ("nan,0,0,0,0,0", "nan of shoulder_pan_joint is not within"),
+        ("0,0,0,0,0,-inf", "-inf of wrist_3_joint is not within"),
+    ],
+)
+def test_what_is_no_position_is_refused_before_anything_is_served(text: str, said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        simulate("ur5e", "rtde", "127.0.0.9", "5.22", 1, live=False, position=text)
