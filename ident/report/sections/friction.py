@@ -37,7 +37,7 @@ def _order(data: ReportData) -> list[int]:
 
 def _figure(data: ReportData) -> Figure | None:
     result = data.result
-    if not any(series.used.any() for series in data.fit):
+    if not any(series.counted.any() for series in data.fit):
         return None
     joints = [
         joint for joint in _order(data) if any(getattr(result.friction[joint], kind) is not None for kind in KINDS)
@@ -47,8 +47,8 @@ def _figure(data: ReportData) -> Figure | None:
     points = min(SCATTER_POINTS, PAGE_SCATTER_POINTS // len(joints))
     panels = [_panel(data, joint, points) for joint in joints]
     rows = [panels[start : start + COLUMNS] for start in range(0, len(panels), COLUMNS)]
-    samples = sum(int(series.used.sum()) for series in data.fit)
-    sampled = f" (a random {whole(points)} of {whole(samples)} samples)" if samples > points else ""
+    samples = max(sum(int(series.counted[joint].sum()) for series in data.fit) for joint in joints)
+    sampled = f" (a random {whole(points)} of up to {whole(samples)} samples per joint)" if samples > points else ""
     caption = (
         "Points: measured torque minus all that the model predicts but friction and offset, that is, the residual plus "
         f"the curve{sampled}. Line: viscous and Coulomb friction and offset as identified. Band: 95 % interval of the "
@@ -60,8 +60,8 @@ def _figure(data: ReportData) -> Figure | None:
 def _panel(data: ReportData, joint: int, points: int) -> Panel:
     result = data.result
     name = result.joints[joint]
-    velocity = np.concatenate([series.velocity[joint, series.used] for series in data.fit])
-    residual = np.concatenate([series.residual[joint, series.used] for series in data.fit])
+    velocity = np.concatenate([series.velocity[joint, series.counted[joint]] for series in data.fit])
+    residual = np.concatenate([series.residual[joint, series.counted[joint]] for series in data.fit])
     known = np.flatnonzero(np.isfinite(residual))
     if len(known) > points:
         known = np.sort(np.random.default_rng(0).choice(known, points, replace=False))
