@@ -28,7 +28,7 @@ from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
-SECONDS = 25.0
+SECONDS = 40.0
 
 
 @pytest.fixture(scope="module")

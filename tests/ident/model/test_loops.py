@@ -289,8 +289,9 @@ def test_an_excitation_s_constraints_know_the_passive_joints() -> None:
     from ident.excite.constraints.workspace import WorkspaceLimits
     from ident.excite.path import Path
 
-    limits = "\nworkspace: {tool: [0, 0, 0.1], radius: [0.2, 1.5], height: [-0.3, 1.6]}\n"
-    robot_file = parse_robot(load_robot("sr400").text + limits, where="sr400", folder=None)
+    limits = "workspace: {tool: [0, 0, 0.1], radius: [0.2, 1.5], height: [-0.3, 1.6]}"
+    text = load_robot("sr400").text.replace("workspace: {floor: -0.5}", limits)
+    robot_file = parse_robot(text, where="sr400", folder=None)
     model = build_model(robot_file)
     assert model.link_names[model.tool_link] == "j6"
     geometry = arm_geometry(robot_file, model)
