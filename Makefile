@@ -10,7 +10,7 @@ SOAK ?= 60
 .PHONY: demo test lint format bench soak clean
 
 demo: $(INSTALLED)
-	$(BIN)/dynid demo --out demo
+	$(BIN)/dynid demo --out demo --force
 
 test: $(INSTALLED)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal

@@ -15,7 +15,7 @@
         ├── ConnectionFailedError  no answer, or not from the expected device
         ├── ConnectionLostError    the connection broke or went silent while recording
         ├── DriverStateError       a driver was asked for something that its state does not allow
-        ├── DiskError              the recording cannot be written any more
+        ├── DiskError              a file cannot be written any more: the disk is full or fails
         └── SafetyStopError        a limit was passed and the arm was stopped
 
 A message names what was wrong; `where` the file, key, joint or sample; `hint` what to do. `ValueError` and `TypeError`
@@ -125,7 +125,7 @@ class DriverStateError(WorkError):
 
 
 class DiskError(WorkError):
-    """The recording cannot be written any more."""
+    """A file cannot be written any more: the disk is full or fails."""
 
 
 class SafetyStopError(WorkError):

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import typer
 
+from daq.commands.options import FORCE, JSON
+
 app = typer.Typer()
 
 
@@ -15,7 +17,8 @@ def demo(
     robot: str = typer.Option("ur5e", "--robot", help="UR arm: built-in, or a robot file with a truth section."),
     duration: float = typer.Option(30.0, "--duration", help="Length of the identification motion [s]."),
     seed: int = typer.Option(1, "--seed", help="Of the motion and of the noise."),
-    as_json: bool = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there."),
+    force: bool = FORCE,
+    as_json: bool = JSON,
 ) -> None:
     """Excite and record a simulated UR arm over RTDE, identify, validate, compare with the truth, write the report.
 
@@ -25,7 +28,7 @@ def demo(
     from sim_drivers.demo import print_demo, run_demo
 
     with progress_line(quiet=as_json) as progress:
-        shown = run_demo(out, robot, duration, seed, progress)
+        shown = run_demo(out, robot, duration, seed, overwrite=force, progress=progress)
     print_demo(shown, as_json)
 
 

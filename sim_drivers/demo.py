@@ -11,6 +11,7 @@ import numpy as np
 
 from daq.commands.console import print_json, print_table
 from daq.motion.trajectory_file import dump_trajectory, load_trajectory
+from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder, replace_files
 from daq.recording.reader import read_recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import UsageError
@@ -26,8 +27,8 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.report import TruthTable, recorded_runs, write_report
-from ident.result.schema import Result, write_result
+from ident.report import ReportData, TruthTable, recorded_runs, write_result_folder
+from ident.result.schema import Result
 from sim_drivers.simulated_arm import Record, over_rtde
 
 PERIOD = 15.0
@@ -44,6 +45,13 @@ MARGIN = 0.2
 
 STARTS = 1
 """Of the excitation's design: the first start already comes within a tenth of the best of many."""
+
+FILES = (
+    *(f"{name}.{kind}" for name in ("identification", "validation") for kind in ("yaml", "h5")),
+    RESULT_FILE,
+    REPORT_FILE,
+)
+"""What the demonstration writes into its folder."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +86,8 @@ def run_demo(
     robot: str,
     duration: float,
     seed: int,
+    *,
+    overwrite: bool = False,
     progress: Callable[[str], None] = lambda step: None,
     arm: Callable[[str, int, FloatArray], AbstractContextManager[Record]] = over_rtde,
 ) -> Demo:
@@ -88,6 +98,7 @@ def run_demo(
         robot: built-in robot or robot file with a truth section and an RTDE connection.
         duration: of the identification motion [s], rounded to whole periods.
         seed: of the motions and of the noise.
+        overwrite: files of an earlier demonstration.
         progress: called before each step.
         arm: serves a robot with noise of a seed, at first at a position (n,), and gives what records it.
 
@@ -98,9 +109,8 @@ def run_demo(
     """
     if not 2.0 <= duration <= 3600.0:
         raise UsageError(f"--duration {duration:g} s is not between 2 s and an hour")
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"--out {folder} is a file; a folder is needed")
     robot_file = load_robot(robot)
+    check_output_folder(folder, FILES, robot_file.files, overwrite=overwrite)
     if not any(connection.driver == "rtde" for connection in robot_file.robot.connections.values()):
         raise UsageError(f"{robot} has no RTDE connection", hint="the demonstration works with ur5e, ur10 and ur10e")
     model = build_model(robot_file)
@@ -120,7 +130,7 @@ def run_demo(
     lost = samples = 0
     for name, trajectory_text in trajectories.items():
         trajectory = folder / f"{name}.yaml"
-        trajectory.write_text(trajectory_text, encoding="utf-8")
+        replace_files({trajectory: trajectory_text})
         paths.append(folder / f"{name}.h5")
         motion = load_trajectory(trajectory, robot_file.robot).motion
         progress(f"recording {motion.duration:.0f} s for {name} over RTDE")
@@ -133,15 +143,15 @@ def run_demo(
     recordings = [[read_recording(path)] for path in paths]
     identification = identify(recordings[0], recordings[1], IdentifyChoices(), progress=progress)
     result = summarise(identification, recordings[0], recordings[1])
-    write_result(folder / "result.json", result)
-    table = TruthTable(names=base.names, values=truth)
-    write_report(
-        folder / "report.html",
-        result,
-        identification.fit_series,
-        identification.validation_series,
-        table,
-        recorded_runs(identification, recordings[0], recordings[1]),
+    write_result_folder(
+        folder,
+        ReportData(
+            result,
+            identification.fit_series,
+            identification.validation_series,
+            TruthTable(names=base.names, values=truth),
+            recorded_runs(identification, recordings[0], recordings[1]),
+        ),
     )
     return Demo(identification, result, truth, folder, lost, samples)
 
@@ -161,8 +171,8 @@ def print_demo(demo: Demo, as_json: bool) -> None:
         print_json(
             {
                 "robot": demo.result.robot,
-                "report": str(demo.folder / "report.html"),
-                "result": str(demo.folder / "result.json"),
+                "report": str(demo.folder / REPORT_FILE),
+                "result": str(demo.folder / RESULT_FILE),
                 "validation_relative_error": demo.result.validation.relative_error if demo.result.validation else None,
                 "inside_95_percent": demo.inside,
                 "samples": demo.samples,
@@ -187,4 +197,4 @@ def print_demo(demo: Demo, as_json: bool) -> None:
     print(f"\n{demo.samples} samples over RTDE, {demo.lost} lost.")
     print(f"{demo.inside} of {len(names)} true values lie within their 95 % interval.")
     print(demo.result.verdict)
-    print(f"\nOpen {demo.folder / 'report.html'} in a browser.")
+    print(f"\nOpen {demo.folder / REPORT_FILE} in a browser.")

@@ -128,7 +128,7 @@ def record(arm: Path, wire: str, motion: Path, out: Path) -> None:
 
 def identified(arm: Path, recording: Path, out: Path) -> dict[str, BaseParameterResult]:
     """The base parameters of a recording, by name."""
-    dynid("identify", recording, "--robot", arm, "-o", out)
+    dynid("identify", recording, "--robot", arm, "-o", out, "--force")
     result = read_result(out / "result.json")
     print(
         f"  {recording.stem:8} {result.recordings[0].rate_hz:6.1f} Hz, {result.recordings[0].samples} samples", end=""

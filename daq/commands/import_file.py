@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from daq.commands.options import JSON
+from daq.commands.options import FORCE, JSON
 
 app = typer.Typer()
 
@@ -27,7 +27,7 @@ def import_recording(
     repair: list[str] = typer.Option([], "--repair", help="Repair to make: drop-nan, drop-duplicates, sort."),
     by_order: bool = typer.Option(False, "--by-order", help="Match joints by their order, whatever their names."),
     comment: str = typer.Option("", "--comment", help="Your words, kept in the recording."),
-    force: bool = typer.Option(False, "--force", help="Overwrite the output file."),
+    force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
     """Take over a recording made by something else.
@@ -39,6 +39,7 @@ def import_recording(
     from daq.commands.console import print_json
     from daq.importers import import_file
     from daq.importers.choices import ImportChoices
+    from daq.output_files import check_outputs
     from daq.recording.stream_quality import stream_quality
     from daq.recording.writer import write_recording
     from daq.robot.loader import load_robot
@@ -53,7 +54,9 @@ def import_recording(
         by_order=by_order,
         time_unit=time_unit,  # type: ignore[arg-type]
     )
-    recording = import_file(file, load_robot(robot), choices)
+    robot_file = load_robot(robot)
+    check_outputs([out], [file, *robot_file.files], overwrite=force)
+    recording = import_file(file, robot_file, choices)
     if comment:
         recording = replace(recording, comment=f"{comment} ({recording.comment})")
     write_recording(out, recording, overwrite=force)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from daq.commands.options import JSON
+from daq.commands.options import FORCE, JSON
 
 if TYPE_CHECKING:
     from daq.motion.motion_check import MotionFigures
@@ -34,7 +34,7 @@ def record_command(
     duration: float = typer.Option(None, "--duration", help="Record for so many seconds without moving the arm."),
     out: Path = typer.Option(..., "-o", "--out", help="Recording to write (.h5)."),
     comment: str = typer.Option("", "--comment", help="Your words, kept in the recording."),
-    force: bool = typer.Option(False, "--force", help="Overwrite the output file."),
+    force: bool = FORCE,
     realtime: bool = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs the right to it)."),
     no_ui: bool = typer.Option(False, "--no-ui", help="No live status on stderr."),
     as_json: bool = JSON,
@@ -53,8 +53,8 @@ def record_command(
     from daq.motion.motion_check import load_motion_check
     from daq.motion.time_scaled import TimeScaled
     from daq.motion.trajectory_file import load_trajectory
+    from daq.output_files import check_outputs
     from daq.recording.recorder import Recorder, require_room
-    from daq.recording.writer import require_writable
     from daq.robot.assumptions import assumed_limits
     from daq.robot.loader import load_robot
     from daq.session.bus_room import session_warnings
@@ -81,7 +81,8 @@ def record_command(
     warnings = session_warnings(robot_file, wire)
     if trajectory is not None:
         warnings += [f"assumed: {limit}" for limit in assumed_limits(robot_file)]
-    require_writable(out, overwrite=force)
+    samples = played.samples if played is not None else None
+    check_outputs([out], [*robot_file.files, trajectory, samples, prior], overwrite=force)
     require_room(out)
     told = sys.stdout if not as_json else sys.stderr if question is not None else None
     confirmation = figures = None

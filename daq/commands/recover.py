@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from daq.commands.options import JSON
+from daq.commands.options import FORCE, JSON
 
 app = typer.Typer()
 
@@ -15,7 +15,7 @@ app = typer.Typer()
 def recover_command(
     file: Path = typer.Argument(help="Recording whose writer died."),
     out: Path = typer.Option(None, "-o", "--out", help="Recording to write; FILE-recovered.h5 if absent."),
-    force: bool = typer.Option(False, "--force", help="Overwrite the output file."),
+    force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
     """Rescue what was flushed of a recording that was never closed.

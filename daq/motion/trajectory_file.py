@@ -204,11 +204,12 @@ _KINDS: dict[str, type[Trajectory]] = {
 
 @dataclass(frozen=True)
 class TrajectoryFile:
-    """A trajectory with the text that a recording keeps; samples of a CSV file stand in the text."""
+    """A trajectory with the text that a recording keeps; samples of a CSV file, `samples`, stand in the text."""
 
     trajectory: Trajectory
     motion: Motion
     text: str
+    samples: Path | None = None
 
 
 def load_trajectory(path: Path, robot: Robot) -> TrajectoryFile:
@@ -233,7 +234,9 @@ def parse_trajectory(text: str, robot: Robot, *, where: str, folder: Path | None
     if schema is None:
         problem = f"found {describe(kind)}" if "kind" in content else "this key is missing"
         raise UsageError(f"{problem}; allowed: {', '.join(_KINDS)}", where=f"{where}: kind")
+    samples = None
     if kind == "samples" and "csv" in content:
+        samples = (folder or Path()) / str(content["csv"])
         content = _with_samples(content, robot, where, folder)
         text = yaml.safe_dump(content, allow_unicode=True, sort_keys=False)
     trajectory = validated(content, schema, where=where, refusal=UsageError)
@@ -247,7 +250,7 @@ def parse_trajectory(text: str, robot: Robot, *, where: str, folder: Path | None
     with np.errstate(all="ignore"):  # a move of almost no duration has an infinite velocity, which is refused
         check_limits(motion, robot.joints, where)
         check_rest(motion, robot.joints, where)
-    return TrajectoryFile(trajectory, motion, text)
+    return TrajectoryFile(trajectory, motion, text, samples)
 
 
 def _plausible(trajectory: Trajectory, where: str) -> Motion:

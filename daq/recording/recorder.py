@@ -55,7 +55,8 @@ class Recorder:
         clock: the host's.
 
     Raises:
-        RecordingError: the file exists already, or its folder cannot be written.
+        UsageError: the file exists already, is no regular file, or its folder cannot be written.
+        RecordingError: it cannot be created.
     """
 
     def __init__(

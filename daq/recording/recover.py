@@ -11,6 +11,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from daq.output_files import check_outputs
 from daq.recording.hdf5_reason import hdf5_reason
 from daq.recording.reader import read_open_recording
 from daq.recording.recording import Channel, Event, Recording, Stream
@@ -64,12 +65,12 @@ def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:
     The recording stays incomplete (`complete` false): its readers should know that it ended by accident.
 
     Raises:
-        RecordingError: nothing can be read, HDF5 loops or crashes over it, or the new file exists already.
+        RecordingError: nothing can be read, or HDF5 loops or crashes over it.
+        UsageError: the new file is the old one, exists already or cannot be written.
     """
     if not path.is_file():
         raise RecordingError("no such file" if not path.exists() else "is not a file", where=str(path))
-    if path.resolve() == out.resolve():
-        raise RecordingError("would overwrite its own source", where=str(out), hint="choose another name with -o")
+    check_outputs([out], [path], overwrite=overwrite)
     _require_readable(path)
     rest = follow_recording(path)
     streams, cut = {}, {}

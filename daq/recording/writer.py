@@ -16,6 +16,7 @@ from typing import Any, Self
 import h5py
 import numpy as np
 
+from daq.output_files import check_outputs, unfinished_name
 from daq.recording.hdf5_reason import hdf5_reason
 from daq.recording.recording import SCHEMA_VERSION, Level, Recording, software_versions
 from daq.robot.loader import RobotFile
@@ -42,25 +43,6 @@ _EVENT_TYPE = np.dtype(
 def chunk_rows(rate: float) -> int:
     """Rows of a chunk of a stream with this nominal rate [Hz]; 1000 where it is unknown (0)."""
     return round(min(max(rate * CHUNK_SECONDS, 1.0), MAX_CHUNK_ROWS)) if rate > 0 else 1000
-
-
-def require_writable(path: Path, *, overwrite: bool) -> None:
-    """Check that a recording can be created, as far as that is known without creating it.
-
-    Raises:
-        RecordingError: the file exists already, or its folder cannot be written.
-    """
-    where, folder = str(path), path.parent
-    if path.is_dir():
-        raise RecordingError("is a folder", where=where, hint="name a file in it")
-    if path.exists() and not overwrite:
-        raise RecordingError("the file exists already", where=where, hint="choose another name or --force")
-    if not folder.is_dir():
-        said = "is not a folder" if folder.exists() else "there is no such folder"
-        raise RecordingError(said, where=str(folder), hint="create it, or choose another one")
-    written = path if path.exists() else folder
-    if not os.access(written, os.W_OK):
-        raise RecordingError("may not be written by you", where=str(written), hint="choose another place")
 
 
 def _try_bytes(path: Path, count: int) -> None:
@@ -100,7 +82,8 @@ class RecordingWriter:
     `complete` false and the exception as an event.
 
     Raises:
-        RecordingError: the file exists already, or its folder cannot be written.
+        UsageError: the file exists already, is no regular file, or its folder cannot be written.
+        RecordingError: it cannot be created.
     """
 
     def __init__(
@@ -114,11 +97,13 @@ class RecordingWriter:
         comment: str = "",
         overwrite: bool = False,
     ) -> None:
-        require_writable(path, overwrite=overwrite)
+        check_outputs([path], overwrite=overwrite)
         texts = robot.text + (robot.urdf_text or "") + trajectory + comment
         _try_bytes(path, CREATION_ROOM + len(texts.encode()) + sum(_chunk_bytes(layout) for layout in streams))
         try:
-            self._file = h5py.File(path, "w", libver="latest")
+            if overwrite:
+                path.unlink(missing_ok=True)  # not truncated: it may be known by another name too
+            self._file = h5py.File(path, "x", libver="latest")
         except OSError as error:
             raise RecordingError(f"cannot be created: {hdf5_reason(error)}", where=str(path)) from error
         self.path = path
@@ -306,7 +291,7 @@ class RecordingWriter:
 
 
 def write_recording(path: str | Path, recording: Recording, *, overwrite: bool = False) -> None:
-    """Write a recording from memory, with its own `created`, `host`, `versions` and `complete`.
+    """Write a recording from memory, with its own `created`, `host`, `versions` and `complete`; all of it or nothing.
 
     Args:
         path: of the file (.h5).
@@ -314,7 +299,8 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
         overwrite: replace a file that exists.
 
     Raises:
-        RecordingError: as `RecordingWriter` does, or the recording carries no robot file.
+        UsageError: the file exists already, is no regular file, or its folder cannot be written.
+        RecordingError: the disk refuses it, or the recording carries no robot file.
 
     Example:
         >>> import dynid, pathlib, tempfile
@@ -336,16 +322,16 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
         )
         for stream in recording.streams.values()
     ]
-    existed = path.exists()
+    check_outputs([path], overwrite=overwrite)
+    unfinished = unfinished_name(path)
     try:
         with RecordingWriter(
-            path,
+            unfinished,
             recording.robot(),
             layouts,
             trajectory=recording.trajectory,
             speed_scale=recording.speed_scale,
             comment=recording.comment,
-            overwrite=overwrite,
         ) as writer:
             for stream in recording.streams.values():
                 blocks = {quantity: channel.values for quantity, channel in stream.channels.items()}
@@ -354,11 +340,13 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
                 writer.event(event.time, event.level, event.source, event.message)
             writer.keep_origin(recording)
             writer.close(complete=recording.complete)
-    except BaseException:
-        # The source is still there: half of its copy would only be mistaken for it.
-        if not existed:
-            path.unlink(missing_ok=True)
-        raise
+        with unfinished.open("r+b") as file:
+            os.fsync(file.fileno())
+        unfinished.replace(path)
+    except RecordingError as error:
+        raise RecordingError(error.message, where=str(path), hint=error.hint) from error
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
 def _nominal_rate(time: FloatArray) -> float:

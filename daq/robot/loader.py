@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -36,6 +37,16 @@ class RobotFile(BaseModel):
     folder: Path | None = Field(description="what relative paths resolve against; None for a text without a place")
     urdf_text: str | None = Field(default=None, description="the URDF's XML, where the model names one")
     assumed: tuple[str, ...] = Field(default=(), description="what was assumed where a URDF was read as a robot")
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files that it comes from: itself, its URDF, those that its connections name; empty where it is built in."""
+        if self.folder is None:
+            return ()
+        extras = [value for entry in self.robot.connections.values() for value in (entry.model_extra or {}).values()]
+        names = [Path(self.where).name, self.robot.model.urdf, *extras]
+        paths = [self.folder / os.path.expanduser(name) for name in names if isinstance(name, str)]
+        return tuple(path for path in paths if os.path.isfile(path))
 
     @property
     def prismatic_joints(self) -> frozenset[str]:

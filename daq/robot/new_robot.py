@@ -9,6 +9,7 @@ from pathlib import Path
 
 import yaml
 
+from daq.output_files import check_outputs, replace_files
 from daq.robot.loader import read_robot_text
 from daq.robot.magnitudes import LARGEST_POSITION, LARGEST_VELOCITY
 from daq.robot.schema import ASSUMED_ACCELERATION
@@ -83,15 +84,15 @@ def new_robot_file(urdf: Path | None, joints: int | None, out: Path, *, overwrit
         overwrite: whether it may exist already.
 
     Raises:
-        UsageError: neither or both of `urdf` and `joints`, or `out` exists or is no YAML file's name.
+        UsageError: neither or both of `urdf` and `joints`, or `out` exists, cannot be written or is no YAML
+            file's name.
         RobotFileError: the URDF cannot be read.
     """
     if (urdf is None) == (joints is None):
         raise UsageError("give either a URDF or --joints", hint="dynid robot new arm.urdf -o arm.yaml")
     if out.suffix.lower() not in {".yaml", ".yml"}:
         raise UsageError(f"'{out}' is no name of a robot file", where="--out", hint="end it in .yaml")
-    if out.exists() and not overwrite:
-        raise UsageError("exists already", where=str(out), hint="--force overwrites it")
+    check_outputs([out], [urdf], overwrite=overwrite)
     if joints is not None and not 1 <= joints <= MOST_JOINTS:
         raise UsageError(f"--joints {joints} is not from 1 to {MOST_JOINTS}")
     if urdf is None:
@@ -99,7 +100,7 @@ def new_robot_file(urdf: Path | None, joints: int | None, out: Path, *, overwrit
     else:
         arm = read_urdf_arm(read_robot_text(urdf), urdf.name, where=str(urdf))
         text = new_robot_of_urdf(arm, Path(os.path.relpath(urdf.resolve(), out.resolve().parent)).as_posix())
-    out.write_text(text, encoding="utf-8")
+    replace_files({out: text})
     return text
 
 

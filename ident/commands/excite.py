@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ident.commands.options import JSON, ROBOT
+from ident.commands.options import FORCE, JSON, ROBOT
 from ident.excite.choices import DEFAULT_SECONDS, DesignChoices
 
 if TYPE_CHECKING:
@@ -41,12 +41,12 @@ def excite(
         False, "--loaded", help="Design for identifying a payload: the parameters of the last link."
     ),
     joints: str = typer.Option(None, "--joints", help="Joints that move, separated by commas; the others rest."),
-    prior: Path = typer.Option(None, "--prior", help="result.json with prior parameters and noise."),
+    prior: Path = typer.Option(None, "--prior", help="Model folder or result.json with prior parameters and noise."),
     margin: float = typer.Option(DesignChoices.margin, "--margin", help="Share of every limit kept free."),
     self_collision: bool = typer.Option(True, "--self-collision/--no-self-collision", help="Keep links apart."),
     solver: str = typer.Option("slsqp", "--solver", help="slsqp, trust-constr or ipopt."),
     page: Path = typer.Option(None, "--page", help="Page to write (.html): figures, plots, the arm in motion."),
-    force: bool = typer.Option(False, "--force", help="Overwrite the output files."),
+    force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
     """Design an excitation trajectory within the arm's limits; Ctrl-C ends the search with the best so far.
@@ -54,14 +54,14 @@ def excite(
     Example: dynid excite ur5e -o traj.yaml --periods 3 --page traj.html
     """
     from daq.commands.console import print_json, progress_line
-    from drivers.errors import UsageError
+    from daq.output_files import check_outputs
+    from daq.robot.loader import load_robot
     from ident.commands.options import joints_option
+    from ident.result.model import result_path
     from ident.tasks.excitation import design_excitation, load_trajectory, search_state
 
-    for path in (out, page):
-        _check_file(path, force)
-    if page is not None and page.resolve() == out.resolve():
-        raise UsageError("--out and --page name the same file", where=str(page))
+    prior_file = None if prior is None else result_path(prior)
+    check_outputs([out, page], [*load_robot(robot).files, earlier, prior_file], overwrite=force)
     with progress_line(quiet=as_json) as progress:
         progress("search")
         trajectory = design_excitation(
@@ -78,7 +78,7 @@ def excite(
             starts=starts,
             loaded=loaded,
             joints=joints_option(joints, "--joints"),
-            prior=prior,
+            prior=prior_file,
             margin=margin,
             self_collision=self_collision,
             solver=solver,  # type: ignore[arg-type]
@@ -95,20 +95,6 @@ def excite(
     _print(trajectory, out, page)
     for warning in trajectory.warnings:
         print(f"\nwarning: {warning}")
-
-
-def _check_file(path: Path | None, force: bool) -> None:
-    """Refuse an output file that cannot be written, before the search is paid for."""
-    from drivers.errors import UsageError
-
-    if path is None:
-        return
-    if path.is_dir():
-        raise UsageError("is a folder; a file is needed", where=str(path))
-    if path.exists() and not force:
-        raise UsageError("exists already", where=str(path), hint="overwrite it with --force")
-    if not path.parent.is_dir():
-        raise UsageError(f"there is no folder {path.parent}", where=str(path))
 
 
 def _object(trajectory: ExcitationTrajectory, out: Path, page: Path | None) -> dict[str, Any]:

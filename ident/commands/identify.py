@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import ACCEPT, DELAY, JSON, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE, SIGNIFICANCE
+from ident.commands.options import ACCEPT, DELAY, FORCE, JSON, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE, SIGNIFICANCE
 
 app = typer.Typer()
 
@@ -57,6 +57,7 @@ def identify_recordings(
     max_error: float = MAX_ERROR,
     max_joint_error: float = MAX_JOINT_ERROR,
     max_rmse: float = MAX_RMSE,
+    force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
     """Identify the dynamic model, validate it on held-out data, write result.json and report.html.
@@ -64,13 +65,16 @@ def identify_recordings(
     Example: dynid identify run.h5 --validate val.h5 -o model
     """
     from daq.commands.console import progress_line
+    from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder
+    from daq.robot.loader import load_robot
     from ident.commands.options import delay_option, joints_option, limits_option
     from ident.commands.print_result import print_result
-    from ident.result.schema import check_folder
     from ident.tasks.identification import identify
 
     folder = out if out is not None else Path(f"{recordings[0].stem}-model")
-    check_folder(folder)
+    inputs = [*recordings, *validate_with, *([accept] if accept is not None else ())]
+    inputs += load_robot(robot).files if robot else ()
+    check_output_folder(folder, (RESULT_FILE, REPORT_FILE), inputs, overwrite=force)
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
     with progress_line(quiet=as_json) as progress:
         result = identify(
@@ -108,6 +112,6 @@ def identify_recordings(
         print(result.to_json())
     else:
         print_result(result.result)
-        print(f"\n{folder / 'result.json'}\n{folder / 'report.html'}")
+        print(f"\n{folder / RESULT_FILE}\n{folder / REPORT_FILE}")
     if result.acceptance is not None and not result.acceptance.passed:
         raise typer.Exit(1)

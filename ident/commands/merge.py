@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import JSON, SIGNIFICANCE
+from ident.commands.options import FORCE, JSON, SIGNIFICANCE
 
 app = typer.Typer()
 
@@ -17,6 +17,7 @@ def merge_models(
     out: Path = typer.Option(Path("merged-model"), "-o", "--out", help="Folder for result.json and report.html."),
     validate_with: Path = typer.Option(None, "--validate", help="Held-out recording (.h5), used by none of them."),
     significance: float = SIGNIFICANCE,
+    force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
     """Merge models of one arm from several experiments, each weighted by its covariance, and test whether they agree.
@@ -24,15 +25,13 @@ def merge_models(
     Example: dynid merge arm-model wrist-model --validate val.h5 -o merged
     """
     from daq.commands.console import progress_line
-    from drivers.errors import UsageError
+    from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder
     from ident.commands.print_result import print_result
     from ident.result.model import result_path
-    from ident.result.schema import check_folder
     from ident.tasks.validation import merge
 
-    check_folder(out)
-    if out / "result.json" in map(result_path, models):
-        raise UsageError(f"--out {out} holds one of the models to be merged", hint="name another folder")
+    inputs = [*map(result_path, models), validate_with]
+    check_output_folder(out, (RESULT_FILE, REPORT_FILE), inputs, overwrite=force)
     with progress_line(quiet=as_json) as progress:
         progress("merging")
         merged = merge(models, validation=validate_with, significance=significance)
@@ -42,4 +41,4 @@ def merge_models(
         print(merged.to_json())
         return
     print_result(merged.result)
-    print(f"\n{out / 'result.json'}\n{out / 'report.html'}")
+    print(f"\n{out / RESULT_FILE}\n{out / REPORT_FILE}")

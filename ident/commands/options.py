@@ -8,9 +8,10 @@ from typing import Any
 
 import typer
 
+from daq.commands.options import FORCE as FORCE
+from daq.commands.options import JSON as JSON
 from drivers.errors import UsageError
 
-JSON = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there.")
 ROBOT = typer.Argument(help="Built-in robot or robot file.")
 SIGNIFICANCE = typer.Option(15.0, "--significance", help="Threshold of the relative standard deviation [%].")
 DELAY = typer.Option("auto", "--delay", help="Delay of torque behind position: auto, or SECONDS.")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import JSON, ROBOT
+from ident.commands.options import FORCE, JSON, ROBOT
 
 robot_app = typer.Typer(no_args_is_help=True, help="Robot files: joints, limits, base parameters.")
 app = typer.Typer()
@@ -74,7 +74,7 @@ def new(
         None, "--joints", help="Number of joints, for a file without a URDF (modified DH rows)."
     ),
     out: Path = typer.Option(..., "-o", "--out", help="Robot file to write (.yaml)."),
-    force: bool = typer.Option(False, "--force", help="Overwrite the output file."),
+    force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
     """Write a commented robot file to complete: every key that matters with its unit, TODO where a value is missing.

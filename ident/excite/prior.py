@@ -16,6 +16,7 @@ from ident.identify.revalidate import stored_choices
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
+from ident.result.model import result_path
 from ident.result.schema import Result, read_result
 from ident.signals.options import filtered_rate
 
@@ -58,7 +59,7 @@ def find_prior(robot_file: RobotFile, result: Path | None = None) -> Prior:
 
     Args:
         robot_file: the arm.
-        result: result.json of an identification of it.
+        result: of an identification of it: a model folder or its result.json.
 
     Raises:
         ResultFileError: that file cannot be read or lacks what is needed.
@@ -67,7 +68,8 @@ def find_prior(robot_file: RobotFile, result: Path | None = None) -> Prior:
     """
     base = base_parameters(build_model(robot_file))
     if result is not None:
-        return prior_of_result(read_result(result), robot_file.robot, base, where=str(result))
+        path = result_path(result)
+        return prior_of_result(read_result(path), robot_file.robot, base, where=str(path))
     robot = robot_file.robot
     assumed = np.array([assumed_noise(limits.torque) for limits in robot.joints])
     if not all(name in robot.truth.links for name in (*robot.joint_names, *robot.passive_names)):

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from drivers.errors import UsageError
-from drivers.text_file import replace_file
 from ident.report import number_text
 
 if TYPE_CHECKING:
@@ -33,17 +30,3 @@ def page_templates(*packages: str) -> Environment:
     for name in ("number", "percent", "whole", "with_error", "half_interval", "setting"):
         environment.filters[name] = getattr(number_text, name)
     return environment
-
-
-def write_html(path: Path, text: str) -> None:
-    """Write a page.
-
-    Raises:
-        UsageError: the file cannot be written.
-    """
-    try:
-        replace_file(path, text)
-    except OSError as error:
-        raise UsageError(
-            f"cannot be written: {error.strerror}", where=str(path), hint="name a folder that exists and is yours"
-        ) from error

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from ident.regression.comparison import TorqueSeries
-from ident.report.html_file import page_templates, write_html
-from ident.report.recorded_runs import RecordedRuns
-from ident.report.section import ReportData, ReportSection, TruthTable
+from daq.output_files import REPORT_FILE, RESULT_FILE, write_folder
+from ident.report.html_file import page_templates
+from ident.report.section import ReportData, ReportSection
 from ident.report.sections import (
     correlation,
     data_quality,
@@ -25,7 +24,7 @@ from ident.report.sections import (
     torques_validation,
     truth,
 )
-from ident.result.schema import Result
+from ident.result.schema import result_file_text
 
 SECTIONS: tuple[Callable[[ReportData], ReportSection | None], ...] = (
     summary.section,
@@ -46,28 +45,14 @@ SECTIONS: tuple[Callable[[ReportData], ReportSection | None], ...] = (
 """In the order of the page; a section that does not apply to this result returns None."""
 
 
-def write_report(
-    path: Path,
-    result: Result,
-    fit: tuple[TorqueSeries, ...],
-    validation: tuple[TorqueSeries, ...],
-    truth: TruthTable | None = None,
-    recorded: RecordedRuns | None = None,
-) -> None:
-    """Write report.html.
-
-    Args:
-        path: of the file.
-        result: what was identified.
-        fit: measured and predicted torques of the identification data.
-        validation: the same of held-out data; empty where there are none.
-        truth: true base parameters of a simulated arm.
-        recorded: motion and temperatures of the recordings; without them, the section on the motion is left out.
+def write_result_folder(folder: Path, data: ReportData) -> None:
+    """Write result.json and report.html into a folder: both or neither.
 
     Raises:
-        UsageError: the file cannot be written.
+        UsageError: it is a file, or cannot be written.
+        DiskError: the disk is full or fails.
     """
-    write_html(path, render_report(ReportData(result, fit, validation, truth, recorded or RecordedRuns())))
+    write_folder(folder, {RESULT_FILE: result_file_text(data.result), REPORT_FILE: render_report(data)})
 
 
 def render_report(data: ReportData) -> str:

@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, computed_field, model_validator
 
-from drivers.errors import ResultFileError, UsageError
-from drivers.text_file import replace_file
+from daq.output_files import replace_files
+from drivers.errors import ResultFileError
 from ident.model.parameters import Kind
 from ident.verdict.acceptance import Acceptance
 from ident.verdict.check import PURPOSES, texts
@@ -348,19 +348,18 @@ class Result(_Part):
         return {**content, "verdict": {"headline": content["verdict"], "checks": checks}}
 
 
-def check_folder(folder: Path) -> None:
-    """Whether results can be written into a folder, before anything is computed for them.
+def write_result(path: Path, result: Result) -> None:
+    """Write result.json.
 
     Raises:
-        UsageError: it is a file.
+        UsageError, DiskError: it cannot be written.
     """
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"--out {folder} is a file; a folder is needed")
+    replace_files({path: result_file_text(result)})
 
 
-def write_result(path: Path, result: Result) -> None:
-    """Write result.json."""
-    replace_file(path, result_json(result) + "\n")
+def result_file_text(result: Result) -> str:
+    """The text of result.json."""
+    return result_json(result) + "\n"
 
 
 def result_json(result: Result) -> str:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from daq.motion.trajectories import Motion
 from daq.motion.trajectory_file import dump_trajectory, parse_trajectory
 from daq.motion.trajectory_file import load_trajectory as read_trajectory
+from daq.output_files import replace_files
 from daq.robot.assumptions import assumed_limits
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
@@ -113,18 +114,15 @@ class ExcitationTrajectory:
         """Write the trajectory file (YAML) that `dynid record --trajectory` plays.
 
         Raises:
-            UsageError: it cannot be written.
+            UsageError, DiskError: it cannot be written.
         """
-        try:
-            replace_file(Path(path), self.text)
-        except OSError as error:
-            raise UsageError(f"cannot be written: {error.strerror}", where=str(path)) from error
+        replace_files({Path(path): self.text})
 
     def page(self, path: str | PathLike[str]) -> None:
         """Write a page (HTML): figures, plots, the arm in motion.
 
         Raises:
-            UsageError: it cannot be written.
+            UsageError, DiskError: it cannot be written.
         """
         notes = [] if self.design is None else design_notes(self.design)
         write_page(Path(path), self.robot_file, self.motion, self._prior, self.figures, notes)

@@ -19,9 +19,9 @@ from ident.regression.comparison import TorqueSeries
 from ident.regression.least_squares import Method
 from ident.regression.observability import REST_TOLERANCE, ExperimentChoices
 from ident.regression.pruning import SIGNIFICANT_RSD
-from ident.report import RecordedRuns, recorded_runs, write_report
+from ident.report import RecordedRuns, ReportData, recorded_runs, write_result_folder
 from ident.result.model import Model, result_path
-from ident.result.schema import Fit, Result, check_folder, read_result, result_json, write_result
+from ident.result.schema import Fit, Result, read_result, result_json
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.signals.options import FilterKind
 from ident.signals.pipeline import PreprocessChoices
@@ -153,19 +153,16 @@ class IdentificationResult:
         return Model(self.result, "full" if self.result.consistent is None else "consistent")
 
     def save(self, folder: str | PathLike[str]) -> None:
-        """Write `result.json` and `report.html` into a folder, as `dynid identify -o` does.
+        """Write `result.json` and `report.html` into a folder, as `dynid identify -o` does; replaces those in it.
 
         Raises:
             UsageError: it is a file, or cannot be written.
+            DiskError: the disk is full or fails.
         """
-        path = Path(folder)
-        check_folder(path)
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            write_result(path / "result.json", self.result)
-        except OSError as error:
-            raise UsageError(f"cannot be written: {error.strerror}", where=str(path)) from error
-        write_report(path / "report.html", self.result, self.fit_series, self.validation_series, recorded=self.recorded)
+        write_result_folder(
+            Path(folder),
+            ReportData(self.result, self.fit_series, self.validation_series, recorded=self.recorded),
+        )
 
     def to_json(self) -> str:
         """The text of `result.json`."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from daq.commands.console import json_text
+from daq.output_files import write_folder
 from daq.recording.recording import JOINTS_STREAM
-from drivers.errors import UsageError
 from ident.checks.page.plots import intervals_figure, shown_unit, signals_figure, spectra_figure
 from ident.checks.recording_check import RecordingInfo, info_object
 from ident.regression.pruning import SIGNIFICANT_RSD
-from ident.report.html_file import page_templates, write_html
+from ident.report.html_file import page_templates
 from ident.report.number_text import DASH, number, percent, whole
 from ident.report.section import Tile
 
@@ -18,19 +18,6 @@ JSON_FILE = "info.json"
 PAGE_FILE = "info.html"
 MOST_GAPS = 50
 """Gaps in the page's table; a recording that lost samples all the time has thousands."""
-
-
-def check_page_folder(folder: Path, *, overwrite: bool) -> None:
-    """Whether the page can be written, before anything is computed for it.
-
-    Raises:
-        UsageError: the folder is a file, or holds a page already that must not be overwritten.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"--page {folder} is a file; a folder is needed")
-    for name in (JSON_FILE, PAGE_FILE):
-        if (folder / name).exists() and not overwrite:
-            raise UsageError("exists already", where=str(folder / name), hint="overwrite it with --force")
 
 
 def write_page(folder: Path, info: RecordingInfo, file: str) -> None:
@@ -42,15 +29,9 @@ def write_page(folder: Path, info: RecordingInfo, file: str) -> None:
         file: what the recording is called.
 
     Raises:
-        UsageError: they cannot be written.
+        UsageError, DiskError: they cannot be written.
     """
-    page = render_page(info, file)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"cannot be written: {error.strerror}", where=str(folder)) from error
-    write_html(folder / JSON_FILE, json_text(info_object(info, file)) + "\n")
-    write_html(folder / PAGE_FILE, page)
+    write_folder(folder, {JSON_FILE: json_text(info_object(info, file)) + "\n", PAGE_FILE: render_page(info, file)})
 
 
 def render_page(info: RecordingInfo, file: str) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from daq.motion.trajectories import Motion
+from daq.output_files import replace_files
 from daq.robot.loader import RobotFile
 from ident.excite.forecast import ExcitationFigures
 from ident.excite.page.arm_scene import arm_figure
@@ -15,7 +16,7 @@ from ident.model.dynamic_model import build_model
 from ident.regression.pruning import SIGNIFICANT_RSD
 from ident.report import number_text
 from ident.report.figures import KIND_STYLES
-from ident.report.html_file import page_templates, write_html
+from ident.report.html_file import page_templates
 from ident.report.number_text import number, percent
 from ident.report.section import Tile
 
@@ -39,9 +40,9 @@ def write_page(
         notes: options and outcome of the design, as pairs of a name and a text.
 
     Raises:
-        UsageError: the file cannot be written.
+        UsageError, DiskError: it cannot be written.
     """
-    write_html(path, render_page(robot_file, motion, prior, figures, notes))
+    replace_files({path: render_page(robot_file, motion, prior, figures, notes)})
 
 
 def render_page(

@@ -18,7 +18,7 @@ from daq.recording.reader import read_recording
 from daq.recording.recording import JOINTS_STREAM, SCHEMA_VERSION, Channel, Event, Recording, Stream
 from daq.recording.writer import RecordingWriter, write_recording
 from daq.robot.loader import RobotFile, parse_robot
-from drivers.errors import RecordingError
+from drivers.errors import RecordingError, UsageError
 from drivers.streams import ChannelLayout, StreamLayout
 
 NAMES = ("shoulder", "elbow")
@@ -124,7 +124,7 @@ def test_robot_comes_back_with_its_urdf(tmp_path: Path) -> None:
 def test_writer_refuses_to_overwrite(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     write_recording(path, make_recording(comment="first"))
-    with pytest.raises(RecordingError, match="exists already"):
+    with pytest.raises(UsageError, match="exists already"):
         write_recording(path, make_recording(comment="second"))
     assert read_recording(path).comment == "first"
     write_recording(path, make_recording(comment="second"), overwrite=True)
@@ -132,7 +132,7 @@ def test_writer_refuses_to_overwrite(tmp_path: Path) -> None:
 
 
 def test_writer_without_folder(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"missing: there is no such folder"):
+    with pytest.raises(UsageError, match=r"missing: there is no such folder"):
         write_recording(tmp_path / "missing" / "run.h5", make_recording())
 
 

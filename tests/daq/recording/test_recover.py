@@ -19,7 +19,7 @@ from daq.recording import recover as recover_module
 from daq.recording.reader import read_recording
 from daq.recording.recover import follow_recording, recover
 from daq.recording.writer import CHUNK_SECONDS, RecordingWriter
-from drivers.errors import RecordingError
+from drivers.errors import RecordingError, UsageError
 from drivers.streams import ChannelLayout, StreamLayout
 
 ROOT = Path(__file__).parents[3]
@@ -140,7 +140,7 @@ def test_what_is_no_recording_is_refused(tmp_path):
     (tmp_path / "text.h5").write_text("hello")
     with pytest.raises(RecordingError, match="nothing can be rescued"):
         recover(tmp_path / "text.h5", tmp_path / "out.h5")
-    with pytest.raises(RecordingError, match="its own source"):
+    with pytest.raises(UsageError, match="is an input of this command"):
         recover(tmp_path / "text.h5", tmp_path / "text.h5")
 
 

@@ -208,3 +208,15 @@ def test_what_cannot_be_written_is_refused(
         new_robot_file(Path(given_urdf) if given_urdf else None, count, tmp_path / out)
     assert (tmp_path / "there.yaml").read_text() == "mine"
     assert new_robot_file(None, 3, tmp_path / "there.yaml", overwrite=True)
+
+
+def test_a_robot_knows_the_files_that_it_comes_from(urdf: Path) -> None:
+    assert load_robot("ur5e").files == ()
+    assert set(load_robot(urdf).files) == {urdf}
+    folder = urdf.parent
+    (folder / "frames.dbc").touch()
+    other = "connections: {can: {driver: can_frames, dbc: frames.dbc, note: nothing.dbc, period: 3}}\n"
+    (folder / "arm.yaml").write_text(
+        robot_text_of_urdf(read_urdf_arm(URDF, urdf.name, where="arm"), urdf.name, where="arm") + other
+    )
+    assert {path.name for path in load_robot(folder / "arm.yaml").files} == {"arm.yaml", "arm.urdf", "frames.dbc"}

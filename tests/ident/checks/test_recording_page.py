@@ -15,7 +15,7 @@ from html_page import Page
 
 from daq.recording.recording import Channel, Event, Recording, Stream
 from drivers.errors import UsageError
-from ident.checks.page.page import JSON_FILE, MOST_GAPS, PAGE_FILE, check_page_folder, render_page, write_page
+from ident.checks.page.page import JSON_FILE, MOST_GAPS, PAGE_FILE, render_page, write_page
 from ident.checks.page.plots import MOST_COLUMNS
 from ident.checks.recording_check import info_object, recording_info
 from ident.model.dynamic_model import build_model
@@ -147,16 +147,12 @@ def test_nothing_is_fetched(page: Page):
     assert set(links) <= set(page.ids())
 
 
-def test_json_and_page_lie_in_one_folder_and_are_not_overwritten(run: Recording, tmp_path: Path):
+def test_json_and_page_lie_in_one_folder(run: Recording, tmp_path: Path):
     info = recording_info(run, run.robot())
     folder = tmp_path / "new" / "info"
-    check_page_folder(folder, overwrite=False)
     write_page(folder, info, "run.h5")
     assert sorted(path.name for path in folder.iterdir()) == sorted([JSON_FILE, PAGE_FILE])
     written = json.loads((folder / JSON_FILE).read_text(encoding="utf-8"))
     assert written["streams"]["joints"]["lost"] == info_object(info, "run.h5")["streams"]["joints"]["lost"] == 100
-    with pytest.raises(UsageError, match="exists already"):
-        check_page_folder(folder, overwrite=False)
-    check_page_folder(folder, overwrite=True)
     with pytest.raises(UsageError, match="a folder is needed"):
-        check_page_folder(folder / PAGE_FILE, overwrite=True)
+        write_page(folder / PAGE_FILE, info, "run.h5")

@@ -343,7 +343,7 @@ def test_two_experiments_are_identified_and_merged(monkeypatch, capsys, parts):
         (["merge", "other.json", "bad.json"], "is not a result"),
         (["merge", "other.json", "bad.json", "--significance", "0"], "not a percentage"),
         (["merge", "other.json", "bad.json", "-o", "other.json"], "is a file"),
-        (["merge", "model/result.json", "bad.json", "-o", "model"], "holds one of the models"),
+        (["merge", "model/result.json", "bad.json", "-o", "model"], "model/result.json: is an input of this command"),
     ],
 )
 def test_wrong_experiments_and_merges_are_refused_in_one_line(monkeypatch, capsys, folder, arguments, words):

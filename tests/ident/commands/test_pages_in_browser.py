@@ -13,6 +13,7 @@ from chromium import BrowserPage, chromium, chromium_path
 from page_layout import COLLIDING_TEXTS, OVERFLOW
 
 from daq.motion.trajectories import RestToRest
+from daq.output_files import REPORT_FILE
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot
 from drivers.streams import FloatArray
@@ -25,7 +26,7 @@ from ident.excite.prior import find_prior
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
-from ident.report import TruthTable, write_report
+from ident.report import ReportData, TruthTable, write_result_folder
 from ident.tasks.identification import identify
 from ident.tasks.prediction import predict
 from sim_drivers.synthetic.measurement import simulate_recording
@@ -58,9 +59,10 @@ def identification_page(folder: Path) -> Path:
     base = base_parameters(build_model(robot_file))
     found = identify(recorded(1), validation=recorded(2))
     truth = TruthTable(base.names, base.projection @ truth_vector(robot_file))
-    path = folder / "identification.html"
-    write_report(path, found.result, found.fit_series, found.validation_series, truth, found.recorded)
-    return path
+    write_result_folder(
+        folder, ReportData(found.result, found.fit_series, found.validation_series, truth, found.recorded)
+    )
+    return folder / REPORT_FILE
 
 
 def excitation_page(folder: Path) -> Path:

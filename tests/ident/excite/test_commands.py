@@ -136,9 +136,9 @@ def test_an_existing_file_stays_unless_forced(monkeypatch, capsys, folder):
 REFUSED = [
     (["arm.yaml", "-o", "there.yaml"], ["there.yaml", "exists already", "--force"]),
     (["arm.yaml", "--page", "there.yaml"], ["there.yaml", "exists already"]),
-    (["arm.yaml", "-o", "none/t.yaml"], ["no folder none"]),
+    (["arm.yaml", "-o", "none/t.yaml"], ["none: there is no such folder"]),
     (["arm.yaml", "-o", "."], ["is a folder"]),
-    (["arm.yaml", "--page", "t.yaml"], ["--page", "same file"]),
+    (["arm.yaml", "--page", "t.yaml"], ["t.yaml", "same file"]),
     (["missing.yaml"], ["missing.yaml", "no such file"]),
     (["arm.yaml", "--kind", "foo"], ["'foo'", "fourier-quintic"]),
     (["arm.yaml", "--criterion", "foo"], ["'foo'", "d-optimal"]),

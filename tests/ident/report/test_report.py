@@ -14,7 +14,7 @@ from html_page import Page
 
 from drivers.errors import UsageError
 from ident.regression.comparison import TorqueSeries
-from ident.report import TruthTable, render_report, write_report
+from ident.report import TruthTable, render_report, write_result_folder
 from ident.report.section import ReportData
 from ident.report.traces import POINTS_PER_TRACE
 from ident.result.schema import (
@@ -355,16 +355,17 @@ def test_truth_section() -> None:
 
 
 def test_written_as_utf8(tmp_path: Path) -> None:
-    path = tmp_path / "report.html"
-    write_report(path, result(robot="Größe ✓"), (series(),), ())
-    text = path.read_bytes().decode("utf-8")
+    write_result_folder(tmp_path, ReportData(result(robot="Größe ✓"), (series(),), ()))
+    text = (tmp_path / "report.html").read_bytes().decode("utf-8")
     assert '<meta charset="utf-8">' in text
     assert "Größe ✓" in text
 
 
 def test_unwritable_place_is_told(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="cannot be written"):
-        write_report(tmp_path / "missing" / "report.html", result(), (series(),), ())
+    (tmp_path / "report.html").mkdir()
+    with pytest.raises(UsageError, match="it is a folder"):
+        write_result_folder(tmp_path, ReportData(result(), (series(),), ()))
+    assert not (tmp_path / "result.json").exists()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,160 @@
+"""Files that commands write: judged before anything is computed for them, written in one step."""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+import stat
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from drivers.errors import DiskError, DynidError, UsageError
+
+RESULT_FILE = "result.json"
+"""Name of a result in the folder that `identify` writes."""
+REPORT_FILE = "report.html"
+"""Name of the page beside it, and beside those of other experiments."""
+
+DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
+"""What a disk that is full, or fails, answers to a write that nothing else is wrong with."""
+
+
+def check_outputs(files: Iterable[Path | None], inputs: Iterable[Path | None] = (), *, overwrite: bool) -> None:
+    """Whether files may be written, before anything is computed for them.
+
+    Args:
+        files: to be written; None for one that was not asked for.
+        inputs: files that the same command reads, under whatever name or link; of a folder all files in it.
+        overwrite: whether they may exist already.
+
+    Raises:
+        UsageError: one exists already, is an input or another output, is a link or no regular file, or its folder
+            is missing or not the user's.
+    """
+    outputs = [path for path in files if path is not None]
+    read = [file for path in inputs if path is not None for file in _files_of(path)]
+    for number, path in enumerate(outputs):
+        exists = _regular_file(path)
+        if any(_same(path, other) for other in outputs[:number]):
+            raise UsageError("two outputs name the same file", where=str(path), hint="choose another name")
+        if any(_same(path, other) for other in read):
+            raise UsageError("is an input of this command", where=str(path), hint="choose another name for the output")
+        if exists and not overwrite:
+            raise UsageError("exists already", where=str(path), hint="choose another name; --force overwrites it")
+
+
+def check_output_folder(
+    folder: Path, names: Sequence[str], inputs: Iterable[Path | None] = (), *, overwrite: bool
+) -> None:
+    """Whether files of these names may be written into a folder, which is made where it does not exist.
+
+    Raises:
+        UsageError: the folder is a file, or as `check_outputs` does of the files.
+    """
+    if folder.is_dir():
+        check_outputs([folder / name for name in names], inputs, overwrite=overwrite)
+        return
+    if os.path.lexists(folder):
+        raise UsageError("is a file; a folder is needed", where=str(folder))
+    above = next(parent for parent in folder.absolute().parents if os.path.lexists(parent))
+    _check_folder(above, str(above))
+
+
+def _files_of(path: Path) -> list[Path]:
+    return list(path.iterdir()) if path.is_dir() else [path]
+
+
+def _same(path: Path, other: Path) -> bool:
+    """Whether two names lead to one file, by symbolic or hard links, whether it exists or not."""
+    try:
+        return path.samefile(other)
+    except OSError:
+        return os.path.realpath(path) == os.path.realpath(other)
+
+
+def _regular_file(path: Path) -> bool:
+    """Whether a file exists; an error where its name cannot become a regular file."""
+    where = str(path)
+    try:
+        mode = path.lstat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        _check_folder(path.parent, str(path.parent))
+        return False
+    except (OSError, ValueError) as error:  # too long a name; a NUL in it
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise UsageError(f"cannot be written: {reason}", where=where, hint="choose another name") from error
+    if stat.S_ISDIR(mode):
+        raise UsageError("is a folder; a file is needed", where=where, hint="name a file in it")
+    if stat.S_ISLNK(mode):
+        raise UsageError("is a link, which is not written through", where=where, hint="name the file itself")
+    if not stat.S_ISREG(mode):
+        raise UsageError("is not a regular file", where=where, hint="choose another name")
+    _check_folder(path.parent, str(path.parent))
+    return True
+
+
+def _check_folder(folder: Path, where: str) -> None:
+    if not folder.is_dir():
+        said = "is not a folder" if os.path.lexists(folder) else "there is no such folder"
+        raise UsageError(said, where=where, hint="create it, or choose another one")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise UsageError("may not be written by you", where=where, hint="choose another place")
+
+
+def unfinished_name(path: Path) -> Path:
+    """A name beside a file that nobody can foresee: create it exclusively, then rename it."""
+    return path.with_name(f".dynid-{secrets.token_hex(8)}")
+
+
+def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
+    """Write text files by their names into a folder, which is made where it does not exist; see `replace_files`.
+
+    Raises:
+        UsageError: it is a file, or cannot be written.
+        DiskError: the disk is full or fails.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise UsageError("is a file; a folder is needed", where=str(error.filename)) from error
+    except OSError as error:
+        raise _refused(error, folder) from error
+    replace_files({folder / name: text for name, text in texts.items()})
+
+
+def replace_files(texts: Mapping[Path, str]) -> None:
+    """Write text files as UTF-8, all of them or none: an error or a crash before the end leaves the old ones.
+
+    They are written beside their places and renamed when all are on the disk; a link is replaced, not followed.
+
+    Raises:
+        UsageError: one cannot be written.
+        DiskError: the disk is full or fails.
+    """
+    for path in texts:
+        if path.is_dir():  # or the files before it would be renamed already
+            raise UsageError("cannot be written: it is a folder", where=str(path))
+    unfinished: dict[Path, Path] = {}
+    try:
+        for path, text in texts.items():
+            beside = unfinished_name(path)
+            with beside.open("x", encoding="utf-8") as file:
+                unfinished[beside] = path
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+        for beside, path in unfinished.items():
+            beside.replace(path)
+    except OSError as error:
+        raise _refused(error, path) from error
+    finally:
+        for beside in unfinished:
+            beside.unlink(missing_ok=True)
+
+
+def _refused(error: OSError, path: Path) -> DynidError:
+    said = f"cannot be written: {error.strerror}"
+    if error.errno in DISK_ERRORS:
+        return DiskError(said, where=str(path))
+    return UsageError(said, where=str(path), hint="name a folder that exists and is yours")

@@ -1,0 +1,108 @@
+"""No command overwrites a file unasked, or an input at all."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+from typer.main import get_command
+
+from dynid import command
+
+ARGUMENTS = {
+    "excite": "arm.yaml -o OUT --page PAGE --from traj.yaml --prior result.json",
+    "record": "arm.yaml --trajectory traj.yaml --prior result.json --yes -o OUT",
+    "import": "run.csv --robot arm.yaml -o OUT",
+    "recover": "run.h5 -o OUT",
+    "robot new": "arm.urdf -o OUT.yaml",
+    "identify": "run.h5 other.h5 --validate val.h5 --robot arm.yaml -o FOLDER",
+    "merge": "result.json model --validate val.h5 -o FOLDER",
+    "info": "run.h5 --robot arm.yaml --page FOLDER",
+    "demo": "--robot arm.yaml -o FOLDER",
+}
+"""Each command that writes files, with all that it reads; OUT and PAGE are files, FOLDER is a folder."""
+
+READS = {"record": ["samples.csv"], "merge": ["model/result.json"]}
+"""Files that a command reads without their being named on its line."""
+
+TRAJECTORY = "robot: ur5e\nkind: samples\ncsv: samples.csv\n"
+
+
+def outputs_of(name: str) -> list[str]:
+    words = shlex.split(ARGUMENTS[name])
+    if "FOLDER" in words:
+        kinds = {
+            "info": ("info.json", "info.html"),
+            "demo": ("identification.h5", "validation.yaml", "result.json", "report.html"),
+        }
+        return [f"FOLDER/{file}" for file in kinds.get(name, ("result.json", "report.html"))]
+    return [word for word in words if word.startswith(("OUT", "PAGE"))]
+
+
+def inputs_of(name: str) -> list[str]:
+    return [word for word in shlex.split(ARGUMENTS[name]) if "." in word and "OUT" not in word] + READS.get(name, [])
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Inputs; robot and trajectory are read before the outputs are judged, of the others only the name counts."""
+    monkeypatch.chdir(tmp_path)
+    for name in ARGUMENTS:
+        for file in inputs_of(name):
+            Path(file).parent.mkdir(exist_ok=True)
+            Path(file).write_text("an input")
+    robot = files("daq.robot.builtin").joinpath("ur5e.yaml").read_text(encoding="utf-8")
+    Path("arm.yaml").write_text(robot, encoding="utf-8")
+    Path("traj.yaml").write_text(TRAJECTORY)
+    joints = "shoulder_pan_joint,shoulder_lift_joint,elbow_joint,wrist_1_joint,wrist_2_joint,wrist_3_joint"
+    rows = [f"{time}{',0' * 6}" for time in range(6)]
+    Path("samples.csv").write_text("\n".join([f"time,{joints}", *rows]))
+    Path("FOLDER").mkdir()
+    return tmp_path
+
+
+def refused(name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *more: str) -> str:
+    monkeypatch.setattr(sys, "argv", ["dynid", *name.split(), *shlex.split(ARGUMENTS[name]), *more])
+    with pytest.raises(SystemExit) as stopped:
+        command.main()
+    captured = capsys.readouterr()
+    assert stopped.value.code == 2, captured
+    assert captured.out == ""
+    return captured.err
+
+
+def writing_commands() -> set[str]:
+    """Commands with an option for a file or folder to write."""
+    found = set()
+    for name, entry in get_command(command.build_app()).commands.items():
+        for words, one in (
+            [(name, entry)]
+            if not hasattr(entry, "commands")
+            else [(f"{name} {sub}", one) for sub, one in entry.commands.items()]
+        ):
+            if {"--out", "--page"} & {option for parameter in one.params for option in parameter.opts}:
+                found.add(words)
+    return found
+
+
+def test_every_command_that_writes_is_tested_here():
+    assert writing_commands() == set(ARGUMENTS)
+
+
+@pytest.mark.parametrize(("name", "output"), [(name, output) for name in ARGUMENTS for output in outputs_of(name)])
+def test_an_output_is_neither_an_input_nor_a_file_that_exists(folder, monkeypatch, capsys, name, output):
+    path = Path(output)
+    path.write_text("mine")
+    assert f"{output}: exists already" in refused(name, monkeypatch, capsys)
+    for source in inputs_of(name):
+        path.unlink()
+        path.hardlink_to(source)
+        before = path.read_bytes()
+        assert f"{output}: is an input of this command" in refused(name, monkeypatch, capsys, "--force")
+        assert Path(source).read_bytes() == before
+    path.unlink()
+    path.symlink_to("nothing")
+    assert f"{output}: is a link" in refused(name, monkeypatch, capsys, "--force")
