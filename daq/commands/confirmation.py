@@ -13,6 +13,7 @@ from daq.motion.approach import checked_approach
 from daq.motion.motion_check import MotionCheck, MotionFigures
 from daq.motion.trajectories import Motion
 from daq.robot.schema import JointLimits
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 
 _SHOWN = 3
@@ -24,7 +25,7 @@ def motion_lines(figures: MotionFigures) -> list[str]:
     lines = [
         f"tool point: lowest {figures.lowest:.3f} m (above the base frame's origin), farthest {figures.farthest:.3f} m "
         f"from it, at most {figures.tool_speed:.2f} m/s",
-        f"fastest joint: {figures.fastest_joint}, {100 * figures.speed_share:.0f} % of its velocity limit",
+        f"fastest joint: {figures.fastest_joint}, {percent_text(figures.speed_share, 2)} of its velocity limit",
     ]
     for clearance in figures.clearances[:_SHOWN]:
         lines.append(
@@ -36,7 +37,7 @@ def motion_lines(figures: MotionFigures) -> list[str]:
     if figures.torque_share is None:
         lines.append("torque: not predicted, the arm's parameters or torque limits are not known")
     else:
-        share = f"{100 * figures.torque_share:.0f} % of its limit"
+        share = f"{percent_text(figures.torque_share, 2)} of its limit"
         lines.append(f"torque: predicted to be at most {share} ({figures.torque_joint})")
     return lines
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from drivers.percentage import DASH, percentage_text
 from drivers.terminal import styled, visible
 
 WIDTH_WITHOUT_TERMINAL = 160
@@ -44,7 +45,8 @@ def print_table(title: str, headers: Sequence[str], rows: Iterable[Sequence[obje
     for column, header in enumerate(headers):
         table.add_column(Text(visible(header)), justify="left" if column == 0 else "right", overflow="fold")
     for row in rows:
-        table.add_row(*(Text(visible(cell(value))) for value in row))
+        cells = (cell(value, percentage="[%]" in header) for header, value in zip(headers, row, strict=True))
+        table.add_row(*(Text(visible(text)) for text in cells))
     out = styled(sys.stdout)
     console = Console(file=out, highlight=False)
     # Into a file or a pipe tables keep their full width.
@@ -52,10 +54,12 @@ def print_table(title: str, headers: Sequence[str], rows: Iterable[Sequence[obje
     Console(file=out, highlight=False, width=width).print(table)
 
 
-def cell(value: object) -> str:
-    """A value as a table shows it: four significant digits, a dash for nothing."""
+def cell(value: object, *, percentage: bool = False) -> str:
+    """A value as a table shows it: four significant digits, percentages as people write them, a dash for nothing."""
+    if isinstance(value, float) and percentage:
+        return percentage_text(value)
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return "–"
+        return DASH
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from daq.commands.options import FORCE, JSON
+from drivers.percentage import percent_text
 
 if TYPE_CHECKING:
     from daq.motion.motion_check import MotionFigures
@@ -146,7 +147,7 @@ def record_command(
 
 
 def _title(trajectory: str, robot: str, speed_scale: float, duration: float) -> str:
-    slowly = f" at {100 * speed_scale:g} % of its speed" if speed_scale != 1.0 else ""
+    slowly = f" at {percent_text(speed_scale)} of its speed" if speed_scale != 1.0 else ""
     return f"{trajectory} moves {robot} for {duration:.1f} s{slowly}"
 
 

@@ -29,6 +29,7 @@ from daq.recording.recording import JOINTS_STREAM
 from daq.session.realtime import give_realtime_back
 from daq.session.supervisor import Limits
 from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.percentage import percent_text
 from drivers.streams import Batch, FloatArray
 from drivers.terminal import styled, visible
 
@@ -265,7 +266,7 @@ def picture(status: Status) -> Group:
     ]
     arm = []
     if status.torque_share is not None:
-        arm.append(f"largest torque so far {100 * status.torque_share:.0f} % of its limit ({status.torque_joint})")
+        arm.append(f"largest torque so far {percent_text(status.torque_share, 2)} of its limit ({status.torque_joint})")
     if status.temperature is not None:
         arm.append(f"hottest {status.temperature:.1f} °C ({status.temperature_joint})")
     disk = f"waiting for the disk {status.backlog / 2**10:.0f} KiB, dropped {status.overflow} samples"

@@ -6,6 +6,7 @@ from daq.robot.loader import RobotFile
 from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
 from drivers.bus_budget import TIGHT_SHARE, Budget, connection_budget
 from drivers.errors import RobotFileError
+from drivers.percentage import percent_text
 
 
 def bus_budget(robot_file: RobotFile, name: str) -> Budget | None:
@@ -22,7 +23,7 @@ def bus_budget(robot_file: RobotFile, name: str) -> Budget | None:
         budget = connection_budget(robot.connections[name].driver, driver_settings(robot, keys, robot_file.folder))
     if budget is not None and budget.load > 1.0:
         raise RobotFileError(
-            f"{budget.rate:g} Hz do not fit on a bus of {budget.bitrate:.0f} bit/s: {100 * budget.load:.0f} % of it",
+            f"{budget.rate:g} Hz do not fit on a bus of {budget.bitrate:.0f} bit/s: {percent_text(budget.load)} of it",
             where=where,
             hint=f"at most {budget.highest_rate():.0f} Hz, better {budget.highest_rate(TIGHT_SHARE):.0f} Hz",
         )
@@ -34,8 +35,8 @@ def tight_bus(name: str, budget: Budget) -> str | None:
     if budget.load <= TIGHT_SHARE:
         return None
     return (
-        f"connection '{name}' fills its bus to {100 * budget.load:.1f} % at worst; "
-        f"at {budget.highest_rate(TIGHT_SHARE):.0f} Hz it would be {100 * TIGHT_SHARE:.0f} %"
+        f"connection '{name}' fills its bus to {percent_text(budget.load)} at worst; "
+        f"at {budget.highest_rate(TIGHT_SHARE):.0f} Hz it would be {percent_text(TIGHT_SHARE)}"
     )
 
 

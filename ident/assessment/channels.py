@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel
@@ -156,8 +157,8 @@ def arrangement_checks(
         found += _turned(model, experiment, runs)
     residual, check = min(found, key=lambda one: one[0])
     if clearly_better(residual, believed, independent):
-        factor = 100.0 * (1.0 - np.sqrt(max(residual, 0.0) / believed))
-        return [replace(check, text=check.text.format(change=f"{factor:.0f} %"))]
+        fall = 1.0 - float(np.sqrt(max(residual, 0.0) / believed))
+        return [replace(check, text=check.text.format(change=percent_text(fall, 2)))]
     return []
 
 

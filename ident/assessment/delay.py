@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.delay_equations import (
     FEWEST_BLOCKS,
@@ -142,7 +143,8 @@ def delay_checks(search: DelaySearch | None) -> list[Check]:
         text = (
             f"the torque is ahead of the motion by {_milliseconds(-search.best, search.interval)}, which no drive can "
             "bring about: check the clocks of position and torque, a filter of the positions in the controller, and "
-            f"friction (not compensated, although the error on held-out blocks would fall by {search.gain * 100:.1f} %)"
+            "friction (not compensated, although the error on held-out blocks would fall by "
+            f"{percent_text(search.gain, 2)})"
         )
         checks.append(raised("torque-ahead", text))
     if search.drifts:
@@ -331,7 +333,7 @@ def _milliseconds(value: float, interval: float) -> str:
 
 def _in_words(best: float, interval: float, gain: float, helps: bool, used: float, joints: Sequence[JointDelay]) -> str:
     text = f"torque {'lags' if best > 0 else 'leads'} the motion by {_milliseconds(abs(best), interval)}"
-    effect = f"error on held-out blocks {abs(gain) * 100:.1f} % {'smaller' if gain > 0 else 'larger'} with it"
+    effect = f"error on held-out blocks {percent_text(abs(gain), 2)} {'smaller' if gain > 0 else 'larger'} with it"
     if helps:
         text += f" ({effect})"
     elif best < -interval:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.regression.comparison import TorqueSeries
 from ident.signals.motion_masks import SHORTEST_REST
@@ -69,7 +70,9 @@ def idle_joint_checks(
             found.append(joint)
     if not found:
         return []
-    figures = ", ".join(f"{names[j]} {100.0 * share[j]:.0f} % (friction {abs(coulomb[j]):.2g} N·m)" for j in found)
+    figures = ", ".join(
+        f"{names[j]} {percent_text(float(share[j]), 2)} (friction {abs(coulomb[j]):.2g} N·m)" for j in found
+    )
     text = (
         f"joints rest for most of the data: {figures}; static friction carries an unknown part of their load, which "
         "the error bars do not cover: move all joints at once, or identify each run with --torques-of its moving "

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from daq.recording.recording import Recording
 from daq.recording.signal_quality import ColumnQuality, channel_quality
 from daq.recording.stream_quality import StreamQuality, stream_quality
+from drivers.percentage import percent_text, percentage_text
 from ident.assessment.time_axis import time_axis_checks
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
@@ -70,8 +71,8 @@ def recording_checks(
             checks.append(raised("import-warning", f"{of}import: {event.message}"))
     for name, quality in streams.items():
         if quality.lost:
-            share = 100.0 * quality.lost / (quality.samples + quality.lost)
-            text = f"{of}{name}: {quality.lost} samples lost ({share:.2g} %) in {len(quality.gaps)} gaps"
+            share = quality.lost / (quality.samples + quality.lost)
+            text = f"{of}{name}: {quality.lost} samples lost ({percent_text(share, 2)}) in {len(quality.gaps)} gaps"
             checks.append(raised("samples-lost", text))
         if quality.duplicates:
             checks.append(raised("repeated-stamps", f"{of}{name}: {quality.duplicates} stamps do not increase"))
@@ -83,7 +84,7 @@ def recording_checks(
     for (stream, quantity), qualities in columns.items():
         clipped = [column for column in qualities if column.clipped_percent > CLIPPED_PERCENT]
         if quantity in MOTOR_SIGNALS and clipped:
-            figures = ", ".join(f"{column.name} {column.clipped_percent:.2g} %" for column in clipped)
+            figures = ", ".join(f"{column.name} {percentage_text(column.clipped_percent, 2)} %" for column in clipped)
             text = f"{of}{stream}/{quantity} is clipped: {figures} of the samples; use a slower motion or a wider range"
             checks.append(raised("signal-clipped", text, [column.name for column in clipped]))
     return checks

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.robot.schema import Robot
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joints import BASE_INDEX
@@ -55,8 +56,8 @@ def torque_level_checks(robot: Robot, model: DynamicModel, torque: FloatArray) -
     known = share[np.isfinite(share)]
     if len(known) and np.max(known) < FAR_BELOW:
         text = (
-            f"torques reach at most {100.0 * np.max(known):.2g} % of the limits, too little to carry an arm: check the "
-            "unit of the current, and whether the drive gains are on the joint side, gear ratio included"
+            f"torques reach at most {percent_text(float(np.max(known)), 2)} of the limits, too little to carry an "
+            "arm: check the unit of the current, and whether the drive gains are on the joint side, gear ratio included"
         )
         return [raised("torque-far-below-limits", text)]
     return _load_checks(names, model, peak)

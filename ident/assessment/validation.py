@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.errors import DataError
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.regression.comparison import TorqueSeries
 from ident.verdict.catalogue import raised
@@ -103,7 +104,8 @@ def overfitting_checks(fitted: TorqueErrors, held_out: TorqueErrors) -> list[Che
         return []
     larger = f"the validation's torque errors are {ratio:.1f} times the identification's"
     if fitted.relative_error is not None and held_out.relative_error is not None:
-        larger += f" ({held_out.relative_error * 100:.2g} against {fitted.relative_error * 100:.2g} % of the torque)"
+        shares = (percent_text(errors.relative_error, 2) for errors in (held_out, fitted))
+        larger += f" ({' against '.join(shares)} of the torque)"
     moving = _times_larger(fitted.high_speed_rmse, held_out.high_speed_rmse)
     if moving <= MUCH_LARGER:
         text = (

@@ -15,6 +15,7 @@ from daq.session.session import load_driver
 from drivers.base import DRIVERS_GROUP
 from drivers.bus_budget import TIGHT_SHARE, Budget
 from drivers.errors import InputError
+from drivers.percentage import percent_text
 from ident.checks.tool_pose import ToolPose, tool_poses
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
@@ -133,9 +134,9 @@ def budget_object(budget: Budget) -> dict[str, float]:
 def print_budget(name: str, budget: Budget) -> None:
     """The same for a person."""
     print(
-        f"  connection {name}: bus load {100 * budget.load:.1f} % ({budget.bitrate / 1e3:g} kbit/s) at "
+        f"  connection {name}: bus load {percent_text(budget.load)} ({budget.bitrate / 1e3:g} kbit/s) at "
         f"{budget.rate:g} Hz with every stuffed bit; at most {budget.highest_rate():.0f} Hz, "
-        f"{budget.highest_rate(TIGHT_SHARE):.0f} Hz for {100 * TIGHT_SHARE:.0f} %"
+        f"{budget.highest_rate(TIGHT_SHARE):.0f} Hz for {percent_text(TIGHT_SHARE)}"
     )
     cycle = Counter[tuple[str, int]]()
     for group in budget.cycle:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from daq.commands.console import print_table
+from drivers.percentage import percent_text
 from ident.result.schema import Fit, Merge, Result
 from ident.verdict.verdict import Verdict
 
@@ -97,8 +98,7 @@ def _print_merge(merge: Merge) -> None:
 
 def print_fit(title: str, joints: Sequence[str], fit: Fit) -> None:
     """Errors of each joint."""
-    error = "–" if fit.relative_error is None else f"{100.0 * fit.relative_error:.2f} %"
-    print(f"{title}: relative error {error} over {fit.samples} filtered samples")
+    print(f"{title}: relative error {percent_text(fit.relative_error)} over {fit.samples} filtered samples")
     print_table(
         "",
         ("joint", "RMSE", "at low speed", "at high speed", "largest", "relative [%]"),

@@ -13,6 +13,7 @@ from daq.motion.motion_check import MotionFigures, SmallestClearance
 from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
 from drivers.errors import MotionRefusedError
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.excite.constraints.collision_geometry import link_name
 from ident.excite.constraints.constraints import constraints_of
@@ -149,10 +150,10 @@ class ArmMotionCheck:
             allowed = np.maximum(1.0, used[:, :1]) if from_here else 1.0
             row, sample = (int(index) for index in np.unravel_index(int((used - allowed).argmax()), used.shape))
             if (used - allowed)[row, sample] > TOLERANCE:
-                needed = f"{100 * TORQUE_SHARE * used[row, sample]:.0f} % of its torque limit"
+                needed = f"{percent_text(TORQUE_SHARE * float(used[row, sample]), 2)} of its torque limit"
                 raise MotionRefusedError(
                     f"joint {limits.joint_names[row]} is predicted to need {needed} at {path.time[sample]:.2f} s; "
-                    f"at most {100 * TORQUE_SHARE:g} % is planned",
+                    f"at most {percent_text(TORQUE_SHARE)} is planned",
                     where=where,
                     hint="slow the motion down, with --speed-scale for example, or correct what is known of the arm",
                 )

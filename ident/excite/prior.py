@@ -11,6 +11,7 @@ import numpy as np
 from daq.robot.loader import RobotFile
 from daq.robot.schema import JointLimits, Robot
 from drivers.errors import ResultFileError, UsageError
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.identify.revalidate import stored_choices
 from ident.model.base_parameters import BaseParameters, base_parameters
@@ -84,7 +85,7 @@ def find_prior(robot_file: RobotFile, result: Path | None = None) -> Prior:
     return Prior(truth, np.where(known > 0, known, assumed), source, robot.truth.noise.rate)
 
 
-_ASSUMPTION = f"{100 * ASSUMED_NOISE_SHARE:g} % of the torque limit ({ASSUMED_NOISE:g} N·m where it is unknown)"
+_ASSUMPTION = f"{percent_text(ASSUMED_NOISE_SHARE)} of the torque limit ({ASSUMED_NOISE:g} N·m where it is unknown)"
 
 
 def assumed_noise(torque_limit: float | None) -> float:

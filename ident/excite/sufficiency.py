@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.errors import DynidError, UsageError
+from drivers.percentage import percentage_text
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recorded_motion import RecordedMotion
 from ident.excite.forecast import Forecast, forecast
@@ -165,12 +166,12 @@ def _sentence(sufficiency: Sufficiency, wanted: float, entries: list[TimeNeeded]
     significant = f"all {len(entries)} significant of {count} base parameters"
     if longest.seconds <= sufficiency.seconds:
         return (
-            f"These {sufficiency.seconds:.1f} s are enough for an RSD of {wanted:g} % in {significant}; "
-            f"the largest is {longest.rsd_percent:.2g} % ({longest.name})."
+            f"These {sufficiency.seconds:.1f} s are enough for an RSD of {percentage_text(wanted)} % in {significant}; "
+            f"the largest is {percentage_text(longest.rsd_percent, 2)} % ({longest.name})."
         )
     text = (
-        f"For an RSD of {wanted:g} % in {significant} this motion must be recorded for {math.ceil(longest.seconds)} s "
-        f"instead of {sufficiency.seconds:.1f} s; {longest.name} takes longest."
+        f"For an RSD of {percentage_text(wanted)} % in {significant} this motion must be recorded for "
+        f"{math.ceil(longest.seconds)} s instead of {sufficiency.seconds:.1f} s; {longest.name} takes longest."
     )
     if sufficiency.repetitions >= REPEATED:
         text += " This holds for noise; errors that repeat with the motion, such as ripple, need a different motion."

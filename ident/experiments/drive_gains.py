@@ -29,6 +29,7 @@ import numpy as np
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
+from drivers.percentage import percentage_text
 from drivers.streams import FloatArray
 from ident.experiments.gain_system import GainSystem, jackknife_moves, own_angles, solve_gains, system_blocks
 from ident.experiments.motor_signals import signal_of, torques_by
@@ -268,8 +269,8 @@ def _warnings(drives: DriveGains, recordings: tuple[Recording, Recording]) -> li
         elif gain.relative_std >= SIGNIFICANT_RSD:
             warnings.append(
                 f"the gain of {gain.joint} is confounded with {name} (correlation {correlation:+.2f}): its relative "
-                f"standard deviation is {gain.relative_std:.0f} %; move the joints around it more, or place the load "
-                "off its axis"
+                f"standard deviation is {percentage_text(gain.relative_std, 2)} %; move the joints around it more, or "
+                "place the load off its axis"
             )
         elif gain.angle < SMALL_ANGLE:
             warnings.append(

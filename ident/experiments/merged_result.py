@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from daq.recording.recording import Recording, software_versions
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.plausibility import indefinite_share, sign_checks
 from ident.estimators.feasible.consistent import found_consistent
@@ -254,8 +255,8 @@ def _checks(
         checks.append(raised("partial-model", text))
     elif (share := indefinite_share(model, base, merged.solution.parameters)) > 0:
         text = (
-            f"the inertia matrix of the unconstrained parameters is not positive definite at {share * 100:.0f} % of "
-            "random poses; that of the physically consistent ones is everywhere"
+            f"the inertia matrix of the unconstrained parameters is not positive definite at {percent_text(share, 2)} "
+            "of random poses; that of the physically consistent ones is everywhere"
         )
         checks.append(raised("indefinite-inertia", text))
     checks += sign_checks(base, merged.solution.parameters, std)
@@ -288,7 +289,7 @@ def _judged(result: Result) -> Result:
     else:
         text += (
             f"On {result.validation_source}, predicted torque differs from measured torque by "
-            f"{validation.relative_error * 100:.1f} %. "
+            f"{percent_text(validation.relative_error)}. "
         )
     text += (
         f"{significant} of {len(result.base_parameters)} base parameters are significant; the essential model keeps "
@@ -296,7 +297,7 @@ def _judged(result: Result) -> Result:
     )
     essential = result.essential.validation
     if essential is not None and essential.relative_error is not None:
-        text += f" and is off by {essential.relative_error * 100:.1f} %"
+        text += f" and is off by {percent_text(essential.relative_error)}"
     verdict = judge(checks, held_out_errors(result.joints, validation), f"{text}.")
     return result.model_copy(update={"verdict": verdict})
 

@@ -23,6 +23,7 @@ import numpy as np
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.experiments.load_estimate import (
     LoadEstimate,
@@ -234,9 +235,9 @@ def _warnings(payload: Payload, recordings: tuple[Recording, Recording]) -> list
         and abs(mass / known.mass - 1) > NEGLIGIBLE
     ):
         warnings.append(
-            f"the identified mass is {100 * (mass / known.mass - 1):+.1f} % off the known one, which noise does "
-            "not explain: if the load was weighed right, drive gains are off by about as much; identify them with "
-            "dynid gains"
+            f"the identified mass is {percent_text(abs(mass / known.mass - 1), 2)} "
+            f"{'above' if mass > known.mass else 'below'} the known one, which noise does not explain: if the load was "
+            "weighed right, drive gains are off by about as much; identify them with dynid gains"
         )
     place = payload.load.columns.kept.index(MASS) if MASS in payload.load.columns.kept else None
     if place is not None and np.isfinite(mass) and mass < 2 * np.sqrt(payload.load.covariance[place, place]):

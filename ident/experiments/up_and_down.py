@@ -21,6 +21,7 @@ from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from drivers.errors import DataError, IdentificationError
+from drivers.percentage import percentage_text
 from drivers.streams import FloatArray
 from ident.experiments.drive_gains import LEAST_GAP
 from ident.experiments.motor_signals import signal_of, torques_by
@@ -386,8 +387,9 @@ def _warnings(gains: Sequence[SlowGain], moments: FloatArray) -> list[str]:
             warnings.append(f"no value for the gain of {gain.joint}: {gain.reason}")
         elif gain.relative_std >= SIGNIFICANT_RSD:
             warnings.append(
-                f"the gain of {gain.joint} has a relative standard deviation of {gain.relative_std:.0f} %; let it pass "
-                "more often, with a heavier load, or where the load is farther from its axis"
+                f"the gain of {gain.joint} has a relative standard deviation of "
+                f"{percentage_text(gain.relative_std, 2)} %; let it pass more often, with a heavier load, or where "
+                "the load is farther from its axis"
             )
         if gain.file_gain is not None and gain.gain * gain.file_gain < 0:
             warnings.append(f"the gain of {gain.joint} has the opposite sign of the robot file's")

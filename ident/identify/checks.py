@@ -9,6 +9,7 @@ import numpy as np
 
 from daq.recording.recording import Recording
 from drivers.errors import IdentificationError
+from drivers.percentage import percent_text
 from ident.assessment.channels import arrangement_checks, gain_checks, opposite_gravity
 from ident.assessment.delay import delay_checks
 from ident.assessment.idle_joints import idle_joint_checks
@@ -77,8 +78,8 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     share = _indefinite_share(identification)
     if share > 0:
         text = (
-            f"the inertia matrix of the unconstrained parameters is not positive definite at {share * 100:.0f} % of "
-            "random poses; that of the physically consistent ones is everywhere"
+            f"the inertia matrix of the unconstrained parameters is not positive definite at {percent_text(share, 2)} "
+            "of random poses; that of the physically consistent ones is everywhere"
         )
         checks.append(raised("indefinite-inertia", text))
     checks += _consistency_checks(identification)
@@ -94,8 +95,8 @@ def _consistency_checks(identification: Identification) -> list[Check]:
     free, bound = identification.validation.relative_error, consistent.validation.relative_error
     if bound > CONSISTENCY_COST * free:
         text = (
-            f"the physically consistent model is off by {bound * 100:.1f} % on held-out data, the unconstrained one by "
-            f"{free * 100:.1f} %: check the geometry, the drive gains and the signs of the torques"
+            f"the physically consistent model is off by {percent_text(bound)} on held-out data, the unconstrained one "
+            f"by {percent_text(free)}: check the geometry, the drive gains and the signs of the torques"
         )
         checks.append(raised("consistency-costs", text))
     if consistent.tracking_failure:
@@ -128,10 +129,10 @@ def _size_checks(identification: Identification) -> list[Check]:
         )
         checks.append(raised("few-independent-samples", text))
     if corrected.blocks < FEWEST_BLOCKS:
-        uncertain = 100.0 / np.sqrt(2.0 * max(1, corrected.blocks - 1))
+        uncertain = 1.0 / np.sqrt(2.0 * max(1, corrected.blocks - 1))
         text = (
             f"the standard deviations rest on {corrected.blocks} blocks of data, {FEWEST_BLOCKS} are advised: they are "
-            f"themselves uncertain by {uncertain:.0f} %; record longer"
+            f"themselves uncertain by {percent_text(uncertain, 2)}; record longer"
         )
         checks.append(raised("few-blocks", text))
     return checks

@@ -9,6 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from daq.recording.recording import Recording
 from drivers.errors import ResultFileError
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.validation import FitFigures, fit_figures, overfitting_checks
@@ -106,7 +107,7 @@ def validation_verdict(result: Result, recording: Recording, fit: Fit) -> Verdic
     kept = [check for check in result.verdict.checks if check.name not in CHECKS_OF_VALIDATION]
     overfitting = [] if result.fit is None else overfitting_checks(result.fit, fit)
     checks = [*kept, *recording_checks(recording), *overfitting]
-    error = "" if fit.relative_error is None else f" by {100.0 * fit.relative_error:.1f} %"
+    error = "" if fit.relative_error is None else f" by {percent_text(fit.relative_error)}"
     basis = f"On {recording.label}, predicted torque differs from measured torque{error}."
     return judge(checks, held_out_errors(result.joints, fit), basis)
 

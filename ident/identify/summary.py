@@ -13,6 +13,7 @@ import numpy as np
 
 from daq.recording.recording import Recording, software_versions
 from daq.robot.schema import Robot
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.delay import DelaySearch
 from ident.identify.identification import Identification, PreparedRun
@@ -217,11 +218,11 @@ def _verdict(identification: Identification) -> Verdict:
     significant = int(np.sum(_significant(identification)))
     basis = (
         f"On {identification.validation_source}, predicted torque differs from measured torque by "
-        f"{identification.validation.relative_error * 100:.1f} % "
-        f"(identification: {identification.fit.relative_error * 100:.1f} %). "
+        f"{percent_text(identification.validation.relative_error)} "
+        f"(identification: {percent_text(identification.fit.relative_error)}). "
         f"{significant} of {base.count} base parameters are significant; "
         f"the essential model keeps {len(identification.pruned.solution.active)} of them and is off by "
-        f"{identification.essential_validation.relative_error * 100:.1f} %."
+        f"{percent_text(identification.essential_validation.relative_error)}."
     )
     if experiment != whole_arm(model):
         basis += f" All of this holds for the experiment as it was: {describe(model, experiment)}."

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from scipy.ndimage import binary_dilation
 
 from drivers.errors import UsageError
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.model.joint_columns import combined
 from ident.model.regressor import RegressorKernel
@@ -56,7 +57,7 @@ def leave_out_rest(kernel: RegressorKernel, prepared: Prepared) -> Prepared:
     step = Step(
         "motors at rest",
         {"rest_velocity": prepared.rest_velocity, "left_out": share},
-        f"left out where a motor rests while others move: {share:.2%} of all torques",
+        f"left out where a motor rests while others move: {percent_text(share, 2)} of all torques",
     )
     return replace(prepared, segments=tuple(segments), steps=(*prepared.steps, step))
 
@@ -86,7 +87,7 @@ def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: floa
         "reversals",
         {"share": share, "left_out": left_out / max(1, counted)},
         f"left out where a motor is slower than {share:g} of its root mean square, or rests: "
-        f"{left_out / max(1, counted):.1%} of all equations",
+        f"{percent_text(left_out / max(1, counted))} of all equations",
     )
     return replace(prepared, segments=segments, steps=(*prepared.steps, step))
 

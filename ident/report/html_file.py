@@ -27,6 +27,6 @@ def page_templates(*packages: str) -> Environment:
         lstrip_blocks=True,
     )
     environment.globals |= {"dash": number_text.DASH, "plotlyjs": Markup(get_plotlyjs())}
-    for name in ("number", "percent", "whole", "with_error", "half_interval", "setting"):
+    for name in ("number", "percent", "percentage", "whole", "with_error", "half_interval", "setting"):
         environment.filters[name] = getattr(number_text, name)
     return environment

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
+from drivers.percentage import DASH as DASH
+from drivers.percentage import percent_text, percentage_text
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
-DASH = "–"
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MOST_DECIMALS = 9
 
@@ -25,7 +26,12 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def percent(ratio: float | None, digits: int = 3) -> str:
     """A ratio in percent, unit included."""
-    return DASH if ratio is None or not math.isfinite(ratio) else f"{number(100 * ratio, digits)} %"
+    return _minus(percent_text(ratio, digits))
+
+
+def percentage(value: float | None, digits: int = 3) -> str:
+    """A percentage without its unit."""
+    return _minus(percentage_text(value, digits))
 
 
 def whole(value: float | None) -> str:

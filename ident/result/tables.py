@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drivers.errors import UsageError
+from drivers.percentage import DASH, percentage_text
 from drivers.streams import FloatArray
 
 if TYPE_CHECKING:
@@ -31,6 +32,11 @@ class Column:
     def heading(self) -> str:
         """Name and unit."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """The cells for people."""
+        return tuple(cell_text(cell, self.unit) for cell in self.cells)
 
 
 @dataclass(frozen=True)
@@ -110,7 +116,7 @@ class Table:
         return {column.name: column.cells[row] for column in self.columns}
 
     def __str__(self) -> str:
-        texts = [[column.heading, *map(cell_text, column.cells)] for column in self.columns]
+        texts = [[column.heading, *column.texts] for column in self.columns]
         numeric = [_numeric(column.cells) for column in self.columns]
         widths = [max(map(len, column)) for column in texts]
         lines = [
@@ -128,7 +134,7 @@ class Table:
         rows = "".join(
             "<tr>"
             + "".join(
-                f'<td style="text-align: {side}">{escape(cell_text(column.cells[row]))}</td>'
+                f'<td style="text-align: {side}">{escape(column.texts[row])}</td>'
                 for column, side in zip(self.columns, align, strict=True)
             )
             + "</tr>"
@@ -146,10 +152,12 @@ def table_of_rows(title: str, headings: Sequence[tuple[str, str]], rows: Sequenc
     )
 
 
-def cell_text(cell: Cell) -> str:
-    """A cell for people: four significant digits, a dash for nothing."""
+def cell_text(cell: Cell, unit: str = "") -> str:
+    """A cell for people: four significant digits, percentages as people write them, a dash for nothing."""
     if cell is None or (isinstance(cell, float) and not math.isfinite(cell)):
-        return "–"
+        return DASH
+    if isinstance(cell, float) and unit == "%":
+        return percentage_text(cell)
     if isinstance(cell, bool):
         return "yes" if cell else "no"
     return f"{cell:.4g}" if isinstance(cell, float) else str(cell)

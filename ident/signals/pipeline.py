@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.errors import DataError, DynidError, UsageError
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.signals.filters import ZeroPhaseFilter, butterworth, chebyshev_decimation, unit_gain
 from ident.signals.joint_signals import JointSignals
@@ -293,7 +294,8 @@ def _low_passed(
         return segments, None
     zero_phase = butterworth(cutoffs.position, segments[0].rate)
     band = cutoffs.band
-    text = f"positions: {zero_phase.description}; {100 * BAND_POWER:g} % of the motion's power lies below {band:.3g} Hz"
+    power = f"{percent_text(BAND_POWER)} of the motion's power lies below {band:.3g} Hz"
+    text = f"positions: {zero_phase.description}; {power}"
     if cutoffs.position < 2 * band:
         text += "; so low a cut-off distorts the derivatives"
     settings = {"position_cutoff_hz": cutoffs.position, "motion_band_hz": band, "order": 4}

@@ -20,6 +20,7 @@ from daq.robot.assumptions import assumed_limits
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
 from drivers.errors import IdentificationError, UsageError
+from drivers.percentage import percent_text, percentage_text
 from drivers.streams import FloatArray
 from drivers.text_file import replace_file
 from ident.excite.choices import DEFAULT_SECONDS, CriterionName, DesignChoices, Kind
@@ -296,7 +297,7 @@ def design_summary(designed: Design, figures: ExcitationFigures) -> str:
     return (
         f"{choices.kind} of {figures.duration:.4g} s, {choices.criterion} {designed.cost:.4g} along one repetition; "
         f"as played: condition number {forecast.condition:.4g}, column-normalised {forecast.scaled_condition:.4g}, "
-        f"largest limit utilisation {100 * use:.3g} % ({limit})"
+        f"largest limit utilisation {percent_text(use)} ({limit})"
     )
 
 
@@ -330,7 +331,11 @@ def search_state(result: SearchResult, criterion: str) -> str:
     best = result.best
     if best is None:
         return f"{begin}, no feasible motion yet"
-    worst = "" if best.worst is None else f", expected worst error bar ±{best.worst.percent:.3g} % ({best.worst.name})"
+    worst = (
+        ""
+        if best.worst is None
+        else f", expected worst error bar ±{percentage_text(best.worst.percent)} % ({best.worst.name})"
+    )
     return f"{begin}, feasible: {criterion} {np.exp(best.cost):.4g}, condition number {best.condition:.4g}{worst}"
 
 
@@ -342,7 +347,7 @@ def design_notes(designed: Design) -> list[tuple[str, str]]:
         ("Criterion", f"{choices.criterion}: {designed.cost:.4g} along one repetition at full speed"),
         ("Designed for", "the last link, which a payload changes" if choices.loaded else "all base parameters"),
         ("Joints that move", ", ".join(choices.moving) if choices.moving else "all"),
-        ("Margin", f"{100 * choices.margin:g} % of every limit"),
+        ("Margin", f"{percent_text(choices.margin)} of every limit"),
         ("Self-collision", "checked" if choices.self_collision else "not checked"),
         ("Search", search_words(designed)),
     ]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Literal, get_args
 
+from drivers.percentage import percent_text
 from ident.verdict.catalogue import CATALOGUE
 from ident.verdict.check import PURPOSE_WORDS, PURPOSES, SEVERITIES, Check, Purpose, Severity
 
@@ -166,7 +167,7 @@ def _joints(checks: Sequence[Check], errors: Errors) -> tuple[JointVerdict, ...]
         reasons = [_check_reason(check) for check in checks if joint in check.joints]
         if known is not None:
             grade = _grade(known, GOOD_JOINT_ERROR, USABLE_JOINT_ERROR)
-            reasons.append(_Reason(grade, f"its held-out error is {_percent(known)}"))
+            reasons.append(_Reason(grade, f"its held-out error is {percent_text(known, 2)}"))
         worst = _worst(reasons) if reasons else _Reason("good", "its torque is not predicted")
         judged.append(JointVerdict(joint, worst.grade, worst.text, known))
     return tuple(sorted(judged, key=lambda one: _negative(_badness(one))))
@@ -182,13 +183,15 @@ def _purpose(
             reasons.append(_Reason("usable", "no held-out error is known"))
         else:
             grade = _grade(whole, GOOD_ERROR, USABLE_ERROR)
-            reasons.append(_Reason(grade, f"the held-out error is {_percent(whole)}"))
+            reasons.append(_Reason(grade, f"the held-out error is {percent_text(whole, 2)}"))
         if purpose == "collision_detection":  # a collision is seen in each joint's torque by itself
             known = [one for one in joints if one.error is not None]
             largest = max(known, key=lambda one: one.error or 0.0, default=None)
             if largest is not None and largest.error is not None:
                 grade = _grade(largest.error, GOOD_JOINT_ERROR, USABLE_JOINT_ERROR)
-                reasons.append(_Reason(grade, f"the held-out error of {largest.joint} is {_percent(largest.error)}"))
+                reasons.append(
+                    _Reason(grade, f"the held-out error of {largest.joint} is {percent_text(largest.error, 2)}")
+                )
     if not reasons:
         return PurposeVerdict("good", "no check speaks against it")
     worst = _worst(reasons)
@@ -220,10 +223,6 @@ def _negative(badness: tuple[int, float]) -> tuple[int, float]:
 
 def _known(error: float | None) -> float | None:
     return None if error is None or not math.isfinite(error) else error
-
-
-def _percent(error: float) -> str:
-    return f"{100.0 * error:.2g} %" if error < 0.1 else f"{100.0 * error:.0f} %"
 
 
 def _headline(purposes: dict[Purpose, PurposeVerdict], joints: Sequence[JointVerdict]) -> str:

@@ -18,6 +18,7 @@ from drivers.can.bus import EXTENDED
 from drivers.can.receiver import Receiver
 from drivers.can_signals.settings import parse_settings
 from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.percentage import percent_text
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
 from sim_drivers.can.bus_server import BusServer, send_error_frame
 from sim_drivers.can_signals.arm import TableArm
@@ -116,7 +117,7 @@ class ProprietaryCanServer(BusServer):
         """Its state in one line."""
         status = self._status
         state = "enabled" if status.enabled else "not enabled"
-        line = f"{status.time:8.1f} s  {state}, {status.frames} frames, bus load {100 * status.load:.0f} %"
+        line = f"{status.time:8.1f} s  {state}, {status.frames} frames, bus load {percent_text(status.load, 2)}"
         troubles = {"withheld": status.withheld, "lost on the bus": status.lost, "stalls": status.stalls}
         return line + "".join(f", {count} {word}" for word, count in troubles.items() if count)
 

@@ -18,6 +18,7 @@ from drivers.can.arrival_clock import ArrivalClock
 from drivers.canopen402.protocol.objects import STATE_OPERATIONAL, TPDO1
 from drivers.canopen402.settings import CanopenSettings
 from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.percentage import percent_text
 from sim_drivers.can.bus_load import Frame, exact_bits
 from sim_drivers.can.bus_server import BusServer, send_error_frame
 from sim_drivers.can.slcan_adapter import SlcanAdapter
@@ -132,7 +133,7 @@ class CanopenServer(BusServer):
         counts = status.counts
         line = (
             f"{status.operational} drives operational, {status.enabled} enabled, {counts.syncs} SYNCs, "
-            f"bus load {100 * status.load:.0f} %"
+            f"bus load {percent_text(status.load, 2)}"
         )
         troubles = {"lost on the bus": counts.lost, "spoilt": status.faulted, "stalls": counts.stalls}
         return line + "".join(f", {count} {word}" for word, count in troubles.items() if count)

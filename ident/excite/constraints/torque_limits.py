@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.path import Path
@@ -59,7 +60,7 @@ class TorqueLimits:
     @property
     def names(self) -> tuple[str, ...]:
         """As in `torque of elbow (85 % of its limit)`."""
-        return tuple(f"torque of {name} ({100 * TORQUE_SHARE:g} % of its limit)" for name in self.joint_names)
+        return tuple(f"torque of {name} ({percent_text(TORQUE_SHARE)} of its limit)" for name in self.joint_names)
 
     def use(self, path: Path) -> FloatArray:
         """(m,) largest use on the grid."""

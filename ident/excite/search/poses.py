@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from drivers.errors import UsageError
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.families.moving_joints import MovingJoints
@@ -107,18 +108,18 @@ class _Tried:
     @property
     def conclusion(self) -> str:
         """Which limit excludes them, in one line."""
-        names, allowed = self._problem.limits, 100.0 * self._problem.allowed
+        names, allowed = self._problem.limits, percent_text(self._problem.allowed)
         worst = int(np.argmax(self._least))
         if self._least[worst] > self._problem.allowed:
             return (
-                f"no feasible motion: each of {self._count} poses tried uses at least {100 * self._least[worst]:.4g} % "
-                f"of the {names[worst]}, the margin allows {allowed:.3g} %"
+                f"no feasible motion: each of {self._count} poses tried uses at least "
+                f"{percent_text(float(self._least[worst]), 4)} of the {names[worst]}, the margin allows {allowed}"
             )
         assert self._best is not None
         worst = int(np.argmax(self._best))
         return (
             f"no feasible motion: none of {self._count} poses tried keeps all limits at once; the best uses "
-            f"{100 * self._best[worst]:.4g} % of the {names[worst]}, the margin allows {allowed:.3g} %"
+            f"{percent_text(float(self._best[worst]), 4)} of the {names[worst]}, the margin allows {allowed}"
         )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.excite.search.acceptance import LEAST_SHARE, ROUNDING, accepted, dense_use, shrunk_to_fit
 from ident.excite.search.error_bars import ErrorBar
@@ -173,7 +174,7 @@ def _feasible_near(problem: Problem, begin: FloatArray, seed: Sequence[int], tic
 def _worst(problem: Problem, variables: FloatArray) -> str:
     use = problem.use(variables)
     worst = int(np.argmax(use))
-    return f"{100.0 * use[worst]:.4g} % of the {problem.limits[worst]}"
+    return f"{percent_text(float(use[worst]), 4)} of the {problem.limits[worst]}"
 
 
 def _narrowed(problem: Problem, variables: FloatArray, solver: Solver, watch: Watch) -> Iterator[FloatArray]:

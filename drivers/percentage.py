@@ -1,0 +1,33 @@
+"""Percentages as people write them: 0.34 %, 12.5 %, 1230 %; no powers of ten, and no 0 for what is not 0."""
+
+from __future__ import annotations
+
+import math
+
+DASH = "–"
+"""What stands for a missing value."""
+
+LEAST, MOST = 0.001, 1e6
+"""Percentages whose size is outside of this are told as less or more than it."""
+
+
+def percent_text(ratio: float | None, digits: int = 3) -> str:
+    """A ratio in percent, with its unit; a dash where there is none."""
+    if ratio is None or not math.isfinite(ratio):
+        return DASH
+    return f"{percentage_text(100.0 * ratio, digits)} %"
+
+
+def percentage_text(percentage: float | None, digits: int = 3) -> str:
+    """A percentage without its unit: `digits` significant digits, none after the point where none are left."""
+    if percentage is None or not math.isfinite(percentage):
+        return DASH
+    size, sign = abs(percentage), "-" if percentage < 0 else ""
+    if 0 < size < LEAST:
+        return f"> {-LEAST:g}" if sign else f"< {LEAST:g}"
+    if size >= MOST:
+        return f"< -{MOST:.0f}" if sign else f"> {MOST:.0f}"
+    if abs(size - round(size)) < 1e-9:
+        return f"{sign}{size:.0f}"
+    exponent = int(f"{size:.{digits - 1}e}".partition("e")[2])  # after rounding: 9.996 is 10.0
+    return f"{sign}{size:.{max(0, digits - 1 - exponent)}f}"

@@ -1,0 +1,44 @@
+"""Percentages as people write them."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.percentage import DASH, LEAST, MOST, percent_text, percentage_text
+
+
+@pytest.mark.parametrize(
+    ("ratio", "text"),
+    [
+        (0.0, "0 %"),
+        (0.0034, "0.340 %"),
+        (0.1234, "12.3 %"),
+        (0.9996, "100 %"),
+        (0.09996, "10.0 %"),
+        (0.5, "50 %"),
+        (1.0, "100 %"),
+        (1.04, "104 %"),
+        (12.3456, "1235 %"),
+        (-0.02, "-2 %"),
+        (1e-9, "< 0.001 %"),
+        (1e9, "> 1000000 %"),
+        (None, DASH),
+        (math.nan, DASH),
+        (math.inf, DASH),
+    ],
+)
+def test_ratios_in_percent(ratio: float | None, text: str) -> None:
+    assert percent_text(ratio) == text
+
+
+@given(st.floats(LEAST, MOST, exclude_max=True), st.integers(2, 5))
+def test_digits_are_kept_and_no_power_of_ten_is_written(value: float, digits: int) -> None:
+    text = percentage_text(value, digits)
+    assert re.fullmatch(r"\d+(\.\d+)?", text)
+    assert float(text) == pytest.approx(value, rel=0.5 * 10 ** (1 - digits), abs=1e-9)
+    assert percentage_text(-value, digits) == f"-{text}"
