@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
-from ident.commands.options import DELAY, JSON
+from ident.commands.two_runs import TwoRuns, takes_two_runs
 
 if TYPE_CHECKING:
     from ident.experiments.drive_gains import DriveGains
@@ -16,93 +15,69 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
-FREE = typer.Argument(help="Recording (.h5) of the arm without the load.")
-LOADED = typer.Argument(help="Recording (.h5) of the same arm with it.")
-MASS = typer.Option(None, "--mass", help="Mass of the load [kg].")
-COM = typer.Option(None, "--com", help="Its centre of mass X,Y,Z in the tool frame [m].")
-INERTIA = typer.Option(None, "--inertia", help="Its inertia XX,XY,XZ,YY,YZ,ZZ about the centre of mass [kg·m²].")
-ROBOT = typer.Option(None, "--robot", help="Robot file in place of the free recording's own.")
-UP_AND_DOWN = typer.Option(False, "--up-and-down", help="From slow passes of one joint at a time, up and down.")
-
 
 @app.command("payload")
-def identify_load(
-    free: Path = FREE,
-    loaded: Path = LOADED,
-    mass: float = MASS,
-    com: str = COM,
-    inertia: str = INERTIA,
-    robot: str = ROBOT,
-    delay: str = DELAY,
-    as_json: bool = JSON,
-) -> None:
+@takes_two_runs
+def identify_load(runs: TwoRuns) -> None:
     """Identify the load on the tool, and test whether a load explains what changed between the runs.
 
-    Example: dynid payload free.h5 loaded.h5 --mass 2.8
+    Example: dynid payload free.h5 loaded.h5 --mass 2.8 -o load
     """
     from daq.commands.console import progress_line
-    from ident.commands.options import delay_option, numbers_option
-    from ident.tasks.loads import payload
+    from daq.output_files import REPORT_FILE
+    from ident.tasks.loads import PAYLOAD_FILE, payload
 
-    com_values, inertia_values = numbers_option(com, "--com"), numbers_option(inertia, "--inertia")
-    with progress_line(quiet=as_json) as progress:
+    folder, options = runs.folder("payload", PAYLOAD_FILE), runs.options()
+    with progress_line(quiet=runs.as_json) as progress:
         progress("payload")
-        load = payload(
-            free, loaded, mass=mass, com=com_values, inertia=inertia_values, robot=robot, delay=delay_option(delay)
-        )
-    if as_json:
+        load = payload(runs.free, runs.loaded, mass=runs.mass, **options)
+        progress("report")
+        load.save(folder)
+    if runs.as_json:
         print(load.to_json())
-    else:
-        print_payload(load.estimate)
+        return
+    print_payload(load.estimate)
+    print(f"\n{folder / PAYLOAD_FILE}\n{folder / REPORT_FILE}")
 
 
 @app.command("gains")
+@takes_two_runs
 def identify_drive_gains(
-    free: Path = FREE,
-    loaded: Path = LOADED,
-    mass: float = MASS,
-    com: str = COM,
-    inertia: str = INERTIA,
-    robot: str = ROBOT,
-    delay: str = DELAY,
-    up_and_down: bool = UP_AND_DOWN,
-    as_json: bool = JSON,
+    runs: TwoRuns,
+    up_and_down: bool = typer.Option(
+        False, "--up-and-down", help="From slow passes of one joint at a time, up and down."
+    ),
 ) -> None:
     """Identify the gains of all drives from a run without and a run with a load of known mass.
 
-    Example: dynid gains free.h5 loaded.h5 --mass 2.8
+    Example: dynid gains free.h5 loaded.h5 --mass 2.8 -o gains
     """
     from daq.commands.console import progress_line
+    from daq.output_files import REPORT_FILE
     from drivers.errors import UsageError
-    from ident.commands.options import delay_option, numbers_option
     from ident.experiments.drive_gains import DriveGains
-    from ident.tasks.loads import drive_gains
+    from ident.tasks.loads import GAINS_FILE, drive_gains
 
-    if mass is None:
+    if runs.mass is None:
         raise UsageError(
             "the gains are not identifiable without the load's mass: twice the gains with twice the masses fit equally "
             "well",
             hint="weigh the load and add --mass KG",
         )
-    com_values, inertia_values = numbers_option(com, "--com"), numbers_option(inertia, "--inertia")
-    with progress_line(quiet=as_json) as progress:
+    folder, options = runs.folder("gains", GAINS_FILE), runs.options()
+    with progress_line(quiet=runs.as_json) as progress:
         progress("gains")
-        identified = drive_gains(
-            free,
-            loaded,
-            mass=mass,
-            com=com_values,
-            inertia=inertia_values,
-            robot=robot,
-            delay=delay_option(delay),
-            up_and_down=up_and_down,
-        )
-    if as_json:
+        identified = drive_gains(runs.free, runs.loaded, mass=runs.mass, up_and_down=up_and_down, **options)
+        progress("report")
+        identified.save(folder)
+    if runs.as_json:
         print(identified.to_json())
-    elif isinstance(identified.estimate, DriveGains):
+        return
+    if isinstance(identified.estimate, DriveGains):
         print_gains(identified.estimate)
     else:
         print_slow_gains(identified.estimate)
+    print(f"\n{folder / GAINS_FILE}\n{folder / REPORT_FILE}")
 
 
 def print_payload(payload: Payload) -> None:

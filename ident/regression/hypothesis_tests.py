@@ -41,7 +41,12 @@ class SignificanceTest:
     @property
     def p_text(self) -> str:
         """The p-value in print."""
-        return "p < 0.0001" if self.p_value < 1e-4 else f"p = {self.p_value:.2g}"
+        return p_text(self.p_value)
+
+
+def p_text(p_value: float) -> str:
+    """A p-value in print."""
+    return "p < 0.0001" if p_value < 1e-4 else f"p = {p_value:.2g}"
 
 
 def chi_square_test(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
 from daq.commands.console import json_text
+from daq.output_files import REPORT_FILE, write_folder
 from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
@@ -24,12 +26,17 @@ from ident.experiments.payload_summary import (
     payload_sentences,
     slow_gains_result,
 )
+from ident.experiments.schema import GainsResult, SlowGainsResult
 from ident.experiments.up_and_down import SlowGains, identify_slow_gains
 from ident.model.load import MASS, KnownLoad
+from ident.report.load_pages import gains_page, payload_page
 from ident.result.tables import Table, table_of_rows
 from ident.tasks.runs import Run, recording_of
 
 Vector = Sequence[float] | FloatArray
+
+PAYLOAD_FILE, GAINS_FILE = "payload.json", "gains.json"
+"""Names of the results in the folders that `save` writes."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +108,16 @@ class IdentifiedPayload:
         """What `dynid payload --json` prints."""
         return json_text(payload_result(self.estimate).model_dump())
 
+    def save(self, folder: str | PathLike[str]) -> None:
+        """Write `payload.json` and `report.html` into a folder, as `dynid payload -o` does; replaces those in it.
+
+        Raises:
+            UsageError: it is a file, or cannot be written.
+            DiskError: the disk is full or fails.
+        """
+        page = payload_page(payload_result(self.estimate))
+        write_folder(Path(folder), {PAYLOAD_FILE: self.to_json() + "\n", REPORT_FILE: page})
+
     def __str__(self) -> str:
         warnings = [f"warning: {warning}" for warning in self.warnings]
         return "\n".join([str(self.parameters), "", *self.sentences, *warnings])
@@ -154,9 +171,22 @@ class IdentifiedGains:
 
     def to_json(self) -> str:
         """What `dynid gains --json` prints."""
+        return json_text(self._result.model_dump())
+
+    def save(self, folder: str | PathLike[str]) -> None:
+        """Write `gains.json` and `report.html` into a folder, as `dynid gains -o` does; replaces those in it.
+
+        Raises:
+            UsageError: it is a file, or cannot be written.
+            DiskError: the disk is full or fails.
+        """
+        page = gains_page(self._result)
+        write_folder(Path(folder), {GAINS_FILE: self.to_json() + "\n", REPORT_FILE: page})
+
+    @property
+    def _result(self) -> GainsResult | SlowGainsResult:
         estimate = self.estimate
-        result = gains_result(estimate) if isinstance(estimate, DriveGains) else slow_gains_result(estimate)
-        return json_text(result.model_dump())
+        return gains_result(estimate) if isinstance(estimate, DriveGains) else slow_gains_result(estimate)
 
     def __str__(self) -> str:
         return "\n".join([str(self.gains), *(f"warning: {warning}" for warning in self.warnings)])

@@ -20,6 +20,8 @@ ARGUMENTS = {
     "robot new": "arm.urdf -o OUT.yaml",
     "identify": "run.h5 other.h5 --validate val.h5 --robot arm.yaml -o FOLDER",
     "merge": "result.json model --validate val.h5 -o FOLDER",
+    "payload": "free.h5 loaded.h5 --robot arm.yaml -o FOLDER",
+    "gains": "free.h5 loaded.h5 --mass 2 --robot arm.yaml -o FOLDER",
     "info": "run.h5 --robot arm.yaml --page FOLDER",
     "demo": "--robot arm.yaml -o FOLDER",
 }
@@ -35,6 +37,8 @@ def outputs_of(name: str) -> list[str]:
     words = shlex.split(ARGUMENTS[name])
     if "FOLDER" in words:
         kinds = {
+            "payload": ("payload.json", "report.html"),
+            "gains": ("gains.json", "report.html"),
             "info": ("info.json", "info.html"),
             "demo": ("identification.h5", "validation.yaml", "result.json", "report.html"),
         }

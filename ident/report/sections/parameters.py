@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
-from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.report.figures import KIND_STYLES, RESIDUAL, Figure, plain
+from ident.report.figures import KIND_STYLES, Figure
+from ident.report.interval_panel import IntervalSeries, interval_panel
 from ident.report.panels import Panel, panel_figure
 from ident.report.reference_values import ReferenceValues, reference_values
 from ident.report.section import ReportData, ReportSection
 from ident.result.schema import BaseParameterResult, Result
-
-ROW = 15
-"""Height of a parameter's line [px]."""
 
 REFERENCE_MARKER = "#7C828A"
 
@@ -72,51 +67,12 @@ def _panel(
     kind: str, unit: str, entries: Sequence[BaseParameterResult], known: Mapping[str, float], legend: str
 ) -> Panel:
     words, colour, symbol = KIND_STYLES[kind]
-    names = [plain(parameter.name) for parameter in entries]
-    half = [
-        WITHIN_95_PERCENT * parameter.std if parameter.std is not None and math.isfinite(parameter.std) else 0.0
-        for parameter in entries
-    ]
-    traces: list[dict[str, Any]] = [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": "estimate ± 95 %",
-            "showlegend": bool(legend),
-            "x": [parameter.value for parameter in entries],
-            "y": names,
-            "marker": {"color": colour, "symbol": symbol, "size": 6},
-            "error_x": {"type": "data", "array": half, "thickness": 1.5, "width": 3, "color": colour},
-            "hovertemplate": f"%{{y}}: %{{x:.4g}} {unit}<extra></extra>",
-        }
-    ]
-    having = [(name, known[p.name]) for name, p in zip(names, entries, strict=True) if p.name in known]
+    values = {parameter.name: parameter.value for parameter in entries}
+    deviations = {parameter.name: parameter.std for parameter in entries}
+    marker = {"color": colour, "symbol": symbol, "size": 6}
+    series = [IntervalSeries("estimate ± 95 %", values, marker, deviations, shown=bool(legend))]
+    having = {name: known[name] for name in values if name in known}
     if having:
-        traces.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": legend.lower() or "reference",
-                "showlegend": bool(legend),
-                "x": [value for _, value in having],
-                "y": [name for name, _ in having],
-                "marker": {"color": REFERENCE_MARKER, "symbol": "diamond-open", "size": 9, "line": {"width": 1.5}},
-                "hovertemplate": f"{legend.lower() or 'reference'} of %{{y}}: %{{x:.4g}} {unit}<extra></extra>",
-            }
-        )
-    return Panel(
-        f"{words} [{unit}]",
-        f"<b>{words}</b> [{unit}]",
-        traces,
-        y={
-            "type": "category",
-            "categoryorder": "array",
-            "categoryarray": names,
-            "range": [len(names) - 0.4, -0.6],
-            "dtick": 1,
-            "tickfont": {"size": 10},
-            "automargin": True,
-        },
-        vertical=[(0.0, {"color": RESIDUAL, "width": 1})],
-        height=ROW * len(names) + 16,
-    )
+        marker = {"color": REFERENCE_MARKER, "symbol": "diamond-open", "size": 9, "line": {"width": 1.5}}
+        series.append(IntervalSeries(legend.lower() or "reference", having, marker, shown=bool(legend)))
+    return interval_panel(f"{words} [{unit}]", f"<b>{words}</b> [{unit}]", list(values), series, unit)

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chromium import BrowserPage, chromium, chromium_path
+from loaded_arm import LOAD
+from loaded_arm import runs as loaded_runs
 from page_layout import COLLIDING_TEXTS, OVERFLOW
 
 from daq.motion.trajectories import RestToRest
@@ -28,6 +30,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.report import ReportData, TruthTable, write_result_folder
 from ident.tasks.identification import identify
+from ident.tasks.loads import drive_gains, payload
 from ident.tasks.prediction import predict
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
@@ -89,11 +92,25 @@ def prediction_page(folder: Path) -> Path:
     return path
 
 
+def payload_page(folder: Path) -> Path:
+    free, loaded = loaded_runs(0, hidden=True)
+    payload(free, loaded, mass=LOAD.mass).save(folder)
+    return folder / REPORT_FILE
+
+
+def gains_page(folder: Path) -> Path:
+    free, loaded = loaded_runs(0, hidden=True)
+    drive_gains(free, loaded, mass=LOAD.mass).save(folder)
+    return folder / REPORT_FILE
+
+
 PAGES: dict[str, Callable[[Path], Path]] = {
     "identification": identification_page,
     "excitation": excitation_page,
     "recording": recording_page,
     "prediction": prediction_page,
+    "payload": payload_page,
+    "gains": gains_page,
 }
 """What writes each page into a folder; a new page is one line here."""
 
@@ -145,8 +162,14 @@ def check_layout(page: BrowserPage) -> None:
     assert page.evaluate(COLLIDING_TEXTS) == []
 
 
-SETTLED = """Promise.all(Array.from(document.querySelectorAll(".plot"), (plot) =>
-  new Promise((done) => requestAnimationFrame(() => done(plot._promises ? Promise.all(plot._promises) : true)))))"""
+# Plotly follows the window's width a while after the event.
+SETTLED = """(async () => {
+  for (const plot of document.querySelectorAll(".plot")) {
+    const late = () => plot.offsetParent && Math.abs(plot._fullLayout.width - plot.clientWidth) > 1;
+    while (late()) await new Promise(requestAnimationFrame);
+    await Promise.all(plot._promises || []);
+  }
+})()"""
 
 LAST_PLANE_FIGURE = """(() => {
   const plot = Array.from(document.querySelectorAll(".plot")).filter((one) => one.querySelector(".nsewdrag")).at(-1);

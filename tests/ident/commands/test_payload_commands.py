@@ -8,6 +8,7 @@ from pathlib import Path
 
 import h5py
 import pytest
+from html_page import Page
 from loaded_arm import runs
 
 from daq.recording.writer import write_recording
@@ -35,19 +36,26 @@ def run(arguments: list[str], capsys, monkeypatch) -> tuple[int, str, str]:
     return int(left.value.code or 0), output.out, output.err
 
 
-def test_payload_in_words(folder, capsys, monkeypatch):
-    status, out, err = run(
-        ["payload", str(folder / "free.h5"), str(folder / "loaded.h5"), "--mass", "2.8"], capsys, monkeypatch
-    )
+def test_payload_in_words_and_as_a_page(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    status, out, err = run(["payload", "free.h5", "loaded.h5", "--mass", "2.8"], capsys, monkeypatch)
+    assert out.endswith("\nloaded-payload/payload.json\nloaded-payload/report.html\n")
+    content = json.loads((folder / "loaded-payload" / "payload.json").read_text(encoding="utf-8"))
+    page = Page((folder / "loaded-payload" / "report.html").read_text(encoding="utf-8"))
+    for sentence in content["sentences"]:
+        assert sentence in out
+        assert sentence in page.words
+    assert set(page.figures) == {"load-plot", "changes-plot"}
     assert (status, err) == (0, "")
     for expected in ("M_L", "centre of mass", "tool frame", "free plus load", "the known 2.8 kg", "Load with the"):
         assert expected in out
 
 
 def test_payload_as_json(folder, capsys, monkeypatch):
-    arguments = ["payload", str(folder / "free.h5"), str(folder / "loaded.h5"), "--json"]
-    status, out, _ = run(arguments, capsys, monkeypatch)
+    monkeypatch.chdir(folder)
+    status, out, _ = run(["payload", "free.h5", "loaded.h5", "--json", "-o", "load"], capsys, monkeypatch)
     content = json.loads(out)
+    assert content == json.loads((folder / "load" / "payload.json").read_text(encoding="utf-8"))
     assert status == 0
     assert [row["name"] for row in content["load"]] == [f"{symbol}_L" for symbol in INERTIAL]
     assert content["known"] is None
@@ -55,16 +63,22 @@ def test_payload_as_json(folder, capsys, monkeypatch):
     assert content["tests"]["mass"] is None
 
 
-def test_gains_in_words(folder, capsys, monkeypatch):
-    arguments = ["gains", str(folder / "free.h5"), str(folder / "loaded.h5"), "--mass", "2.8"]
-    status, out, err = run(arguments, capsys, monkeypatch)
+def test_gains_in_words_and_as_a_page(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    status, out, err = run(["gains", "free.h5", "loaded.h5", "--mass", "2.8"], capsys, monkeypatch)
+    assert out.endswith("\nloaded-gains/gains.json\nloaded-gains/report.html\n")
+    content = json.loads((folder / "loaded-gains" / "gains.json").read_text(encoding="utf-8"))
+    page = Page((folder / "loaded-gains" / "report.html").read_text(encoding="utf-8"))
+    assert set(page.figures) == {"gains-plot"}
+    assert content["robot_file_text"].splitlines()[1].strip() in page.words
     assert (status, err) == (0, "")
     for expected in ("shoulder_pan_joint", "robot file", "RSD", "for the robot file:\ndrives:\n  - {joint:"):
         assert expected in out
 
 
 def test_gains_as_json(folder, capsys, monkeypatch):
-    arguments = ["gains", str(folder / "free.h5"), str(folder / "loaded.h5"), "--mass", "2.8", "--json"]
+    monkeypatch.chdir(folder)
+    arguments = ["gains", "free.h5", "loaded.h5", "--mass", "2.8", "--json", "-o", "gains"]
     status, out, _ = run(
         [*arguments, "--com", "0.03,-0.02,0.08", "--inertia", "0.01,0.001,0,0.012,0,0.009"], capsys, monkeypatch
     )
@@ -94,7 +108,8 @@ def test_gains_as_json(folder, capsys, monkeypatch):
 )
 def test_bad_input_is_one_line_and_status_2(arguments, said, folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
-    status, out, err = run(arguments, capsys, monkeypatch)
+    status, out, err = run([*arguments, "-o", "untouched"], capsys, monkeypatch)
+    assert not Path("untouched").exists()
     assert status == 2
     assert said in err
     assert len(err.strip().splitlines()) == 1

@@ -1,0 +1,171 @@
+"""Pages of experiments with a load on the tool: the load, or the drive gains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ident.experiments.schema import (
+    BaseParameterChange,
+    GainResult,
+    GainsResult,
+    LoadParameter,
+    PayloadResult,
+    SignificanceResult,
+    SlowGainResult,
+    SlowGainsResult,
+)
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, p_text
+from ident.report.figures import MEASURED, PREDICTED, Figure
+from ident.report.html_file import page_templates
+from ident.report.interval_panel import IntervalSeries, interval_panel
+from ident.report.number_text import DASH, number, with_error
+from ident.report.panels import panel_figure
+from ident.report.section import Tile
+
+IDENTIFIED = {"color": MEASURED, "symbol": "circle", "size": 6}
+COMPARED = {"color": PREDICTED, "symbol": "diamond-open", "size": 9, "line": {"width": 1.5}}
+
+Gain = GainResult | SlowGainResult
+
+
+def payload_page(result: PayloadResult) -> str:
+    """The page of a load: the tests in words, its parameters, what it changes."""
+    return (
+        page_templates()
+        .get_template("payload_page.html.j2")
+        .render(
+            result=result,
+            tiles=_payload_tiles(result),
+            load=_load_figure(result),
+            changes=_changes_figure(result.base_parameters),
+        )
+    )
+
+
+def _payload_tiles(result: PayloadResult) -> list[Tile]:
+    mass = next((row for row in result.load if row.name == "M_L"), None)
+    weighed = DASH if result.known is None else f"{number(result.known.mass)} kg"
+    tiles = [
+        Tile("Mass ± 95 % [kg]", with_error(mass.value, mass.std) if mass else DASH, f"known: {weighed}"),
+        Tile("A load explains what changed", _test_word(result.tests.load), _p_value(result.tests.load)),
+        Tile("Friction and the rest stayed", _test_word(result.tests.unchanged), _p_value(result.tests.unchanged)),
+    ]
+    if result.known is not None:
+        tiles.insert(1, Tile("Mass agrees", _test_word(result.tests.mass), _p_value(result.tests.mass)))
+    return tiles
+
+
+def _test_word(test: SignificanceResult | None) -> str:
+    return DASH if test is None else "yes" if test.passed else "no"
+
+
+def _p_value(test: SignificanceResult | None) -> str:
+    return "too little data to tell" if test is None else p_text(test.p_value)
+
+
+def _load_figure(result: PayloadResult) -> Figure | None:
+    """The load's parameters, a panel per unit."""
+    units = list(dict.fromkeys(row.unit for row in result.load if row.value is not None))
+    if not units:
+        return None
+    sets = [("identified ± 95 %", result.load, IDENTIFIED)]
+    if result.load_with_known is not None:
+        sets.append(("with the known ones held fixed", result.load_with_known, COMPARED))
+    panels = []
+    for unit in units:
+        rows = [row.name for row in result.load if row.unit == unit]
+        series = [_load_series(label, of, marker, shown=unit == units[0]) for label, of, marker in sets]
+        panels.append([interval_panel(f"load [{unit}]", f"<b>load</b> [{unit}]", rows, series, unit)])
+    caption = "Load parameters in the tool frame with their 95 % intervals, noise and drive gains together."
+    return panel_figure("load-plot", panels, caption)
+
+
+def _load_series(label: str, rows: Sequence[LoadParameter], marker: dict[str, Any], *, shown: bool) -> IntervalSeries:
+    values, deviations = ({row.name: getattr(row, field) for row in rows} for field in ("value", "std"))
+    return IntervalSeries(label, values, marker, deviations, shown=shown)
+
+
+def _changes_figure(changes: Sequence[BaseParameterChange]) -> Figure | None:
+    """What the load changed, and what remains once the estimated load is taken off, in σ."""
+    sigma = {
+        row.name: (row.free_std**2 + row.loaded_std**2) ** 0.5
+        for row in changes
+        if row.free_std is not None and row.loaded_std is not None and row.free_std + row.loaded_std > 0
+    }
+    if not sigma:
+        return None
+    changed = {row.name: (row.loaded - row.free) / sigma[row.name] for row in changes if row.name in sigma}
+    left = {
+        row.name: (row.loaded - row.predicted) / sigma[row.name]
+        for row in changes
+        if row.name in sigma and row.predicted is not None
+    }
+    series = [
+        IntervalSeries("loaded − free", changed, COMPARED),
+        IntervalSeries("loaded − (free + load)", left, IDENTIFIED),
+    ]
+    panel = interval_panel("changes [σ]", "<b>base parameters</b> [σ of their difference]", list(sigma), series, "σ")
+    caption = (
+        "Base parameters that a load changes: their difference between the two runs, over σ of both, and what is left "
+        f"when the identified load is added to the free run's. Within ±{WITHIN_95_PERCENT:g} nothing is left."
+    )
+    return panel_figure("changes-plot", [[panel]], caption)
+
+
+def gains_page(result: GainsResult | SlowGainsResult) -> str:
+    """The page of drive gains: beside those of the robot file, with their intervals, and the text for it."""
+    slow = isinstance(result, SlowGainsResult)
+    return (
+        page_templates()
+        .get_template("gains_page.html.j2")
+        .render(
+            result=result,
+            slow=slow,
+            tiles=_gain_tiles(result),
+            gains=[(gain, _change(gain.gain, gain)) for gain in result.gains],
+            figure=_gains_figure(result.gains, result.unit),
+            base_parameters=() if isinstance(result, SlowGainsResult) else result.base_parameters,
+        )
+    )
+
+
+def _gain_tiles(result: GainsResult | SlowGainsResult) -> list[Tile]:
+    identified = sum(gain.gain is not None for gain in result.gains)
+    return [
+        Tile("Gains identified", str(identified), f"of {len(result.gains)}"),
+        Tile("Signal", result.signal, f"joint torque = gain · {result.signal}"),
+        Tile("Known mass", f"{number(result.known.mass)} kg"),
+        Tile("Gap of the null vector", number(result.gap, 3), "times below the next singular value; above 2 is needed"),
+    ]
+
+
+def _change(value: float | None, gain: Gain) -> float | None:
+    """How much a gain is above the robot file's [%]."""
+    return None if value is None or not gain.file_gain else 100.0 * (value / gain.file_gain - 1.0)
+
+
+def _gains_figure(gains: Sequence[Gain], unit: str) -> Figure | None:
+    having = [gain for gain in gains if gain.gain is not None]
+    if not having:
+        return None
+    rows = [gain.joint for gain in gains]
+    found = IntervalSeries(
+        "identified ± 95 %",
+        {gain.joint: gain.gain for gain in gains},
+        IDENTIFIED,
+        {gain.joint: gain.std for gain in gains},
+    )
+    file = IntervalSeries("robot file", {gain.joint: gain.file_gain for gain in gains}, COMPARED)
+    panels = [interval_panel(f"gain [{unit}]", f"<b>gain</b> [{unit}]", rows, [found, file], unit)]
+    if any(gain.file_gain for gain in having):
+        change = IntervalSeries(
+            "change",
+            {gain.joint: _change(gain.gain, gain) for gain in gains},
+            IDENTIFIED,
+            {gain.joint: 100.0 * gain.std / abs(gain.file_gain) for gain in gains if gain.file_gain and gain.std},
+            shown=False,
+        )
+        panels.append(interval_panel("change [%]", "<b>against the robot file</b> [%]", rows, [change], "%"))
+    caption = "Identified gains with their 95 % intervals, and their change against the robot file's."
+    return panel_figure("gains-plot", [[panel] for panel in panels], caption)
