@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from hashlib import sha256
@@ -97,7 +97,15 @@ def summarise(
             identification.consistent.validation,
             identification.consistent.tracking,
         ),
-        drive_gains=gain_results(robot),
+        drive_gains=gain_results(
+            robot,
+            {
+                name
+                for run in identification.runs
+                for joint, name in enumerate(run.signals.joint_names)
+                if joint in run.torques and name in run.signals.gains_used
+            },
+        ),
         fit=fit_result(identification.fit),
         validation=fit_result(identification.validation),
         validation_source=identification.validation_source,
@@ -311,9 +319,9 @@ def friction_results(
     ]
 
 
-def gain_results(robot: Robot) -> list[DriveGainResult]:
-    """The drive gains of a robot file."""
-    drives = [robot.drive(name) for name in robot.joint_names]
+def gain_results(robot: Robot, used: Collection[str]) -> list[DriveGainResult]:
+    """The drive gains of a robot file, of these joints."""
+    drives = [robot.drive(name) for name in robot.joint_names if name in used]
     return [
         DriveGainResult(joint=drive.joint, signal=drive.signal, gain=drive.gain, std=drive.gain_std) for drive in drives
     ]

@@ -308,7 +308,7 @@ class Result(_Part):
         default=None, description="of the physically consistent model; null where none was found"
     )
     consistent: ConsistentModel | None = None
-    drive_gains: list[DriveGainResult]
+    drive_gains: list[DriveGainResult] = Field(description="those that turned a recorded signal into torque")
     fit: Fit | None = Field(description="null for merged models, which are not fitted to recordings")
     validation: Fit | None
     validation_source: str

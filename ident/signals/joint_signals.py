@@ -49,6 +49,7 @@ class JointSignals:
         position: (N, n) [rad or m].
         torque: (N, n) of the motors, referred to the joint side [N·m or N].
         torque_origin: where the torque comes from, in words.
+        gains_used: names of the joints whose drive gain made the torque out of what was recorded.
         velocity: (N, n) [rad/s or m/s]; None where it was not recorded.
 
     Raises:
@@ -62,6 +63,7 @@ class JointSignals:
     torque: FloatArray
     torque_origin: str
     velocity: FloatArray | None = None
+    gains_used: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         optional = {} if self.velocity is None else {"velocity": self.velocity}
@@ -95,10 +97,17 @@ def read_joint_signals(recording: Recording, robot: Robot) -> JointSignals:
     """
     positions = joint_positions(recording, robot)
     stream = recording.streams[JOINTS_STREAM]
-    torque, origin = _joint_torque(stream, robot, recording)
+    torque, origin, gains_used = _joint_torque(stream, robot, recording)
     velocity = _joint_values(stream, "velocity", robot, recording)
     return JointSignals(
-        recording.label, tuple(robot.joint_names), positions.time, positions.position, torque, origin, velocity
+        recording.label,
+        tuple(robot.joint_names),
+        positions.time,
+        positions.position,
+        torque,
+        origin,
+        velocity,
+        gains_used,
     )
 
 
@@ -118,7 +127,8 @@ def joint_positions(recording: Recording, robot: Robot) -> JointPositions:
     return JointPositions(recording.label, tuple(robot.joint_names), stream.time, position)
 
 
-def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[FloatArray, str]:
+def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[FloatArray, str, tuple[str, ...]]:
+    """Torque, where it comes from, joints whose gain made it."""
     drives = [robot.drive(name) for name in robot.joint_names]
     signals = {drive.signal for drive in drives}
     signal = signals.pop() if len(signals) == 1 else "current"
@@ -128,7 +138,8 @@ def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[F
         unknown = [drive.joint for drive in drives if drive.gain is None]
         if raw is not None and not unknown:
             drive_gains = [DriveGain(drive.gain, drive.gain_std, drive.signal) for drive in drives]
-            return joint_torque(raw, drive_gains), f"{signal} times the robot file's gains"  # the motors' where coupled
+            origin = f"{signal} times the robot file's gains"
+            return joint_torque(raw, drive_gains), origin, tuple(robot.joint_names)  # the motors' where coupled
         if recorded is None and raw is not None:
             raise DataError(
                 f"records {signal}, but the gain of {', '.join(unknown)} is unknown",
@@ -141,11 +152,16 @@ def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[F
             f"records neither torque nor {signal if signal != 'torque' else 'current'}; it has {quantities}",
             where=recording.label,
         )
-    gains = np.array([drive.gain if drive.signal == "torque" and drive.gain else 1.0 for drive in drives])
+    used = tuple(drive.joint for drive in drives if drive.signal == "torque" and drive.gain)
+    gains = np.array([drive.gain if drive.joint in used else 1.0 for drive in drives], dtype=np.float64)
     if robot.model.coupling:
         coupling = coupling_matrix(robot.model.coupling, robot.joint_names)
-        return np.linalg.solve(coupling.T, (recorded * gains).T).T, "torque as recorded, referred to the coupled motors"
-    return recorded * gains, "torque as recorded"
+        return (
+            np.linalg.solve(coupling.T, (recorded * gains).T).T,
+            "torque as recorded, referred to the coupled motors",
+            used,
+        )
+    return recorded * gains, "torque as recorded", used
 
 
 def _joint_values(stream: Stream, quantity: str, robot: Robot, recording: Recording) -> FloatArray | None:

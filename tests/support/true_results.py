@@ -76,7 +76,7 @@ def true_result(
             for i, name in enumerate(base.names)
         ],
         friction=[],
-        drive_gains=gain_results(robot_file.robot),
+        drive_gains=gain_results(robot_file.robot, robot_file.robot.joint_names),
         fit=None,
         validation=None,
         validation_source="",

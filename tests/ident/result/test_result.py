@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from hashlib import sha256
 
 import numpy as np
@@ -68,6 +69,13 @@ def test_the_names_of_the_design_are_there(content):
         assert len(content[part]["rmse"]) == len(content["joints"]) == 3
     assert {"python", "numpy", "dynid"} <= set(content["versions"])
     assert [gain["gain"] for gain in content["drive_gains"]] == [10.0, -8.0, 4.0]
+
+
+def test_gains_that_are_not_used_are_not_listed(identified):
+    recording, found, _ = identified
+    signals = replace(found.runs[0].signals, gains_used=("j1", "j3"))
+    without = replace(found, runs=tuple(replace(run, signals=signals, torques=(0, 1)) for run in found.runs))
+    assert [gain.joint for gain in summarise(without, [recording], []).drive_gains] == ["j1"]
 
 
 def test_numbers_are_those_of_the_identification(identified, content):

@@ -51,6 +51,7 @@ def test_torque_is_gain_times_current_sign_included():
     assert np.array_equal(motion.torque, CURRENT * [10.0, -4.0])
     assert np.array_equal(motion.position, POSITION)
     assert "current" in motion.torque_origin
+    assert motion.gains_used == ("a", "b")
     assert motion.velocity is None
 
 
@@ -80,12 +81,14 @@ def test_recorded_torque_is_used_where_no_gain_is_known():
     motion = read_joint_signals(both, robot().robot)
     assert np.array_equal(motion.torque, CURRENT - 7)
     assert motion.torque_origin == "torque as recorded"
+    assert motion.gains_used == ()
 
 
 def test_a_gain_on_a_torque_signal_scales_the_torque():
     drives = ("{joint: a, gain: -1, signal: torque}", "{joint: b, signal: torque}")
     motion = read_joint_signals(recording(position=POSITION, torque=CURRENT), robot(*drives).robot)
     assert np.array_equal(motion.torque, CURRENT * [-1.0, 1.0])
+    assert motion.gains_used == ("a",)
 
 
 def test_an_unknown_gain_is_named_with_what_to_write():
