@@ -41,7 +41,11 @@ def check_outputs(files: Iterable[Path | None], inputs: Iterable[Path | None] = 
         if any(_same(path, other) for other in read):
             raise UsageError("is an input of this command", where=str(path), hint="choose another name for the output")
         if exists and not overwrite:
-            raise UsageError("exists already", where=str(path), hint="choose another name; --force overwrites it")
+            raise UsageError(
+                "exists already",
+                where=str(path),
+                hint="choose another name, or overwrite it with --force",
+            )
 
 
 def check_output_folder(

@@ -52,6 +52,8 @@ if TYPE_CHECKING:
     from ident.tasks.loads import payload as payload
     from ident.tasks.prediction import Prediction as Prediction
     from ident.tasks.prediction import predict as predict
+    from ident.tasks.recording_quality import RecordingQuality as RecordingQuality
+    from ident.tasks.recording_quality import info as info
     from ident.tasks.validation import Validation as Validation
     from ident.tasks.validation import compare as compare
     from ident.tasks.validation import merge as merge
@@ -85,6 +87,7 @@ _HOMES = {
     "ident.tasks.identification": ("IdentificationResult", "identify", "load_result"),
     "ident.tasks.loads": ("IdentifiedGains", "IdentifiedPayload", "drive_gains", "payload"),
     "ident.tasks.prediction": ("Prediction", "predict"),
+    "ident.tasks.recording_quality": ("RecordingQuality", "info"),
     "ident.tasks.validation": ("Validation", "compare", "merge", "validate"),
     "sim_drivers.synthetic.simulated_run": ("simulate",),
 }

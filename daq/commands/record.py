@@ -31,7 +31,9 @@ def record_command(
         1.0, "--speed-scale", help="Share of the trajectory's speed, such as 0.2 for a first run; at most 1."
     ),
     yes: bool = typer.Option(False, "--yes", "-y", help="Move the arm without asking."),
-    prior: Path = typer.Option(None, "--prior", help="result.json whose parameters predict the torque."),
+    prior: Path = typer.Option(
+        None, "--prior", help="Model folder or result.json whose parameters predict the torque."
+    ),
     duration: float = typer.Option(None, "--duration", help="Record for so many seconds without moving the arm."),
     out: Path = typer.Option(..., "-o", "--out", help="Recording to write (.h5)."),
     comment: str = typer.Option("", "--comment", help="Your words, kept in the recording."),

@@ -66,7 +66,7 @@ def _finite(samples: ImportedSamples, choices: ImportChoices, where: str) -> Imp
         raise ImportFileError(
             f"{len(bad)} of {len(good)} samples have NaN or infinite values, the first in {_culprit(samples, first)}",
             where=sample_place(samples, first, where),
-            hint=f"leave them out with --repair {DROP_NAN}",
+            hint=f"leave them out: --repair {DROP_NAN}, in Python repair=['{DROP_NAN}']",
         )
     if good.sum() < 2:
         raise ImportFileError(f"--repair {DROP_NAN} would leave {good.sum()} of {len(good)} samples", where=where)
@@ -103,7 +103,7 @@ def _rising(samples: ImportedSamples, choices: ImportChoices, where: str) -> Imp
             raise ImportFileError(
                 f"time goes backward {len(backward)} times, first by {back:.6g} s",
                 where=sample_place(samples, first, where),
-                hint=f"put the samples in order with --repair {SORT}",
+                hint=f"put the samples in order: --repair {SORT}, in Python repair=['{SORT}']",
             )
         text = f"{SORT}: time went backward {len(backward)} times, first at sample {first} by {back:.6g} s"
         samples = rows(samples, np.argsort(samples.time, kind="stable"))
@@ -116,7 +116,7 @@ def _rising(samples: ImportedSamples, choices: ImportChoices, where: str) -> Imp
             raise ImportFileError(
                 f"{len(repeated)} of {count} samples repeat the stamp before them, first {samples.time[first]:.9g} s",
                 where=sample_place(samples, first, where),
-                hint=f"keep the first of each with --repair {DROP_DUPLICATES}",
+                hint=f"keep the first of each: --repair {DROP_DUPLICATES}, in Python repair=['{DROP_DUPLICATES}']",
             )
         keep = np.setdiff1d(np.arange(count), repeated)
         if len(keep) < 2:

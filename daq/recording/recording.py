@@ -233,7 +233,7 @@ class Recording:
             RecordingError: the recording carries none, or one that this version does not accept.
         """
         if not self.robot_text:
-            raise RecordingError("carries no robot file", where=self.label, hint="name one with --robot")
+            raise RecordingError("carries no robot file", where=self.label, hint="name one: --robot, in Python robot=")
         try:
             return parse_robot(
                 self.robot_text,
@@ -242,7 +242,9 @@ class Recording:
                 urdf_text=self.urdf_text or None,
             )
         except RobotFileError as error:
-            raise RecordingError(str(error), where=self.label, hint="name another robot file with --robot") from error
+            raise RecordingError(
+                str(error), where=self.label, hint="name another robot file: --robot, in Python robot="
+            ) from error
 
 
 def software_versions() -> dict[str, str]:

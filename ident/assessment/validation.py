@@ -60,7 +60,7 @@ def fit_figures(series: Sequence[TorqueSeries]) -> FitFigures:
     error = measured - np.concatenate([part.predicted[:, part.used] for part in series], axis=1)
     speed = np.abs(np.concatenate([part.velocity[:, part.used] for part in series], axis=1))
     if not counted.any():
-        raise DataError("the arm does not move in these data", hint="choose another window with --start and --stop")
+        raise DataError("the arm does not move in these data", hint="choose another window with start and stop")
     slow = speed < LOW_SPEED
     measured, error = np.where(counted, measured, 0.0), np.where(counted, error, 0.0)
     torque_norms, error_norms = np.linalg.norm(measured, axis=1), np.linalg.norm(error, axis=1)

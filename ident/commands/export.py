@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import JSON
+from ident.commands.options import FORCE, JSON
 
 app = typer.Typer()
 
@@ -27,7 +27,7 @@ def export(
         "--parameters",
         help="Of the C code: consistent, full or essential; other formats need consistent.",
     ),
-    force: bool = typer.Option(False, "--force", help="Overwrite the output files."),
+    force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
     """Write the physically consistent model for simulators and controllers; each file is read again and simulated.
@@ -38,10 +38,10 @@ def export(
     from typing import cast
 
     from daq.commands.console import print_json, progress_line
+    from daq.output_files import check_outputs
     from drivers.errors import UsageError
     from ident.export.c_code.names import source_paths
-    from ident.export.export import check_target
-    from ident.result.model import Parameters, load_model
+    from ident.result.model import Parameters, load_model, result_path
     from ident.verdict.verdict import judge, together
 
     targets = [path for path in (urdf, mjcf, ros2_inertial, *(source_paths(c) if c else ())) if path is not None]
@@ -51,10 +51,7 @@ def export(
         raise UsageError("--c-float needs --c, the files to write")
     if into is not None and urdf is None:
         raise UsageError("--into needs --urdf, the file to write")
-    if len({path.resolve() for path in targets}) < len(targets):
-        raise UsageError("two formats have the same file")
-    for path in targets:
-        check_target(path, force)
+    check_outputs(targets, [result_path(model), into], overwrite=force)
     exports = []
     with progress_line(quiet=as_json) as progress:
         progress("model")

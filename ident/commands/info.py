@@ -12,7 +12,7 @@ app = typer.Typer()
 
 
 @app.command("info")
-def info(
+def show_info(
     recording: Path = typer.Argument(help="Recording (.h5)."),
     robot: str = typer.Option(None, "--robot", help="Robot file in place of the recording's own."),
     wanted_rsd: float = typer.Option(
@@ -28,23 +28,21 @@ def info(
 
     Example: dynid info run.h5 --wanted-rsd 5 --page run-info
     """
-    from daq.commands.console import print_json
     from daq.output_files import check_output_folder
-    from daq.recording.reader import read_recording
     from daq.robot.loader import load_robot
-    from ident.checks.page.page import JSON_FILE, PAGE_FILE, write_page
-    from ident.checks.recording_check import info_object, print_info, recording_info
+    from ident.checks.page.page import JSON_FILE, PAGE_FILE
+    from ident.checks.recording_check import print_info
+    from ident.tasks.recording_quality import info
 
     if page is not None:
         inputs = [recording, *(load_robot(robot).files if robot else ())]
         check_output_folder(page, (JSON_FILE, PAGE_FILE), inputs, overwrite=force)
-    read = read_recording(recording)
-    checked = recording_info(read, load_robot(robot) if robot else read.robot(), wanted_rsd)
+    quality = info(recording, robot=robot, wanted_rsd=wanted_rsd)
     if page is not None:
-        write_page(page, checked, str(recording))
+        quality.save(page)
     if as_json:
-        print_json(info_object(checked, str(recording)))
+        print(quality.to_json())
         return
-    print_info(checked, str(recording))
+    print_info(quality.figures, quality.file)
     if page is not None:
         print(f"\n{page / JSON_FILE}\n{page / PAGE_FILE}")

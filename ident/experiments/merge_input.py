@@ -107,7 +107,7 @@ def _check_same_arm(results: Sequence[tuple[str, Result]]) -> None:
                 raise UsageError(
                     f"{first_label} and {label} stand on different versions of the {what}, which differ at "
                     f"{_first_difference(mine, theirs)}",
-                    hint="identify both with the same --robot",
+                    hint="identify both with the same robot file (--robot, in Python robot=)",
                 )
         if first.model_options != other.model_options:
             different = [

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-from drivers.errors import ModelError, RobotFileError, UsageError
-from drivers.text_file import replace_file
+from daq.output_files import check_outputs, replace_files
+from drivers.errors import ModelError, RobotFileError
 from ident.export import mujoco_reading, pinocchio_reading
 from ident.export.arm import ExportedArm
 from ident.export.left_out import left_out_of_mjcf, left_out_of_ros2_inertial, left_out_of_urdf
@@ -52,22 +52,6 @@ class Export:
         return "\n".join(self.lines)
 
 
-def check_target(path: str | PathLike[str], force: bool) -> Path:
-    """The file to write, refused before any work is done for it.
-
-    Raises:
-        UsageError: it is a folder, lies in none, or exists and `force` is not given.
-    """
-    target = Path(path)
-    if target.is_dir():
-        raise UsageError("is a folder; a file is needed", where=str(target))
-    if not target.parent.is_dir():
-        raise UsageError("lies in a folder that does not exist", where=str(target), hint=f"make {target.parent} first")
-    if target.exists() and not force:
-        raise UsageError("exists", where=str(target), hint="--force (in Python force=True) overwrites it")
-    return target
-
-
 def export_urdf(
     arm: ExportedArm, path: str | PathLike[str], *, into: str | PathLike[str] | None = None, force: bool = False
 ) -> Export:
@@ -78,7 +62,8 @@ def export_urdf(
         RobotFileError: `into` is no URDF, or not of this arm.
         ModelError: the file reads back as another model.
     """
-    target = check_target(path, force)
+    target = Path(path)
+    check_outputs([target], [Path(into)] if into is not None else [], overwrite=force)
     own = arm.robot_file.urdf_text
     if into is not None:
         text = edited_urdf(arm, _read(Path(into)), str(into))
@@ -103,7 +88,8 @@ def export_mjcf(arm: ExportedArm, path: str | PathLike[str], *, force: bool = Fa
         UsageError: the path cannot be written.
         ModelError: the file reads back as another model.
     """
-    target = check_target(path, force)
+    target = Path(path)
+    check_outputs([target], overwrite=force)
     text = mjcf(arm)
     readings, checks = [], []
     if mujoco_reading.mujoco_installed():
@@ -120,7 +106,8 @@ def export_ros2_inertial(arm: ExportedArm, path: str | PathLike[str], *, force: 
         UsageError: the path cannot be written.
         ModelError: the file reads back other numbers.
     """
-    target = check_target(path, force)
+    target = Path(path)
+    check_outputs([target], overwrite=force)
     text = ros2_inertial(arm)
     check_ros2_inertial(arm, text)
     return _written(target, "ROS 2 inertial parameters", text, left_out_of_ros2_inertial(arm), [], [])
@@ -132,7 +119,7 @@ def _written(
     for reading in readings:
         check_same_torque(reading, str(target))
         checks = [*checks, *simulation_checks(reading)]
-    replace_file(target, text)
+    replace_files({target: text})
     return Export(target, kind, left_out, tuple(readings), tuple(checks))
 
 

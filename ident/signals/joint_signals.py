@@ -81,7 +81,7 @@ def _check(label: str, joint_names: Sequence[str], time: FloatArray, quantities:
             raise DataError(
                 f"{len(bad)} value(s) are not numbers, the first at sample {sample}",
                 where=f"{label}: {name} of {joint_names[joint]}".removeprefix(": "),
-                hint="import the source again with --repair drop-nan",
+                hint="import the source again with the repair drop-nan (--repair, in Python repair=)",
             )
 
 
@@ -144,7 +144,8 @@ def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[F
             raise DataError(
                 f"records {signal}, but the gain of {', '.join(unknown)} is unknown",
                 where=recording.label,
-                hint=f"give it in a robot file (drives: - {{joint: {unknown[0]}, gain: …}}), name that with --robot",
+                hint=f"give it in a robot file (drives: - {{joint: {unknown[0]}, gain: …}}), name that: --robot, in "
+                "Python robot=",
             )
     if recorded is None:
         quantities = ", ".join(sorted(stream.channels)) or "nothing"
@@ -174,7 +175,7 @@ def _joint_values(stream: Stream, quantity: str, robot: Robot, recording: Record
         raise DataError(
             f"'{quantity}' has no column for joint(s) {', '.join(missing)}; it has {', '.join(channel.columns)}",
             where=f"{recording.label}: {stream.name}",
-            hint="is this the robot that was recorded? name another with --robot",
+            hint="is this the robot that was recorded? name another: --robot, in Python robot=",
         )
     order = [channel.columns.index(name) for name in robot.joint_names]
     return channel.values[:, order]

@@ -22,7 +22,6 @@ from daq.robot.schema import Robot
 from drivers.errors import IdentificationError, UsageError
 from drivers.percentage import percent_text, percentage_text
 from drivers.streams import FloatArray
-from drivers.text_file import replace_file
 from ident.excite.choices import DEFAULT_SECONDS, CriterionName, DesignChoices, Kind
 from ident.excite.constraints.surroundings import surroundings_warning
 from ident.excite.design import Design, design

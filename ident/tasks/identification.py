@@ -307,7 +307,7 @@ def check_significance(percent: float) -> None:
         UsageError: it is not above 0 and at most 100 %.
     """
     if not 0 < percent <= 100:
-        raise UsageError(f"--significance {percent:g} is not a percentage", hint="the papers use 15")
+        raise UsageError(f"a significance of {percent:g} is not a percentage", hint="the papers use 15")
 
 
 def _names(given: Sequence[str], option: str) -> tuple[str, ...]:

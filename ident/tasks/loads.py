@@ -228,7 +228,7 @@ def payload(
         True
     """
     if mass is None and (com is not None or inertia is not None):
-        raise UsageError("--com and --inertia describe a load whose mass is missing", hint="add --mass KG")
+        raise UsageError("com and inertia describe a load whose mass is missing", hint="give its mass too [kg]")
     known = None if mass is None else _known_load(mass, com, inertia)
     robot_file = None if robot is None else load_robot(robot)
     return IdentifiedPayload(identify_payload(recording_of(free), recording_of(loaded), known, robot_file, delay))

@@ -17,6 +17,7 @@ ARGUMENTS = {
     "record": "arm.yaml --trajectory traj.yaml --prior result.json --yes -o OUT",
     "import": "run.csv --robot arm.yaml -o OUT",
     "recover": "run.h5 -o OUT",
+    "export": "model --urdf OUT --into arm.urdf --mjcf PAGE",
     "robot new": "arm.urdf -o OUT.yaml",
     "identify": "run.h5 other.h5 --validate val.h5 --robot arm.yaml -o FOLDER",
     "merge": "result.json model --validate val.h5 -o FOLDER",
@@ -27,7 +28,7 @@ ARGUMENTS = {
 }
 """Each command that writes files, with all that it reads; OUT and PAGE are files, FOLDER is a folder."""
 
-READS = {"record": ["samples.csv"], "merge": ["model/result.json"]}
+READS = {"export": ["model/result.json"], "record": ["samples.csv"], "merge": ["model/result.json"]}
 """Files that a command reads without their being named on its line."""
 
 TRAJECTORY = "robot: ur5e\nkind: samples\ncsv: samples.csv\n"
@@ -79,7 +80,7 @@ def refused(name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
 
 
 def writing_commands() -> set[str]:
-    """Commands with an option for a file or folder to write."""
+    """Commands with an option for a file or folder to write, or for overwriting it."""
     found = set()
     for name, entry in get_command(command.build_app()).commands.items():
         for words, one in (
@@ -87,7 +88,7 @@ def writing_commands() -> set[str]:
             if not hasattr(entry, "commands")
             else [(f"{name} {sub}", one) for sub, one in entry.commands.items()]
         ):
-            if {"--out", "--page"} & {option for parameter in one.params for option in parameter.opts}:
+            if {"--out", "--page", "--force"} & {option for parameter in one.params for option in parameter.opts}:
                 found.add(words)
     return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import inspect
 import json
 
@@ -160,6 +161,7 @@ OF_FILES = {"out", "json", "help", "force", "page", "comment", "up_and_down"}
         ("merge", dynid.merge),
         ("payload", dynid.payload),
         ("gains", dynid.drive_gains),
+        ("info", dynid.info),
         ("excite", dynid.design_excitation),
         ("import", dynid.import_recording),
     ],
@@ -174,6 +176,20 @@ def test_keywords_are_the_options_of_the_command(command, function):
     }
     wanted = {RENAMED.get(command, {}).get(option, option) for option in options - OF_FILES}
     assert wanted <= set(inspect.signature(function).parameters)
+
+
+def test_the_quality_of_a_recording_is_shown_and_saved(run, tmp_path):
+    quality = dynid.info(run, wanted_rsd=5.0)
+    assert quality.streams.row("joints")["samples"] == len(run.streams["joints"].time)
+    assert quality.motion.names == run.robot().robot.joint_names
+    assert max(quality.motion["limit_utilisation"]) < 110
+    for text in (quality.streams.title, quality.verdict.headline):
+        assert text in str(quality)
+    quality.save(tmp_path / "info")
+    assert json.loads((tmp_path / "info" / "info.json").read_text(encoding="utf-8")) == json.loads(quality.to_json())
+    assert quality.verdict.headline in html.unescape((tmp_path / "info" / "info.html").read_text(encoding="utf-8"))
+    with pytest.raises(dynid.UsageError, match="not a percentage"):
+        dynid.info(run, wanted_rsd=-1.0)
 
 
 def test_a_designed_motion_is_saved_and_shown(tmp_path):
@@ -203,7 +219,7 @@ def test_gains_need_numbers_of_a_load(run):
         dynid.payload(run, run, com=[0, 0, 0.1])
 
 
-def test_a_payload_and_the_gains_that_hide_behind_it():
+def test_a_payload_and_the_gains_that_hide_behind_it(tmp_path):
     free, loaded = runs(seed=1)
     load = dynid.payload(free, loaded, mass=LOAD.mass)
     assert load.mass == pytest.approx(LOAD.mass, abs=4 * load.mass_std)
@@ -215,6 +231,10 @@ def test_a_payload_and_the_gains_that_hide_behind_it():
     assert json.loads(load.to_json())["kind"] == "payload"
     gains = dynid.drive_gains(free, loaded, mass=LOAD.mass, com=LOAD.com, inertia=np.array(LOAD.inertia))
     assert json.loads(gains.to_json())["kind"] == "gains"
+    load.save(tmp_path)
+    assert (tmp_path / "payload.json").read_text(encoding="utf-8") == f"{load.to_json()}\n"
+    gains.save(tmp_path)
+    assert "drive gains" in (tmp_path / "report.html").read_text(encoding="utf-8")
     np.testing.assert_allclose(gains.values, gains.gains["file_gain"], rtol=0.2)
     assert gains.robot_file_text.startswith("drives:")
     assert gains.gains.columns[2].unit == "N·m/A"

@@ -5,15 +5,14 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 
-from drivers.errors import UsageError
-from drivers.text_file import replace_file
+from daq.output_files import check_outputs, replace_files
 from ident.export.c_code.expressions import Graph
 from ident.export.c_code.functions import arm_functions
 from ident.export.c_code.names import identifier, source_paths
 from ident.export.c_code.reference import check_expressions, reference
 from ident.export.c_code.source import Description, header, source
 from ident.export.c_code.statements import Dialect, Real
-from ident.export.export import Export, check_target
+from ident.export.export import Export
 from ident.model.inverse_dynamics import InverseDynamics
 
 
@@ -38,7 +37,8 @@ def write_c(
         UsageError: a file exists, cannot be written, or has a name that C cannot include.
         ModelError: loops of the arm are solved numerically, or its parameters do not fit into the type.
     """
-    header_path, source_path = (check_target(file, force) for file in source_paths(Path(path)))
+    header_path, source_path = source_paths(Path(path))
+    check_outputs([header_path, source_path], overwrite=force)
     graph = Graph()
     functions = arm_functions(graph, dynamics)
     check_expressions(graph, functions, dynamics)
@@ -59,11 +59,7 @@ def write_c(
         header_path: header(description, functions, dialect),
         source_path: source(graph, description, functions, dialect, reference(dynamics, real), header_path.name),
     }
-    for file, text in texts.items():
-        try:
-            replace_file(file, text)
-        except OSError as error:
-            raise UsageError(f"cannot be written: {error.strerror}", where=str(file)) from error
+    replace_files(texts)
     torque = functions[0]
     return Export(
         path=source_path,

@@ -221,7 +221,7 @@ BAD = [
     (["identify", "still.h5"], ["still.h5", "nothing moves"]),
     (["identify", "short.h5"], ["short.h5"]),
     (["identify", "nocurrent.h5"], ["neither torque nor current", "position"]),
-    (["identify", "onejoint.h5"], ["no column for joint", "another with --robot"]),
+    (["identify", "onejoint.h5"], ["no column for joint", "another: --robot"]),
     (["identify", "run.h5", "--robot", "panda"], ["no column for joint", "panda_joint1"]),
     # options
     (["identify", "run.h5", "--method", "magic"], ["'magic'", "ols, wls, energy or power"]),
@@ -241,7 +241,7 @@ BAD = [
     (["identify", "run.h5", "--start", "9", "--stop", "3"], ["window", "empty"]),
     (["identify", "run.h5", "--start", "100"], ["run.h5", "no samples", "lasts 13.992 s"]),
     (["identify", "run.h5", "--smoothing=-1"], ["--smoothing -1"]),
-    (["identify", "run.h5", "--significance", "0"], ["--significance 0", "15"]),
+    (["identify", "run.h5", "--significance", "0"], ["significance of 0", "15"]),
     (["identify", "run.h5", "--measured-velocity"], ["holds no velocity"]),
     (["identify", "run.h5", "-o", "run.h5"], ["is a file; a folder is needed"]),
     (["identify", "run.h5", "--validate", "missing.h5"], ["missing.h5", "no such file"]),

@@ -257,7 +257,7 @@ def test_the_command(folder, capsys, monkeypatch):
     assert (status, err) == (0, "")
     for expected in ("half sums", "Friction at that speed", "centre of mass [m]", "for the robot file:\ndrives:"):
         assert expected in out
-    status, out, _ = run([*arguments, "--com", "0.08,0.03,0.05", "--json"], capsys, monkeypatch)
+    status, out, _ = run([*arguments, "--com", "0.08,0.03,0.05", "--json", "--force"], capsys, monkeypatch)
     content = json.loads(out)
     assert content["kind"] == "gains-up-and-down"
     assert content["gains"][0]["gain"] is None

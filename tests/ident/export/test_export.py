@@ -11,7 +11,7 @@ from daq.robot.loader import parse_robot
 from drivers.errors import ModelError, UsageError
 from ident.export import export, mujoco_reading
 from ident.export.arm import refuse_unidentified_friction
-from ident.export.export import check_target, export_mjcf, export_ros2_inertial, export_urdf
+from ident.export.export import export_mjcf, export_ros2_inertial, export_urdf
 from ident.export.reading import Reading, Simulation, check_same_torque, simulation_checks
 
 EXPORTERS = (export_urdf, export_mjcf, export_ros2_inertial)
@@ -58,11 +58,12 @@ def test_what_reads_back_as_another_model_is_not_written(arm, tmp_path, monkeypa
     assert list(tmp_path.iterdir()) == []
 
 
-def test_targets_that_cannot_be_written_are_refused(tmp_path):
+@pytest.mark.parametrize("write", EXPORTERS)
+def test_targets_that_cannot_be_written_are_refused(arm, tmp_path, write):
     with pytest.raises(UsageError, match="is a folder"):
-        check_target(tmp_path, force=True)
-    with pytest.raises(UsageError, match="does not exist"):
-        check_target(tmp_path / "none" / "arm.urdf", force=True)
+        write(arm, tmp_path, force=True)
+    with pytest.raises(UsageError, match="no such folder"):
+        write(arm, tmp_path / "none" / "arm.urdf", force=True)
 
 
 def test_without_mujoco_a_check_says_so(arm, tmp_path, monkeypatch):

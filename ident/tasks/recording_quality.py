@@ -1,0 +1,110 @@
+"""The quality of a recording in one call: clocks, signals, and how well its motion excites the arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+from daq.commands.console import json_text
+from daq.recording.recording import JOINTS_STREAM
+from daq.robot.loader import RobotFile, load_robot
+from ident.checks.page.page import write_page
+from ident.checks.recording_check import RecordingInfo, info_object, recording_info
+from ident.result.tables import Table, table_of_rows
+from ident.tasks.runs import Run, recording_of
+from ident.verdict.verdict import Verdict
+
+
+@dataclass(frozen=True)
+class RecordingQuality:
+    """Clocks, signals and excitation of a recording; shows itself in a notebook, and is saved as the command saves it.
+
+    Attributes:
+        file: what the recording is called.
+        figures: all that was found.
+
+    Example:
+        >>> import dynid
+        >>> quality = dynid.info(dynid.simulate("ur5e", duration=10.0, seed=1))
+        >>> quality.streams.row("joints")["lost"]
+        0
+    """
+
+    file: str
+    figures: RecordingInfo
+
+    @property
+    def verdict(self) -> Verdict:
+        """What a model that is identified from it can be good for, at best, with all checks."""
+        return self.figures.verdict
+
+    @property
+    def streams(self) -> Table:
+        """A row per stream: samples, duration [s], rate [Hz], jitter [ms], samples lost, duplicate stamps."""
+        headings = [
+            ("stream", ""), ("samples", ""), ("duration", "s"), ("rate", "Hz"), ("jitter", "ms"), ("lost", ""),
+            ("duplicates", ""),
+        ]  # fmt: skip
+        rows = [
+            (name, one.samples, one.duration, one.rate_hz, one.jitter_ms, one.lost, one.duplicates)
+            for name, one in self.figures.streams.items()
+        ]
+        return table_of_rows(f"Streams of {self.file}", headings, rows)
+
+    @property
+    def motion(self) -> Table:
+        """A row per joint: range of positions [rad], velocity reached [rad/s], utilisation of its limit [%].
+
+        Without rows where there is no motion to analyse.
+        """
+        headings = [("joint", ""), ("range", "rad"), ("velocity", "rad/s"), ("limit_utilisation", "%")]
+        reached = self.figures.excitation
+        if reached is None:
+            return table_of_rows("Motion", headings, [])
+        joints = self.figures.recording.streams[JOINTS_STREAM].channels["position"].columns
+        columns = (joints, reached.position_range, reached.velocity_reached, reached.velocity_share_percent)
+        return table_of_rows("Motion", headings, list(zip(*columns, strict=False)))
+
+    def save(self, folder: str | PathLike[str]) -> None:
+        """Write `info.json` and `info.html` into a folder, as `dynid info --page` does; replaces those in it.
+
+        Raises:
+            UsageError: it is a file, or cannot be written.
+            DiskError: the disk is full or fails.
+        """
+        write_page(Path(folder), self.figures, self.file)
+
+    def to_json(self) -> str:
+        """What `dynid info --json` prints."""
+        return json_text(info_object(self.figures, self.file))
+
+    def __str__(self) -> str:
+        return "\n".join([str(self.streams), "", str(self.motion), "", str(self.verdict)])
+
+    def _repr_html_(self) -> str:
+        return f"{self.verdict._repr_html_()}{self.streams._repr_html_()}{self.motion._repr_html_()}"
+
+
+def info(run: Run, *, robot: str | Path | RobotFile | None = None, wanted_rsd: float | None = None) -> RecordingQuality:
+    """Look at a recording's streams, clock and signal quality, and at how well its motion excites the arm.
+
+    Args:
+        run: the recording, or its path.
+        robot: in place of the recording's own robot file.
+        wanted_rsd: relative standard deviation [%] for which the duration needed is estimated.
+
+    Raises:
+        RecordingError: it cannot be read.
+        UsageError: `wanted_rsd` is not a percentage.
+
+    Example:
+        >>> import dynid
+        >>> quality = dynid.info(dynid.simulate("ur5e", duration=10.0, seed=1), wanted_rsd=5.0)
+        >>> quality.figures.times.wanted_rsd_percent
+        5.0
+    """
+    recording = recording_of(run)
+    robot_file = recording.robot() if robot is None else load_robot(robot)
+    file = str(run) if isinstance(run, (str, PathLike)) else recording.label
+    return RecordingQuality(file, recording_info(recording, robot_file, wanted_rsd))
