@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.errors import ModelError
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.export.arm import ExportedArm
 from ident.verdict.catalogue import raised
@@ -63,12 +64,10 @@ class Simulation:
         if not self.finite:
             return f"{self.motion}: diverges"
         if self.tracking_error is not None:
-            return f"{self.motion}: finite, at most {100 * self.tracking_error:.2g} % of the amplitude off"
+            return f"{self.motion}: finite, at most {percent_text(self.tracking_error, 2)} of the amplitude off"
         if not self.energy_gain:
             return f"{self.motion}: finite, energy never above its start"
-        return (
-            f"{self.motion}: finite, energy at most {100 * self.energy_gain:.2g} % of its kinetic part above its start"
-        )
+        return f"{self.motion}: finite, energy at most {percent_text(self.energy_gain, 2)} of its kinetic part above its start"
 
 
 @dataclass(frozen=True)
@@ -119,10 +118,10 @@ def simulation_checks(reading: Reading) -> list[Check]:
         if not simulation.finite:
             checks.append(raised("export-diverges", f"The {what} diverges."))
         elif simulation.tracking_error is not None and simulation.tracking_error > LOST:
-            text = f"The {what} loses its motion by {100 * simulation.tracking_error:.2g} % of the amplitude."
+            text = f"The {what} loses its motion by {percent_text(simulation.tracking_error, 2)} of the amplitude."
             checks.append(raised("export-loses-motion", text))
         elif simulation.energy_gain is not None and simulation.energy_gain > ENERGY_GAIN:
-            text = f"In the {what} the energy rises by {100 * simulation.energy_gain:.2g} % of the kinetic energy."
+            text = f"In the {what} the energy rises by {percent_text(simulation.energy_gain, 2)} of the kinetic energy."
             checks.append(raised("export-gains-energy", text))
     return checks
 

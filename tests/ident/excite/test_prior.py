@@ -64,6 +64,7 @@ def test_result_of_an_identification(three_joint, tmp_path, identification):
     found, result = identification
     prior = find_prior(three_joint, written(tmp_path, result))
     assert prior.parameters == pytest.approx(found.solution.parameters)
+    assert find_prior(three_joint, tmp_path).source == prior.source
     filtered = found.runs[0].prepared
     assert prior.rate == pytest.approx(filtered.segments[0].rate / filtered.parallel_filter.factor)
     ratio = np.median(found.std / found.solution.std)

@@ -139,7 +139,7 @@ def test_existing_files_stay(ur5e, tmp_path):
 
 
 def test_folder_that_is_not_there(ur5e):
-    with pytest.raises(UsageError, match="folder that does not exist"):
+    with pytest.raises(UsageError, match="no such folder"):
         write_c(ur5e, Path("no/such/folder/arm"))
 
 
