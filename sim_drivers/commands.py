@@ -16,7 +16,7 @@ def demo(
     out: Path = typer.Option(Path("demo"), "-o", "--out", help="Folder for the recordings, result.json, report.html."),
     robot: str = typer.Option("ur5e", "--robot", help="UR arm: built-in, or a robot file with a truth section."),
     duration: float = typer.Option(30.0, "--duration", help="Length of the identification motion [s]."),
-    seed: int = typer.Option(1, "--seed", help="Of the motion and of the noise."),
+    seed: int = typer.Option(1, "--seed", help="Seed of the motion and the noise."),
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
@@ -41,15 +41,15 @@ def sim(
     interface: str | None = typer.Option(None, "--interface", help="CAN interface; default: the robot file's."),
     channel: str | None = typer.Option(None, "--channel", help="CAN channel; default: the robot file's."),
     swap: str | None = typer.Option(None, "--swap", help="Two joints, j1,j2, whose drives have swapped node ids."),
-    worst_stuffing: bool = typer.Option(False, "--worst-stuffing", help="Every CAN frame as long as it can be."),
-    thermometer: bool = typer.Option(False, "--thermometer", help="Its serial thermometer beside it."),
+    worst_stuffing: bool = typer.Option(False, "--worst-stuffing", help="Stuff every CAN frame to the maximum."),
+    thermometer: bool = typer.Option(False, "--thermometer", help="Serve its serial thermometer, too."),
     payload: str | None = typer.Option(None, "--payload", help="MASS@X,Y,Z: kg, and m in the flange frame."),
     position: str | None = typer.Option(
         None, "--position", help="Where it stands at first, joint after joint, rad or m; default: mid-range."
     ),
     seed: int = typer.Option(1, "--seed", help="Of the noise."),
-    realtime: bool = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs the right to it)."),
-    no_ui: bool = typer.Option(False, "--no-ui", help="No live line on standard error."),
+    realtime: bool = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs permission)."),
+    no_ui: bool = typer.Option(False, "--no-ui", help="No status line on standard error."),
     as_json: bool = typer.Option(False, "--json", help="As --no-ui; ports and pid are printed as JSON in any case."),
 ) -> None:
     """Serve a simulated arm until Ctrl-C; type a fault, such as: drop 10, freeze 3, cut, block 2, power-cycle 3.

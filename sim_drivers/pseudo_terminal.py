@@ -83,7 +83,7 @@ class PseudoTerminal:
             OSError: it is pulled out.
         """
         if self._master is None:
-            raise OSError("the port is pulled out")
+            raise OSError("the port is disconnected")
         return self._master
 
     def write(self, data: bytes) -> int:

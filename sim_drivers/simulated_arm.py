@@ -18,7 +18,7 @@ from daq.session.realtime import may_have_realtime
 from drivers.errors import ConnectionFailedError, WorkError
 from drivers.streams import FloatArray
 
-HOSTS = tuple(f"127.0.0.{number}" for number in (1, 2, 3, 4, 5))
+HOSTS = tuple(f"127.0.0.{host}" for host in (1, 2, 3, 4, 5))
 """Loopback addresses that are tried in turn: the ports are fixed, another simulated arm may have them."""
 
 START_LIMIT = 60.0

@@ -38,7 +38,7 @@ def record_command(
     out: Path = typer.Option(..., "-o", "--out", help="Recording to write (.h5)."),
     comment: str = typer.Option("", "--comment", help="Your words, kept in the recording."),
     force: bool = FORCE,
-    realtime: bool = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs the right to it)."),
+    realtime: bool = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs permission)."),
     no_ui: bool = typer.Option(False, "--no-ui", help="No live status on stderr."),
     as_json: bool = JSON,
 ) -> None:

@@ -1,7 +1,7 @@
 """Other people's files as recordings: CSV, .npz, .mat, HDF5, ROS 2 bags (sqlite3 and MCAP).
 
 A reader (`csv`, `npz`, `mat`, `rosbag`) gives a `Table`; `assembly` puts it into the robot's joint order and into SI;
-`checks` and `plausibility` refuse what is wrong. Whatever was assumed or repaired becomes an event of the recording.
+`checks` and `plausibility` refuse what is wrong. All assumptions and repairs become events of the recording.
 """
 
 from __future__ import annotations
@@ -58,14 +58,14 @@ _MAGIC = (
 
 
 def import_file(path: Path, robot: RobotFile, choices: ImportChoices) -> Recording:
-    """Take over a foreign file as a recording in memory, with one stream `joints`.
+    """Import a foreign file as a recording in memory, with one stream `joints`.
 
     Current stays current: it becomes torque at identification, with the drive gains.
 
     Args:
         path: of the file, or of a ROS 2 bag's folder.
         robot: whose joints the columns are matched to.
-        choices: what the user decided.
+        choices: the user's choices.
 
     Returns:
         A recording in SI, columns in the robot's order, every assumption and repair as an event.

@@ -43,7 +43,7 @@ class ImportedSamples:
 
 
 def assemble(table: ForeignTable, robot: RobotFile, choices: ImportChoices, where: str) -> ImportedSamples:
-    """Match the joints, decide what effort is, convert units, find the time.
+    """Match the joints, decide what effort is, convert units, determine the time.
 
     Args:
         table: as a reader gave it.

@@ -1,4 +1,4 @@
-"""What makes samples unusable, and the repairs that a user can ask for; nothing is repaired unasked."""
+"""What makes samples unusable, and the repairs that a user can request; nothing is repaired without a request."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RESTART_RUN = 50
 
 
 def check_samples(samples: ImportedSamples, choices: ImportChoices, where: str) -> ImportedSamples:
-    """Check for missing values, the order of the stamps and the sampling rate; repair what was asked for.
+    """Check for missing values, the order of the stamps and the sampling rate; make the requested repairs.
 
     Args:
         samples: in SI, in the robot's order.
@@ -33,7 +33,7 @@ def check_samples(samples: ImportedSamples, choices: ImportChoices, where: str) 
         The samples with strictly rising stamps and finite values, repairs as notes.
 
     Raises:
-        ImportFileError: something is wrong and its repair was not asked for, or cannot help.
+        ImportFileError: something is wrong and its repair was not requested, or cannot help.
     """
     samples = _finite(samples, choices, where)
     samples = _rising(samples, choices, where)

@@ -1,4 +1,4 @@
-"""What the user decides about an import; none of it is guessed."""
+"""The user's choices about an import; none of them is guessed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ REPAIRS: Mapping[str, str] = {
     DROP_DUPLICATES: "of samples with the same time stamp keep the first",
     SORT: "sort samples that arrived out of order by their time stamp",
 }
-"""Repairs by name, with what each one does; none is made without being asked for."""
+"""Repairs by name, with what each one does; none is made without a request."""
 
 TimeUnit = Literal["s", "ms", "us", "ns"]
 TIME_UNITS: tuple[TimeUnit, ...] = ("s", "ms", "us", "ns")
@@ -36,7 +36,7 @@ class ImportChoices:
         effort: what an array called `effort` is; a file without one needs no answer.
         topic: which topic of a bag, where several carry sensor_msgs/JointState.
         rate: [Hz] of uniform stamps, for a file without a time column.
-        repair: names of `REPAIRS` that are asked for.
+        repair: names of the requested `REPAIRS`.
         by_order: joints whose names don't match the robot's are taken in the file's order.
         time_unit: unit of the time column, where neither the file nor seconds are right.
 

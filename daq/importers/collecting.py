@@ -18,10 +18,10 @@ _FLOAT_INTEGERS = 2**53
 """Integers up to here are exact in float64."""
 
 MOST_UNUSED = 1000
-"""Names that one message lists of what was not taken over: all of them, in any file that is meant seriously."""
+"""Most names that one message lists of what was not imported; realistic files have fewer."""
 
 ARM_WIDE = frozenset({"current", "temperature"})
-"""Quantities that a file may have once for the whole arm; such a column is not one of ours."""
+"""Quantities that a file may have once for the whole arm; such a column is not imported."""
 
 
 def collect(
@@ -90,7 +90,7 @@ def collect(
         else:
             quantities[quantity] = _from_columns(quantity, members, joints, where, notes)
     if unused:
-        notes.append(Note("info", f"not taken over: {listed(unused, limit=MOST_UNUSED)}"))
+        notes.append(Note("info", f"not imported: {listed(unused, limit=MOST_UNUSED)}"))
     return ForeignTable(source, time, time_unit, quantities, tuple(notes), lines)
 
 
@@ -179,10 +179,10 @@ def _from_columns(
                 where=where,
                 hint="is it another robot's file? if not, choose the columns with --column",
             )
-        by_number = {int(role.number or 0) - first: index for index, (role, _) in enumerate(members)}
-        order = [by_number[number] for number in sorted(by_number)]
-        present = [joints[number] for number in sorted(by_number)]
-        missing = [f"{quantity} {k + first} ({joint})" for k, joint in enumerate(joints) if k not in by_number]
+        by_index = {int(role.number or 0) - first: index for index, (role, _) in enumerate(members)}
+        order = [by_index[joint_index] for joint_index in sorted(by_index)]
+        present = [joints[joint_index] for joint_index in sorted(by_index)]
+        missing = [f"{quantity} {k + first} ({joint})" for k, joint in enumerate(joints) if k not in by_index]
     if missing and quantity != "temperature":
         raise ImportFileError(
             f"has {len(members)} columns of {quantity}, but the robot has {len(joints)} joints;"

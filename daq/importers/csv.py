@@ -28,37 +28,37 @@ def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
     Args:
         path: of the file; lines that begin with # are comments.
         joints: the robot's joint names.
-        choices: `columns` maps headers that say nothing, or numbers of columns where there is no header.
+        choices: `columns` maps headers without a meaning, or column numbers where there is no header.
 
     Raises:
         ImportFileError: not text, no header, no rows, a row of another length, something that is not a number; with
             the line.
     """
     where = str(path)
-    lines, numbers, comments = _significant_lines(_decoded(path), where)
+    lines, line_numbers, comments = _significant_lines(_decoded(path), where)
     notes: list[Note] = []
     header = lines[0]
     separator = _separator(header)
     names = _split_header(header, separator)
     if _is_numeric(names):
-        commented = _split_header(comments.get(numbers[0] - 1, ""), separator)
+        commented = _split_header(comments.get(line_numbers[0] - 1, ""), separator)
         if len(commented) == len(names) and not _is_numeric(commented):
-            notes.append(Note("info", f"the header was taken from the comment in line {numbers[0] - 1}"))
+            notes.append(Note("info", f"the header was taken from the comment in line {line_numbers[0] - 1}"))
             names = commented
         elif choices.columns:
-            names = [f"column {number}" for number in range(1, len(names) + 1)]
+            names = [f"column {position}" for position in range(1, len(names) + 1)]
         else:
             raise ImportFileError(
                 "begins with numbers instead of a header",
-                where=f"{where}, line {numbers[0]}",
+                where=f"{where}, line {line_numbers[0]}",
                 hint=f"say which columns are what: --column t=1 --column position=2-{1 + len(joints)}; "
                 f"or add a line such as {_EXAMPLE}",
             )
     else:
-        lines, numbers = lines[1:], numbers[1:]
+        lines, line_numbers = lines[1:], line_numbers[1:]
     if not lines:
         raise ImportFileError("has a header, but no rows of numbers under it", where=where)
-    _check_columns(lines, numbers, names, separator, where)
+    _check_columns(lines, line_numbers, names, separator, where)
     if len(names) > 1 and names[-1] == "":
         names = names[:-1]
     roles = assign_roles(names, joints, choices.columns, where, numbered=True)
@@ -69,7 +69,7 @@ def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
             where=where,
             hint=f"name the columns like {_EXAMPLE}, or map them: --column q1={printable(names[0])}",
         )
-    values = _values(lines, numbers, names, used, separator, where)
+    values = _values(lines, line_numbers, names, used, separator, where)
     return collect(
         f"CSV ({_SEPARATOR_NAMES[separator]})",
         roles,
@@ -78,7 +78,7 @@ def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
         where,
         unused=[name for column, name in enumerate(names) if column not in set(used)],
         notes=notes,
-        lines=np.asarray(numbers, dtype=np.int64),
+        lines=np.asarray(line_numbers, dtype=np.int64),
     )
 
 
@@ -104,17 +104,17 @@ def _decoded(path: Path) -> str:
 
 def _significant_lines(text: str, where: str) -> tuple[list[str], list[int], dict[int, str]]:
     """Lines that hold something, their numbers from 1, and the comments by number."""
-    lines, numbers, comments = [], [], {}
-    for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
+    lines, line_numbers, comments = [], [], {}
+    for line_number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
         stripped = line.strip(" ")
         if stripped.startswith("#"):
-            comments[number] = stripped.lstrip("# ")
+            comments[line_number] = stripped.lstrip("# ")
         elif stripped.strip():
             lines.append(stripped)
-            numbers.append(number)
+            line_numbers.append(line_number)
     if not lines:
         raise ImportFileError("is empty" if not comments else "holds nothing but comments", where=where)
-    return lines, numbers, comments
+    return lines, line_numbers, comments
 
 
 def _separator(header: str) -> str | None:
@@ -149,7 +149,9 @@ def _is_numeric(fields: Sequence[str]) -> bool:
     )
 
 
-def _check_columns(lines: list[str], numbers: list[int], names: list[str], separator: str | None, where: str) -> None:
+def _check_columns(
+    lines: list[str], line_numbers: list[int], names: list[str], separator: str | None, where: str
+) -> None:
     expected = len(names)
     for place, line in enumerate(lines):
         count = line.count(separator) + 1 if separator is not None else len(line.split())
@@ -163,14 +165,16 @@ def _check_columns(lines: list[str], numbers: list[int], names: list[str], separ
         elif separator is not None and count == expected + 1 and line.endswith(separator):
             hint = "the line ends with a separator that the header doesn't have"
         raise ImportFileError(
-            f"has {count} columns, but the header has {expected}", where=f"{where}, line {numbers[place]}", hint=hint
+            f"has {count} columns, but the header has {expected}",
+            where=f"{where}, line {line_numbers[place]}",
+            hint=hint,
         )
 
 
 def _values(
-    lines: list[str], numbers: list[int], names: list[str], used: list[int], separator: str | None, where: str
+    lines: list[str], line_numbers: list[int], names: list[str], used: list[int], separator: str | None, where: str
 ) -> FloatArray:
-    """(N, used) numbers; NumPy's parser first, ours where it stumbles, to name the place or to take missing values."""
+    """(N, used) numbers; NumPy's parser first, ours where it fails, to name the place or to read missing values."""
     try:
         fast: FloatArray = np.loadtxt(
             lines, delimiter=separator, usecols=used, ndmin=2, comments=None, quotechar='"', dtype=np.float64
@@ -185,7 +189,9 @@ def _values(
         for place, column in enumerate(used):
             value = _number(fields[column])
             if value is None:
-                raise _not_a_number(fields[column], f"{where}, line {numbers[row]}, column {printable(names[column])}")
+                raise _not_a_number(
+                    fields[column], f"{where}, line {line_numbers[row]}, column {printable(names[column])}"
+                )
             values[row, place] = value
     return values
 

@@ -27,7 +27,7 @@ def read_mat(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
     Args:
         path: of the file.
         joints: the robot's joint names.
-        choices: `columns` maps names that say nothing.
+        choices: `columns` maps names without a meaning.
 
     Raises:
         ImportFileError: not a .mat file, or arrays that do not fit; with the variable.
@@ -74,12 +74,12 @@ def _is_cell_of_texts(value: npt.NDArray[Any]) -> bool:
 def read_hdf5(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
     """Read datasets of an HDF5 file, those in groups as `group.dataset`, those of groups in it too.
 
-    MATLAB v7.3 stores matrices transposed and says so by the attribute MATLAB_class; they are turned back.
+    MATLAB v7.3 stores matrices transposed and marks them with the attribute MATLAB_class; they are transposed back.
 
     Args:
         path: of the file.
         joints: the robot's joint names.
-        choices: `columns` maps names that say nothing.
+        choices: `columns` maps names without a meaning.
 
     Raises:
         ImportFileError: not HDF5, a dynid recording, or arrays that do not fit; with the dataset.
@@ -101,7 +101,7 @@ def read_hdf5(path: Path, joints: Sequence[str], choices: ImportChoices) -> Fore
 
 
 def _datasets(group: Any, prefix: str, opened: set[tuple[int, int]]) -> Iterator[tuple[str, Any]]:
-    """What a group holds, by its dotted name; each group within it is opened once, since links may go in circles."""
+    """Content of a group by dotted name; each group within it is opened once, since links may form cycles."""
     for name, item in group.items():
         if not prefix and name.startswith("#"):  # MATLAB's own store of cells
             continue

@@ -86,8 +86,8 @@ def _ends_in(name: str, tail: str) -> bool:
 
 
 def _matched(names: Sequence[str], columns: list[int], notes: tuple[Note, ...]) -> JointMatch:
-    taken = set(columns)
-    ignored = [name for column, name in enumerate(names) if column not in taken]
+    matched = set(columns)
+    ignored = [name for column, name in enumerate(names) if column not in matched]
     if ignored:
         notes = (*notes, Note("info", f"joints that the robot doesn't have were left out: {listed(ignored)}"))
     return JointMatch(tuple(columns), notes)

@@ -71,20 +71,20 @@ _BRACKETED_NUMBER = re.compile(r"[\[(](\d{1,3})[\])]")
 _JOINT_WORDS = frozenset({"joint", "joints", "jnt", "axis", "j", "a"})
 _MEASURED_WORDS = frozenset({"actual", "act", "measured", "meas"})
 _MOTOR_QUANTITIES = frozenset({"current", "temperature"})
-"""What a motor has and its joint too; a motor's position, velocity or torque is on the other side of the gearbox."""
+"""Quantities that a motor shares with its joint; with other values behind the gearbox."""
 
 
 @dataclass(frozen=True)
 class Role:
-    """What one name of a file means.
+    """Meaning of one name of a file.
 
     Attributes:
-        name: the file's name, as it stands there.
+        name: the file's name, as written there.
         quantity: `time`, `position`, `velocity`, `torque`, `current`, `effort` or `temperature`.
         number: as written, for `q3`; None otherwise.
         joint: the robot's joint, where the name carries it; None otherwise.
         unit: as the name states it; empty otherwise.
-        exact: whether the whole name was understood, or only its last part (`data.q`).
+        exact: whether the whole name was understood, or only its last component (`data.q`).
     """
 
     name: str
@@ -96,7 +96,7 @@ class Role:
 
 
 def parse_name(name: str, joints: Sequence[str]) -> Role | None:
-    """What a name means, given the robot's joint names; None for a name that means nothing to us."""
+    """Meaning of a name, given the robot's joint names; None for an unknown name."""
     stripped = name.strip()
     role = _parse_bare(stripped, joints)
     if role is None:
@@ -147,15 +147,15 @@ def _in_words(name: str) -> Role | None:
     words = _WORD.findall(plain)
     if not set(_WORD.sub("", plain)) <= _BETWEEN_WORDS:
         return None
-    numbers = [word for word in words if word.isdigit()]
+    digits = [word for word in words if word.isdigit()]
     spelled = {word if len(word) == 1 else word.casefold() for word in words if not word.isdigit()}
     quantities = [word for word in spelled if word.casefold() not in _JOINT_WORDS | _MEASURED_WORDS and word != "motor"]
-    if len(numbers) > 1 or len(quantities) != 1:
+    if len(digits) > 1 or len(quantities) != 1:
         return None
     quantity = _quantity(quantities[0])
     if quantity in (None, "time") or ("motor" in spelled and quantity not in _MOTOR_QUANTITIES):
         return None
-    return Role(name, quantity, number=int(numbers[0]) if numbers else None)
+    return Role(name, quantity, number=int(digits[0]) if digits else None)
 
 
 def _named(name: str, joints: Sequence[str]) -> Role | None:
@@ -169,9 +169,9 @@ def _named(name: str, joints: Sequence[str]) -> Role | None:
                 candidates.append(name[len(joint) + 1 :])
             if name.endswith(joint) and name[-len(joint) - 1] in _SEPARATORS:
                 candidates.append(name[: -len(joint) - 1])
-        parts = name.rsplit("/", 2)
-        if len(parts) == 3 and parts[1] == joint:
-            candidates.append(parts[2])
+        components = name.rsplit("/", 2)
+        if len(components) == 3 and components[1] == joint:
+            candidates.append(components[2])
         for candidate in candidates:
             quantity = _quantity(candidate)
             if quantity is not None and quantity != "time":

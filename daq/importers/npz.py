@@ -25,7 +25,7 @@ def read_npz(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
     Args:
         path: of the file.
         joints: the robot's joint names.
-        choices: `columns` maps keys that say nothing.
+        choices: `columns` maps keys without a meaning.
 
     Raises:
         ImportFileError: not an .npz, pickled objects, or arrays that do not fit; with the key.
@@ -58,13 +58,13 @@ def table_of_arrays(
     where: str,
     unreadable: Sequence[str] = (),
 ) -> ForeignTable:
-    """A table from named arrays, for the formats that hold such.
+    """A table from named arrays.
 
     Args:
         source: kind of the file, in words.
         arrays: name → array; texts under `meta`, `joints` and `joint_names` are understood too.
         joints: the robot's joint names.
-        choices: `columns` maps names that say nothing.
+        choices: `columns` maps names without a meaning.
         where: the file, for messages.
         unreadable: names of things in the file that are no arrays (pickled objects, cells, functions).
 
@@ -91,7 +91,7 @@ def table_of_arrays(
             where=where,
             hint="name them t, q, qd, torque or current, or map them: --column q=NAME",
         )
-    taken = {role.name for role in roles}
+    used = {role.name for role in roles}
     units = (
         _stated_units(arrays["meta"], {role.name: role.quantity for role in roles}, notes) if "meta" in arrays else {}
     )
@@ -103,13 +103,13 @@ def table_of_arrays(
         where,
         array_joints=array_joints,
         units=units,
-        unused=[text for name, text in zip((*names, *unreadable), shown, strict=True) if name not in taken],
+        unused=[text for name, text in zip((*names, *unreadable), shown, strict=True) if name not in used],
         notes=notes,
     )
 
 
 def _shape(array: npt.NDArray[Any]) -> str:
-    """Shape and kind of an array, to tell a user what there is to map: `(2000 × 6)`."""
+    """Shape and kind of an array, to show a user what can be mapped: `(2000 × 6)`."""
     if array.dtype.kind in "US":
         return "(text)"
     return f"({' × '.join(map(str, array.shape)) or 'a number'})"

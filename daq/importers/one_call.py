@@ -26,11 +26,11 @@ def import_recording(
     by_order: bool = False,
     time_unit: TimeUnit | None = None,
 ) -> Recording:
-    """Take over a CSV, npz, mat, HDF5, ROS 2 bag or MCAP file as a recording in memory, in SI.
+    """Import a CSV, npz, mat, HDF5, ROS 2 bag or MCAP file as a recording in memory, in SI.
 
     Args:
         path: of the file, or of a bag's folder.
-        robot: built-in name, robot file, URDF, or what `load_robot` gave.
+        robot: built-in name, robot file, URDF, or the result of `load_robot`.
         columns: our name (`t`, `q1`, `qd1`, `torque3`, `current2`, …, or `q` for a whole array) → the file's name; for
             a whole quantity also a pattern (`position` → `q{}`) or numbers of CSV columns (`2-7`).
         degrees: positions and velocities of revolute joints are in degrees.

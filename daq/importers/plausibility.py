@@ -1,4 +1,4 @@
-"""Do the numbers look like the units that they are said to have?"""
+"""Do the values agree with their stated units?"""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def check_units(
     """Compare positions with the joint limits and velocities with the change of position.
 
     Args:
-        samples: in SI as far as the file and the user said so.
+        samples: in SI, as far as the file and the user stated units.
         robot: whose limits are meant.
         sliding: names of its prismatic joints.
         choices: whether degrees were converted.

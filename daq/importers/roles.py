@@ -1,4 +1,4 @@
-"""Which of a file's columns or arrays are taken over, and as what: those that the user chose, then those understood."""
+"""Which of a file's columns or arrays are imported, and as what: the user's choices first, then recognised names."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from drivers.errors import ImportFileError, UsageError
 from drivers.units import normalised
 
 PLACE = "{}"
-"""Stands for the joints' numbers, or their names, in a choice of several columns: `q{}`."""
+"""Placeholder of the joints' numbers or names in a choice of several columns: `q{}`."""
 _NUMBERS = re.compile(r"\s*\d{1,6}\s*(?:-\s*\d{1,6}\s*)?(?:,\s*\d{1,6}\s*(?:-\s*\d{1,6}\s*)?)*")
 
 
 def assign_roles(
     names: Sequence[str], joints: Sequence[str], columns: Mapping[str, str], where: str, *, numbered: bool = False
 ) -> tuple[Role, ...]:
-    """The names that are to be taken over, with their meaning; the user's `columns` go before any recognition.
+    """The names to import, with their meaning; the user's `columns` take precedence over recognition.
 
     Args:
         names: of the file's columns or arrays.
         joints: the robot's joint names.
         columns: our name → the file's name, a pattern such as `q{}`, or column numbers such as `2-7`.
         where: the file, for messages.
-        numbered: whether the names stand in an order that a user can count, from 1.
+        numbered: whether the names are in an order that a user can count, from 1.
 
     Raises:
         UsageError: a key of `columns` is none of our names.
@@ -95,11 +95,11 @@ def _chosen_roles(
             raise UsageError(
                 f"{printable(key)}={printable(given)} gives one name to {len(places)} columns", where="--column"
             )
-        for number, place in enumerate(places, start=1):
+        for joint_number, place in enumerate(places, start=1):
             name = names[place]
             if list(names).count(name) > 1:
                 raise ImportFileError(f"has several columns called '{printable(name)}'; rename them", where=where)
-            yield _as_chosen(replace(role, number=number) if whole else role, name, joints)
+            yield _as_chosen(replace(role, number=joint_number) if whole else role, name, joints)
     else:
         raise ImportFileError(
             f"has no '{printable(given)}', which --column names for {printable(key)}; it has: {listed(names)}",
@@ -119,7 +119,7 @@ def _fitting(
     role: Role, key: str, pattern: str, names: Sequence[str], joints: Sequence[str], where: str
 ) -> Iterator[Role]:
     """The columns that a pattern means, by the joints' names or else by numbers."""
-    named = {joint: found for joint in joints if (found := _called(pattern.replace(PLACE, joint), names))}
+    named = {joint: columns for joint in joints if (columns := _called(pattern.replace(PLACE, joint), names))}
     before, after = pattern.split(PLACE)
     expression = re.compile(re.escape(before) + r"(\d{1,3})" + re.escape(after))
     numbered: dict[int, list[str]] = {}
@@ -128,35 +128,36 @@ def _fitting(
         fits = expression.fullmatch(name) or expression.fullmatch(bare)
         if fits is not None:
             numbered.setdefault(int(fits[1]), []).append(name)
-    for found in (*named.values(), *numbered.values()):
-        if len(found) > 1:
+    for columns in (*named.values(), *numbered.values()):
+        if len(columns) > 1:
             raise ImportFileError(
-                f"several columns fit --column {printable(key)}={printable(pattern)} alike: {listed(found)}",
+                f"several columns fit --column {printable(key)}={printable(pattern)} alike: {listed(columns)}",
                 where=where,
             )
     if named:
-        yield from (_as_chosen(replace(role, joint=joint), found[0], joints) for joint, found in named.items())
+        yield from (_as_chosen(replace(role, joint=joint), columns[0], joints) for joint, columns in named.items())
     elif numbered:
         yield from (
-            _as_chosen(replace(role, number=number), found[0], joints) for number, found in sorted(numbered.items())
+            _as_chosen(replace(role, number=joint_number), columns[0], joints)
+            for joint_number, columns in sorted(numbered.items())
         )
     else:
         raise ImportFileError(
             f"has no column that fits --column {printable(key)}={printable(pattern)}; it has: {listed(names)}",
             where=where,
-            hint=f"{PLACE} stands for the joints' numbers (from 1 or from 0) or their names",
+            hint=f"{PLACE} is a placeholder of the joints' numbers (from 1 or from 0) or names",
         )
 
 
 def _column_numbers(given: str, count: int, where: str) -> list[int]:
     """Indices from 0 of the columns in a text such as `2-4,7`, which counts from 1."""
     places: list[int] = []
-    for part in given.split(","):
-        first, _, last = (text.strip() for text in part.partition("-"))
+    for item in given.split(","):
+        first, _, last = (text.strip() for text in item.partition("-"))
         low, high = int(first), int(last or first)
         if not 1 <= low <= high <= count:
             raise ImportFileError(
-                f"has the columns 1 to {count}, but --column asks for {part.strip()}",
+                f"has the columns 1 to {count}, but --column asks for {item.strip()}",
                 where=where,
                 hint="columns are counted from 1; a range goes upwards",
             )
@@ -165,7 +166,7 @@ def _column_numbers(given: str, count: int, where: str) -> list[int]:
 
 
 def _as_chosen(role: Role, name: str, joints: Sequence[str]) -> Role:
-    """A role taken by this name, with the unit that the name states."""
+    """A role with this name and the unit that the name states."""
     own = parse_name(name, joints)
     unit = own.unit if own is not None else ""
     match = BRACKETED.match(name.strip())

@@ -53,11 +53,11 @@ def bag_files(path: Path) -> tuple[Path, ...]:
 
 
 def read_rosbag(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
-    """Read the sensor_msgs/JointState messages of one topic; time is relative to the first one taken.
+    """Read the sensor_msgs/JointState messages of one topic; time is relative to the first one.
 
     Args:
         path: a bag's folder, its metadata.yaml, or a bare .db3 or .mcap file.
-        joints: the robot's joint names; they are looked up message by message, others are left out.
+        joints: the robot's joint names; they are matched message by message, others are left out.
         choices: `topic` where several carry JointState; `by_order` where the names differ.
 
     Raises:
@@ -70,8 +70,8 @@ def read_rosbag(path: Path, joints: Sequence[str], choices: ImportChoices) -> Fo
         path = path.parent
     where = str(path)
     notes: list[Note] = []
-    parts = _openable(path, notes)
-    read = [_read_messages(part, choices.topic, where) for part in parts]
+    files = _openable(path, notes)
+    read = [_read_messages(file, choices.topic, where) for file in files]
     topics = sorted({messages.topic for messages in read})
     if len(topics) > 1:
         raise _several(topics, where)
@@ -79,27 +79,27 @@ def read_rosbag(path: Path, joints: Sequence[str], choices: ImportChoices) -> Fo
     notes.append(Note("info", f"topic {printable(messages.topic)}, {len(messages.names)} messages"))
     place = f"{where}: {printable(messages.topic)}"
     matches = _matches(messages.names, joints, choices.by_order, place, notes)
-    taken = [index for index, names in enumerate(messages.names) if names in matches]
-    if len(taken) < len(messages.names):
+    selected = [index for index, names in enumerate(messages.names) if names in matches]
+    if len(selected) < len(messages.names):
         notes.append(
-            Note("info", f"{len(messages.names) - len(taken)} messages are about other joints and were left out")
+            Note("info", f"{len(messages.names) - len(selected)} messages are about other joints and were left out")
         )
     for match in matches.values():
         notes.extend(note for note in match.notes if note not in notes)
-    stamps = _stamps(messages, taken, notes)
+    stamps = _stamps(messages, selected, notes)
     seconds = (stamps - stamps[0]) / SECOND
     notes.append(Note("info", f"time is counted from the first message, stamped {stamps[0] / SECOND:.9f} s"))
     labels = tuple(joints)
     quantities = {}
     for field in _FIELDS:
-        values = _gather(messages, field, taken, matches, place)
+        values = _gather(messages, field, selected, matches, place)
         if values is not None:
             quantities[field] = QuantityColumns(values, labels, ("",) * len(joints), labels)
     return ForeignTable("ROS 2 bag", seconds, "s", quantities, tuple(notes))
 
 
 def _openable(path: Path, notes: list[Note]) -> tuple[Path, ...]:
-    """What to hand to the reader: the folder where it is complete, else the storage files in it."""
+    """Paths for the reader: the folder where it is complete, else the storage files in it."""
     if path.is_dir():
         if (path / METADATA).exists():
             return (path,)
@@ -181,13 +181,13 @@ def _several(topics: Sequence[str], where: str) -> ImportFileError:
     return ImportFileError(message, where=where, hint="choose one with --topic")
 
 
-def _joined(parts: Sequence[_Messages]) -> _Messages:
+def _joined(bags: Sequence[_Messages]) -> _Messages:
     return _Messages(
-        parts[0].topic,
-        np.concatenate([part.logged for part in parts]),
-        np.concatenate([part.stamped for part in parts]),
-        [names for part in parts for names in part.names],
-        {field: [values for part in parts for values in part.fields[field]] for field in _FIELDS},
+        bags[0].topic,
+        np.concatenate([bag.logged for bag in bags]),
+        np.concatenate([bag.stamped for bag in bags]),
+        [names for bag in bags for names in bag.names],
+        {field: [values for bag in bags for values in bag.fields[field]] for field in _FIELDS},
     )
 
 
@@ -215,25 +215,25 @@ def _matches(
     return matches
 
 
-def _stamps(messages: _Messages, taken: Sequence[int], notes: list[Note]) -> npt.NDArray[np.int64]:
-    stamps: npt.NDArray[np.int64] = messages.stamped[taken]
+def _stamps(messages: _Messages, selected: Sequence[int], notes: list[Note]) -> npt.NDArray[np.int64]:
+    stamps: npt.NDArray[np.int64] = messages.stamped[selected]
     if stamps.any():
         return stamps
     notes.append(Note("warning", "all header stamps are zero; receive times, with their jitter, were taken"))
-    logged: npt.NDArray[np.int64] = messages.logged[taken]
+    logged: npt.NDArray[np.int64] = messages.logged[selected]
     return logged
 
 
 def _gather(
-    messages: _Messages, field: str, taken: Sequence[int], matches: dict[tuple[str, ...], JointMatch], where: str
+    messages: _Messages, field: str, selected: Sequence[int], matches: dict[tuple[str, ...], JointMatch], where: str
 ) -> FloatArray | None:
     """(N, n) in the robot's order; None where every message leaves the field empty."""
     raw = messages.fields[field]
-    first_filled = next((index for index in taken if len(raw[index])), None)
+    first_filled = next((index for index in selected if len(raw[index])), None)
     if first_filled is None:
         return None
     rows = []
-    for index in taken:
+    for index in selected:
         given = messages.names[index]
         if len(raw[index]) != len(given):
             raise ImportFileError(

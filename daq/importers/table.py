@@ -1,4 +1,4 @@
-"""What every reader of a foreign file hands on: arrays under their names, before any check or conversion."""
+"""Output of every reader of a foreign file: arrays by name, before any check or conversion."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def listed(names: object, limit: int = 12) -> str:
 
 @contextmanager
 def parsing(path: Path, kind: str, hint: str = "") -> Iterator[None]:
-    """Turn whatever a library raises on a damaged file into an ImportFileError.
+    """Turn any exception of a library on a damaged file into an ImportFileError.
 
     The libraries behind the formats raise nearly anything on bytes that they don't expect (struct.error, KeyError,
     AssertionError, zlib.error, …); so keep to their calls and the least around them in this block.

@@ -1,4 +1,4 @@
-"""Units that a file may state, and what they are in SI (temperature in °C)."""
+"""Units that a file may state, and their conversion to SI (temperature in °C)."""
 
 from __future__ import annotations
 

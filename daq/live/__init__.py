@@ -1,1 +1,1 @@
-"""What is shown of a recording while it runs."""
+"""Live view of a recording."""

@@ -1,7 +1,7 @@
 """The live view of a recording: a process of its own draws on stderr what the acquisition writes into a pipe.
 
-The acquisition never waits for it: what the pipe cannot take is dropped, and a display that died is forgotten. The
-pipe's end is also the display's: it leaves when the recording says so or is gone, never because of Ctrl-C, which the
+The acquisition never waits for it: what does not fit into the pipe is dropped, and a crashed display is ignored. The
+display ends with the pipe: when the recording closes it or exits, never because of Ctrl-C, which the
 terminal sends to both.
 """
 
@@ -39,11 +39,11 @@ if TYPE_CHECKING:
 PERIOD = 0.2
 """Between two pictures [s]."""
 RATE_PICTURES = 6
-"""Pictures over which a rate is taken: one second."""
+"""Pictures over which a rate is averaged: one second."""
 MESSAGE_LIMIT = 4096
 """Bytes that Linux writes into a pipe as a whole or not at all."""
 LEAVE_LIMIT = 2.0
-"""How long [s] the display may take to leave before it is killed."""
+"""Time [s] in which the display must end before it is killed."""
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def _largest(values: FloatArray, joints: tuple[str, ...]) -> tuple[float, str] |
 def live_view(
     *, shown: bool, limits: Limits, recorder: Recorder, clock: Clock = SYSTEM_CLOCK
 ) -> Iterator[Publisher | None]:
-    """A display in a process of its own and what feeds it; None where nothing is to be shown."""
+    """A display in its own process and the pipe to it; None where nothing is to be shown."""
     if not shown:
         yield None
         return

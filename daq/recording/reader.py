@@ -38,21 +38,21 @@ def read_recording(path: str | Path) -> Recording:
         raise RecordingError("is empty (0 bytes)", where=where, hint="copy it again from its source")
     if not _has_hdf5_signature(path):
         raise RecordingError(
-            "is not an HDF5 file", where=where, hint="take over another format with: dynid import FILE --robot ROBOT"
+            "is not an HDF5 file", where=where, hint="convert another format with: dynid import FILE --robot ROBOT"
         )
     try:
         file = h5py.File(path, "r")
     except (OSError, RuntimeError) as error:
         if "consistency flags" in str(error):
             raise RecordingError(
-                "is half-written: its writer is still at work, or died",
+                "is half-written: its writer is still running, or crashed",
                 where=where,
                 hint=f"when no recording is running: dynid recover {path}",
             ) from error
         raise RecordingError(
             f"is truncated or still open in a writer: {hdf5_reason(error)}",
             where=where,
-            hint=f"copy it again from its source; where its writer died: dynid recover {path}",
+            hint=f"copy it again from its source; if its writer crashed: dynid recover {path}",
         ) from error
     with file:
         return read_open_recording(file, path)
@@ -88,7 +88,7 @@ def _read(file: Any, path: Path) -> Recording:
         raise RecordingError(
             "is an HDF5 file, but not a dynid recording (no attribute 'dynid_schema')",
             where=where,
-            hint="take it over with: dynid import FILE --robot ROBOT",
+            hint="convert it with: dynid import FILE --robot ROBOT",
         )
     schema = attributes["dynid_schema"]
     if not isinstance(schema, (int, np.integer)) or schema < 1:
@@ -143,7 +143,7 @@ def _read_stream(group: Any, where: str) -> Stream:
     lengths = {name: dataset.shape[0] for name, dataset in group.items()}
     count = lengths["time"]
     if any(length != count for length in lengths.values()):
-        # A crash between two appends leaves columns of different length; the common part is sound.
+        # A crash between two appends leaves columns of different length; the common rows are valid.
         if min(lengths.values()) == 0:
             raise RecordingError(f"is half-written: rows per dataset {lengths}", where=where)
         count = min(lengths.values())

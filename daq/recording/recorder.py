@@ -23,7 +23,7 @@ from drivers.streams import Batch, StreamLayout
 MEMORY_LIMIT = 64 * 2**20
 """Bytes of samples that may wait for the disk before batches are dropped, and counted."""
 RESERVE = 16 * 2**20
-"""Bytes of free disk space [B] at which recording ends in order: a full disk leaves HDF5 no way to close a file."""
+"""Bytes of free disk space [B] at which a recording is ended: on a full disk HDF5 cannot close a file."""
 _WAIT = 0.1
 
 
@@ -41,7 +41,7 @@ def require_room(path: Path) -> None:
 
 
 class Recorder:
-    """Takes batches from the acquisition without ever making it wait for the disk.
+    """Writes the acquisition's batches to disk without ever making it wait.
 
     Args:
         path: of the new recording.
@@ -110,7 +110,7 @@ class Recorder:
         return self._failure
 
     def put(self, batch: Batch) -> None:
-        """Hand over a batch; dropped and counted where too much waits already."""
+        """Hand over a batch; dropped and counted when the queue is full."""
         size = _size(batch)
         with self._changed:
             if self._failure is not None:
@@ -132,10 +132,10 @@ class Recorder:
             self._changed.notify()
 
     def close(self, *, complete: bool) -> None:
-        """Write what waits and close the file; safe to call twice.
+        """Write what is queued and close the file; safe to call twice.
 
         Raises:
-            DiskError: it could not be written to its end; what was flushed is kept.
+            DiskError: it could not be written completely; flushed data are kept.
         """
         with self._changed:
             self._closing = True
@@ -197,7 +197,7 @@ class Recorder:
             self._writer.flush()
 
     def _write(self, *, everything: bool) -> None:
-        """Whole chunks; what is left only at the end, or where a source is much slower than it said."""
+        """Whole chunks; the remainder only at the end, or where a source is much slower than its nominal rate."""
         wrote = False
         for stream, batches in self._pending.items():
             waiting = sum(len(batch.time) for batch in batches)

@@ -75,7 +75,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording: what was measured of an arm, with the robot file that it belongs to.
+    """A recording: an arm's measured signals, with its robot file.
 
     Made by `from_arrays`, `read_recording`, `import_recording` or `simulate`; `write_recording` keeps it.
 
@@ -132,7 +132,7 @@ class Recording:
         Nothing is filtered.
 
         Args:
-            robot: built-in name, robot file, URDF, or what `load_robot` gave.
+            robot: built-in name, robot file, URDF, or the result of `load_robot`.
             time: (N,) strictly rising stamps [s]; gaps are recognised.
             position: (N, n) [rad, or m of prismatic joints].
             current: (N, n) of the motors [A]; the robot file's gains turn it into torque.
@@ -184,7 +184,7 @@ class Recording:
     def to_xarray(self, stream: str = JOINTS_STREAM) -> Dataset:
         """One stream as an xarray dataset: a variable a quantity (time, joint), with its unit; `host_time` [s] beside.
 
-        Quantities of other columns than the first one's have a dimension of their own, `<quantity>_column`.
+        Quantities of other columns than the first one's have their own dimension, `<quantity>_column`.
 
         Args:
             stream: name of the stream.
@@ -223,7 +223,7 @@ class Recording:
 
     @property
     def label(self) -> str:
-        """What a message calls this recording."""
+        """Name of this recording in messages."""
         return str(self.path) if self.path is not None else "recording in memory"
 
     def robot(self) -> RobotFile:
@@ -248,7 +248,7 @@ class Recording:
 
 
 def software_versions() -> dict[str, str]:
-    """Versions of Python, dynid and what it computes with; 'unknown' for what is not installed as a package."""
+    """Versions of Python, dynid and its numerical libraries; 'unknown' for one that is not installed as a package."""
     versions = {"python": platform.python_version()}
     for package in ("dynid", "numpy", "scipy", "h5py", "pin"):
         try:

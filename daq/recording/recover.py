@@ -1,4 +1,4 @@
-"""Rescue of a recording whose writer died: everything that was flushed, in a new file."""
+"""Rescue of a recording whose writer crashed: all flushed data, in a new file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from daq.recording.writer import write_recording
 from drivers.errors import RecordingError
 
 READ_LIMIT = 20.0
-"""How long [s] a small recording may take to be read; a slow disk needs no more than READ_SPEED [B/s] beyond that."""
+"""Time limit [s] for reading a small recording; a larger one has its size over READ_SPEED [B/s] more."""
 READ_SPEED = 5e6
 _READ_ONCE = """
 import sys
@@ -47,7 +47,7 @@ class Recovered:
 
 
 def follow_recording(path: Path) -> Recording:
-    """What has been flushed of a recording that is still being written, or whose writer died.
+    """The flushed data of a recording that is still being written, or whose writer crashed.
 
     Raises:
         RecordingError: not a recording, or nothing of it can be read.
@@ -60,9 +60,9 @@ def follow_recording(path: Path) -> Recording:
 
 
 def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:
-    """Copy what can be read of a half-written recording into a new file, which says so in an event.
+    """Copy the readable data of a half-written recording into a new file, which states this in an event.
 
-    The recording stays incomplete (`complete` false): its readers should know that it ended by accident.
+    The recording stays incomplete (`complete` false): its readers should know that it was cut off.
 
     Raises:
         RecordingError: nothing can be read, or HDF5 loops or crashes over it.
@@ -85,12 +85,12 @@ def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:
 
 
 def _require_readable(path: Path) -> None:
-    """Read a recording in a process of its own first.
+    """Read a recording in a separate process first.
 
     On a file whose bytes were changed inside, the HDF5 library may loop for ever or crash.
 
     Raises:
-        RecordingError: it did not come to an end within the time limit.
+        RecordingError: it did not finish within the time limit.
     """
     limit = READ_LIMIT + path.stat().st_size / READ_SPEED
     command = [sys.executable, "-c", _READ_ONCE, str(path)]

@@ -1,4 +1,4 @@
-"""What a recorded signal looks like, column by column: its steps, its noise, where it is clipped."""
+"""Properties of a recorded signal, column by column: steps, noise, clipping."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from daq.recording.recording import Channel
 from drivers.streams import FloatArray
 
 CLIPPED_RUN = 5
-"""Equal extreme values in a row, at least this many, are taken for a signal at its limit."""
+"""At least this many equal extreme values in a row count as clipping."""
 
 LATTICE_TOLERANCE = 0.05
-"""Values count as quantised when all gaps between them are whole multiples of the smallest within this part of it."""
+"""Values are quantised where all gaps between them are multiples of the smallest within this fraction of it."""
 
 _LATTICE_VALUES = 2000
 _FEWEST_GAPS = 5  # fewer gaps can be multiples of each other by chance
@@ -27,7 +27,7 @@ class ColumnQuality:
     Attributes:
         name: of the column (a joint).
         smallest, largest: of its values.
-        noise: standard deviation of what is white in it: from second differences, robust against the motion.
+        noise: standard deviation of its white noise: from second differences, robust against the motion.
         step: of quantisation; nan where the values lie on no grid.
         clipped_percent: samples that stay at the smallest or largest value for `CLIPPED_RUN` samples or more [%].
     """
@@ -61,7 +61,7 @@ def _column_quality(name: str, column: FloatArray) -> ColumnQuality:
 
 
 def white_noise(values: FloatArray) -> float:
-    """Standard deviation of a signal's white part, from the median size of its second differences (N,).
+    """Standard deviation of a signal's white noise, from the median magnitude of its second differences (N,).
 
     Second differences of white noise have √6 times its deviation; the median of their size is 0.6745 of that.
     """

@@ -12,7 +12,7 @@ LOST_FROM = 1.5
 """An interval longer than this many periods means that samples are missing."""
 
 LONGEST_INTERVAL = 1e9
-"""Intervals [s] are cut to this: a stamp 30 years on is nonsense, whatever its value."""
+"""Intervals [s] are cut to this: a stamp 30 years later is invalid, whatever its value."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Do positions and velocities look like the units that they are said to have? For files and arrays alike."""
+"""Do positions and velocities agree with their stated units? For files and arrays."""
 
 from __future__ import annotations
 

@@ -170,7 +170,7 @@ class RecordingWriter:
         """Append N samples of one stream: `time` and `host_time` (N,) [s], `quantities` quantity → (N, n).
 
         Raises:
-            ValueError: a quantity is missing or has another shape than the stream's layout says.
+            ValueError: a quantity is missing or has another shape than in the stream's layout.
             RecordingError: the file cannot be written any more (full disk).
         """
         layout = self._layouts[stream]
@@ -193,7 +193,7 @@ class RecordingWriter:
             raise self._write_error(error) from error
 
     def allow_readers(self) -> None:
-        """Let others read the file while it grows (HDF5's single-writer multiple-reader mode); only once, at first.
+        """Allow readers while the file grows (HDF5's SWMR mode); only once, before the first rows.
 
         Raises:
             RecordingError: the file cannot be written; it is removed.
@@ -204,7 +204,7 @@ class RecordingWriter:
             raise self._creation_error(error) from error
 
     def _creation_error(self, error: BaseException) -> RecordingError:
-        """Let go of a file that holds nothing yet, and remove it."""
+        """Close a file that holds nothing yet, and remove it."""
         self.abandon()
         with suppress(OSError):
             self.path.unlink()
@@ -241,7 +241,7 @@ class RecordingWriter:
             raise self._write_error(error) from error
 
     def close(self, *, complete: bool) -> None:
-        """Close the file and say whether the recording ended in order.
+        """Close the file and store whether the recording is complete.
 
         Raises:
             RecordingError: the file cannot be written any more (full disk); what was flushed can be recovered.
@@ -256,13 +256,13 @@ class RecordingWriter:
             raise self._write_error(error) from error
 
     def abandon(self) -> None:
-        """Let go of a file that cannot be written any more; what was flushed stays as it is.
+        """Close a file that cannot be written any more; flushed data remain.
 
         HDF5 keeps a file open whose close failed, tries again at the interpreter's exit and crashes there (seen with
         HDF5 2.0, on a full disk and at a file size limit). So what it still wants to write goes nowhere.
         """
         # The null device takes every byte, but refuses to be given a length, as a close may want. Memory takes a
-        # length, but is bound by a file size limit. What one refused is not asked of the next.
+        # length, but is bound by a file size limit. What one refused is not tried with the next.
         for make_sink in (_null_device, _memory_file, _null_device):
             if not self._file.id.valid:
                 return

@@ -1,1 +1,1 @@
-"""The robot file: what dynid knows of an arm."""
+"""The robot file: the description of an arm."""

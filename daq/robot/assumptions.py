@@ -1,4 +1,4 @@
-"""What a robot file does not state, and what is assumed in its place."""
+"""Assumptions in place of what a robot file does not state."""
 
 from __future__ import annotations
 

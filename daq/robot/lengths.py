@@ -11,7 +11,7 @@ _KEYS = ("b", "d", "r")
 
 
 def with_lengths(content: Any) -> Any:
-    """The content of `model` with the names of lengths in its frames replaced by their values; others left alone.
+    """The content of `model` with the names of lengths in its frames replaced by their values; all else unchanged.
 
     Raises:
         ValueError: a frame refers to a length that is not there, or is not a number.

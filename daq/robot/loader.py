@@ -19,7 +19,7 @@ from drivers.yaml_file import read_mapping
 
 
 class RobotFile(BaseModel):
-    """A robot together with the text and the place that it was read from; what `load_robot` gives.
+    """A robot together with the text and the place that it was read from; result of `load_robot`.
 
     Its `robot` holds joints and limits [rad, rad/s, rad/s², N·m], drive gains [N·m/A or N·m/V] and the rest.
 
@@ -70,14 +70,14 @@ def builtin_robots() -> tuple[str, ...]:
 def load_robot(name_or_path: str | Path | RobotFile) -> RobotFile:
     """Read a built-in robot by name, or a robot file or URDF by path (a name that exists as a file is a path).
 
-    Of a URDF every movable joint is taken, in the tree's order, with the limits that it states, and its tool link; its
-    drives have no gains, so that recordings need torque. `assumed` says what was put in place of what is missing.
+    A URDF gives every movable joint, in the tree's order, with the limits that it states, and its tool link; its
+    drives have no gains, so that recordings need torque. `assumed` lists the assumptions in place of what is missing.
     Write a robot file for anything else: `dynid robot new` (`docs/robot-file.md`).
 
-    A robot that was read already is given back, so that whatever takes a robot takes its name, its file or itself.
+    A `RobotFile` is returned unchanged, so that callers may pass a name, a path or a `RobotFile`.
 
     Args:
-        name_or_path: built-in name, path of a robot file or URDF, or what `load_robot` gave.
+        name_or_path: built-in name, path of a robot file or URDF, or the result of `load_robot`.
 
     Raises:
         RobotFileError: no such robot or file, or its content is not allowed; names file, key and what is allowed.
@@ -134,7 +134,7 @@ def parse_robot(text: str, *, where: str, folder: Path | None, urdf_text: str | 
         urdf_text: the URDF's XML where it is known already (a recording carries it); read from disk otherwise.
 
     Raises:
-        RobotFileError: names the key path, what was found and what is allowed.
+        RobotFileError: names the key path, the value and what is allowed.
     """
     robot = _robot(text, where)
     if robot.model.urdf is not None and urdf_text is None:
@@ -142,7 +142,7 @@ def parse_robot(text: str, *, where: str, folder: Path | None, urdf_text: str | 
     return RobotFile(robot=robot, text=text, where=where, folder=folder, urdf_text=urdf_text)
 
 
-# Reading the YAML takes 15 ms, and a recording is asked for its robot several times.
+# Reading the YAML takes 15 ms, and a recording's robot is read several times.
 @lru_cache(maxsize=64)
 def _robot(text: str, where: str) -> Robot:
     hint = "see a built-in one: dynid robot show ur5e --yaml"

@@ -17,7 +17,7 @@ from daq.robot.magnitudes import TableAngle
 from daq.robot.section import Angle, Finite, Section
 
 BASE = "base"
-"""What an `antecedent` calls the link that does not move."""
+"""Name of the fixed link in an `antecedent`."""
 
 SINGULAR_CONDITION = 1e10
 """Condition number of R from which on the motors do not determine the joints."""
@@ -124,8 +124,8 @@ def passive_joints(loops: Iterable[Loop], active: tuple[str, ...]) -> tuple[str,
             if len(following) != 2:
                 moved = ", ".join(name for name in four if name in active) or "none"
                 raise ValueError(
-                    f"two joints of the parallelogram {', '.join(four)} must be passive, so two of them stand in "
-                    f"'joints'; found there: {moved}"
+                    f"two joints of the parallelogram {', '.join(four)} must be passive, so two of them are in "
+                    f"'joints'; it has: {moved}"
                 )
         for name in following:
             if name in passive:
@@ -191,7 +191,7 @@ def check_pairs(named: Iterable[str], coupling: Mapping[str, Mapping[str, float]
 
 
 def coupling_matrix(coupling: Mapping[str, Mapping[str, float]], active: tuple[str, ...]) -> np.ndarray:
-    """R (n, n) with q_motor = R·q_joint; motors that `coupling` does not name move their own joint alone."""
+    """R (n, n) with q_motor = R·q_joint; motors that `coupling` does not name move one joint each."""
     matrix = np.eye(len(active))
     for motor, row in coupling.items():
         row_index = active.index(motor)

@@ -14,8 +14,8 @@ LARGEST_TABLE_ANGLE = 2 * math.pi * (1 + 1e-5)
 """A frame is turned by one turn at most [rad]; rounded digits of 2π are allowed."""
 
 LARGEST_POSITION = 45.0
-"""Seven turns [rad]: hardly a joint goes further, and limits in degrees are mostly larger. As a length [m], too.
-What is written as a multiple of pi is in radians, whatever its size."""
+"""Seven turns [rad]: few joints exceed it, and limits in degrees are mostly larger. As a length [m], too.
+A value written as a multiple of pi is in radians, whatever its size."""
 
 LARGEST_VELOCITY = 75.0
 """[rad/s] 4300 °/s; the last joint of a quick SCARA turns at 3000 °/s, and arms' limits in °/s are mostly larger."""
@@ -42,13 +42,13 @@ def _table_angle(value: float) -> float:
 
 
 def _position_limit(value: Any, parse: ValidatorFunctionWrapHandler) -> Any:
-    number = parse(value)
-    if abs(number) > LARGEST_POSITION and not (isinstance(value, str) and "pi" in value):
+    position = parse(value)
+    if abs(position) > LARGEST_POSITION and not (isinstance(value, str) and "pi" in value):
         raise ValueError(
-            f"{number:g} looks like degrees, or like millimetres of a sliding joint; positions are in rad or m: "
-            f"{number:g}° is {multiple_of_pi(number)}, {number:g} rad would be {number / math.pi:.2f}*pi"
+            f"{position:g} looks like degrees, or like millimetres of a sliding joint; positions are in rad or m: "
+            f"{position:g}° is {multiple_of_pi(position)}, {position:g} rad would be {position / math.pi:.2f}*pi"
         )
-    return number
+    return position
 
 
 def _velocity_limit(value: float) -> float:

@@ -1,4 +1,4 @@
-"""A commented robot file to complete (`dynid robot new`): what a URDF says is filled in, the rest is marked TODO."""
+"""A commented robot file to complete (`dynid robot new`): a URDF's content is filled in, the rest is marked TODO."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def new_robot_of_urdf(arm: UrdfArm, urdf: str) -> str:
     locked = ""
     if arm.mimicking:
         frozen = ", ".join(f"{_quoted(name)}: 0" for name in arm.mimicking)
-        locked = f"  locked: {{{frozen}}}   # rad or m; joints that are no part of the arm (here: <mimic>)\n"
+        locked = f"  locked: {{{frozen}}}   # rad or m; joints that do not belong to the arm (here: <mimic>)\n"
     model = _URDF_MODEL.format(urdf=_quoted(urdf), locked=locked)
     note = f" (here: link {arm.tool_link} of the URDF)".replace("\n", " ")
     rotation = [round(value, 9) for value in arm.tool_rotation]
@@ -124,12 +124,13 @@ def new_robot_of_urdf(arm: UrdfArm, urdf: str) -> str:
 def new_robot_of_joints(count: int) -> str:
     """The text of a robot file for an arm of `count` revolute joints, each carried by the one before."""
     rows = []
-    for number in range(1, count + 1):
-        antecedent = f"j{number - 1}" if number > 1 else "base"
+    for joint_number in range(1, count + 1):
+        antecedent = f"j{joint_number - 1}" if joint_number > 1 else "base"
         rows.append(
-            f"    - {{joint: j{number}, antecedent: {antecedent}, alpha: {TODO}, d: {TODO}, theta0: {TODO}, r: {TODO}}}"
+            f"    - {{joint: j{joint_number}, antecedent: {antecedent}, "
+            f"alpha: {TODO}, d: {TODO}, theta0: {TODO}, r: {TODO}}}"
         )
-    joints = tuple(UrdfJoint(f"j{number}", "revolute", None, None, None) for number in range(1, count + 1))
+    joints = tuple(UrdfJoint(f"j{joint_number}", "revolute", None, None, None) for joint_number in range(1, count + 1))
     return _text(TODO, _MDH_MODEL.format(rows="\n".join(rows)), joints, [0, 0, 0], [0, 0, 0], "")
 
 
@@ -188,4 +189,4 @@ def _quoted(text: str) -> str:
 PLAIN = re.compile(r"(?:\.\./)*[A-Za-z][\w./-]*", re.ASCII)
 """A word or a path that YAML reads as a text without quotes, `_WORDS` aside."""
 _WORDS = frozenset({"yes", "no", "on", "off", "true", "false", "null", "y", "n"})
-"""What YAML 1.1 does not read as a text."""
+"""Characters that YAML 1.1 does not read as plain text."""

@@ -1,4 +1,4 @@
-"""What an arm keeps clear of: the surface on which it is mounted, and the obstacles of its workspace."""
+"""What an arm must keep clear of: its mounting surface and the obstacles of its workspace."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from daq.robot.schema import Robot
 from daq.robot.workspace import Box, HalfSpace
 
 _SAME_SIDE = math.cos(math.radians(45.0))
-"""A half-space of the workspace that faces like the mounting surface, within 45°, stands in its place."""
+"""A half-space of the workspace that faces like the mounting surface, within 45°, replaces it."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Obstacle:
         name: for messages and figures.
         shape: half-space or box in the base frame [m].
         clearance: distance that is kept [m].
-        mounting: whether it is the surface that the base stands on.
+        mounting: whether it is the mounting surface.
         where: key of the robot file.
     """
 

@@ -59,7 +59,7 @@ class PriorLink(Section):
 
 
 class Prior(Section):
-    """Bodies that fill in what the torques leave open, and how strongly the parameters are drawn to them."""
+    """Bodies that determine what the torques do not, and how strongly the parameters are drawn to them."""
 
     links: dict[str, PriorLink] = Field(default_factory=dict, description="joint → the link that it moves")
     distance: Literal["entropic", "euclidean"] = "entropic"

@@ -1,6 +1,6 @@
-"""Names that a robot file's sections use for its joints: whether they fit together, all that does not told at once.
+"""Names that a robot file's sections use for its joints: whether they are consistent, with all problems at once.
 
-The same rules are applied to a valid file and to the names of one whose values are partly wrong, so that a user hears
+The same rules are applied to a valid file and to the names of one whose values are partly wrong, so that a user sees
 of a misspelt joint together with everything else.
 """
 
@@ -73,8 +73,8 @@ def name_problems(names: JointNames) -> tuple[str, ...]:
         ]
         rows = tuple(name for name in names.rows if name not in names.passive)
         if rows != joints:
-            expected, found = ", ".join(rows), ", ".join(joints)
-            problems.append(f"'joints' must name the joints of 'model.mdh' in its order: {expected}; found: {found}")
+            expected, listed = ", ".join(rows), ", ".join(joints)
+            problems.append(f"'joints' must name the joints of 'model.mdh' in its order: {expected}; found: {listed}")
     problems += [f"'drives' names '{name}' twice" for name in _repeated(names.driven)]
     for section, keys in (("drives", names.driven), *names.keys):
         problems += [
@@ -135,8 +135,8 @@ def _mapping(value: Any) -> Mapping[Any, Any]:
 
 
 def _keys(content: Mapping[Any, Any], path: Sequence[str]) -> tuple[str, ...]:
-    for part in path:
-        content = _mapping(content.get(part))
+    for key in path:
+        content = _mapping(content.get(key))
     return tuple(key for key in content if isinstance(key, str))
 
 

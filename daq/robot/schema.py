@@ -1,4 +1,4 @@
-"""The robot file: everything that dynid knows of an arm (YAML; DESIGN.md "The robot file").
+"""The robot file: the description of an arm (YAML; DESIGN.md "The robot file").
 
 Units: m, rad, s, kg, N·m, A, °C. Angles of the geometry may be written as multiples of pi (`-pi/2`).
 """
@@ -44,7 +44,7 @@ class MdhRow(Section):
 
 
 _INCLINED = 0.5
-"""A table or a ceiling is inclined by at most 60°, a wall by as much as 30° from the vertical is one."""
+"""A table or a ceiling is inclined by at most 60°, a wall by at most 30° from the vertical."""
 _UPWARD = {"table": (_INCLINED, 1.0), "wall": (-0.87, 0.87), "ceiling": (-1.0, -_INCLINED)}
 """Range of the cosine between the base frame's z axis and the vertical."""
 
@@ -59,7 +59,7 @@ class ModelSection(Section):
     )
     gravity: Vector3 = Field(default=(0.0, 0.0, -9.81), description="[m/s²] in the base frame")
     mounting: Mounting | None = Field(
-        default=None, description="what the base stands on; where absent it follows from gravity, see `mounted`"
+        default=None, description="how the base is mounted; where absent it follows from gravity, see `mounted`"
     )
     locked: dict[str, Finite] = Field(default_factory=dict, description="joint → fixed position [rad or m]; URDF only")
     loops: tuple[Loop, ...] = Field(default=(), description="how joints without a motor follow the others")
@@ -80,8 +80,8 @@ class ModelSection(Section):
         if self.mdh is not None:
             if not self.mdh:
                 raise ValueError("'mdh' has no rows")
-            if found := row_problems([(row.joint, row.antecedent) for row in self.mdh]):
-                raise SeveralProblems(found)
+            if problems := row_problems([(row.joint, row.antecedent) for row in self.mdh]):
+                raise SeveralProblems(problems)
             if self.locked:
                 raise ValueError("'locked' works with 'urdf' only; leave the joint out of 'mdh' instead")
         if max(abs(component) for component in self.gravity) > 30:
@@ -125,7 +125,7 @@ class JointLimits(Section):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if not self.position[0] < self.position[1]:
-            raise ValueError(f"position limits {list(self.position)} are not in rising order")
+            raise ValueError(f"position limits {list(self.position)} are not in ascending order")
         return self
 
 
@@ -149,12 +149,12 @@ class Drive(Section):
 
 
 class JointFriction(Section):
-    """Exceptions of one joint from the arm's friction model; what is absent follows the arm's."""
+    """Exceptions of one joint from the arm's friction model; absent keys follow the arm's."""
 
     viscous: bool | None = None
     coulomb: bool | None = None
     offset: bool | None = None
-    pair: bool | None = Field(default=None, description="of coupled motors: the joint rubs too (SR400 eq. 8)")
+    pair: bool | None = Field(default=None, description="of coupled motors: friction of the joint, too (SR400 eq. 8)")
 
 
 class Friction(Section):
@@ -208,21 +208,21 @@ class TruthThermal(Section):
 
 
 class TruthNoise(Section):
-    """What the simulated sensors add."""
+    """Errors of the simulated sensors."""
 
     rate: Positive = Field(default=500.0, description="[Hz]")
-    encoder_resolution: NonNegative = Field(default=0.0, description="[rad] a step, joint side")
+    encoder_resolution: NonNegative = Field(default=0.0, description="[rad] per step, joint side")
     torque_std: dict[str, NonNegative] = Field(default_factory=dict, description="joint → white noise [N·m]")
     ripple_amplitude: dict[str, NonNegative] = Field(default_factory=dict, description="joint → torque ripple [N·m]")
-    ripple_per_revolution: Positive = Field(default=100.0, description="ripple periods a joint revolution")
+    ripple_per_revolution: Positive = Field(default=100.0, description="ripple periods per joint revolution")
     torque_delay: Annotated[float, Field(ge=0, le=0.1), NotTruthValue] = Field(
-        default=0.0, description="how much later than the encoder the current and the torque are read [s]"
+        default=0.0, description="delay of current and torque behind the encoder [s]"
     )
     temperature_resolution: NonNegative = Field(default=0.0, description="step of the temperature sensors [K]")
 
 
 class Truth(Section):
-    """What a simulated arm really is; a real arm's file leaves it out."""
+    """True parameters of a simulated arm; absent from a real arm's file."""
 
     links: dict[str, TruthLink] = Field(default_factory=dict, description="joint → the link that it moves")
     joints: dict[str, TruthJoint] = Field(default_factory=dict)
@@ -263,8 +263,8 @@ class Robot(Section):
     def _check(self) -> Self:
         passive = self.passive_names
         driven = tuple(drive.joint for drive in self.drives)
-        if found := name_problems(self._names(passive, driven)):
-            raise SeveralProblems(found)
+        if problems := name_problems(self._names(passive, driven)):
+            raise SeveralProblems(problems)
         check_drives(driven, passive)
         check_coupling(self.model.coupling, self.joint_names, passive)
         paired = [drive.joint for drive in self.drives if drive.pair_inertia]

@@ -1,4 +1,4 @@
-"""What the sections of a robot file are made of: checked numbers, and mappings that refuse unknown keys."""
+"""Building blocks of a robot file's sections: checked numbers, and mappings that refuse unknown keys."""
 
 from __future__ import annotations
 
@@ -44,6 +44,6 @@ Angle = Annotated[Finite, BeforeValidator(_parse_angle)]
 
 
 class Section(BaseModel):
-    """A mapping of the file; a key that it does not know is an error."""
+    """A mapping of the file; an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -1,4 +1,4 @@
-"""What a URDF says of an arm's joints, limits and tool, read without a kinematics library."""
+"""An arm's joints, limits and tool from a URDF, read without a kinematics library."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ UNLIMITED = 2 * math.pi
 TOOL_LINKS = ("tool0", "tcp", "tool", "flange", "ee")
 """Words in the names of links that a tool is mounted on, the most telling first (ROS-Industrial, REP 199: `tool0`)."""
 ROUNDING = 1e-9
-"""[m or rad] what sines and cosines of right angles leave."""
+"""Rounding residue of sines and cosines of right angles [m or rad]."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class UrdfArm:
 
 
 def urdf_prismatic_joints(xml: str) -> frozenset[str]:
-    """Names of the joints that slide; empty for what is no XML, which is reported where the model is built."""
+    """Names of the joints that slide; empty for invalid XML, which is reported where the model is built."""
     try:
         root = ElementTree.fromstring(xml)
     except ElementTree.ParseError:
@@ -144,7 +144,7 @@ def robot_text_of_urdf(arm: UrdfArm, file_name: str, where: str) -> str:
 
 
 def assumed_of_urdf(arm: UrdfArm) -> tuple[str, ...]:
-    """What `robot_text_of_urdf` put in place of what the URDF does not say, in words."""
+    """The assumptions of `robot_text_of_urdf` in place of what the URDF does not state, in words."""
     continuous = [joint.name for joint in arm.joints if joint.kind == "continuous"]
     assumed = [f"the tool is at the origin of the URDF's link {arm.tool_link}"]
     if continuous:

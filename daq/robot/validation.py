@@ -13,7 +13,7 @@ from drivers.errors import RobotFileError
 from drivers.yaml_file import YamlProblem, first_of, key_path, meaning, schema_problems
 
 TODO = "TODO"
-"""What a value begins with that is still to be filled in (`dynid robot new` writes it)."""
+"""Prefix of a value that is still to be filled in (`dynid robot new` writes it)."""
 
 
 def validated_robot(content: Mapping[Any, Any], where: str) -> Robot:
@@ -30,16 +30,22 @@ def validated_robot(content: Mapping[Any, Any], where: str) -> Robot:
         YamlProblem(key_path(location), "is still to be filled in (TODO)", meaning(Robot, location))
         for location in _todo_locations(content)
     ]
-    told: list[YamlProblem] = []
+    invalid: list[YamlProblem] = []
     robot = None
     try:
         robot = Robot.model_validate(content)
     except ValidationError as error:
-        told = list(schema_problems(error, Robot))
-        told += [problem for problem in _about_names(content) if problem.message not in {one.message for one in told}]
+        invalid = list(schema_problems(error, Robot))
+        invalid += [
+            problem
+            for problem in _about_names(content)
+            if problem.message not in {problem.message for problem in invalid}
+        ]
     unfilled = {problem.key_path for problem in missing}
     # A name that is still to be filled in fits nowhere; that needs no second message.
-    problems = [one for one in told if one.key_path not in unfilled and not (missing and TODO in one.message)] + missing
+    problems = [
+        problem for problem in invalid if problem.key_path not in unfilled and not (missing and TODO in problem.message)
+    ] + missing
     if robot is not None and not problems:
         return robot
     refused = first_of(problems, where=where, refusal=RobotFileError)
@@ -48,7 +54,7 @@ def validated_robot(content: Mapping[Any, Any], where: str) -> Robot:
 
 
 def _about_names(content: Mapping[Any, Any]) -> Iterator[YamlProblem]:
-    """What is wrong with joint names in a file whose values are wrong too, so that pydantic did not come to them."""
+    """Problems of joint names in a file with invalid values, where pydantic's own check of the names did not run."""
     for message in row_problems(rows_in(content)):
         yield YamlProblem("model", message, "")
     if (names := names_in(content)) is not None:
@@ -67,4 +73,6 @@ def _todo_locations(content: Mapping[Any, Any]) -> Iterator[tuple[int | str, ...
         elif isinstance(value, Mapping | list) and id(value) not in seen:
             seen.add(id(value))
             entries = enumerate(value) if isinstance(value, list) else value.items()
-            waiting += reversed([((*location, key if isinstance(key, int) else str(key)), one) for key, one in entries])
+            waiting += reversed(
+                [((*location, key if isinstance(key, int) else str(key)), entry) for key, entry in entries]
+            )

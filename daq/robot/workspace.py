@@ -20,10 +20,10 @@ DEFAULT_LINK_RADIUS = 0.05
 """Radius [m] of a link whose thickness the file does not say."""
 
 DEFAULT_CLEARANCE = 0.02
-"""Distance [m] that is kept from the mounting surface and from obstacles where the file says nothing else."""
+"""Distance [m] kept from the mounting surface and from obstacles by default."""
 
 Mounting = Literal["table", "wall", "ceiling", "free"]
-"""What the base stands on; its surface is a plane z = constant of the base frame, with the arm above it."""
+"""How the base is mounted; the mounting surface is a plane z = constant of the base frame, with the arm above it."""
 
 _LONGEST = 100.0
 """No arm reaches this far [m]: a length beyond it was written in millimetres."""
@@ -33,7 +33,7 @@ def _check_range(values: tuple[float, float] | None, key: str) -> None:
     if values is None:
         return
     if not values[0] < values[1]:
-        raise ValueError(f"{key} {list(values)} is not in rising order")
+        raise ValueError(f"{key} {list(values)} is not in ascending order")
     _check_lengths(values, key)
 
 
@@ -75,7 +75,7 @@ class Box(Section):
 
 
 class KeepOut(Section):
-    """Something that no part of the arm may enter: exactly one of `half_space` and `box`."""
+    """An obstacle that no link may enter: exactly one of `half_space` and `box`."""
 
     half_space: HalfSpace | None = None
     box: Box | None = None
@@ -113,8 +113,8 @@ def _parse_link_radius(value: Any) -> float | dict[str, float]:
 
 
 def _check_radius(value: Any, whose: str) -> None:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not (number and 0 < value <= 1):
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not (is_number and 0 < value <= 1):
         raise ValueError(
             f"the radius {whose}is {describe(value)}, but it should be a number above 0 and at most 1 [m]; "
             "give one number, or a mapping joint: number"

@@ -1,1 +1,1 @@
-"""A session: sources, clocks, supervisor, and the stop on every way out."""
+"""A session: sources, clocks, supervisor, and the stop on every exit path."""

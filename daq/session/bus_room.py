@@ -10,11 +10,11 @@ from drivers.percentage import percent_text
 
 
 def bus_budget(robot_file: RobotFile, name: str) -> Budget | None:
-    """What a connection asks of its bus; None where it is on no CAN bus.
+    """Bus load of a connection; None where it is not on a CAN bus.
 
     Raises:
         UsageError: the connection's keys are wrong.
-        RobotFileError: it asks more than fits.
+        RobotFileError: it needs more than the bus carries.
     """
     robot = robot_file.robot
     where = f"{robot_file.where}: connections.{name}"
@@ -45,7 +45,7 @@ def session_warnings(robot_file: RobotFile, wire: str | None) -> list[str]:
 
     Raises:
         UsageError: no such connection, or its keys are wrong.
-        RobotFileError: a connection asks more of its bus than fits.
+        RobotFileError: a connection needs more than its bus carries.
     """
     names = connection_names(robot_file.robot, wire, robot_file.where)
     budgets = ((name, bus_budget(robot_file, name)) for name in names)

@@ -4,7 +4,7 @@ A sample that was taken at `time` of the source's clock is received at host_time
 and delays are one-sided: buses and operating systems make a sample late, never early. So offset and drift are those of
 the line below all points (time, host_time − time) that lies closest to them, an edge of their lower convex hull, as in
 Moon, Skelly and Towsley, Estimation and removal of clock skew from network delay measurements (INFOCOM 1999). What the
-fastest sample needed is part of the offset: nothing that only listens can distinguish the two.
+fastest sample needed is included in the offset: one-way measurements cannot separate the two.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LEAST_SPAN = 1.0
 """[s]; over less the drift is not estimated."""
 LEAST_POINTS = 8
 GROUP_SPAN = 0.5
-"""[s]; of each such interval the least delay is kept."""
+"""[s]; the least delay of each such interval is kept."""
 GROUPS = 16
 """Groups of intervals whose least delays give the uncertainty of the line."""
 OFFSET_FACTOR = 3.0
@@ -32,7 +32,7 @@ DRIFT_FACTOR = 2.0
 """Stated errors over the groups' mean least delay (and over the length of the edge). With exponential, uniform, gamma
 and bursty delays 95 % of the errors stayed below 2.4 and 1.2 times that."""
 HOSTS_OWN = 1e-9
-"""Drift [s/s] and delay [s] below which stamps are taken from the host's clock: rounding makes them no smaller."""
+"""Drift [s/s] and delay [s] below which stamps count as the host's own: rounding alone causes as much."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class ClockEstimate:
     Attributes:
         reference: middle of the time seen, of the source's clock [s].
         offset: host's clock less the source's at `reference` [s], the least delay included.
-        drift: how much the source's clock loses [s/s].
+        drift: loss of the source's clock [s/s].
         offset_error: how far `offset` may be above the line of no further delay [s].
         drift_error: [s/s], either way.
         span: time seen [s].
@@ -56,7 +56,7 @@ class ClockEstimate:
     span: float
 
     def host_time(self, source_time: float) -> float:
-        """When the host's clock said what the source's said [s]; the least delay is included."""
+        """Host times of source times [s]; the least delay is included."""
         return source_time + self.offset + self.drift * (source_time - self.reference)
 
 
@@ -75,7 +75,7 @@ class ClockFit:
         self._points = 0
 
     def add(self, time: FloatArray, host_time: FloatArray) -> None:
-        """Take the stamps (N,) [s] of consecutive samples; a clock that goes back starts anew."""
+        """Add the stamps (N,) [s] of consecutive samples; the fit restarts when a clock jumps back."""
         usable = np.isfinite(time) & np.isfinite(host_time)
         time, host_time = time[usable], host_time[usable]
         if not len(time):
@@ -91,7 +91,7 @@ class ClockFit:
             self._add_point(float(time[best]), float(host_time[best] - time[best]), float(interval[first]))
 
     def estimate(self) -> ClockEstimate | None:
-        """Offset and drift from what was seen so far; None where that is too little."""
+        """Offset and drift from the samples so far; None where they are too few."""
         if self._points < LEAST_POINTS or self._hull[-1][0] - self._hull[0][0] < LEAST_SPAN:
             return None
         middle = 0.5 * (self._hull[0][0] + self._hull[-1][0])
@@ -149,14 +149,14 @@ class ClockLog:
             self._fits.setdefault(batch.stream, ClockFit()).add(batch.time, batch.host_time)
 
     def due(self) -> list[str]:
-        """A message on each stream's clock once every `REPORT_PERIOD`; nothing in between."""
+        """A message on each stream's clock once per `REPORT_PERIOD`."""
         if self._clock.now() < self._due:
             return []
         self._due = self._clock.now() + REPORT_PERIOD
         return self.messages()
 
     def messages(self) -> list[str]:
-        """What is known of each stream's clock now, in words; nothing of a stream of too short a span."""
+        """State of each stream's clock in words; streams of too short a span are left out."""
         estimates = {stream: fit.estimate() for stream, fit in self._fits.items()}
         return [describe_clock(stream, estimate) for stream, estimate in estimates.items() if estimate is not None]
 

@@ -1,4 +1,4 @@
-"""The connections of a robot file: which belong to one session, and what their drivers are told."""
+"""The connections of a robot file: which belong to one session, and their drivers' settings."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from drivers.gains import DriveGain
 def connection_names(robot: Robot, wire: str | None = None, place: str = "") -> list[str]:
     """A connection's name, the first one's where `wire` is None, and those that it is recorded with.
 
-    `place` is what messages call the robot file; its name where empty.
+    `place` is the robot file in messages; its name where empty.
 
     Raises:
         UsageError: no such connection.
@@ -32,26 +32,26 @@ def connection_names(robot: Robot, wire: str | None = None, place: str = "") -> 
         raise UsageError(f"no connection is called '{name}'", where=where, hint=f"there are: {known}")
     given = (robot.connections[name].model_extra or {}).get(WITH, [])
     where = f"{place}: connections.{name}.{WITH}"
-    if not isinstance(given, list) or not all(isinstance(other, str) for other in given):
+    if not isinstance(given, list) or not all(isinstance(name_beside, str) for name_beside in given):
         raise UsageError(
             f"is {given!r}, but should be a list of connections", where=where, hint=f"such as {WITH}: [thermometer]"
         )
-    for other in given:
-        if other not in robot.connections:
-            raise UsageError(f"no connection is called '{other}'", where=where, hint=f"there are: {known}")
+    for name_beside in given:
+        if name_beside not in robot.connections:
+            raise UsageError(f"no connection is called '{name_beside}'", where=where, hint=f"there are: {known}")
     if name in given or len(set(given)) < len(given):
         raise UsageError(f"names a connection twice, or itself: {', '.join(given)}", where=where)
     return [name, *given]
 
 
 def connection_keys(robot: Robot, name: str) -> dict[str, object]:
-    """A connection's keys as its driver knows them."""
+    """A connection's keys without those of the session."""
     return {key: value for key, value in (robot.connections[name].model_extra or {}).items() if key != WITH}
 
 
 @contextmanager
 def errors_of_connection(robot_place: str, name: str) -> Iterator[None]:
-    """Errors about a connection's keys say whose they are; `robot_place` is what messages call the robot file."""
+    """Errors about a connection's keys name the connection; `robot_place` is the robot file in messages."""
     try:
         yield
     except UsageError as error:
@@ -61,7 +61,7 @@ def errors_of_connection(robot_place: str, name: str) -> Iterator[None]:
 
 
 def driver_settings(robot: Robot, keys: Mapping[str, object], folder: Path | None = None) -> DriverSettings:
-    """What a driver is told about a robot and one of its connections."""
+    """Settings of the driver of one of a robot's connections."""
     drives = [robot.drive(joint) for joint in robot.joint_names]
     gains = tuple(DriveGain(drive.gain, drive.gain_std, drive.signal) for drive in drives)
     coupling = coupling_matrix(robot.model.coupling, robot.joint_names) if robot.model.coupling else None

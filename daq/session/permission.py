@@ -1,4 +1,4 @@
-"""Whether an arm may move: the way to the start pose is checked, and a person is asked."""
+"""Permission to move: the approach to the start pose is checked, and a person confirms it."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from drivers.streams import FloatArray
 
 
 class Permission(Protocol):
-    """What a session asks before it moves an arm; it must not wait."""
+    """Permission that a session requests before it moves an arm; it must not block."""
 
     def approach(self, position: FloatArray) -> Motion:
-        """The way from a position (n,) [rad or m] to where the motion begins, checked.
+        """The checked approach from a position (n,) [rad or m] to the start of the motion.
 
         Raises:
             MotionRefusedError: there is none.
         """
 
     def ask(self) -> None:
-        """Ask whether the arm may take that way and then play the motion."""
+        """Ask whether the arm may make the approach and then play the motion."""
 
     def answer(self) -> bool | None:
-        """What was answered; None as long as nothing was."""
+        """The answer; None until there is one."""

@@ -15,7 +15,7 @@ def ask_for_realtime() -> None:
     """Give this thread, and all threads and processes that it starts from now on, SCHED_FIFO.
 
     Raises:
-        UsageError: the system has no such thing, or does not allow it.
+        UsageError: the system has no real-time priority, or does not allow it.
     """
     if not hasattr(os, "sched_setscheduler"):
         raise UsageError("this system has no real-time priority", hint="leave out --realtime")
@@ -29,7 +29,7 @@ def ask_for_realtime() -> None:
 
 
 def may_have_realtime() -> bool:
-    """Whether the system allows it; tried in a thread that ends at once, since priority is a thread's own."""
+    """Whether the system allows it; tried in a short-lived thread, since priority is per thread."""
     refusals: list[UsageError] = []
 
     def ask() -> None:

@@ -1,4 +1,4 @@
-"""The session: reads a driver, feeds recorder and supervisor, plays a motion, and stops the arm on every way out."""
+"""The session: reads a driver, feeds recorder and supervisor, plays a motion, and stops the arm on every exit path."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ READ_TIMEOUT = 0.01
 LOSS_LIMIT = 0.01
 """Share of a stream's samples that may be lost before a recording counts as failed."""
 FIRST_SAMPLE_LIMIT = 5.0
-"""How long [s] the first samples may take."""
+"""Time limit [s] for the first samples."""
 SWITCH_INTERVAL = 2e-4
-"""Longest time [s] that a thread keeps the interpreter while another one wants it."""
+"""Longest time [s] that a thread holds the interpreter while another one waits for it."""
 MOVED_MEANWHILE = 0.02
 """A joint that moved this far [rad or m] while the answer was awaited is somewhere else than the person saw."""
 INTERRUPTED = "interrupted"
-"""What `stopped_by` says after Ctrl-C (SIGINT)."""
+"""`stopped_by` after Ctrl-C (SIGINT)."""
 TERMINATED = "terminated"
-"""What it says after SIGTERM."""
+"""`stopped_by` after SIGTERM."""
 _SIGNALS = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED}
 _PLAYER_PATIENCE = 0.1
 _PLAYER_LIMIT = 10.0
@@ -56,7 +56,7 @@ class SessionReport:
 
     Attributes:
         samples: stream → samples handed to the recorder.
-        lost: stream → samples that the source says are missing.
+        lost: stream → samples that the source reports as missing.
         overflow: samples that were dropped because the disk did not keep up.
         stopped_by: why it ended before its end, in words; None where it ran to its end.
         punctuality: of the motion; None without one.
@@ -79,9 +79,9 @@ class Play:
 
     Attributes:
         motion: from rest to rest.
-        robot: whose limits hold on the way to its start.
+        robot: whose limits hold on the approach.
         rate: of the commands [Hz].
-        permission: to move, with the way to the motion's start.
+        permission: to move, with the approach to the motion's start.
     """
 
     motion: Motion
@@ -91,7 +91,7 @@ class Play:
 
 
 class View(Protocol):
-    """What is shown of a running session; it must neither wait nor raise."""
+    """Display of a running session; it must neither block nor raise."""
 
     def add(self, batch: Batch) -> None:
         """Note a batch."""
@@ -102,7 +102,7 @@ class View(Protocol):
 
 @dataclass
 class _Course:
-    """What a running session knows.
+    """State of a running session.
 
     `breach_time` [s, the source's clock] is that of what stopped it, where it has one; `silent` are the streams whose
     silence is an event already; `host_ahead` is by stream the host's clock less the source's at its last sample [s].
@@ -163,7 +163,7 @@ def load_driver(
         host: in place of the connection's own.
         folder: of the robot file, where relative paths among a connection's keys start; None for the current one.
         clock: the host's.
-        place: what messages call the robot file; its name where empty.
+        place: the robot file in messages; its name where empty.
 
     Raises:
         UsageError: no such connection, or no such driver is installed.
@@ -212,8 +212,8 @@ def record(
 ) -> SessionReport:
     """Record until the motion is over, `duration` [s] has passed, or something stops it.
 
-    The driver must be open; it is stopped on every way out, then the recording is closed with the reason as an event,
-    at the time of what stopped it. Ctrl-C and SIGTERM end the session in the same way, and are ignored while the arm is
+    The driver must be open; it is stopped on every exit path, then the recording is closed with the reason as an event,
+    at the time of its cause. Ctrl-C and SIGTERM end the session in the same way, and are ignored while the arm is
     being stopped.
 
     Args:
@@ -247,7 +247,7 @@ def record(
         except DynidError as caught:
             error = caught
         except Exception as caught:  # a bug of a driver must not leave the arm moving or the file open
-            error = WorkError(f"the session broke: {type(caught).__name__}: {caught}")
+            error = WorkError(f"the session failed: {type(caught).__name__}: {caught}")
         finally:
             noticed, interrupted = course.source_time(), course.interrupted
             _stop(driver, player)
@@ -295,7 +295,7 @@ def _wait_for_position(driver: Driver, recorder: Recorder, supervisor: Superviso
 def _permitted_approach(
     driver: Driver, recorder: Recorder, supervisor: Supervisor, course: _Course, play: Play
 ) -> Motion | None:
-    """The way to the start pose, once the arm may move; None where the session was interrupted before."""
+    """The approach to the start pose, once the arm may move; None where the session was interrupted before."""
     position = course.position
     if position is None or course.interrupted is not None:
         return None
@@ -312,7 +312,7 @@ def _permitted_approach(
     if now is position:
         return approach
     if np.max(np.abs(now - position)) > MOVED_MEANWHILE:
-        raise MotionRefusedError("the arm moved while the answer was awaited", hint="start again when it rests")
+        raise MotionRefusedError("the arm moved before the motion was confirmed", hint="start again when it is at rest")
     return play.permission.approach(now)
 
 
@@ -362,7 +362,7 @@ def _follow(
 def _cycle(
     driver: Driver, recorder: Recorder, supervisor: Supervisor, course: _Course, looked_twice: bool = False
 ) -> None:
-    """One look at everything: samples, notices, limits, ages, the disk."""
+    """One cycle: samples, notices, limits, ages, the disk."""
     before = course.clock.now()
     batches = driver.read(READ_TIMEOUT)
     for batch in batches:
@@ -416,7 +416,7 @@ def _note(notices: Sequence[Notice], recorder: Recorder) -> Notice | None:
 def _stop(driver: Driver, player: Player | None) -> None:
     """Halt the arm: no command after the stop, and the stop even where a command hangs."""
     ended = player is None or player.stop(_PLAYER_PATIENCE)
-    with suppress(Exception):  # the contract says that it never raises; the file must be closed all the same
+    with suppress(Exception):  # the contract says that it never raises; the file must be closed nevertheless
         driver.stop()
     if not ended and player is not None:
         player.stop(_PLAYER_LIMIT)
@@ -446,10 +446,10 @@ def _signals_noted(course: _Course) -> Iterator[None]:
 
 @contextmanager
 def _undisturbed() -> Iterator[None]:
-    """Keep what stops threads short while they record.
+    """Shorten the pauses of threads during a recording.
 
-    The garbage collector stays off what exists already: a full collection stops every thread for up to 0.1 s. And a
-    thread that computes hands the interpreter on within `SWITCH_INTERVAL`: by default it may take 5 ms, two periods.
+    The garbage collector skips existing objects: a full collection stops every thread for up to 0.1 s. And a
+    computing thread releases the interpreter within `SWITCH_INTERVAL`: the default of 5 ms is two periods.
     """
     interval = sys.getswitchinterval()
     gc.collect()

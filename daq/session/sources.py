@@ -1,4 +1,4 @@
-"""Several sources in one session: the arm's own connection and what is recorded beside it, behind one driver."""
+"""Several sources in one session: the arm's own connection and those recorded beside it, behind one driver."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class _Source:
 class Sources:
     """A driver made of several; implements `drivers.base.Driver`.
 
-    The main one moves the arm and is waited for; the others are asked what has arrived. The main one's streams keep
+    The main one moves the arm and is waited for; the others are polled. The main one's streams keep
     their names; another's only stream has the name of its connection, several are called `connection_stream`.
 
     Args:
@@ -70,7 +70,7 @@ class Sources:
             raise
 
     def streams(self) -> tuple[StreamLayout, ...]:
-        """The streams of all, under names of their own.
+        """The streams of all, under distinct names.
 
         Raises:
             DriverStateError: not open.
@@ -101,7 +101,7 @@ class Sources:
         """Blocks of all that have arrived, waiting at most `timeout` [s] for the main one's.
 
         Raises:
-            ConnectionLostError: of one of them; what the main one had to say is handed out before another's error.
+            ConnectionLostError: of one of them; the main one's batches are returned before another's error.
         """
         if self._failure is not None:
             raise self._failure
@@ -124,7 +124,7 @@ class Sources:
         return notices
 
     def silence(self, stream: str, limit: float) -> str:
-        """Who keeps a stream from coming, in its source's words; empty where it cannot tell (see `drivers.base`)."""
+        """Cause of a missing stream, from its source; empty where unknown (see `drivers.base`)."""
         for source in self._all:
             names = [own for own, name in source.streams.items() if name == stream]
             if names and isinstance(source.driver, Attributing):
@@ -132,7 +132,7 @@ class Sources:
         return ""
 
     def losses(self, stream: str) -> str:
-        """Why samples of a stream were lost, in its source's words; empty where it cannot tell (see `drivers.base`)."""
+        """Cause of lost samples of a stream, from its source; empty where unknown (see `drivers.base`)."""
         for source in self._all:
             names = [own for own, name in source.streams.items() if name == stream]
             if names and isinstance(source.driver, Attributing):
@@ -157,7 +157,7 @@ class Sources:
                 self._notices.append(Notice(math.nan, "error" if source is self._main else "warning", said))
 
     def close(self) -> None:
-        """Let go of all connections; safe in every state.
+        """Close all connections; safe in every state.
 
         Raises:
             Exception: the first that a driver raised, against its contract; all are closed before.
@@ -178,18 +178,18 @@ class Sources:
     def _name_streams(self) -> None:
         main = [layout.name for layout in self._main.driver.streams()]
         self._main.streams = dict(zip(main, main, strict=True))
-        taken = set(main)
+        used = set(main)
         for source in self._others:
             names = [layout.name for layout in source.driver.streams()]
             base = source.name.replace("/", "_").strip(".") or "source"  # it becomes the name of an HDF5 group
-            source.streams = {name: _free(base if len(names) == 1 else f"{base}_{name}", taken) for name in names}
+            source.streams = {name: _free(base if len(names) == 1 else f"{base}_{name}", used) for name in names}
 
 
-def _free(wanted: str, taken: set[str]) -> str:
-    name, number = wanted, 2
-    while name in taken:
-        name, number = f"{wanted}_{number}", number + 1
-    taken.add(name)
+def _free(wanted: str, used: set[str]) -> str:
+    name, suffix = wanted, 2
+    while name in used:
+        name, suffix = f"{wanted}_{suffix}", suffix + 1
+    used.add(name)
     return name
 
 
@@ -203,7 +203,7 @@ def _renamed(source: _Source, batches: Iterable[Batch]) -> list[Batch]:
 
 
 def _named(source: _Source, call: Callable[..., _Result], *arguments: object) -> _Result:
-    """Call, and put the source's name before what an error says of its place."""
+    """Call, and put the source's name before the place of an error."""
     try:
         return call(*arguments)
     except DynidError as error:

@@ -1,4 +1,4 @@
-"""The safety supervisor: looks at every block before it is forgotten, and names the first limit that was passed."""
+"""The safety supervisor: checks every batch, and names the first limit that was passed."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from drivers.streams import Batch, FloatArray, StreamLayout
 TRACKING_ERROR = 0.2
 """Default limit of the tracking error [rad or m]."""
 TRACKING_WINDOW = 0.25
-"""How far back [s] a command may lie that a measured position is still allowed to follow."""
+"""Greatest age [s] of a command that a measured position may still follow."""
 VELOCITY_MARGIN = 1.1
 """A motion may use the whole velocity limit; this leaves room for its noise and overshoot."""
 STALE_PERIODS = 5
 STALE_FLOOR = 0.05
-"""An ordinary PC stalls for tens of milliseconds itself: below this [s] nobody can tell that from a silent source."""
+"""A PC stalls for tens of milliseconds itself: below this [s] that is indistinguishable from a silent source."""
 VALUE_AGES = {"position": (0.0, 1.0), "velocity": (0.0, 1.0), "torque": (0.0, 1.0), "temperature": (5.0, 60.0)}
 """Of each quantity with a limit, how old [s] the newest value may be at least, and where its rate is unknown."""
 
@@ -40,7 +40,7 @@ class Breach:
         value, limit: in `unit`.
         time: of the source's clock [s]; nan where there is none.
         unit: of both.
-        cause: why, in words; empty where nobody can tell.
+        cause: why, in words; empty where unknown.
     """
 
     what: str
@@ -58,7 +58,7 @@ class Breach:
 
 @dataclass(frozen=True)
 class Limits:
-    """What an arm may do while it moves; arrays (n,), infinite where a limit is unknown.
+    """Limits of an arm in motion; arrays (n,), infinite where a limit is unknown.
 
     Attributes:
         joints: names.
@@ -128,7 +128,7 @@ _Part = tuple[FloatArray, IndexArray]
 class Supervisor:
     """Checks blocks, commands and ages against limits.
 
-    A column that bears a joint's name is held to that joint's limit, also in a stream that has only some of the joints
+    A column with a joint's name has that joint's limit, also in a stream that has only some of the joints
     or has them in another order; where no column does, as many columns as joints count as the joints. Only streams with
     all joints are compared with commands and targets.
 
@@ -159,45 +159,45 @@ class Supervisor:
         """Note a commanded position (n,) and when it was sent [s, host clock]."""
         self._commands.append((host_time, position))
 
-    def check(self, block: Batch, now: float) -> Breach | None:
-        """The first limit that a block passes, in time; None where it passes none. `now` [s] is the host's clock."""
-        self._last_arrival[block.stream] = now
+    def check(self, batch: Batch, now: float) -> Breach | None:
+        """The first limit that a batch passes, in time; None where it passes none. `now` [s] is the host's clock."""
+        self._last_arrival[batch.stream] = now
         # A temperature that is not a number is a sensor without a reading; elsewhere it is a breach.
-        found: list[tuple[int, Breach]] = []
+        breaches: list[tuple[int, Breach]] = []
         limits = self._limits
-        if (part := self._part(block, "position")) is not None:
-            position, at = part
-            self._note_values("position", part, now)
-            self._add(found, block, "position", "rad", part, position >= limits.lowest[at], limits.lowest)
-            self._add(found, block, "position", "rad", part, position <= limits.highest[at], limits.highest)
+        if (measured := self._part(batch, "position")) is not None:
+            position, at = measured
+            self._note_values("position", measured, now)
+            self._add(breaches, batch, "position", "rad", measured, position >= limits.lowest[at], limits.lowest)
+            self._add(breaches, batch, "position", "rad", measured, position <= limits.highest[at], limits.highest)
             if len(at) == len(limits.joints):
-                bound, target = limits.tracking_error, self._part(block, "target_position")
+                bound, target = limits.tracking_error, self._part(batch, "target_position")
                 if target is not None and len(target[1]) == len(at):
                     error = np.abs(target[0] - position)
-                    self._add(found, block, "tracking error", "rad", (error, at), error <= bound, bound)
-                error = self._distance_to_commands(block.host_time, position)
-                self._add(found, block, "tracking error", "rad", (error, at), error <= bound, bound)
-        if (part := self._part(block, "velocity")) is not None:
-            speed, at = np.abs(part[0]), part[1]
-            self._note_values("velocity", part, now)
-            self._add(found, block, "velocity", "rad/s", (speed, at), speed <= limits.velocity[at], limits.velocity)
-        if (part := self._torque(block)) is not None:
-            torque, at = part
-            self._note_values("torque", part, now)
-            self._add(found, block, "torque", "N·m", part, torque <= limits.torque[at], limits.torque)
-        if (part := self._part(block, "temperature")) is not None:
-            heat, at = part
-            self._note_values("temperature", part, now)
+                    self._add(breaches, batch, "tracking error", "rad", (error, at), error <= bound, bound)
+                error = self._distance_to_commands(batch.host_time, position)
+                self._add(breaches, batch, "tracking error", "rad", (error, at), error <= bound, bound)
+        if (measured := self._part(batch, "velocity")) is not None:
+            speed, at = np.abs(measured[0]), measured[1]
+            self._note_values("velocity", measured, now)
+            self._add(breaches, batch, "velocity", "rad/s", (speed, at), speed <= limits.velocity[at], limits.velocity)
+        if (measured := self._torque(batch)) is not None:
+            torque, at = measured
+            self._note_values("torque", measured, now)
+            self._add(breaches, batch, "torque", "N·m", measured, torque <= limits.torque[at], limits.torque)
+        if (measured := self._part(batch, "temperature")) is not None:
+            heat, at = measured
+            self._note_values("temperature", measured, now)
             within = (heat <= limits.temperature[at]) | np.isnan(heat)
-            self._add(found, block, "temperature", "°C", part, within, limits.temperature)
-        return min(found, key=lambda entry: entry[0])[1] if found else None
+            self._add(breaches, batch, "temperature", "°C", measured, within, limits.temperature)
+        return min(breaches, key=lambda entry: entry[0])[1] if breaches else None
 
     def check_ages(self, now: float, explain: Callable[[str, float], str] | None = None) -> Breach | None:
         """What has been silent for too long, once it has begun: a stream, or a quantity of joints that has a limit.
 
         Args:
             now: [s, host clock].
-            explain: asked why a stream has been silent for longer than a limit [s]; in words, empty if unknown.
+            explain: gives the cause of a stream's silence longer than a limit [s]; empty if unknown.
         """
         for stream, arrival in self._last_arrival.items():
             allowed = self._stale_after.get(stream, np.inf)
@@ -214,7 +214,7 @@ class Supervisor:
         return None
 
     def restart_ages(self, now: float) -> None:
-        """Forgive the time until `now` [s, host clock], in which this process could not look."""
+        """Restart the ages at `now` [s, host clock], after a time in which this process could not check."""
         self._last_arrival = dict.fromkeys(self._last_arrival, now)
         for newest in self._last_value.values():
             newest[~np.isnan(newest)] = now
@@ -224,22 +224,22 @@ class Supervisor:
         came = joints[np.isfinite(values).any(axis=0)]
         self._last_value[quantity][came[self._limited[quantity][came]]] = now
 
-    def _part(self, block: Batch, quantity: str) -> _Part | None:
-        """What a block says of a quantity of joints; None where it says nothing of any."""
-        values = block.values.get(quantity)
+    def _part(self, batch: Batch, quantity: str) -> _Part | None:
+        """A batch's values of a quantity, and their joints; None where it has none."""
+        values = batch.values.get(quantity)
         if values is None:
             return None
-        if (partial := self._parts.get((block.stream, quantity))) is not None:
+        if (partial := self._parts.get((batch.stream, quantity))) is not None:
             columns, joints = partial
             return (values[:, columns], joints) if len(joints) else None
         return (values, self._all) if values.ndim == 2 and values.shape[1] == len(self._all) else None
 
-    def _torque(self, block: Batch) -> _Part | None:
-        if (part := self._part(block, "torque")) is not None:
-            return np.abs(part[0]), part[1]
-        if (part := self._part(block, "current")) is None:
+    def _torque(self, batch: Batch) -> _Part | None:
+        if (measured := self._part(batch, "torque")) is not None:
+            return np.abs(measured[0]), measured[1]
+        if (measured := self._part(batch, "current")) is None:
             return None
-        torque, joints = self._limits.torque_of_current(*part)
+        torque, joints = self._limits.torque_of_current(*measured)
         return np.abs(torque), joints
 
     def _distance_to_commands(self, host_time: FloatArray, position: FloatArray) -> FloatArray:
@@ -262,17 +262,17 @@ class Supervisor:
 
     def _add(
         self,
-        found: list[tuple[int, Breach]],
-        block: Batch,
+        breaches: list[tuple[int, Breach]],
+        batch: Batch,
         what: str,
         unit: str,
-        part: _Part,
+        measured: _Part,
         within: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
         limit: FloatArray,
     ) -> None:
         if within.all():
             return
-        values, joints = part
+        values, joints = measured
         row, column = (int(index) for index in np.argwhere(~within)[0])
         joint = int(joints[column])
         breach = Breach(
@@ -280,10 +280,10 @@ class Supervisor:
             self._limits.joints[joint],
             float(values[row, column]),
             float(limit[joint]),
-            float(block.time[row]),
+            float(batch.time[row]),
             unit,
         )
-        found.append((row, breach))
+        breaches.append((row, breach))
 
 
 def _oldest(quantity: str, layouts: Sequence[StreamLayout]) -> float:
@@ -296,16 +296,16 @@ def _oldest(quantity: str, layouts: Sequence[StreamLayout]) -> float:
 def _partial_channels(
     joints: Sequence[str], layouts: Sequence[StreamLayout]
 ) -> Mapping[tuple[str, str], tuple[IndexArray, IndexArray]]:
-    """(stream, quantity) → its columns that bear joints' names, and those joints, in their order.
+    """(stream, quantity) → its columns with joints' names, and those joints, in their order.
 
-    Channels with a column for each joint, in their order or under names of their own, are left out.
+    Channels with a column for each joint, in their order or under other names, are left out.
     """
-    found: dict[tuple[str, str], tuple[IndexArray, IndexArray]] = {}
+    partial: dict[tuple[str, str], tuple[IndexArray, IndexArray]] = {}
     for layout in layouts:
         for channel in layout.channels:
-            named = [number for number, joint in enumerate(joints) if joint in channel.columns]
+            named = [joint_index for joint_index, joint in enumerate(joints) if joint in channel.columns]
             if channel.columns == tuple(joints) or (not named and len(channel.columns) == len(joints)):
                 continue
-            columns = [channel.columns.index(joints[number]) for number in named]
-            found[layout.name, channel.quantity] = (np.array(columns, np.intp), np.array(named, np.intp))
-    return found
+            columns = [channel.columns.index(joints[joint_index]) for joint_index in named]
+            partial[layout.name, channel.quantity] = (np.array(columns, np.intp), np.array(named, np.intp))
+    return partial

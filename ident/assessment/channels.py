@@ -83,10 +83,10 @@ def channel_grams(kernel: RegressorKernel, runs: Sequence[Prepared], columns: Se
             for samples in filtered_samples(kernel, segment, run.parallel_filter, segment.torque):
                 torque = samples.torque[:, samples.used]
                 power += np.sum(torque**2, axis=1)
-                for number, (packed, there) in enumerate(chosen):
+                for joint_index, (packed, there) in enumerate(chosen):
                     rows = samples.regressor[packed][:, samples.used]
-                    gram[number][there[:, None], there] += rows @ rows.T
-                    score[number][:, there] += torque @ rows.T
+                    gram[joint_index][there[:, None], there] += rows @ rows.T
+                    score[joint_index][:, there] += torque @ rows.T
     return ChannelGrams(gram, score, power)
 
 
@@ -95,7 +95,7 @@ class Arrangement:
     """Which torque belongs to which joint's rows, with which sign.
 
     Attributes:
-        order: of joint j's rows, the torque's number.
+        order: of joint j's rows, the torque's index.
         sign: (n,) of each joint's torque.
     """
 
@@ -139,7 +139,7 @@ def arrangement_checks(
         experiment: joints that were locked, and motors whose torques count.
         runs: prepared data, with all equations: one motor's reversals are not another's.
         columns: standard columns of the base parameters.
-        active: numbers of the base parameters that were estimated.
+        active: indices of the base parameters that were estimated.
         independent: number of independent equations.
         error: relative error of the fit.
 
@@ -152,10 +152,10 @@ def arrangement_checks(
         return []
     usual = Arrangement(tuple(range(model.dof)), (1.0,) * model.dof)
     believed = relative_residual(grams, usual, joints)
-    found = _arranged(model.joint_names, grams, usual, joints)
+    candidates = _arranged(model.joint_names, grams, usual, joints)
     if error > EXPLAINED:
-        found += _turned(model, experiment, runs)
-    residual, check = min(found, key=lambda one: one[0])
+        candidates += _turned(model, experiment, runs)
+    residual, check = min(candidates, key=lambda candidate: candidate[0])
     if clearly_better(residual, believed, independent):
         fall = 1.0 - float(np.sqrt(max(residual, 0.0) / believed))
         return [replace(check, text=check.text.format(change=percent_text(fall, 2)))]
@@ -173,7 +173,7 @@ def _arranged(
     names: Sequence[str], grams: ChannelGrams, usual: Arrangement, joints: Sequence[int]
 ) -> list[tuple[float, Check]]:
     """The residual of each sign and each exchange, with the check that it would raise."""
-    found = []
+    candidates = []
     for joint in joints:
         sign = list(usual.sign)
         sign[joint] = -1.0
@@ -182,24 +182,24 @@ def _arranged(
             "of its drive gain"
         )
         residual = relative_residual(grams, Arrangement(usual.order, tuple(sign)), joints)
-        found.append((residual, raised("torque-sign", text, [names[joint]])))
-    for one, other in combinations(joints, 2):
+        candidates.append((residual, raised("torque-sign", text, [names[joint]])))
+    for first, second in combinations(joints, 2):
         order = list(usual.order)
-        order[one], order[other] = order[other], order[one]
+        order[first], order[second] = order[second], order[first]
         text = (
-            f"the torques of {names[one]} and {names[other]} exchanged make the error {{change}} smaller: check the "
+            f"the torques of {names[first]} and {names[second]} exchanged make the error {{change}} smaller: check the "
             "order of the columns"
         )
         residual = relative_residual(grams, Arrangement(tuple(order), usual.sign), joints)
-        found.append((residual, raised("torques-exchanged", text, [names[one], names[other]])))
-    return found
+        candidates.append((residual, raised("torques-exchanged", text, [names[first], names[second]])))
+    return candidates
 
 
 def _turned(model: DynamicModel, experiment: Experiment, runs: Sequence[Prepared]) -> list[tuple[float, Check]]:
     """The residual with gravity along each other direction of the base's axes, with the check that it would raise."""
     size = float(np.linalg.norm(model.gravity))
     usual = Arrangement(tuple(range(model.dof)), (1.0,) * model.dof)
-    found = []
+    candidates = []
     for axis, sign in ((axis, sign) for axis in range(3) for sign in (1.0, -1.0)):
         gravity = np.zeros(3)
         gravity[axis] = sign * size
@@ -211,15 +211,15 @@ def _turned(model: DynamicModel, experiment: Experiment, runs: Sequence[Prepared
         grams = channel_grams(RegressorKernel(turned, base.columns), runs, range(base.count))
         residual = relative_residual(grams, usual, experiment.torques)
         if cosine < -SAME_DIRECTION:
-            found.append((residual, opposite_gravity()))
+            candidates.append((residual, opposite_gravity()))
             continue
         direction = ", ".join(f"{value:g}" for value in gravity)
         text = (
             f"gravity along {'+' if sign > 0 else '-'}{AXES[axis]} of the base makes the error {{change}} smaller: "
             f"check `model.gravity` (try [{direction}]) and how the arm is mounted"
         )
-        found.append((residual, raised("gravity-other-axis", text)))
-    return found
+        candidates.append((residual, raised("gravity-other-axis", text)))
+    return candidates
 
 
 def opposite_gravity() -> Check:

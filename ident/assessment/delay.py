@@ -119,7 +119,7 @@ def search_delay(
         kernel: of the base columns.
         segments: prepared with delay 0; all their equations count, near velocity reversals too.
         parallel_filter: for τ and W.
-        torques_of: numbers of the joints whose torques are looked at; all where None.
+        torques_of: indices of the joints whose torques are looked at; all where None.
     """
     dof = kernel.model.dof
     seen = np.isin(np.arange(dof), range(dof) if torques_of is None else list(torques_of))
@@ -286,11 +286,11 @@ def _own_delays(data: _Data, alone: _Candidate, sharing: npt.NDArray[np.bool_], 
     groups: list[int | None] = [
         joint + 1 if lagging[joint] else 0 if sharing[joint] and shared else None for joint in range(len(own))
     ]
-    found = _settled(data, groups, start)
+    candidate = _settled(data, groups, start)
     beyond = _all_joints_quantile(data)
-    if found is None or not np.all(found.fit.delays[lagging] > beyond * found.std[lagging]):
+    if candidate is None or not np.all(candidate.fit.delays[lagging] > beyond * candidate.std[lagging]):
         return None
-    return found
+    return candidate
 
 
 def _all_joints_quantile(data: _Data) -> float:

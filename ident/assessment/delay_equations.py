@@ -88,8 +88,8 @@ def contiguous_blocks(
     used = [phase[segment.used[:: parallel_filter.factor]] for phase, segment in zip(phases, segments, strict=True)]
     different = np.unique(np.concatenate(used))
     count = max(1, min(BLOCKS, len(different) // LEAST_SAMPLES))
-    numbers = [np.searchsorted(different, phase) * count // max(1, len(different)) for phase in phases]
-    return tuple(np.minimum(number, count - 1) for number in numbers), count
+    blocks = [np.searchsorted(different, phase) * count // max(1, len(different)) for phase in phases]
+    return tuple(np.minimum(block, count - 1) for block in blocks), count
 
 
 def delay_equations(
@@ -110,26 +110,26 @@ def delay_equations(
         delays: (n,) at which the joints' torques are taken [s].
         seen: (n,) joints whose equations count.
     """
-    numbers, count = blocks
+    block_of_sample, count = blocks
     dof = kernel.model.dof
     widths = [len(joint.columns) + _TORQUES for joint in kernel.joint_rows]
     every = tuple(np.zeros((count, width, width)) for width in widths)
     sliding = tuple(np.zeros((count, width, width)) for width in widths)
     every_rows, sliding_rows = np.zeros((count, dof)), np.zeros((count, dof))
     middle = 0.5 * (segments[0].time[0] + segments[-1].time[-1])
-    for segment, number in zip(segments, numbers, strict=True):
+    for segment, of_sample in zip(segments, block_of_sample, strict=True):
         slides = ~_reversing(kernel, segment, parallel_filter)
         torques = _torques(segment, delays, middle)
         whole = replace(segment, reversing=None)
-        for part in rows_by_block(kernel, whole, parallel_filter, number, torques):
+        for block in rows_by_block(kernel, whole, parallel_filter, of_sample, torques):
             for joint in np.flatnonzero(seen):
                 packed = kernel.joint_rows[joint]
-                rows = np.concatenate([part.regressor[packed.rows], part.torque[joint::dof]])
-                kept = rows[:, slides[joint, part.samples]]
-                every[joint][part.block] += rows @ rows.T
-                sliding[joint][part.block] += kept @ kept.T
-                every_rows[part.block, joint] += rows.shape[1]
-                sliding_rows[part.block, joint] += kept.shape[1]
+                rows = np.concatenate([block.regressor[packed.rows], block.torque[joint::dof]])
+                kept = rows[:, slides[joint, block.samples]]
+                every[joint][block.index] += rows @ rows.T
+                sliding[joint][block.index] += kept @ kept.T
+                every_rows[block.index, joint] += rows.shape[1]
+                sliding_rows[block.index, joint] += kept.shape[1]
     columns = tuple(tuple(joint.columns) for joint in kernel.joint_rows)
     return DelayEquations(delays, columns, len(kernel.columns), every, sliding, every_rows, sliding_rows)
 
@@ -179,7 +179,7 @@ def fit_delays(
 
     Args:
         equations: at delays near the solution.
-        groups: of each joint, the number of the delay that it shares with others; None keeps the equations' delay.
+        groups: of each joint, the index of the delay that it shares with others; None keeps the equations' delay.
         without: a block that is left out.
         weights: (n,) of the joints' equations; iterated from equal relative ones where None. 0 leaves a joint out.
         drift: whether a drift that all joints share is estimated, too.
@@ -189,15 +189,15 @@ def fit_delays(
     iterated = weights is None
     if weights is None:
         weights = _weights(grams, rows, SHIFTED)
-    numbers = sorted({group for group in groups if group is not None})
-    base, count = equations.column_count, len(numbers) + drift
+    shared = sorted({group for group in groups if group is not None})
+    base, count = equations.column_count, len(shared) + drift
     design = []
     for columns, group in zip(equations.columns, groups, strict=True):
         # The residual, as a combination of the rows of [W_j τ…]: τ(d) − matrix @ unknowns.
         matrix = np.zeros((len(columns) + _TORQUES, base + count))
         matrix[range(len(columns)), list(columns)] = 1.0
         if group is not None:
-            matrix[SLOPE - _TORQUES, base + numbers.index(group)] = -1.0
+            matrix[SLOPE - _TORQUES, base + shared.index(group)] = -1.0
         if drift:
             matrix[DRIFTING - _TORQUES, -1] = -1.0
         design.append(matrix)
@@ -217,10 +217,10 @@ def fit_delays(
         curvature = np.zeros((count, count))
         for group, gram, residual, weight in zip(groups, grams, residuals, weights, strict=True):
             if group is not None:
-                number = numbers.index(group)
-                curvature[number, number] += weight**2 * float(residual @ gram[:, CURVATURE - _TORQUES])
-    found = [0.0 if group is None else float(solution[base + numbers.index(group)]) for group in groups]
-    return DelayFit(equations.delays + np.array(found), float(solution[-1]) if drift else 0.0, weights)
+                index = shared.index(group)
+                curvature[index, index] += weight**2 * float(residual @ gram[:, CURVATURE - _TORQUES])
+    changes = [0.0 if group is None else float(solution[base + shared.index(group)]) for group in groups]
+    return DelayFit(equations.delays + np.array(changes), float(solution[-1]) if drift else 0.0, weights)
 
 
 def _newton_step(normal: FloatArray, right: FloatArray, curvature: FloatArray) -> FloatArray:

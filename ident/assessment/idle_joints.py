@@ -20,16 +20,18 @@ MOSTLY = 0.5
 
 def idle_share(series: Sequence[TorqueSeries], rest_velocity: float) -> FloatArray:
     """Share (n,) of the samples whose equation is used although the joint rests, for `SHORTEST_REST` or longer."""
-    resting = np.sum([np.sum(idle_mask(part, rest_velocity) & part.counted, axis=1) for part in series], axis=0)
-    return np.asarray(resting / max(1, sum(int(part.used.sum()) for part in series)))
+    resting = np.sum(
+        [np.sum(idle_mask(torques, rest_velocity) & torques.counted, axis=1) for torques in series], axis=0
+    )
+    return np.asarray(resting / max(1, sum(int(torques.used.sum()) for torques in series)))
 
 
-def idle_mask(part: TorqueSeries, rest_velocity: float) -> npt.NDArray[np.bool_]:
+def idle_mask(torques: TorqueSeries, rest_velocity: float) -> npt.NDArray[np.bool_]:
     """(n, M) samples within a rest of `SHORTEST_REST` or longer; shorter ones are velocity reversals."""
-    slow = np.abs(part.velocity) < rest_velocity
-    if len(part.time) < 2:
+    slow = np.abs(torques.velocity) < rest_velocity
+    if len(torques.time) < 2:
         return slow
-    shortest = SHORTEST_REST / float(np.median(np.diff(part.time)))
+    shortest = SHORTEST_REST / float(np.median(np.diff(torques.time)))
     for row in slow:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))
         for start, stop in edges.reshape(-1, 2):
@@ -59,23 +61,23 @@ def idle_joint_checks(
         joints: that move in some run, and whose torques are used.
     """
     share = idle_share(series, rest_velocity)
-    found = []
+    idle = []
     for joint in joints:
         moving = np.concatenate(
-            [part.residual[joint][part.used & ~idle_mask(part, rest_velocity)[joint]] for part in series]
+            [torques.residual[joint][torques.used & ~idle_mask(torques, rest_velocity)[joint]] for torques in series]
         )
         noise = float(np.sqrt(np.mean(moving**2))) if len(moving) else 0.0
         dry = abs(float(coulomb[joint]))
         if share[joint] > MOSTLY and dry > max(noise, 3.0 * float(coulomb_std[joint])):
-            found.append(joint)
-    if not found:
+            idle.append(joint)
+    if not idle:
         return []
     figures = ", ".join(
-        f"{names[j]} {percent_text(float(share[j]), 2)} (friction {abs(coulomb[j]):.2g} N·m)" for j in found
+        f"{names[j]} {percent_text(float(share[j]), 2)} (friction {abs(coulomb[j]):.2g} N·m)" for j in idle
     )
     text = (
         f"joints rest for most of the data: {figures}; static friction carries an unknown part of their load, which "
         "the error bars do not cover: move all joints at once, or identify each run with --torques-of its moving "
         "joints and merge the models"
     )
-    return [raised("idle-joints", text, [names[j] for j in found])]
+    return [raised("idle-joints", text, [names[j] for j in idle])]

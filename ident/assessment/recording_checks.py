@@ -45,7 +45,7 @@ def closing_checks(recording: Recording) -> list[Check]:
     """Whether the recording's writer closed it."""
     if recording.complete:
         return []
-    return [raised("recording-not-closed", f"{recording.label} was not closed in order: its end may be missing")]
+    return [raised("recording-not-closed", f"{recording.label} was not closed properly: its end may be missing")]
 
 
 def recording_checks(

@@ -61,12 +61,12 @@ def time_axis(recording: Recording) -> TimeAxis:
         speed = velocity.values[:, [velocity.columns.index(name) for name in names]]
         finite = np.isfinite(stream.time) & np.isfinite(moved).all(axis=1) & np.isfinite(speed).all(axis=1)
         if np.count_nonzero(finite) > 1:
-            found = displacement_ratios(stream.time[finite], moved[finite], speed[finite])
-            ratios = {name: ratio for name, ratio in zip(names, found, strict=True) if ratio is not None}
+            values = displacement_ratios(stream.time[finite], moved[finite], speed[finite])
+            ratios = {name: ratio for name, ratio in zip(names, values, strict=True) if ratio is not None}
     clocks = {}
-    for name, one in recording.streams.items():
+    for name, recorded in recording.streams.items():
         fit = ClockFit()
-        fit.add(one.time, one.host_time)
+        fit.add(recorded.time, recorded.host_time)
         estimate = fit.estimate()
         if estimate is not None and estimate.span >= CLOCK_SPAN:
             clocks[name] = estimate

@@ -55,10 +55,10 @@ def fit_figures(series: Sequence[TorqueSeries]) -> FitFigures:
     Raises:
         DataError: no sample counts (the arm never moves).
     """
-    counted = np.concatenate([part.counted[:, part.used] for part in series], axis=1)
-    measured = np.concatenate([part.measured[:, part.used] for part in series], axis=1)
-    error = measured - np.concatenate([part.predicted[:, part.used] for part in series], axis=1)
-    speed = np.abs(np.concatenate([part.velocity[:, part.used] for part in series], axis=1))
+    counted = np.concatenate([torques.counted[:, torques.used] for torques in series], axis=1)
+    measured = np.concatenate([torques.measured[:, torques.used] for torques in series], axis=1)
+    error = measured - np.concatenate([torques.predicted[:, torques.used] for torques in series], axis=1)
+    speed = np.abs(np.concatenate([torques.velocity[:, torques.used] for torques in series], axis=1))
     if not counted.any():
         raise DataError("the arm does not move in these data", hint="choose another window with start and stop")
     slow = speed < LOW_SPEED

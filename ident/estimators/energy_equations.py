@@ -101,19 +101,19 @@ def energy_jackknife(
 
     Rows that overlap have residuals that depend on each other; a block is several times longer than they do.
     """
-    series = [part for run in runs for part in run.series]
+    series = [torques for run in runs for torques in run.series]
     samples = distinct_samples(series)
     active = list(solution.active)
-    numbers = iter(samples.numbers)
+    indices = iter(samples.indices)
     equation_parts: list[tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]] = []
     for run in runs:
         for segment in run.segments:
-            sample_numbers = next(numbers)
+            sample_numbers = next(indices)
             for rows in equations.rows(segment, run.parallel_filter):
                 residual = rows.work - solution.parameters @ rows.regressor
                 equation_parts.append((rows.regressor[active], residual, sample_numbers[rows.sample]))
     of_rows = lag_one([residual[None] for _, residual, _ in equation_parts])
-    samples_per_row = sum(int(part.used.sum()) for part in series) / solution.rows
+    samples_per_row = sum(int(torques.used.sum()) for torques in series) / solution.rows
     length_in_rows = max(equations.overlap, block_length(of_rows, round(samples.share * solution.rows)))
     length = int(np.ceil(samples_per_row * length_in_rows))
     sums = BlockSums.empty(block_count(samples.count, length), len(active))

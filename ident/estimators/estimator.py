@@ -146,11 +146,11 @@ def estimator_of(
 
 
 def estimable(method: Method, model: DynamicModel, base: BaseParameters) -> tuple[int, ...]:
-    """Numbers of the base parameters that a method's equations can identify, whatever the data."""
+    """Indices of the base parameters that a method's equations can identify, whatever the data."""
     if method not in ENERGY_METHODS:
         return tuple(range(base.count))
     kept = set(energy_base_parameters(model).columns)
-    return tuple(number for number, column in enumerate(base.columns) if column in kept)
+    return tuple(index for index, column in enumerate(base.columns) if column in kept)
 
 
 def fits_energy_better(

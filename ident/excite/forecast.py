@@ -172,7 +172,7 @@ def forecast(
         model: of the arm.
         reduction: the rows, and their rate per joint [Hz].
         prior: of parameters and noise.
-        active: numbers of the base columns that count; those that the rows make identifiable where None.
+        active: indices of the base columns that count; those that the rows make identifiable where None.
     """
     reduced, row_rate = reduction
     active = list(excited_columns(reduced) if active is None else active)

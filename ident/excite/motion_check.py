@@ -165,9 +165,9 @@ class ArmMotionCheck:
         """Lowest height and farthest distance of the tool point [m], and its largest speed [m/s]."""
         tool = np.empty((3, path.time.size))
         for start in range(0, path.time.size, SAMPLES_AT_ONCE):
-            part = slice(start, start + SAMPLES_AT_ONCE)
-            placements = place_arm(self._model, path.position[:, part])
-            tool[:, part] = tool_point(self._model, placements, self._robot.workspace.tool)
+            chunk = slice(start, start + SAMPLES_AT_ONCE)
+            placements = place_arm(self._model, path.position[:, chunk])
+            tool[:, chunk] = tool_point(self._model, placements, self._robot.workspace.tool)
         gravity = np.array(self._robot.model.gravity)
         size = float(np.linalg.norm(gravity))
         up = -gravity / size if size > 0.0 else np.array([0.0, 0.0, 1.0])

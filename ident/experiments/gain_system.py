@@ -66,9 +66,9 @@ def solve_gains(pair: RunPair, known: KnownLoad) -> GainSystem:
     robot = pair.robot_file.robot
     effect = load_effect(pair.model, pair.base, robot)
     columns = load_columns(effect, known.known)
-    parts = np.column_stack([columns.effect, effect @ known.values])
-    factors, rows = _joint_factors(pair, parts)
-    count, size = pair.base.count, pair.base.count + parts.shape[1]
+    effects = np.column_stack([columns.effect, effect @ known.values])
+    factors, rows = _joint_factors(pair, effects)
+    count, size = pair.base.count, pair.base.count + effects.shape[1]
     noise = _noise(factors, rows, (*pair.active, *range(count, size)))
     if not np.all(noise > 0):
         silent = [name for name, value in zip(robot.joint_names, noise, strict=True) if value <= 0]
@@ -99,7 +99,7 @@ def solve_gains(pair: RunPair, known: KnownLoad) -> GainSystem:
                 hint="record a richer motion or a heavier load, off the last joint's axis",
             )
         used.pop(worst)
-    return GainSystem(pair, columns, parts, layout, noise, tuple(used), null_vector(chosen, rows[used], noise[used]))
+    return GainSystem(pair, columns, effects, layout, noise, tuple(used), null_vector(chosen, rows[used], noise[used]))
 
 
 def _noise(factors: Sequence[FloatArray], rows: FloatArray, columns: Sequence[int]) -> FloatArray:
@@ -107,15 +107,17 @@ def _noise(factors: Sequence[FloatArray], rows: FloatArray, columns: Sequence[in
     return signal_noise([factor[:, [*columns, factor.shape[1] - 1]] for factor in factors], rows)
 
 
-def _joint_factors(pair: RunPair, parts: FloatArray) -> tuple[list[FloatArray], FloatArray]:
+def _joint_factors(pair: RunPair, effects: FloatArray) -> tuple[list[FloatArray], FloatArray]:
     """Triangular factors (·, b + k + 2) of [W_j, W_j·parts, τ_j] over both runs, and the rows (n,) of each joint."""
     none = np.zeros(pair.base.count)
     factors, rows = [], []
     for joint in range(pair.model.dof):
         stacked, count = [], 0
-        for number, run in enumerate(pair.runs):
+        for run_index, run in enumerate(pair.runs):
             of_run = run.reduction.joints[joint]
-            wide = widened(of_run.columns, pair.base.count, parts if number == LOADED else np.zeros_like(parts), none)
+            wide = widened(
+                of_run.columns, pair.base.count, effects if run_index == LOADED else np.zeros_like(effects), none
+            )
             stacked.append(of_run.factor @ wide)
             count += of_run.rows
         factors.append(triangular(np.vstack(stacked)))
@@ -139,12 +141,12 @@ def jackknife_moves(system: GainSystem, grams: BlockGrams) -> FloatArray:
     none = np.zeros(pair.base.count)
     chosen = [*system.layout, size]
     blocks = np.zeros((grams.count, width + len(system.used), width + len(system.used)))
-    for number in (FREE, LOADED):
-        parts = system.parts if number == LOADED else np.zeros_like(system.parts)
+    for run_index in (FREE, LOADED):
+        effects = system.parts if run_index == LOADED else np.zeros_like(system.parts)
         for position, joint in enumerate(system.used):
-            wide = widened(pair.kernel.joint_rows[joint].columns, pair.base.count, parts, none)[:, chosen]
+            wide = widened(pair.kernel.joint_rows[joint].columns, pair.base.count, effects, none)[:, chosen]
             place = [*range(width), width + position]
-            gram = solution.weights[position] ** 2 * (wide.T @ grams.grams[number][joint] @ wide)
+            gram = solution.weights[position] ** 2 * (wide.T @ grams.grams[run_index][joint] @ wide)
             blocks[np.ix_(range(grams.count), place, place)] += gram
     return null_vector_moves(blocks, solution)
 

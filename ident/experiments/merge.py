@@ -101,9 +101,9 @@ def usable(information: Information) -> Information:
     )
 
 
-def identifiable_columns(parts: Sequence[Information], preferred: Sequence[int]) -> tuple[int, ...]:
+def identifiable_columns(informations: Sequence[Information], preferred: Sequence[int]) -> tuple[int, ...]:
     """Parameters that the experiments identify together, the preferred ones first."""
-    system = np.vstack([part.root @ part.combinations for part in parts])
+    system = np.vstack([information.root @ information.combinations for information in informations])
     lengths = np.linalg.norm(system, axis=0)
     there = lengths > EXCITATION_TOLERANCE * lengths.max()
     scaled = system / np.where(there, lengths, 1.0)
@@ -111,12 +111,12 @@ def identifiable_columns(parts: Sequence[Information], preferred: Sequence[int])
     return tuple(sorted(independent_columns(scaled, order, EXCITATION_TOLERANCE)))
 
 
-def merge(parts: Sequence[Information], active: Sequence[int]) -> MergedEstimate:
+def merge(informations: Sequence[Information], active: Sequence[int]) -> MergedEstimate:
     """Least squares over the values of all experiments; parameters that are not active are taken as 0.
 
     Args:
-        parts: one an experiment; they are weighed as their roots say.
-        active: numbers of the parameters to estimate.
+        informations: one per experiment, weighted by their roots.
+        active: indices of the parameters to estimate.
 
     Raises:
         IdentificationError: the values do not determine the parameters.
@@ -124,8 +124,8 @@ def merge(parts: Sequence[Information], active: Sequence[int]) -> MergedEstimate
     from scipy.linalg import block_diag
 
     active = tuple(active)
-    system = np.vstack([part.root @ part.combinations for part in parts])
-    right = np.concatenate([part.root @ part.values for part in parts])
+    system = np.vstack([information.root @ information.combinations for information in informations])
+    right = np.concatenate([information.root @ information.values for information in informations])
     chosen = system[:, list(active)]
     lengths = np.linalg.norm(chosen, axis=0)
     if len(chosen) < len(active) or not np.all(lengths > 0):
@@ -141,7 +141,9 @@ def merge(parts: Sequence[Information], active: Sequence[int]) -> MergedEstimate
     parameters = np.zeros(system.shape[1])
     parameters[list(active)] = values
     # Of the whitened values: near to one, and block diagonal.
-    spread = block_diag(*(part.root @ part.covariance @ part.root.T for part in parts))
+    spread = block_diag(
+        *(information.root @ information.covariance @ information.root.T for information in informations)
+    )
     covariance = gain @ spread @ gain.T
     left = np.eye(len(right)) - q @ q.T
     residual = right - q @ (q.T @ right)
@@ -155,8 +157,8 @@ def merge(parts: Sequence[Information], active: Sequence[int]) -> MergedEstimate
             parameters=parameters,
             covariance=inverse,
             inverse=inverse,
-            weights=np.ones(len(parts)),
-            joint_std=np.ones(len(parts)),
+            weights=np.ones(len(informations)),
+            joint_std=np.ones(len(informations)),
             rows=len(right),
             condition=float(singular[0] / singular[-1]),
             scaled_condition=scaled_condition(chosen),
@@ -166,9 +168,11 @@ def merge(parts: Sequence[Information], active: Sequence[int]) -> MergedEstimate
         covariance=covariance,
         root=triangular(chosen),
         taken_up=_without_rounding(inverse_factor @ (q.T @ system[:, inactive]), lengths),
-        consistency=_consistency(right, spread, chosen, residual, min(part.blocks for part in parts)),
-        deviations=_deviations(parts, residual, left @ spread @ left),
-        fitted=tuple(part.combinations @ parameters for part in parts),
+        consistency=_consistency(
+            right, spread, chosen, residual, min(information.blocks for information in informations)
+        ),
+        deviations=_deviations(informations, residual, left @ spread @ left),
+        fitted=tuple(information.combinations @ parameters for information in informations),
     )
 
 
@@ -191,16 +195,18 @@ def _consistency(
     return SignificanceTest(statistic, freedom, float(chi2.sf(statistic, freedom)))
 
 
-def _deviations(parts: Sequence[Information], residual: FloatArray, covariance: FloatArray) -> tuple[FloatArray, ...]:
+def _deviations(
+    informations: Sequence[Information], residual: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, ...]:
     """Differences in standard deviations, value by value, from whitened ones (all,) with their covariance."""
     deviations, start = [], 0
-    for part in parts:
-        rows = slice(start, start + len(part.values))
+    for information in informations:
+        rows = slice(start, start + len(information.values))
         start = rows.stop
-        back = np.linalg.inv(part.root)
+        back = np.linalg.inv(information.root)
         difference = back @ residual[rows]
         std = np.sqrt(np.clip(np.diag(back @ covariance[rows, rows] @ back.T), 0.0, None))
-        own = np.sqrt(np.diag(part.covariance))
+        own = np.sqrt(np.diag(information.covariance))
         shared = std > 1e-6 * own
         deviations.append(np.divide(difference, std, out=np.zeros(len(std)), where=shared))
     return tuple(deviations)

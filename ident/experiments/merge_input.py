@@ -48,11 +48,11 @@ def merge_inputs(results: Sequence[tuple[str, Result]]) -> tuple[list[MergeInput
         ResultFileError: a result without a covariance, or parts that do not belong together.
     """
     if len(results) < 2:
-        raise UsageError("merging takes two models or more", hint="dynid merge a/result.json b/result.json -o merged")
+        raise UsageError("merging needs at least two models", hint="dynid merge a/result.json b/result.json -o merged")
     _check_same_arm(results)
     _check_disjoint(results)
     stored = [_stored(label, result) for label, result in results]
-    base = experiment_base(stored[0].model, [experiment for part in stored for experiment in part.experiments])
+    base = experiment_base(stored[0].model, [experiment for model in stored for experiment in model.experiments])
     return [_input(label, result, model, base) for (label, result), model in zip(results, stored, strict=True)], base
 
 
@@ -77,7 +77,7 @@ def _input(label: str, result: Result, stored: StoredModel, base: BaseParameters
     ratio = 1.0 if result.merge is not None else variance_ratio(information.root, information.covariance)
     if not ratio > 0:
         raise ResultFileError(
-            "holds no error at all to weigh it by", where=label, hint="merge recordings of a real arm"
+            "has a residual of zero, which gives it no weight", where=label, hint="merge recordings of a real arm"
         )
     return MergeInput(
         label=label,
@@ -90,7 +90,7 @@ def _input(label: str, result: Result, stored: StoredModel, base: BaseParameters
             information.covariance,
             information.blocks,
         ),
-        names=tuple(stored.base.names[number] for number, use in zip(estimate.active, known, strict=True) if use),
+        names=tuple(stored.base.names[index] for index, use in zip(estimate.active, known, strict=True) if use),
         ratio=ratio,
     )
 
@@ -105,7 +105,7 @@ def _check_same_arm(results: Sequence[tuple[str, Result]]) -> None:
         ):
             if mine != theirs:
                 raise UsageError(
-                    f"{first_label} and {label} stand on different versions of the {what}, which differ at "
+                    f"{first_label} and {label} are based on different versions of the {what}, which differ at "
                     f"{_first_difference(mine, theirs)}",
                     hint="identify both with the same robot file (--robot, in Python robot=)",
                 )

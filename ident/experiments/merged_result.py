@@ -69,16 +69,16 @@ def merge_results(
         ResultFileError: a result without a covariance, or parts that do not belong together.
         IdentificationError: the values do not determine any parameter.
     """
-    parts, base = merge_inputs(results)
-    model = parts[0].stored.model
-    informations = [part.information for part in parts]
+    inputs, base = merge_inputs(results)
+    model = inputs[0].stored.model
+    informations = [merge_input.information for merge_input in inputs]
     merged = merge(informations, identifiable_columns(informations, range(base.count)))
     std = np.full(base.count, np.inf)
     std[list(merged.solution.active)] = np.sqrt(np.diag(merged.covariance))
     inflation = np.divide(std, merged.solution.std, out=np.ones(base.count), where=np.isfinite(std))
-    rows = sum(part.result.residuals.effective_rows or 0.0 for part in parts)
+    rows = sum(merge_input.result.residuals.effective_rows or 0.0 for merge_input in inputs)
     pruned = prune(merged.solution, inflation, rows, lambda columns: merge(informations, columns).solution, threshold)
-    result = _result(model, base, parts, merged, std, pruned, threshold)
+    result = _result(model, base, inputs, merged, std, pruned, threshold)
     if held_out is None:
         return _judged(result), None
     validated = revalidate(result, held_out)
@@ -88,16 +88,16 @@ def merge_results(
 def _result(
     model: DynamicModel,
     base: BaseParameters,
-    parts: Sequence[MergeInput],
+    inputs: Sequence[MergeInput],
     merged: MergedEstimate,
     std: FloatArray,
     pruned: Pruned,
     threshold: float,
 ) -> Result:
-    first, solution = parts[0].result, merged.solution
+    first, solution = inputs[0].result, merged.solution
     unexcited = [base.names[i] for i in range(base.count) if i not in solution.active]
-    consistency = _consistency(parts, merged)
-    checks = _checks(model, base, parts, merged, std, unexcited, consistency)
+    consistency = _consistency(inputs, merged)
+    checks = _checks(model, base, inputs, merged, std, unexcited, consistency)
     singular = np.linalg.svd(merged.root / np.linalg.norm(merged.root, axis=0), compute_uv=False)
     estimate = Estimate(
         active=solution.active,
@@ -105,10 +105,10 @@ def _result(
         root=merged.root,
         covariance=merged.covariance,
         taken_up=merged.taken_up,
-        blocks=min(part.information.blocks for part in parts),
+        blocks=min(merge_input.information.blocks for merge_input in inputs),
     )
-    residuals = _residuals(parts)
-    robot_file = parts[0].stored.robot_file
+    residuals = _residuals(inputs)
+    robot_file = inputs[0].stored.robot_file
     consistent = found_consistent(model, base, estimate, robot_file)
     return Result(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -116,15 +116,15 @@ def _result(
         robot_file=first.robot_file,
         urdf=first.urdf,
         joints=first.joints,
-        method=f"merge of {' and '.join(part.result.method for part in parts)}",
+        method=f"merge of {' and '.join(merge_input.result.method for merge_input in inputs)}",
         options={**first.options, "start": None, "stop": None, "split": None, "significant_rsd": threshold},
         model_options=first.model_options,
         preprocessing=[
-            step.model_copy(update={"text": f"{part.label}: {step.text}"})
-            for part in parts
-            for step in part.result.preprocessing
+            step.model_copy(update={"text": f"{merge_input.label}: {step.text}"})
+            for merge_input in inputs
+            for step in merge_input.result.preprocessing
         ],
-        delay=DelayFigures(used=first.delay.used, best=first.delay.best, note=f"of {parts[0].label}"),
+        delay=DelayFigures(used=first.delay.used, best=first.delay.best, note=f"of {inputs[0].label}"),
         base_parameters=parameter_results(model, base, solution, std, pruned, threshold),
         friction=friction_results(model, base, solution, std),
         standard_parameters=None if consistent is None else link_results(model, consistent),
@@ -151,20 +151,24 @@ def _result(
         condition=solution.condition,
         residuals=residuals,
         rank_margin=base.margin,
-        recordings=[use for part in parts for use in used_recordings(part.result)],
+        recordings=[use for merge_input in inputs for use in used_recordings(merge_input.result)],
         versions=software_versions(),
         verdict=Verdict("not judged yet", checks=tuple(checks)),
-        experiments=[experiment_result(model, experiment) for part in parts for experiment in part.stored.experiments],
+        experiments=[
+            experiment_result(model, experiment)
+            for merge_input in inputs
+            for experiment in merge_input.stored.experiments
+        ],
         merge=Merge(
             models=[
                 MergedModel(
-                    file=part.label,
-                    method=part.result.method,
-                    experiments=[experiment_result(model, experiment) for experiment in part.stored.experiments],
-                    parameters=len(part.names),
-                    variance_ratio=part.ratio,
+                    file=merge_input.label,
+                    method=merge_input.result.method,
+                    experiments=[experiment_result(model, experiment) for experiment in merge_input.stored.experiments],
+                    parameters=len(merge_input.names),
+                    variance_ratio=merge_input.ratio,
                 )
-                for part in parts
+                for merge_input in inputs
             ],
             consistency=consistency,
         ),
@@ -172,9 +176,9 @@ def _result(
     )
 
 
-def _residuals(parts: Sequence[MergeInput]) -> Residuals:
+def _residuals(inputs: Sequence[MergeInput]) -> Residuals:
     """Those of the experiments: of each joint, where its torque was used with the most equations."""
-    stored = [part.result.residuals for part in parts]
+    stored = [merge_input.result.residuals for merge_input in inputs]
 
     def best(name: str, joint: int) -> float | None:
         known = [
@@ -182,7 +186,7 @@ def _residuals(parts: Sequence[MergeInput]) -> Residuals:
         ]
         return max(known)[1] if known else None
 
-    joints = range(len(parts[0].result.joints))
+    joints = range(len(inputs[0].result.joints))
     return Residuals(
         rows=sum(residuals.rows for residuals in stored),
         effective_rows=sum(residuals.effective_rows or 0.0 for residuals in stored),
@@ -195,16 +199,22 @@ def _residuals(parts: Sequence[MergeInput]) -> Residuals:
     )
 
 
-def _consistency(parts: Sequence[MergeInput], merged: MergedEstimate) -> Consistency | None:
+def _consistency(inputs: Sequence[MergeInput], merged: MergedEstimate) -> Consistency | None:
     test = merged.consistency
     if test is None:
         return None
     contradictions = [
         Contradiction(
-            file=part.label, parameter=name, value=float(value), merged=float(fitted), deviations=float(deviation)
+            file=merge_input.label,
+            parameter=name,
+            value=float(value),
+            merged=float(fitted),
+            deviations=float(deviation),
         )
-        for part, deviations, fits in zip(parts, merged.deviations, merged.fitted, strict=True)
-        for name, value, fitted, deviation in zip(part.names, part.information.values, fits, deviations, strict=True)
+        for merge_input, deviations, fits in zip(inputs, merged.deviations, merged.fitted, strict=True)
+        for name, value, fitted, deviation in zip(
+            merge_input.names, merge_input.information.values, fits, deviations, strict=True
+        )
         if abs(deviation) > CONTRADICTING
     ]
     contradictions.sort(key=lambda one: -abs(one.deviations))
@@ -230,7 +240,7 @@ def _consistency(parts: Sequence[MergeInput], merged: MergedEstimate) -> Consist
 def _checks(
     model: DynamicModel,
     base: BaseParameters,
-    parts: Sequence[MergeInput],
+    inputs: Sequence[MergeInput],
     merged: MergedEstimate,
     std: FloatArray,
     unexcited: Sequence[str],
@@ -260,19 +270,19 @@ def _checks(
         )
         checks.append(raised("indefinite-inertia", text))
     checks += sign_checks(base, merged.solution.parameters, std)
-    for part in parts:
-        checks += _checks_of_part(part)
+    for merge_input in inputs:
+        checks += _checks_of_part(merge_input)
     return checks
 
 
-def _checks_of_part(part: MergeInput) -> list[Check]:
+def _checks_of_part(merge_input: MergeInput) -> list[Check]:
     """What a model's own checks mean for the merge: wrong data stay wrong, poor excitation another may make up for."""
-    own = part.result.verdict.checks
+    own = merge_input.result.verdict.checks
     inherited = [check for check in own if check.severity == "serious" and check.name not in CHECKED_AGAIN]
-    checks = [replace(check, text=f"{part.label}: {check.text}") for check in inherited]
+    checks = [replace(check, text=f"{merge_input.label}: {check.text}") for check in inherited]
     if count := len(own) - len(inherited):
         other = " other" if inherited else ""
-        text = f"{part.label} has {count}{other} check{'s' if count > 1 else ''} of its own"
+        text = f"{merge_input.label} has {count}{other} check{'s' if count > 1 else ''} of its own"
         checks.append(raised("checks-of-a-part", text))
     return checks
 

@@ -47,7 +47,7 @@ def torques_by(gains: FloatArray) -> Motion:
             raise DataError(
                 f"records no motor {signal}, without which there is no gain to identify; it has {quantities}",
                 where=recording.label,
-                hint=f"record the motors' {signal}; a recorded torque has some gain in it already",
+                hint=f"record the motors' {signal}; a recorded torque already contains a gain",
             )
         drives = tuple(
             robot.drive(name).model_copy(update={"gain": float(gain)})

@@ -47,13 +47,13 @@ class BaseChange:
     """Base parameters that a load changes, as in SR400 Table 4; arrays (m,) of one entry each.
 
     Attributes:
-        numbers: which base parameters.
+        indices: of the base parameters.
         free, free_std: identified from the free run.
         predicted: free plus the effect of the load.
         loaded, loaded_std: identified from the loaded run.
     """
 
-    numbers: tuple[int, ...]
+    indices: tuple[int, ...]
     free: FloatArray
     free_std: FloatArray
     predicted: FloatArray
@@ -66,12 +66,12 @@ class LargestChange:
     """Of the base parameters that a load leaves alone, the one that changed most between the runs.
 
     Attributes:
-        number: of the base parameter.
+        index: of the base parameter.
         free, loaded: identified from each run.
         test: of its difference, as the largest of so many (Bonferroni); the statistic is its square in variances.
     """
 
-    number: int
+    index: int
     free: float
     loaded: float
     test: SignificanceTest
@@ -155,7 +155,7 @@ def identify_payload(
         mass_test=_mass_test(estimate, known),
         values_test=_values_test(estimate, known, blocks),
         changes=BaseChange(
-            numbers=changing,
+            indices=changing,
             free=separate.parameters[FREE][every],
             free_std=deviations[FREE][rows],
             predicted=(separate.parameters[FREE] + shift)[every],
@@ -185,13 +185,13 @@ def _largest_change(
     worst = max(with_error_bars, key=lambda place: abs(float(difference[place] / spread[place])))
     size = abs(float(difference[worst] / spread[worst]))
     p_value = min(1.0, len(with_error_bars) * 2.0 * float(t_distribution.sf(size, blocks - 1)))
-    number = separate.active[worst]
-    free, loaded = (float(values[number]) for values in separate.parameters)
-    return LargestChange(number, free, loaded, SignificanceTest(size**2, 1, p_value))
+    parameter = separate.active[worst]
+    free, loaded = (float(values[parameter]) for values in separate.parameters)
+    return LargestChange(parameter, free, loaded, SignificanceTest(size**2, 1, p_value))
 
 
 def _changing(effect: FloatArray, active: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Numbers of the active base parameters that a load changes, and of the others."""
+    """Indices of the active base parameters that a load changes, and of the others."""
     changes = np.any(np.abs(effect) > INDEPENDENT, axis=1)
     return tuple(i for i in active if changes[i]), tuple(i for i in active if not changes[i])
 

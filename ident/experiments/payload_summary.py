@@ -82,11 +82,11 @@ def payload_sentences(payload: Payload) -> list[str]:
             )
         )
     if payload.rest is not None:
-        rest, unit = payload.rest, base_unit(payload.pair.model, payload.pair.base.columns[payload.rest.number])
+        rest, unit = payload.rest, base_unit(payload.pair.model, payload.pair.base.columns[payload.rest.index])
         stayed = "stayed" if rest.test.passed else "did not stay"
         sentences.append(
             f"what a load does not change (friction, motor inertia, …) {stayed} the same: the largest difference is "
-            f"{payload.pair.base.names[rest.number]}'s, from {rest.free:.4g} to "
+            f"{payload.pair.base.names[rest.index]}'s, from {rest.free:.4g} to "
             f"{rest.loaded:.4g} {unit}, {rest.test.statistic**0.5:.1f} σ ({_p_value_text(rest.test)})"
         )
     return sentences
@@ -133,7 +133,7 @@ def base_changes(payload: Payload) -> list[BaseParameterChange]:
     values = (changes.free, changes.free_std, changes.predicted, changes.loaded, changes.loaded_std)
     rows = [
         (pair.base.names[index], base_unit(pair.model, pair.base.columns[index]), *row)
-        for index, row in zip(changes.numbers, np.array(values).T.tolist(), strict=True)
+        for index, row in zip(changes.indices, np.array(values).T.tolist(), strict=True)
     ]
     return [BaseParameterChange(**dict(zip(BaseParameterChange.model_fields, row, strict=True))) for row in rows]
 
@@ -162,7 +162,7 @@ def payload_result(payload: Payload) -> PayloadResult:
             unchanged=None
             if unchanged is None
             else UnchangedResult(
-                **SignificanceResult.model_validate(unchanged.test).model_dump(), worst=base.names[unchanged.number]
+                **SignificanceResult.model_validate(unchanged.test).model_dump(), worst=base.names[unchanged.index]
             ),
         ),
         sentences=payload_sentences(payload),

@@ -34,7 +34,7 @@ from ident.signals.prepared import Prepared
 from ident.signals.repetition import IntArray
 
 FREE, LOADED = 0, 1
-"""Numbers of the two runs, in every list of two."""
+"""Indices of the two runs, in every list of two."""
 
 Motion = Callable[[Recording, Robot], JointSignals]
 """What is taken from a recording: positions, and torques or motor signals."""
@@ -186,28 +186,28 @@ def block_grams(
         joints: those whose residuals do; all where None.
     """
     series = [_series(pair, run, values) for run, values in zip(pair.runs, parameters, strict=True)]
-    everything = [part for of_run in series for part in of_run]
+    everything = [torques for of_run in series for torques in of_run]
     samples = distinct_samples(everything)
     autocorrelation = residual_autocorrelation(everything)
     length = block_length(autocorrelation if joints is None else autocorrelation[list(joints)], samples.count)
     blocks = block_count(samples.count, length)
-    numbers = iter(samples.numbers)
-    free, loaded = (_block_grams(pair.kernel, run.prepared, numbers, length, blocks) for run in pair.runs)
+    indices = iter(samples.indices)
+    free, loaded = (_block_grams(pair.kernel, run.prepared, indices, length, blocks) for run in pair.runs)
     return BlockGrams((free, loaded), length)
 
 
 def _block_grams(
-    kernel: RegressorKernel, prepared: Prepared, numbers: Iterator[IntArray], length: int, blocks: int
+    kernel: RegressorKernel, prepared: Prepared, indices: Iterator[IntArray], length: int, blocks: int
 ) -> tuple[FloatArray, ...]:
     """One run's Gram matrices (B, w + 1, w + 1), joint by joint."""
     widths = [joint.rows.stop - joint.rows.start + 1 for joint in kernel.joint_rows]
     grams = tuple(np.zeros((blocks, width, width)) for width in widths)
     for segment in prepared.segments:
-        of_block = next(numbers) // length
-        for part in rows_by_block(kernel, segment, prepared.parallel_filter, of_block, segment.torque):
+        of_block = next(indices) // length
+        for block in rows_by_block(kernel, segment, prepared.parallel_filter, of_block, segment.torque):
             for joint, gram in enumerate(grams):
-                rows = np.vstack([part.regressor[kernel.joint_rows[joint].rows], part.torque[joint : joint + 1]])
-                gram[part.block] += rows @ rows.T
+                rows = np.vstack([block.regressor[kernel.joint_rows[joint].rows], block.torque[joint : joint + 1]])
+                gram[block.index] += rows @ rows.T
     return grams
 
 

@@ -41,7 +41,7 @@ class Pass:
     """One joint on its way in one direction; M samples that count.
 
     Attributes:
-        joint: its number.
+        joint: its index.
         upward: whether its position grows.
         pose: (n,) positions of all joints; that of the moving one means nothing [rad or m].
         position, speed, signal: (M,) of the moving joint [rad or m, rad/s or m/s, A or V].
@@ -60,7 +60,7 @@ class Sweep:
     """A joint up and down, once without and once with the load, over B bins.
 
     Attributes:
-        joint: its number.
+        joint: its index.
         pose: (n, B) positions of all joints in the loaded run [rad or m].
         half_sum: (2, B) of free and loaded run [A or V].
         half_difference: (2, B) up minus down [A or V].
@@ -76,7 +76,7 @@ class Sweep:
 
 def passes_of(segments: Sequence[Segment], rest_velocity: float) -> list[Pass]:
     """All slow passes; `torque` of the segments is the motors' signal."""
-    return [one for segment in segments for one in _passes(segment, rest_velocity)]
+    return [slow_pass for segment in segments for slow_pass in _passes(segment, rest_velocity)]
 
 
 def _passes(segment: Segment, rest_velocity: float) -> Iterator[Pass]:
@@ -106,13 +106,13 @@ def _passes(segment: Segment, rest_velocity: float) -> Iterator[Pass]:
 def sweeps_of(free: Sequence[Pass], loaded: Sequence[Pass]) -> list[Sweep]:
     """Sweeps for which both runs have passes in both directions, at the same speed, over shared positions."""
     poses: list[tuple[int, FloatArray]] = []
-    for one in (*free, *loaded):
-        if not any(_same_pose(one, joint, pose) for joint, pose in poses):
-            poses.append((one.joint, one.pose))
+    for slow_pass in (*free, *loaded):
+        if not any(_same_pose(slow_pass, joint, pose) for joint, pose in poses):
+            poses.append((slow_pass.joint, slow_pass.pose))
     sweeps = []
     for joint, pose in poses:
         groups = [
-            [one for one in run if one.upward == upward and _same_pose(one, joint, pose)]
+            [slow_pass for slow_pass in run if slow_pass.upward == upward and _same_pose(slow_pass, joint, pose)]
             for run in (free, loaded)
             for upward in (True, False)
         ]
@@ -121,15 +121,17 @@ def sweeps_of(free: Sequence[Pass], loaded: Sequence[Pass]) -> list[Sweep]:
     return sweeps
 
 
-def _same_pose(one: Pass, joint: int, pose: FloatArray) -> bool:
-    apart = np.abs(one.pose - pose)
+def _same_pose(slow_pass: Pass, joint: int, pose: FloatArray) -> bool:
+    apart = np.abs(slow_pass.pose - pose)
     apart[joint] = 0.0
-    return one.joint == joint and bool(np.max(apart) <= POSE_TOLERANCE)
+    return slow_pass.joint == joint and bool(np.max(apart) <= POSE_TOLERANCE)
 
 
 def _sweep(joint: int, pose: FloatArray, groups: Sequence[Sequence[Pass]]) -> Sweep | None:
     """Bins of the groups free up, free down, loaded up, loaded down; None where they share no positions."""
-    signals = [[np.concatenate([getattr(part, name) for part in group]) for name in _SIGNALS] for group in groups]
+    signals = [
+        [np.concatenate([getattr(slow_pass, name) for slow_pass in group]) for name in _SIGNALS] for group in groups
+    ]
     low = max(float(position.min()) for position, _, _ in signals)
     high = min(float(position.max()) for position, _, _ in signals)
     if not low < high:

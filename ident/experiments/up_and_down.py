@@ -136,7 +136,7 @@ class _Solved:
     """Gains of some joints and what of the load was estimated with them.
 
     Attributes:
-        joints: their numbers.
+        joints: their indices.
         gains: (n,) [N·m/A or N·m/V].
         unknown, moments: which load parameters (a,), and their values [kg·m].
         deviations: (n + a,) standard deviations of both.

@@ -62,7 +62,7 @@ class DynamicModel:
 
     @property
     def active(self) -> tuple[int, ...]:
-        """Numbers of the tree's joints that have a motor, in the order of every array."""
+        """Indices of the tree's joints that have a motor, in the order of every array."""
         return tuple(range(len(self.joints))) if self.transmission is None else self.transmission.active
 
     @property
@@ -107,7 +107,7 @@ class DynamicModel:
 
     @property
     def tool_link(self) -> int:
-        """Number of the link that carries the tool: the last one; behind the longest chain where loops add rods."""
+        """Index of the link that carries the tool: the last one; behind the longest chain where loops add rods."""
         if self.transmission is None or not self.transmission.closed:
             return len(self.joints) - 1
         return main_chain(self.joints, self.active)[-1]

@@ -53,15 +53,15 @@ def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Tran
     if not robot.model.loops and not robot.model.coupling:
         return None
     where = f"{robot_file.where}: model.loops"
-    numbers = {joint.name: index for index, joint in enumerate(joints)}
-    active = tuple(numbers[name] for name in robot.joint_names)
-    equations, right = _linear_equations(robot.model.loops, joints, numbers, where)
+    joint_index = {joint.name: index for index, joint in enumerate(joints)}
+    active = tuple(joint_index[name] for name in robot.joint_names)
+    equations, right = _linear_equations(robot.model.loops, joints, joint_index, where)
     general = [loop for loop in robot.model.loops if loop.passive is not None]
     if general:
         from ident.model.linkages.build import build_closed_loops  # only arms that have such loops pay for it
 
         nothing = np.zeros((len(joints), len(active))), np.zeros(len(joints))
-        ends = [loop_ends(loop, numbers) for loop in general]
+        ends = [loop_ends(loop, joint_index) for loop in general]
         transmission: Transmission = build_closed_loops(
             robot,
             joints,
@@ -76,7 +76,7 @@ def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Tran
     positions = np.random.default_rng(0).uniform(low[:, None], high[:, None], (len(active), TRIED_POSITIONS))
     for loop in robot.model.loops:
         if loop.closing is not None:
-            _check_closed(loop, joints, numbers, transmission.tree_position(positions), where)
+            _check_closed(loop, joints, joint_index, transmission.tree_position(positions), where)
     return transmission
 
 
@@ -99,20 +99,20 @@ def _linear(robot: Robot, active: tuple[int, ...], follow: FloatArray, offset: F
 
 
 def _linear_equations(
-    loops: tuple[Loop, ...], joints: tuple[Joint, ...], numbers: dict[str, int], where: str
+    loops: tuple[Loop, ...], joints: tuple[Joint, ...], joint_index: dict[str, int], where: str
 ) -> tuple[FloatArray, FloatArray]:
     """E (l, n) and e (l,) of the equations and parallelograms, E·q_tree = e."""
     rows, right = [], []
     for loop in loops:
         if loop.joint is not None:
             row = np.zeros(len(joints))
-            row[numbers[loop.joint]] = 1.0
+            row[joint_index[loop.joint]] = 1.0
             for name, factor in (loop.equation or {}).items():
-                row[numbers[name]] -= factor
+                row[joint_index[name]] -= factor
             rows.append(row)
             right.append(loop.offset)
         elif loop.parallelogram is not None:
-            for row, value in _parallelogram_equations(loop, joints, numbers, where):
+            for row, value in _parallelogram_equations(loop, joints, joint_index, where):
                 rows.append(row)
                 right.append(value)
     return np.array(rows).reshape(-1, len(joints)), np.array(right)
@@ -141,14 +141,14 @@ def _solved_equations(
 
 
 def _parallelogram_equations(
-    loop: Loop, joints: tuple[Joint, ...], numbers: dict[str, int], where: str
+    loop: Loop, joints: tuple[Joint, ...], joint_index: dict[str, int], where: str
 ) -> list[tuple[FloatArray, float]]:
     """Two rows of E (n,) and e."""
     if loop.parallelogram is None:
         raise ValueError("the loop is no parallelogram")
     names = loop.parallelogram
     text = f"parallelogram {', '.join(names)}"
-    a, b, c, d = (numbers[name] for name in names)
+    a, b, c, d = (joint_index[name] for name in names)
     if joints[b].parent != a or joints[d].parent != c or joints[a].parent != joints[c].parent:
         raise RobotFileError(
             f"{text}: the second joint must hang on the first, the fourth on the third, and the first and the third on "
@@ -157,7 +157,7 @@ def _parallelogram_equations(
         )
     if any(joints[index].prismatic for index in (a, b, c, d)):
         raise RobotFileError(f"{text}: all four joints must be revolute", where=where)
-    ends = loop_ends(loop, numbers)
+    ends = loop_ends(loop, joint_index)
     if {index for index, _ in ends} != {b, d}:
         raise RobotFileError(
             f"{text}: one closing frame must have the antecedent {names[1]}, the other {names[3]}", where=where
@@ -190,26 +190,26 @@ def _parallelogram_equations(
     return equations
 
 
-def loop_ends(loop: Loop, numbers: dict[str, int]) -> list[tuple[int, Placement]]:
-    """The closing frames: number of the joint behind which each is fixed, and its placement in that joint's frame."""
-    known = {**numbers, BASE: BASE_INDEX}
+def loop_ends(loop: Loop, joint_index: dict[str, int]) -> list[tuple[int, Placement]]:
+    """The closing frames: index of the joint behind which each is fixed, and its placement in that joint's frame."""
+    known = {**joint_index, BASE: BASE_INDEX}
     return [(known[frame.antecedent], _placement(frame)) for frame in loop.closing or ()]
 
 
 def _check_closed(
-    loop: Loop, joints: tuple[Joint, ...], numbers: dict[str, int], positions: FloatArray, where: str
+    loop: Loop, joints: tuple[Joint, ...], joint_index: dict[str, int], positions: FloatArray, where: str
 ) -> None:
     """Refuse a loop whose closing frames do not meet at tree positions (n, N)."""
     name = loop_name(loop)
     apart = turned = 0.0
     for position in positions.T:
         frames = [*place_tree(joints, position), (np.eye(3), np.zeros(3))]  # the base's is number BASE_INDEX
-        (one, other) = (_compose(frames[index], placement) for index, placement in loop_ends(loop, numbers))
+        (one, other) = (_compose(frames[index], placement) for index, placement in loop_ends(loop, joint_index))
         apart = max(apart, float(np.linalg.norm(one[1] - other[1])))
         turned = max(turned, float(np.linalg.norm(np.cross(one[0][:, 2], other[0][:, 2]))))
     if apart > CLOSING_TOLERANCE:
         raise RobotFileError(
-            f"{name} does not close: its closing frames come to lie up to {length(apart)} apart",
+            f"{name} does not close: its closing frames are up to {length(apart)} apart",
             where=where,
             hint="opposite sides must be equally long: check the lengths in 'model.mdh' and in 'closing'",
         )
@@ -234,7 +234,7 @@ def place_tree(joints: tuple[Joint, ...], position: FloatArray) -> list[Placemen
 
 
 def main_chain(joints: tuple[Joint, ...], active: tuple[int, ...]) -> tuple[int, ...]:
-    """Numbers of the joints from the base to the link that is the most joints away: the arm without its rods.
+    """Indices of the joints from the base to the link that is the most joints away: the arm without its rods.
 
     Of several such links it is the first one behind an `active` joint, else the first.
     """

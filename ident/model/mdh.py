@@ -16,14 +16,14 @@ Z_AXIS = np.array([0.0, 0.0, 1.0])
 
 def mdh_joints(rows: Sequence[MdhRow]) -> tuple[Joint, ...]:
     """Joints of a modified-DH table; the axis of joint j is frame j's z axis, positions start at `theta0` or `r`."""
-    numbers = {BASE: -1} | {row.joint: index for index, row in enumerate(rows)}
+    joint_index = {BASE: -1} | {row.joint: index for index, row in enumerate(rows)}
     joints = []
     for row in rows:
         rotation, translation = mdh_placement(row)
         joints.append(
             Joint(
                 name=row.joint,
-                parent=numbers[row.antecedent],
+                parent=joint_index[row.antecedent],
                 prismatic=row.type == "prismatic",
                 rotation=rotation,
                 translation=translation,

@@ -33,7 +33,7 @@ class Transmission(ABC):
     """An arm with closed loops or coupled motors: n joints in its tree, a of them with a motor.
 
     Attributes:
-        active: (a,) numbers of the tree's joints that have a motor, in the order of every array.
+        active: (a,) indices of the tree's joints that have a motor, in the order of every array.
         coupling: (a, a) R of q_motor = R·q_active.
         pair_friction: (a,) whether a coupled joint rubs beside its motor (SR400 eq. 8).
         pair_inertia: (a,) whether an inertia of its own turns with a coupled joint, beside the motor's.

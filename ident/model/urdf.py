@@ -19,18 +19,18 @@ def urdf_joints(xml: str, names: Sequence[str], locked: Mapping[str, float], whe
 
     Raises:
         RobotFileError: not a URDF; a joint is missing, neither named nor locked, has more than one degree of freedom,
-            or stands before the joint that carries it.
+            or is listed before its parent.
     """
     model = urdf_model(xml, names, locked, where)
-    number = {name: index for index, name in enumerate(names)}
+    joint_index = {name: index for index, name in enumerate(names)}
     joints = []
     for name in names:
         identifier = model.getJointId(name)
         parent_identifier = model.parents[identifier]
-        parent = BASE_INDEX if parent_identifier == UNIVERSE else number[model.names[parent_identifier]]
-        if parent >= number[name]:
+        parent = BASE_INDEX if parent_identifier == UNIVERSE else joint_index[model.names[parent_identifier]]
+        if parent >= joint_index[name]:
             raise RobotFileError(
-                f"joint '{name}' stands before '{names[parent]}', which carries it",
+                f"joint '{name}' is listed before its parent '{names[parent]}'",
                 where=f"{where}: joints",
                 hint="reorder 'joints'",
             )
@@ -71,7 +71,7 @@ def urdf_model(xml: str, names: Sequence[str], locked: Mapping[str, float], wher
         full = pin.buildModelFromXML(xml)
     except Exception as error:  # Pinocchio raises several kinds, none of them public
         reason = str(error).strip().splitlines()
-        raise RobotFileError(f"not a URDF: {reason[0] if reason else 'no robot in it'}", where=where) from error
+        raise RobotFileError(f"not a URDF: {reason[0] if reason else 'it contains no robot'}", where=where) from error
     return _lock(full, names, locked, where)
 
 

@@ -12,13 +12,13 @@ from ident.regression.comparison import TorqueSeries
 
 def residual_autocorrelation(series: Sequence[TorqueSeries]) -> FloatArray:
     """Lag-one autocorrelation (n,) of the residuals, within ±0.99."""
-    return lag_one([part.residual for part in series])
+    return lag_one([torques.residual for torques in series])
 
 
 def lag_one(residuals: Sequence[FloatArray]) -> FloatArray:
     """Lag-one autocorrelation (n,) of series (n, M), within ±0.99."""
-    products = sum(np.sum(part[:, 1:] * part[:, :-1], axis=1) for part in residuals)
-    squares = sum(np.sum(part**2, axis=1) for part in residuals)
+    products = sum(np.sum(residual[:, 1:] * residual[:, :-1], axis=1) for residual in residuals)
+    squares = sum(np.sum(residual**2, axis=1) for residual in residuals)
     ratio = np.divide(products, squares, out=np.zeros_like(squares), where=np.asarray(squares) > 0)
     return np.asarray(np.clip(ratio, -0.99, 0.99))
 

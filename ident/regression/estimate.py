@@ -22,7 +22,7 @@ class Estimate:
     """Estimated base parameters; a of the b base parameters of the experiment.
 
     Attributes:
-        active: (a,) numbers of the estimated base parameters.
+        active: (a,) indices of the estimated base parameters.
         values: (a,).
         root: (a, a) upper triangular; rootᵀ·root is the inverse of the covariance for white residuals, and weighs the
             estimate among others.

@@ -29,12 +29,12 @@ def gain_sensitivity(reduction: Reduction, solution: LeastSquares) -> FloatArray
         raise UsageError(f"the rows of method {solution.method} belong to no single joint", hint="use wls or ols")
     place = {column: position for position, column in enumerate(solution.active)}
     scores = np.zeros((len(solution.active), len(reduction.joints)))
-    for number, joint in enumerate(reduction.joints):
+    for joint_index, joint in enumerate(reduction.joints):
         width = len(joint.columns)
-        score = solution.weights[number] ** 2 * (joint.factor[:, :width].T @ joint.factor[:, width])
+        score = solution.weights[joint_index] ** 2 * (joint.factor[:, :width].T @ joint.factor[:, width])
         for column, value in zip(joint.columns, score.tolist(), strict=True):
             if column in place:
-                scores[place[column], number] = value
+                scores[place[column], joint_index] = value
     moved = np.zeros((reduction.column_count, len(reduction.joints)))
     moved[list(solution.active)] = solution.inverse @ scores
     return moved

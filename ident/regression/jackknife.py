@@ -72,16 +72,16 @@ class FilteredRun:
 
 @dataclass(frozen=True)
 class DistinctSamples:
-    """Filtered samples numbered along the motion, those of a repeated phase alike.
+    """Filtered samples counted along the motion, those of a repeated phase alike.
 
     Attributes:
-        numbers: for each series (M,), without holes over the samples that count; blocks are runs of these numbers.
-            Different motions never share a number.
+        indices: for each series (M,), without holes over the samples that count; blocks are runs of these indices.
+            Different motions never share an index.
         count: of different samples that count.
         share: of these among all samples that count.
     """
 
-    numbers: tuple[npt.NDArray[np.int64], ...]
+    indices: tuple[npt.NDArray[np.int64], ...]
     count: int
     share: float
 
@@ -103,16 +103,16 @@ def block_jackknife(
     kernel: RegressorKernel, runs: Sequence[FilteredRun], solution: LeastSquares
 ) -> CorrectedCovariance:
     """Corrected covariance of a solution of the joints' torque equations."""
-    series = [part for run in runs for part in run.series]
+    series = [torques for run in runs for torques in run.series]
     autocorrelation = residual_autocorrelation(series)
     samples = distinct_samples(series)
     length = block_length(autocorrelation, samples.count)
     sums = BlockSums.empty(block_count(samples.count, length), len(solution.active))
-    numbers = iter(samples.numbers)
+    indices = iter(samples.indices)
     for run in runs:
-        for segment, part in zip(run.segments, run.series, strict=True):
-            rows = rows_by_block(kernel, segment, run.parallel_filter, next(numbers) // length)
-            _add_torque_rows(sums, kernel, solution, rows, part.residual)
+        for segment, torques in zip(run.segments, run.series, strict=True):
+            rows = rows_by_block(kernel, segment, run.parallel_filter, next(indices) // length)
+            _add_torque_rows(sums, kernel, solution, rows, torques.residual)
     normal = np.asarray(np.linalg.inv(solution.inverse))
     if not np.all(np.diag(normal) > 0.0):  # rounding, where columns are hardly excited
         normal = sums.gram.sum(axis=0)
@@ -194,12 +194,12 @@ def tolerant_moves(sums: BlockSums, normal: FloatArray) -> FloatArray:
 
 
 def distinct_samples(series: Sequence[TorqueSeries]) -> DistinctSamples:
-    """Number the filtered samples of several series along their motions."""
-    phases = motion_phases([part.velocity for part in series])
-    counted = np.concatenate([phase[part.used] for phase, part in zip(phases, series, strict=True)])
+    """Count the filtered samples of several series along their motions."""
+    phases = motion_phases([torques.velocity for torques in series])
+    counted = np.concatenate([phase[torques.used] for phase, torques in zip(phases, series, strict=True)])
     different = np.unique(counted)
-    numbers = tuple(np.searchsorted(different, phase) for phase in phases)
-    return DistinctSamples(numbers, len(different), len(different) / len(counted))
+    indices = tuple(np.searchsorted(different, phase) for phase in phases)
+    return DistinctSamples(indices, len(different), len(different) / len(counted))
 
 
 def block_length(autocorrelation: FloatArray, samples: int) -> int:
@@ -223,13 +223,13 @@ class BlockRows:
     """Consecutive samples of one block.
 
     Attributes:
-        block: its number.
+        index: of the block.
         samples: (m,) which of the segment's filtered samples.
         regressor: (kernel.row_count, m) packed rows; valid until the next ones are asked for.
         torque: (k, m) filtered; valid as long.
     """
 
-    block: int
+    index: int
     samples: npt.NDArray[np.int64]
     regressor: FloatArray
     torque: FloatArray
@@ -248,7 +248,7 @@ def rows_by_block(
         kernel: gives the regressor's packed rows.
         segment: motion on a uniform grid.
         parallel_filter: for τ and W.
-        blocks: (M,) number of each filtered sample's block.
+        blocks: (M,) index of each filtered sample's block.
         torque: (k, N) to be filtered alike; none where None.
     """
     torque = np.empty((0, len(segment.time))) if torque is None else torque
@@ -259,11 +259,13 @@ def rows_by_block(
         if len(samples) == 0:
             continue
         regressor, filtered_torque = filtered.regressor[:, filtered.used], filtered.torque[:, filtered.used]
-        numbers = blocks[samples]
-        edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
+        block_of_sample = blocks[samples]
+        edges = [0, *(np.flatnonzero(np.diff(block_of_sample)) + 1).tolist(), len(block_of_sample)]
         for start, stop in pairwise(edges):
             within = slice(start, stop)
-            yield BlockRows(int(numbers[start]), samples[within], regressor[:, within], filtered_torque[:, within])
+            yield BlockRows(
+                int(block_of_sample[start]), samples[within], regressor[:, within], filtered_torque[:, within]
+            )
 
 
 def _add_torque_rows(
@@ -280,9 +282,9 @@ def _add_torque_rows(
     for joint in kernel.joint_rows:
         pairs = [(joint.rows.start + i, place[column]) for i, column in enumerate(joint.columns) if column in place]
         chosen.append(([row for row, _ in pairs], np.array([column for _, column in pairs], dtype=int)))
-    for part in block_rows:
-        gram, score = sums.gram[part.block], sums.score[part.block]
+    for block in block_rows:
+        gram, score = sums.gram[block.index], sums.score[block.index]
         for motor, (packed_rows, columns) in enumerate(chosen):
-            rows = solution.weights[motor] * part.regressor[packed_rows]
+            rows = solution.weights[motor] * block.regressor[packed_rows]
             gram[columns[:, None], columns] += rows @ rows.T
-            score[columns] += rows @ (solution.weights[motor] * residual[motor, part.samples])
+            score[columns] += rows @ (solution.weights[motor] * residual[motor, block.samples])

@@ -36,7 +36,7 @@ class LeastSquares:
 
     Attributes:
         method: what was fitted, and how.
-        active: numbers of the base columns that were estimated.
+        active: indices of the base columns that were estimated.
         parameters: (b,) base parameters; 0 for those that were not estimated.
         covariance: (a, a) of the active ones, residuals taken as white (SR400 eq. 14).
         inverse: (a, a) inverse of the (weighted) normal matrix.

@@ -82,9 +82,9 @@ class Experiment:
     """What a set of recordings can show of an arm.
 
     Attributes:
-        locked: numbers of the joints with a motor that stood still throughout.
+        locked: indices of the joints with a motor that stood still throughout.
         poses: where they stood, one entry (len(locked),) for each pose that was recorded [rad or m].
-        torques: numbers of the motors whose torque equations are used.
+        torques: indices of the motors whose torque equations are used.
     """
 
     locked: tuple[int, ...]
@@ -136,7 +136,7 @@ def find_experiment(
 
 
 def joint_numbers(model: DynamicModel, names: Sequence[str], option: str) -> tuple[int, ...]:
-    """Numbers of joints by name.
+    """Indices of joints by name.
 
     Raises:
         UsageError: a name that no joint has.
@@ -150,7 +150,7 @@ def joint_numbers(model: DynamicModel, names: Sequence[str], option: str) -> tup
 
 
 def moving_motors(model: DynamicModel, locked: Sequence[int]) -> tuple[int, ...]:
-    """Numbers of the motors that turn when every joint but the locked ones moves."""
+    """Indices of the motors that turn when every joint but the locked ones moves."""
     free = [joint for joint in range(model.dof) if joint not in locked]
     if model.transmission is None:
         return tuple(free)
@@ -186,8 +186,8 @@ def _cached(key: ModelKey, experiments: tuple[Experiment, ...]) -> BaseParameter
     model = key.model
     kernel = RegressorKernel(model)
     accumulator = QrAccumulator(len(kernel.columns))
-    for number, experiment in enumerate(experiments):
-        for state in experiment_states(model, experiment, number):
+    for experiment_index, experiment in enumerate(experiments):
+        for state in experiment_states(model, experiment, experiment_index):
             for _, packed in evaluate_in_chunks(kernel, *state):
                 for motor in experiment.torques:
                     rows = kernel.joint_rows[motor]
@@ -208,20 +208,20 @@ def _cached(key: ModelKey, experiments: tuple[Experiment, ...]) -> BaseParameter
 
 
 def experiment_states(
-    model: DynamicModel, experiment: Experiment, number: int = 0
+    model: DynamicModel, experiment: Experiment, experiment_index: int = 0
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
     """Random positions, velocities and accelerations (n, N), a set for each pose of the locked joints.
 
     Args:
         model: the arm.
         experiment: its locked joints rest.
-        number: of the experiment among several: each has states of its own.
+        experiment_index: of the experiment among several: each has its own states.
     """
     count = max(100, STATES_PER_PARAMETER * len(model.parameters))
     states = []
     for place, pose in enumerate(experiment.poses):
         position, velocity, acceleration = random_states(model, count)
-        turn = (place + 7 * number) % count  # other positions beside the same velocities
+        turn = (place + 7 * experiment_index) % count  # other positions beside the same velocities
         position = np.roll(position, turn, axis=1)
         rows = list(experiment.locked)
         position[rows] = np.array(pose)[:, None]
@@ -237,7 +237,7 @@ def predictable_torques(
     position: FloatArray,
     rest_tolerance: float = REST_TOLERANCE,
 ) -> tuple[int, ...]:
-    """Numbers of the motors whose torque a model from these experiments predicts along a recording (N, n).
+    """Indices of the motors whose torque a model from these experiments predicts along a recording (N, n).
 
     Args:
         model: the arm.

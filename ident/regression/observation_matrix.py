@@ -74,12 +74,12 @@ class Reduction:
     def stacked(self, weights: FloatArray | None = None) -> FloatArray:
         """R (b + m, b + m) of [W τ…] over all joints, each joint's rows times its weight (n,) (ones where None)."""
         blocks = []
-        for number, joint in enumerate(self.joints):
+        for joint_index, joint in enumerate(self.joints):
             block = np.zeros((joint.factor.shape[0], self.column_count + self.torque_count))
             width = len(joint.columns)
             block[:, list(joint.columns)] = joint.factor[:, :width]
             block[:, self.column_count :] = joint.factor[:, width:]
-            blocks.append(block if weights is None else weights[number] * block)
+            blocks.append(block if weights is None else weights[joint_index] * block)
         return triangular(np.vstack(blocks))
 
     def residual_sums(self, parameters: FloatArray) -> FloatArray:
@@ -93,12 +93,12 @@ class Reduction:
 
 
 def only_torques(reduction: Reduction, joints: Sequence[int]) -> Reduction:
-    """The system without the rows of all but some joints, which keep their number."""
+    """The system without the rows of all but some joints, which keep their index."""
     return replace(
         reduction,
         joints=tuple(
-            joint if number in joints else JointFactor(joint.columns, joint.factor[:0], 0)
-            for number, joint in enumerate(reduction.joints)
+            joint if joint_index in joints else JointFactor(joint.columns, joint.factor[:0], 0)
+            for joint_index, joint in enumerate(reduction.joints)
         ),
     )
 
@@ -107,11 +107,13 @@ def stack_reductions(reductions: Sequence[Reduction]) -> Reduction:
     """One system from several recordings of the same arm with the same columns."""
     first = reductions[0]
     joints = []
-    for number, joint in enumerate(first.joints):
-        parts = [reduction.joints[number] for reduction in reductions]
+    for joint_index, joint in enumerate(first.joints):
+        same_joint = [reduction.joints[joint_index] for reduction in reductions]
         joints.append(
             JointFactor(
-                joint.columns, triangular(np.vstack([part.factor for part in parts])), sum(part.rows for part in parts)
+                joint.columns,
+                triangular(np.vstack([entry.factor for entry in same_joint])),
+                sum(entry.rows for entry in same_joint),
             )
         )
     return Reduction(
@@ -162,23 +164,23 @@ def filtered_samples(
     every = slice(None, None, parallel_filter.factor)
     used, reversing = segment.used[every], None if segment.reversing is None else segment.reversing[:, every]
 
-    def samples(regressor: FloatArray, torque: FloatArray, part: slice) -> FilteredSamples:
+    def samples(regressor: FloatArray, torque: FloatArray, chunk: slice) -> FilteredSamples:
         if reversing is None:
-            return FilteredSamples(regressor, torque, used[part], None)
+            return FilteredSamples(regressor, torque, used[chunk], None)
         regressor, torque = regressor.copy(), torque.copy()
-        for motor, left_out in enumerate(reversing[:, part]):
+        for motor, left_out in enumerate(reversing[:, chunk]):
             regressor[kernel.joint_rows[motor].rows, left_out] = 0.0
             torque[motor :: kernel.model.dof, left_out] = 0.0
-        return FilteredSamples(regressor, torque, used[part], reversing[:, part])
+        return FilteredSamples(regressor, torque, used[chunk], reversing[:, chunk])
 
     chunks = evaluate_in_chunks(kernel, segment.position, segment.velocity, segment.acceleration)
     if parallel_filter.factor == 1 and len(parallel_filter.sos) == 0:
-        for part, packed in chunks:
-            yield samples(packed, torques[:, part], part)
+        for chunk, packed in chunks:
+            yield samples(packed, torques[:, chunk], chunk)
         return
     streamed = StreamedFilter(parallel_filter, rows + torques.shape[0])
     position = 0
-    ready = (streamed.push(np.concatenate([packed, torques[:, part]])) for part, packed in chunks)
+    ready = (streamed.push(np.concatenate([packed, torques[:, chunk]])) for chunk, packed in chunks)
     for filtered in itertools.chain(ready, _finished(streamed)):
         if width := filtered.shape[1]:
             yield samples(filtered[:rows], filtered[rows:], slice(position, position + width))

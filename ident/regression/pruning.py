@@ -23,7 +23,7 @@ class Pruned:
 
     Attributes:
         solution: refitted with the essential parameters only.
-        dropped: numbers of the base columns left out, in the order of their removal.
+        dropped: indices of the base columns left out, in the order of their removal.
         stopped_by: why the elimination ended, in words.
     """
 

@@ -146,11 +146,11 @@ def _concatenated(factors: Sequence[FloatArray], weights: FloatArray) -> tuple[F
     """Triangular factor (a + n, a + n) of the weighted [A Y], and a."""
     count, width = len(factors), factors[0].shape[1] - 1
     blocks = []
-    for number, factor in enumerate(factors):
+    for joint_index, factor in enumerate(factors):
         block = np.zeros((factor.shape[0], width + count))
         block[:, :width] = factor[:, :-1]
-        block[:, width + number] = factor[:, -1]
-        blocks.append(weights[number] * block)
+        block[:, width + joint_index] = factor[:, -1]
+        blocks.append(weights[joint_index] * block)
     return triangular(np.vstack(blocks)), width
 
 

@@ -45,12 +45,12 @@ def leave_out_rest(kernel: RegressorKernel, prepared: Prepared) -> Prepared:
         return prepared
     reach = REST_REACH / prepared.cutoffs.torque
     segments = []
-    for part in prepared.segments:
-        resting = _rest_mask(kernel, part, prepared.rest_velocity, round(reach * part.rate))
-        reversing = resting if part.reversing is None else resting | part.reversing
-        segments.append(replace(part, resting=resting, reversing=reversing))
-    counted = sum(int(part.used.sum()) for part in segments) * kernel.model.dof
-    left_out = sum(int((part.resting & part.used).sum()) for part in segments if part.resting is not None)
+    for segment in prepared.segments:
+        resting = _rest_mask(kernel, segment, prepared.rest_velocity, round(reach * segment.rate))
+        reversing = resting if segment.reversing is None else resting | segment.reversing
+        segments.append(replace(segment, resting=resting, reversing=reversing))
+    counted = sum(int(segment.used.sum()) for segment in segments) * kernel.model.dof
+    left_out = sum(int((segment.resting & segment.used).sum()) for segment in segments if segment.resting is not None)
     if not left_out:
         return prepared
     share = left_out / max(1, counted)
@@ -76,13 +76,13 @@ def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: floa
     check_share(share)
     if share == 0.0:
         return prepared
-    masks = (reversal_mask(kernel, part, share) for part in prepared.segments)
+    masks = (reversal_mask(kernel, segment, share) for segment in prepared.segments)
     segments = tuple(
-        replace(part, reversing=mask if part.reversing is None else mask | part.reversing)
-        for part, mask in zip(prepared.segments, masks, strict=True)
+        replace(segment, reversing=mask if segment.reversing is None else mask | segment.reversing)
+        for segment, mask in zip(prepared.segments, masks, strict=True)
     )
-    counted = sum(int(part.used.sum()) for part in segments) * kernel.model.dof
-    left_out = sum(int((part.reversing & part.used).sum()) for part in segments if part.reversing is not None)
+    counted = sum(int(segment.used.sum()) for segment in segments) * kernel.model.dof
+    left_out = sum(int((segment.reversing & segment.used).sum()) for segment in segments if segment.reversing is not None)
     step = Step(
         "reversals",
         {"share": share, "left_out": left_out / max(1, counted)},
@@ -94,7 +94,7 @@ def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: floa
 
 def all_equations(prepared: Prepared) -> Prepared:
     """The same data with no equation left out: what belongs to one motor's rows does not fit another's torque."""
-    return replace(prepared, segments=tuple(replace(part, reversing=None) for part in prepared.segments))
+    return replace(prepared, segments=tuple(replace(segment, reversing=None) for segment in prepared.segments))
 
 
 def check_share(share: float) -> None:
@@ -104,7 +104,7 @@ def check_share(share: float) -> None:
         UsageError: not within [0, 1).
     """
     if not 0.0 <= share < 1.0:
-        raise UsageError(f"{share:g} is no share of a velocity", where="--leave-out-reversals", hint="give 0 to 0.9")
+        raise UsageError(f"{share:g} is not a share of a velocity", where="--leave-out-reversals", hint="give 0 to 0.9")
 
 
 def reversal_mask(kernel: RegressorKernel, segment: Segment, share: float) -> npt.NDArray[np.bool_]:

@@ -322,10 +322,10 @@ class StreamedFilter:
         states, gains, outputs = self._split(stacked @ self._chunk.inward)
         forward = self._started(samples).copy()
         before = np.empty(states.shape, dtype=np.complex128)
-        for number in range(chunks):
-            before[:, number] = forward
+        for chunk in range(chunks):
+            before[:, chunk] = forward
             forward *= self._chunk.decay
-            forward += states[:, number]
+            forward += states[:, chunk]
         self._forward = forward
         outputs += _flat(before) @ self._chunk.forward_out
         self._outputs.append(outputs)
@@ -338,11 +338,11 @@ class StreamedFilter:
         gains = self._gains[0] if len(self._gains) == 1 else np.concatenate(self._gains, axis=1)
         state = np.zeros(gains[:, 0].shape, dtype=np.complex128) if backward is None else backward.copy()
         behind = np.empty((self._rows, count, gains.shape[2]), dtype=np.complex128)
-        for number in range(self._pending - 1, -1, -1):
-            if number < count:
-                behind[:, number] = state
+        for chunk in range(self._pending - 1, -1, -1):
+            if chunk < count:
+                behind[:, chunk] = state
             state *= self._chunk.decay
-            state += gains[:, number]
+            state += gains[:, chunk]
         ready = outputs[:, :count] + _flat(behind) @ self._chunk.backward_out
         self._outputs = [outputs[:, count:].copy()]
         self._gains = [gains[:, count:].copy()]

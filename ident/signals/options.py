@@ -58,14 +58,14 @@ class PreprocessChoices:
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, float) and not math.isfinite(value):
-                raise UsageError(f"{value} is not a number that can be used", where=field.name)
+                raise UsageError(f"{value} is not a finite number", where=field.name)
         if not all(math.isfinite(delay) for delay in self.joint_delays or ()):
-            raise UsageError("a joint's delay is not a number that can be used", where="joint_delays")
+            raise UsageError("a joint's delay is not a finite number", where="joint_delays")
         for name in ("position_cutoff", "torque_cutoff"):
             value = getattr(self, name)
             if value is not None and value <= 0:
                 raise UsageError(
-                    f"a cut-off of {value:g} Hz lets nothing through", where=name, hint="give more than 0 Hz"
+                    f"a cut-off of {value:g} Hz removes the whole signal", where=name, hint="give more than 0 Hz"
                 )
         for name in ("decimate", "position_decimate"):
             value = getattr(self, name)

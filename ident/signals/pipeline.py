@@ -249,9 +249,9 @@ def _shifted(segment: UniformSegment, delays: Sequence[float]) -> FloatArray:
 
 def _shiftable(segment: UniformSegment, delays: Sequence[float]) -> slice:
     """The columns in which every joint's torque comes from measured samples; may be empty."""
-    parts = [shiftable(len(segment.time), segment.rate, delay) for delay in set(delays)]
-    start = max(part.start for part in parts)
-    return slice(start, max(start, min(part.stop for part in parts)))
+    ranges = [shiftable(len(segment.time), segment.rate, delay) for delay in set(delays)]
+    start = max(each.start for each in ranges)
+    return slice(start, max(start, min(each.stop for each in ranges)))
 
 
 def _motion_band(segments: Sequence[UniformSegment]) -> float:

@@ -30,37 +30,36 @@ IntArray = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class _Known:
-    """A segment whose samples have their numbers: velocity (n, M), numbers (M,), its period in samples or None."""
+    """A segment with its phases: velocity (n, M), phases (M,), its period in samples or None."""
 
     velocity: FloatArray
-    numbers: IntArray
+    phases: IntArray
     period: int | None
 
 
 def motion_phases(velocities: Sequence[FloatArray]) -> tuple[IntArray, ...]:
-    """Number every sample so that samples at the same place of the same motion share a number.
+    """Phase of every sample, an integer: samples at the same place of the same motion share it.
 
     Args:
         velocities: of each segment (n, M), all at one rate.
 
     Returns:
-        Numbers (M,) for each segment; consecutive along a motion, disjoint for different motions.
+        Phases (M,) of each segment; consecutive along a motion, disjoint for different motions.
     """
     known: list[_Known] = []
     following = 0
     for velocity in velocities:
         count = velocity.shape[1]
         period = own_period(velocity)
-        numbers = np.arange(count) if period is None else np.arange(count) % period
-        numbers = following + numbers
+        phases = following + (np.arange(count) if period is None else np.arange(count) % period)
         for earlier in known:
             lag = _best_lag(earlier.velocity, velocity)
             if lag is not None:
-                numbers = _numbers_like(earlier, lag, numbers)
+                phases = _phases_like(earlier, lag, phases)
                 break
-        following = max(following, int(numbers.max(initial=-1)) + 1)
-        known.append(_Known(velocity, numbers, period))
-    return tuple(entry.numbers for entry in known)
+        following = max(following, int(phases.max(initial=-1)) + 1)
+        known.append(_Known(velocity, phases, period))
+    return tuple(entry.phases for entry in known)
 
 
 def own_period(velocity: FloatArray) -> int | None:
@@ -98,14 +97,14 @@ def _best_lag(earlier: FloatArray, later: FloatArray) -> int | None:
     return lag
 
 
-def _numbers_like(earlier: _Known, lag: int, own: IntArray) -> IntArray:
-    """Numbers of a segment that repeats `earlier`, which lies `lag` samples further on; its own ones elsewhere."""
+def _phases_like(earlier: _Known, lag: int, own: IntArray) -> IntArray:
+    """Phases of a segment that repeats `earlier`, which lies `lag` samples further on; its own ones elsewhere."""
     place = np.arange(len(own)) + lag
-    count = len(earlier.numbers)
+    count = len(earlier.phases)
     if earlier.period is not None:
-        return np.asarray(earlier.numbers[place % earlier.period])
+        return np.asarray(earlier.phases[place % earlier.period])
     inside = (place >= 0) & (place < count)
-    return np.where(inside, earlier.numbers[np.clip(place, 0, count - 1)], own)
+    return np.where(inside, earlier.phases[np.clip(place, 0, count - 1)], own)
 
 
 def _differences(first: FloatArray, second: FloatArray) -> FloatArray:

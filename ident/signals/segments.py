@@ -106,7 +106,9 @@ def without_ends(segments: Sequence[Segment], cutoffs: Cutoffs) -> tuple[tuple[S
         DataError: nothing with motion is left.
     """
     cut, uncounted = END_PERIODS / cutoffs.position, FILTERED_END_PERIODS / cutoffs.torque
-    shortened = tuple(part for segment in segments if (part := _without_ends(segment, cut, uncounted)) is not None)
+    shortened = tuple(
+        shorter for segment in segments if (shorter := _without_ends(segment, cut, uncounted)) is not None
+    )
     ends = cut + uncounted
     if not shortened:
         raise DataError(

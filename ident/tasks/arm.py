@@ -16,7 +16,7 @@ def base_parameters(robot: str | Path | RobotFile) -> Table:
     """The base parameters of an arm: the fewest combinations of standard parameters that fix the torque (SR400 .3.2).
 
     Args:
-        robot: built-in name, robot file, URDF, or what `load_robot` gave.
+        robot: built-in name, robot file, URDF, or the result of `load_robot`.
 
     Returns:
         One row per parameter: name, kind, joint, unit (kg·m², kg·m, …) and its expression.

@@ -165,7 +165,7 @@ def design_excitation(
     With several processes a script needs `if __name__ == "__main__":` around the call.
 
     Args:
-        robot: built-in name, robot file, URDF, or what `load_robot` gave.
+        robot: built-in name, robot file, URDF, or the result of `load_robot`.
         kind: "fourier", "fourier-quintic", "sines" or "points".
         criterion: "d-optimal", "e-optimal", "deviations", "condition", "plain-condition", "moments", "hadamard" or
             "motion-size" (docs/excitation.md).
@@ -235,7 +235,7 @@ def load_trajectory(path: str | PathLike[str], robot: str | Path | RobotFile) ->
 
     Args:
         path: of the file (YAML; rad, s).
-        robot: built-in name, robot file, URDF, or what `load_robot` gave.
+        robot: built-in name, robot file, URDF, or the result of `load_robot`.
 
     Raises:
         UsageError: names file and key, the value and what is allowed.

@@ -217,7 +217,7 @@ class SlcanAdapter(Server):
         match command[:1], command[1:]:
             case b"", _:
                 return OK
-            case b"S", digit if not self._channel_open and digit in [b"%d" % number for number in range(len(BITRATES))]:
+            case b"S", digit if not self._channel_open and digit in [b"%d" % index for index in range(len(BITRATES))]:
                 self._setting = BITRATES[int(digit)]
                 return OK
             case (b"O" | b"L") as letter, b"" if not self._channel_open:

@@ -222,12 +222,12 @@ class CyclicPosition:
         self._reference = AxisReference(position, slope)
         return self._reference
 
-    def _point(self, number: int) -> float:
-        if number <= 0:
-            return self._points[number - 1]
-        number = min(number, LONGEST_COAST)
-        self._coast(number)
-        return self._coasted[number - 1]
+    def _point(self, set_point: int) -> float:
+        if set_point <= 0:
+            return self._points[set_point - 1]
+        set_point = min(set_point, LONGEST_COAST)
+        self._coast(set_point)
+        return self._coasted[set_point - 1]
 
     def _coast(self, count: int) -> None:
         """Set-points in the place of those that do not come."""

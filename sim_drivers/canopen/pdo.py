@@ -29,13 +29,13 @@ class _Pdo:
 
     Args:
         objects: of the node.
-        number: from 0.
+        pdo_index: from 0.
         communication, mapping: first objects of their kind (0x1400 and 0x1600, or 0x1800 and 0x1A00).
     """
 
-    def __init__(self, objects: ObjectDictionary, number: int, communication: int, mapping: int) -> None:
+    def __init__(self, objects: ObjectDictionary, pdo_index: int, communication: int, mapping: int) -> None:
         self._objects = objects
-        self._communication, self._mapping = communication + number, mapping + number
+        self._communication, self._mapping = communication + pdo_index, mapping + pdo_index
         objects.on_write(self._communication, 1, self._check_identifier)
         objects.on_write(self._communication, 2, self._check_type)
         objects.on_write(self._mapping, 0, self._check_count)
@@ -109,8 +109,8 @@ class _Pdo:
 class TransmitPdo(_Pdo):
     """A PDO that the drive sends."""
 
-    def __init__(self, objects: ObjectDictionary, number: int) -> None:
-        super().__init__(objects, number, 0x1800, 0x1A00)
+    def __init__(self, objects: ObjectDictionary, pdo_index: int) -> None:
+        super().__init__(objects, pdo_index, 0x1800, 0x1A00)
         self.restart()
 
     def restart(self) -> None:
@@ -151,8 +151,8 @@ class TransmitPdo(_Pdo):
 class ReceivePdo(_Pdo):
     """A PDO that the drive obeys."""
 
-    def __init__(self, objects: ObjectDictionary, number: int) -> None:
-        super().__init__(objects, number, 0x1400, 0x1600)
+    def __init__(self, objects: ObjectDictionary, pdo_index: int) -> None:
+        super().__init__(objects, pdo_index, 0x1400, 0x1600)
         self._waiting: bytes | None = None
 
     def restart(self) -> None:

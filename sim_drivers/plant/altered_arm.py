@@ -35,7 +35,7 @@ def with_load(robot_file: RobotFile, mass: float, com: Sequence[float], inertia:
     if link is None:
         raise RobotFileError(f"no true link for joint {last}", where=f"{robot.name}: truth.links")
     if not mass > 0:
-        raise RobotFileError(f"a load of {mass:g} kg is none", where=robot.name)
+        raise RobotFileError(f"a load of {mass:g} kg is not possible", where=robot.name)
     masses = (link.mass, mass)
     centres = (np.array(link.com), np.array(com) + np.array(robot.workspace.tool))
     total = link.mass + mass
@@ -62,13 +62,13 @@ def with_payload(robot_file: RobotFile, text: str) -> RobotFile:
     """
     mass, _, place = text.partition("@")
     try:
-        numbers = [float(number) for number in (mass, *place.split(","))]
+        values = [float(value) for value in (mass, *place.split(","))]
     except ValueError:
-        numbers = []
-    if len(numbers) != 4 or not np.all(np.isfinite(numbers)) or numbers[0] <= 0.0:
+        values = []
+    if len(values) != 4 or not np.all(np.isfinite(values)) or values[0] <= 0.0:
         raise UsageError(f"'{text}' is not a payload", hint="--payload MASS@X,Y,Z in kg and m, such as 2.0@0,0,0.05")
-    com = np.array(numbers[1:]) - np.array(robot_file.robot.workspace.tool)
-    return with_load(robot_file, numbers[0], com.tolist(), [0.0] * 6)
+    com = np.array(values[1:]) - np.array(robot_file.robot.workspace.tool)
+    return with_load(robot_file, values[0], com.tolist(), [0.0] * 6)
 
 
 def with_gains(robot_file: RobotFile, factors: Mapping[str, float]) -> RobotFile:

@@ -177,12 +177,12 @@ class ControlScript:
     def _stop_script(self, controller: Controller) -> None:
         controller.stop_program()
 
-    def _integer(self, controller: Controller, number: int) -> int:
-        return int(controller.values[f"input_int_register_{self._offset + number}"])  # type: ignore[arg-type]
+    def _integer(self, controller: Controller, register: int) -> int:
+        return int(controller.values[f"input_int_register_{self._offset + register}"])  # type: ignore[arg-type]
 
     def _vector(self, controller: Controller, first: int, count: int) -> FloatArray:
-        numbers = range(self._offset + first, self._offset + first + count)
-        return np.array([controller.values[f"input_double_register_{number}"] for number in numbers])
+        registers = range(self._offset + first, self._offset + first + count)
+        return np.array([controller.values[f"input_double_register_{register}"] for register in registers])
 
     def _signal(self, controller: Controller, state: int) -> None:
         controller.values[f"output_int_register_{self._offset}"] = state
@@ -191,8 +191,8 @@ class ControlScript:
         controller.values[f"output_int_register_{self._offset + 1}"] = value
 
     def _answer_vector(self, controller: Controller, values: list[float]) -> None:
-        for number, value in enumerate(values):
-            controller.values[f"output_double_register_{self._offset + number}"] = value
+        for register, value in enumerate(values):
+            controller.values[f"output_double_register_{self._offset + register}"] = value
 
     def _progress(self, controller: Controller, progress: int) -> None:
         """Register 2: bits 24-30 number the operation, 16-22 the writes, bit 15 says running, below is progress."""

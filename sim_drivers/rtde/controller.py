@@ -224,7 +224,7 @@ class Controller:
     def drift(self, joint: int, velocity: float) -> None:
         """A fault: carry a joint away from its reference at so many rad/s, until the program ends."""
         if self.script is None:
-            self.messages.append("nothing drifts: no program runs")
+            self.messages.append("no drift: no program is running")
             return
         self._drift_wanted[joint] = velocity
 
@@ -267,11 +267,11 @@ class Controller:
         if "standard_analog_output_mask" in received:
             mask = int(values["standard_analog_output_mask"])  # type: ignore[arg-type]
             voltage = int(values["standard_analog_output_type"])  # type: ignore[arg-type]
-            for number in range(2):
-                if mask >> number & 1:
-                    share = float(values[f"standard_analog_output_{number}"])  # type: ignore[arg-type]
-                    full = 10.0 * share if voltage >> number & 1 else 0.004 + 0.016 * share
-                    values[f"standard_analog_output{number}"] = full
+            for channel in range(2):
+                if mask >> channel & 1:
+                    share = float(values[f"standard_analog_output_{channel}"])  # type: ignore[arg-type]
+                    full = 10.0 * share if voltage >> channel & 1 else 0.004 + 0.016 * share
+                    values[f"standard_analog_output{channel}"] = full
 
     def _set_constants(self) -> None:
         kinds = output_variables(self.version)

@@ -115,7 +115,11 @@ class RtdeServer(FaultyServer):
         buffer_limit: int = 1 << 20,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
-        names = [f"j{number}" for number in range(1, JOINTS + 1)] if joints is None else [one.name for one in joints]
+        names = (
+            [f"j{joint_number}" for joint_number in range(1, JOINTS + 1)]
+            if joints is None
+            else [joint.name for joint in joints]
+        )
         super().__init__("UR controller", names, clock)
         self.version = parse_version(version)
         self.rate = self.version.rate if rate is None else rate

@@ -145,8 +145,8 @@ class RtdeSession:
             rate = 1.0 / self._controller.period
             share = frequency / rate if math.isfinite(frequency) else 1.0
             self._recipe, self._share, self._ticks = recipe, min(max(share, 1.0 / rate), 1.0), 0
-        number = 0 if self._recipe is None else OUTPUT_RECIPE
-        return _recipe_answer(SETUP_OUTPUTS, number, types, trailing)
+        recipe_id = 0 if self._recipe is None else OUTPUT_RECIPE
+        return _recipe_answer(SETUP_OUTPUTS, recipe_id, types, trailing)
 
     def _set_up_inputs(self, payload: bytes) -> bytes:
         names, trailing = split_names(payload)
@@ -154,12 +154,12 @@ class RtdeSession:
         for name in names:
             kind = self._inputs.get(name, NOT_FOUND)
             types.append(IN_USE if kind != NOT_FOUND and self._owners.get(name, self) is not self else kind)
-        number = 0
+        recipe_id = 0
         if NOT_FOUND not in types and IN_USE not in types and len(self._input_recipes) < MAXIMUM_RECIPES:
-            number = len(self._input_recipes) + 1
-            self._input_recipes[number] = PackageRecipe(number, list(zip(names, types, strict=True)))
+            recipe_id = len(self._input_recipes) + 1
+            self._input_recipes[recipe_id] = PackageRecipe(recipe_id, list(zip(names, types, strict=True)))
             self._owners.update(dict.fromkeys(names, self))
-        return _recipe_answer(SETUP_INPUTS, number, types, trailing)
+        return _recipe_answer(SETUP_INPUTS, recipe_id, types, trailing)
 
     def _write_inputs(self, payload: bytes) -> bytes:
         recipe = self._input_recipes.get(payload[0]) if payload else None
@@ -167,13 +167,13 @@ class RtdeSession:
             return encode_text_message("a data package for an input recipe that does not exist")
         received = recipe.decode(payload)
         if received is None:
-            return encode_text_message(f"a data package of a wrong length for input recipe {recipe.number}")
+            return encode_text_message(f"a data package of a wrong length for input recipe {recipe.recipe_id}")
         self._waiting.append(received)
         return b""
 
 
-def _recipe_answer(kind: int, number: int, types: list[str], trailing_comma: bool) -> bytes:
+def _recipe_answer(kind: int, recipe_id: int, types: list[str], trailing_comma: bool) -> bytes:
     try:
-        return encode_recipe_answer(kind, number, types, trailing_comma)
+        return encode_recipe_answer(kind, recipe_id, types, trailing_comma)
     except ValueError:  # more types than a package holds
         return encode_text_message("a recipe with too many variables")

@@ -158,11 +158,11 @@ UPPER_REGISTERS = 24
 
 def _registers(direction: str, version: ControllerVersion) -> dict[str, str]:
     count = REGISTERS if version.has(9, 3) else UPPER_REGISTERS
-    names = {f"{direction}_int_register_{number}": "INT32" for number in range(count)}
-    names |= {f"{direction}_double_register_{number}": "DOUBLE" for number in range(count)}
+    names = {f"{direction}_int_register_{index}": "INT32" for index in range(count)}
+    names |= {f"{direction}_double_register_{index}": "DOUBLE" for index in range(count)}
     names |= {f"{direction}_bit_registers{bits}": "UINT32" for bits in ("0_to_31", "32_to_63")}
     if version.has(9, 3):
-        names |= {f"{direction}_bit_register_{number}": "BOOL" for number in range(64, 128)}
+        names |= {f"{direction}_bit_register_{index}": "BOOL" for index in range(64, 128)}
     return names
 
 
@@ -194,12 +194,12 @@ class PackageRecipe:
     """The layout of a data package, in either direction.
 
     Attributes:
-        number: 1-255, as the client will name it.
+        recipe_id: 1-255, as the client will name it.
         variables: names, in the order of the package.
     """
 
-    def __init__(self, number: int, types: Sequence[tuple[str, str]]) -> None:
-        self.number = number
+    def __init__(self, recipe_id: int, types: Sequence[tuple[str, str]]) -> None:
+        self.recipe_id = recipe_id
         self.variables = tuple(name for name, _ in types)
         self._fields = tuple((name, SIZES[kind]) for name, kind in types)
         body = "B" + "".join(FORMATS[kind] for _, kind in types)
@@ -214,7 +214,7 @@ class PackageRecipe:
                 flat.append(values[name])  # type: ignore[arg-type]
             else:
                 flat.extend(values[name])  # type: ignore[arg-type]
-        return self._package.pack(self._package.size, DATA_PACKAGE, self.number, *flat)
+        return self._package.pack(self._package.size, DATA_PACKAGE, self.recipe_id, *flat)
 
     def decode(self, payload: bytes) -> dict[str, Value] | None:
         """The values that a client sent; None where their length is not this recipe's."""
@@ -241,13 +241,13 @@ def split_names(text: bytes) -> tuple[tuple[str, ...], bool]:
     return tuple(names.removesuffix(",").split(",")), trailing
 
 
-def encode_recipe_answer(kind: int, number: int, types: Sequence[str], trailing_comma: bool) -> bytes:
+def encode_recipe_answer(kind: int, recipe_id: int, types: Sequence[str], trailing_comma: bool) -> bytes:
     """The controller's answer to a recipe; number 0 refuses it.
 
     The answer ends with a comma where the question did: UR's client refuses the empty type behind one.
     """
     listed = ",".join(types) + ("," if trailing_comma else "")
-    return encode_package(kind, bytes([number]) + listed.encode("ascii"))
+    return encode_package(kind, bytes([recipe_id]) + listed.encode("ascii"))
 
 
 def encode_text_message(text: str, source: str = "RTDE", level: int = WARNING_LEVEL) -> bytes:

@@ -85,7 +85,7 @@ def _drives(
 
 def _canopen_keys(robot: Robot, options: BusOptions) -> dict[str, object]:
     """The keys of the canopen402 connection; default ones where the robot file has none."""
-    nodes = {name: {"id": number} for number, name in enumerate(robot.joint_names, start=1)}
+    nodes = {name: {"id": node_id} for node_id, name in enumerate(robot.joint_names, start=1)}
     keys = _connection_keys(robot, "canopen402", options)
     return keys if keys is not None else _with_options({**DEFAULT_BUS, "nodes": nodes}, options)
 

@@ -20,7 +20,7 @@ def simulate(
     Seeds give other motions and other noise of the same arm, so that one recording can validate another.
 
     Args:
-        robot: built-in name, robot file with a `truth`, or what `load_robot` gave.
+        robot: built-in name, robot file with a `truth`, or the result of `load_robot`.
         duration: of the recording and of the motion's period [s].
         seed: of the motion and the noise.
         rate: of the recording [Hz]; the robot file's where absent.

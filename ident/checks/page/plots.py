@@ -73,8 +73,8 @@ def signals_figure(recording: Recording) -> Figure | None:
             named.add(column)
         label = f"{stream.name}/{channel.quantity}"
         unit = f" [{plain(shown_unit(channel.unit))}]" if channel.unit else ""
-        part = f" ({len(shown)} of {len(channel.columns)} columns)" if len(shown) < len(channel.columns) else ""
-        heading = f"<b>{plain(shortened(label, 34))}</b>{unit}{part}"
+        shown_count = f" ({len(shown)} of {len(channel.columns)} columns)" if len(shown) < len(channel.columns) else ""
+        heading = f"<b>{plain(shortened(label, 34))}</b>{unit}{shown_count}"
         rows.append([Panel(label, heading, traces, x=TIME, y={"zeroline": False}, height=SIGNAL_PANEL)])
     caption = (
         f"As recorded, not filtered. Each line has at most about {points} points, the least and the largest value of "

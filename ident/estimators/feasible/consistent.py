@@ -48,7 +48,7 @@ class ConsistentParameters:
         base_covariance: (b, b).
         sources: (k,) where each link's prior comes from.
         misfit: rise of the sum of squared residuals, each of unit variance, over that of the estimate.
-        boundary: numbers of the links that the conditions hold near the boundary.
+        boundary: indices of the links that the conditions hold near the boundary.
         limits_hit: what the file's ranges hold.
         steps: Newton steps.
     """
@@ -93,7 +93,7 @@ def consistent_parameters(
     if np.any(forces > 0):
         resisting = [n for n, force in zip(problem.names, forces, strict=True) if force > RESISTING * forces.max()]
         raise RobotFileError(
-            f"no body meets these at once: {', '.join(dict.fromkeys(resisting))}",
+            f"no body satisfies these at once: {', '.join(dict.fromkeys(resisting))}",
             where=robot_file.robot.name,
             hint="widen a range of 'known' or 'prior'",
         )

@@ -81,7 +81,7 @@ def link_priors(model: DynamicModel, robot_file: RobotFile, system: FloatArray, 
 def _described(link: FloatArray, known: PriorLink, where: str) -> tuple[FloatArray, str]:
     """A link (10,) with the mass, centre and inertia that are known of it, and the words for where it comes from."""
     if known.mass is None:
-        raise ValueError("of this link nothing is known")
+        raise ValueError("nothing is known of this link")
     scaled = link * (known.mass / link[9])
     if known.com is None:
         return scaled, "robot file (mass)"

@@ -21,7 +21,7 @@ class Capsule:
     """All points within `radius` of a segment that is fixed to a link.
 
     Attributes:
-        link: number of the link's joint; `BASE_INDEX` for the base.
+        link: index of the link's joint; `BASE_INDEX` for the base.
         start, end: (3,) [m] in the link's frame; equal for a sphere.
         radius: [m].
     """

@@ -133,8 +133,8 @@ class SelfCollision:
         """(m, N) [m] distance of each checked pair along a path, negative where its links overlap."""
         distance = np.empty((len(self.pairs.checked), path.time.size))
         for start in range(0, path.time.size, SAMPLES_AT_ONCE):
-            part = slice(start, start + SAMPLES_AT_ONCE)
-            distance[:, part] = self._distances.smallest(place_arm(self._model, path.position[:, part]))
+            chunk = slice(start, start + SAMPLES_AT_ONCE)
+            distance[:, chunk] = self._distances.smallest(place_arm(self._model, path.position[:, chunk]))
         return distance
 
     def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:

@@ -122,11 +122,11 @@ class WorkspaceLimits:
         distance = np.empty((len(self._limits), path.time.size))
         link = np.empty((len(self._limits), path.time.size), dtype=np.intp)
         for start in range(0, path.time.size, SAMPLES_AT_ONCE):
-            part = slice(start, start + SAMPLES_AT_ONCE)
-            placements = place_arm(self._model, path.position[:, part])
+            chunk = slice(start, start + SAMPLES_AT_ONCE)
+            placements = place_arm(self._model, path.position[:, chunk])
             for row, limit in enumerate(self._limits):
                 value = limit.distances(placements).value
-                distance[row, part], link[row, part] = value.min(axis=0), limit.links[value.argmin(axis=0)]
+                distance[row, chunk], link[row, chunk] = value.min(axis=0), limit.links[value.argmin(axis=0)]
         return tuple(
             Clearance(
                 limit.obstacle.name if limit.obstacle else limit.name,
@@ -165,7 +165,7 @@ def _moving_points(model: DynamicModel, geometry: ArmGeometry, workspace: Worksp
 
 
 def _moving_capsules(model: DynamicModel, geometry: ArmGeometry) -> IndexArray:
-    """Numbers of the capsules of which some joint moves an end."""
+    """Indices of the capsules of which some joint moves an end."""
     reach = np.maximum(_reach(model, geometry.links, geometry.starts), _reach(model, geometry.links, geometry.ends))
     return np.flatnonzero(reach > _STILL)
 

@@ -171,7 +171,7 @@ class FourierFamily(_Family):
         limits: of all n joints.
         period: [s].
         harmonics: order H of the series.
-        moving: numbers of the joints that move, rising.
+        moving: indices of the joints that move, ascending.
         rest: (n,) where the others stay [rad or m].
         periods: how many are played at full speed.
         ramp: from rest to full speed [s]; it changes the pace alone, so that the path is that of the series.
@@ -244,7 +244,7 @@ class FourierQuinticFamily(_Family):
         limits: of all n joints.
         period: [s].
         harmonics: order H of the series.
-        moving: numbers of the joints that move, rising.
+        moving: indices of the joints that move, ascending.
         rest: (n,) where the others stay [rad or m].
         periods: how many follow each other.
 

@@ -26,7 +26,7 @@ class MovingJoints:
 
     Attributes:
         limits: of all n joints; they may be infinite.
-        moving: numbers of those that move, rising.
+        moving: indices of those that move, ascending.
         rest: (n,) where the others stay [rad or m].
 
     Raises:
@@ -55,7 +55,7 @@ class MovingJoints:
 
     @cached_property
     def rows(self) -> list[int]:
-        """Numbers of those that move, as an index."""
+        """Indices of those that move, as a list that NumPy takes as an index."""
         return list(self.moving)
 
     @cached_property

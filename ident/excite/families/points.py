@@ -54,7 +54,7 @@ class PointsFamily:
         limits: of all n joints.
         duration: of all moves and rests [s].
         points: their number P.
-        moving: numbers of the joints that move, rising.
+        moving: indices of the joints that move, ascending.
         rest: (n,) where the others stay [rad or m].
         dwell: rest in every point but the first [s].
 

@@ -41,7 +41,7 @@ class SinesFamily:
         limits: of all n joints.
         duration: at full speed [s].
         sines: of each joint.
-        moving: numbers of the joints that move, rising.
+        moving: indices of the joints that move, ascending.
         rest: (n,) where the others stay [rad or m].
         ramp: from rest to full speed [s].
         band: lowest and highest angular frequency [rad/s]; half a wave to `sines` waves in `duration` where None.

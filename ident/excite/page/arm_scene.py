@@ -174,8 +174,8 @@ def _solid(shape: HalfSpace | Box, low: FloatArray, high: FloatArray) -> tuple[F
     """Corners (V, 3) [m] and triangles (T, 3) of a box, or of the part of a plane beside what is shown."""
     if isinstance(shape, Box):
         corners = np.array([shape.lower, shape.upper])
-        numbers = np.array(list(product((0, 1), repeat=3)))
-        return corners[numbers, np.arange(3)], _BOX_TRIANGLES
+        corner_indices = np.array(list(product((0, 1), repeat=3)))
+        return corners[corner_indices, np.arange(3)], _BOX_TRIANGLES
     normal = np.array(shape.normal) / np.linalg.norm(shape.normal)
     middle = 0.5 * (low + high)
     centre = middle - (normal @ middle - shape.offset) * normal
@@ -193,7 +193,7 @@ def _corners_of(vertices: FloatArray) -> dict[str, list[float]]:
 
 
 def _corner_numbers(triangles: IndexArray) -> dict[str, list[int]]:
-    return {name: numbers.tolist() for name, numbers in zip("ijk", triangles.T, strict=True)}
+    return {name: indices.tolist() for name, indices in zip("ijk", triangles.T, strict=True)}
 
 
 def _arm_line(joints: tuple[Joint, ...], origins: FloatArray, tool: FloatArray) -> dict[str, list[float | None]]:

@@ -173,7 +173,9 @@ def clearance_figure(robot_file: RobotFile, shown: Shown) -> Figure | None:
     lines: list[tuple[str, FloatArray, float]] = []
     for constraint in constraints_of(robot_file, model, None, self_collision=True):
         if isinstance(constraint, WorkspaceLimits):
-            lines += [(found.name, found.distance, found.kept) for found in constraint.clearances(shown.path)]
+            lines += [
+                (clearance.name, clearance.distance, clearance.kept) for clearance in constraint.clearances(shown.path)
+            ]
         elif isinstance(constraint, SelfCollision):
             lines.append(("links from each other", constraint.distances(shown.path).min(axis=0), 0.0))
     if not lines:

@@ -93,11 +93,11 @@ class SearchProcesses:
     def next_start(self) -> int | None:
         """The next start that nobody has taken; None where all are."""
         if self._counter is None:
-            number = self._next
+            start = self._next
             self._next += 1
         else:
-            number = _taken(self._counter)
-        return number if self._starts is None or number < self._starts else None
+            start = _taken(self._counter)
+        return start if self._starts is None or start < self._starts else None
 
     @property
     def running(self) -> int:
@@ -140,9 +140,9 @@ def _no_interrupt() -> Iterator[None]:
 
 def _taken(counter: Any) -> int:
     with counter.get_lock():
-        number = int(counter.value)
+        start = int(counter.value)
         counter.value += 1
-    return number
+    return start
 
 
 def _work(
@@ -167,12 +167,12 @@ def _work(
     try:
         problem = make()
         while True:
-            number = _taken(counter)
-            if starts is not None and number >= starts:
+            start = _taken(counter)
+            if starts is not None and start >= starts:
                 return
             try:
-                begin = random_start(problem, [seed, number], tick=tick)
-                run_start(problem, number, begin, [seed, number], solver, results.put, tick)
+                begin = random_start(problem, [seed, start], tick=tick)
+                run_start(problem, start, begin, [seed, start], solver, results.put, tick)
             except NoFeasiblePoseError:
                 continue
     except TimeIsUpError:

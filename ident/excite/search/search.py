@@ -141,28 +141,28 @@ class _Run:
         Raises:
             TimeIsUpError: at the deadline.
         """
-        number: int | None = 0
-        while number is not None:
-            self._start(number, first)
-            number = self._others.next_start()
+        start: int | None = 0
+        while start is not None:
+            self._start(start, first)
+            start = self._others.next_start()
         while self._others.running:
             self._check_time()
             self._look(_POLL)
         self._look(0.0)
 
-    def _start(self, number: int, first: FloatArray | None) -> None:
+    def _start(self, start: int, first: FloatArray | None) -> None:
         # A feasible motion is wanted however short the time is: start 0 begins to look at it with its first candidate.
-        begin_tick = self.tick if number else no_tick
-        seed = [self._choices.seed, number]
-        begin = first if first is not None and number == 0 else random_start(self._problem, seed, tick=begin_tick)
+        begin_tick = self.tick if start else no_tick
+        seed = [self._choices.seed, start]
+        begin = first if first is not None and start == 0 else random_start(self._problem, seed, tick=begin_tick)
         try:
-            run_start(self._problem, number, begin, seed, self._choices.solver, self._take, self._tick_of(number))
+            run_start(self._problem, start, begin, seed, self._choices.solver, self._take, self._tick_of(start))
         except NoFeasiblePoseError:
-            if number == 0:
+            if start == 0:
                 raise
 
-    def _tick_of(self, number: int) -> Callable[[], None]:
-        return self.tick if number else lambda: None if self._best is None else self.tick()
+    def _tick_of(self, start: int) -> Callable[[], None]:
+        return self.tick if start else lambda: None if self._best is None else self.tick()
 
     def tick(self) -> None:
         """Look at the time and, now and then, at the other processes.
@@ -184,7 +184,7 @@ class _Run:
         for report in self._others.reports(timeout):
             self._add(report)
         if self._others.died and self._choices.starts is not None:
-            raise IdentificationError("a search process died", hint="is there enough memory? --time does without it")
+            raise IdentificationError("a search process died", hint="is there enough memory? --time works without it")
         self._progress(self.result())
         self._next_look = self._clock.now() + _POLL
 

@@ -29,7 +29,7 @@ class Candidate:
     """A motion that keeps every limit, as a start met it.
 
     Attributes:
-        start: number of the start.
+        start: index of the start.
         cost: the criterion, exactly (a logarithm).
         condition: column-normalised condition number of the base regressor.
         worst: expected worst error bar; None where no parameters are known beforehand.
@@ -48,7 +48,7 @@ class Finished:
     """A start went through all its rounds.
 
     Attributes:
-        start: its number.
+        start: its index.
     """
 
     start: int
@@ -63,7 +63,7 @@ def no_tick() -> None:
 
 def run_start(
     problem: Problem,
-    number: int,
+    start: int,
     begin: FloatArray,
     seed: Sequence[int],
     solver: Solver,
@@ -74,7 +74,7 @@ def run_start(
 
     Args:
         problem: to solve.
-        number: of the start.
+        start: its index.
         begin: (size,) where it begins.
         seed: of the poses that are tried where `begin` does not keep the limits.
         solver: of the local problems.
@@ -97,7 +97,7 @@ def run_start(
             best, best_variables, reported = cost, variables, True
             condition = float(np.exp(problem.conditioning.cost(path)))
             worst = None if problem.error_bars is None else problem.error_bars.worst(path)
-            report(Candidate(number, cost, condition, worst, variables))
+            report(Candidate(start, cost, condition, worst, variables))
 
     def offer(variables: FloatArray) -> bool:
         if accepted(problem, variables) is None:
@@ -129,7 +129,7 @@ def run_start(
         offer_shrunk(variables)
     for narrower in _narrowed(problem, variables, solver, watch):
         offer_shrunk(narrower)
-    report(Finished(number))
+    report(Finished(start))
 
 
 def random_start(

@@ -122,7 +122,7 @@ class ClosedLoops(Transmission):
         loops = [
             (chain.spherical, chain.before[0].tolist(), chain.before[1].tolist())
             + tuple(
-                (link.joint, link.sign, link.prismatic, link.axis.tolist(), [part.tolist() for part in link.after])
+                (link.joint, link.sign, link.prismatic, link.axis.tolist(), [array.tolist() for array in link.after])
                 for link in chain.links
             )
             for chain in equations.chains

@@ -31,7 +31,7 @@ class Link:
     """One joint of a chain.
 
     Attributes:
-        joint: its number in the tree.
+        joint: its index in the tree.
         sign: 1, or -1 where it counts backwards.
         axis: (3,) in its frame.
         prismatic: as in the tree.
@@ -171,7 +171,7 @@ def closing_chain(
     Args:
         name: what messages call the loop.
         joints: the tree.
-        ends: number of the joint behind which each closing frame lies, and the frame's placement in that joint's.
+        ends: index of the joint behind which each closing frame lies, and the frame's placement in that joint's.
         spherical: whether the opened joint is spherical, not revolute.
     """
     (first, first_end), (second, second_end) = ends
@@ -183,8 +183,8 @@ def closing_chain(
     links: list[Link] = []
     before = _inverse(first_end)
     between = before
-    for sign, numbers in ((-1.0, back), (1.0, out)):
-        for index in numbers:
+    for sign, path in ((-1.0, back), (1.0, out)):
+        for index in path:
             joint = joints[index]
             own = (joint.rotation, joint.translation)
             if sign > 0:

@@ -60,7 +60,7 @@ class LoopEquations:
     """Φ and its derivatives.
 
     Attributes:
-        active, passive: (a,), (p,) numbers of the tree's joints with and without a motor.
+        active, passive: (a,), (p,) indices of the tree's joints with and without a motor.
         chains: the general loops.
         linear: (l, n) E and `right` (l,) e of the linear equations E·q = e.
         rows: (p, r) W, combinations of the r equations that are independent.

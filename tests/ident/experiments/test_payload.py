@@ -138,7 +138,7 @@ def test_friction_that_changed_is_said():
     motion = random_fourier_motion(build_model(warmer), 20.0, seed=0, candidates=3)
     free, _ = runs(0)
     each = identify_payload(free, replace(simulate_recording(warmer, motion, 20.0, seed=5, rate=RATE)))
-    assert each.pair.base.names[each.rest.number] == "Fs2"
+    assert each.pair.base.names[each.rest.index] == "Fs2"
     assert not each.rest.test.passed
     assert any("friction or motor inertia changed" in warning for warning in each.warnings)
 

@@ -103,5 +103,5 @@ joints:
   - {name: turn, position: [-3, 3], velocity: 2}
   - {name: lift, position: [0, 0.5], velocity: 1}
 """
-    with pytest.raises(RobotFileError, match="'turn' stands before 'lift'"):
+    with pytest.raises(RobotFileError, match="'turn' is listed before its parent 'lift'"):
         build_model(parse_robot(text, where="two.yaml", folder=None, urdf_text=URDF))
