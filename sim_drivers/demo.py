@@ -35,7 +35,7 @@ PERIOD = 15.0
 """Period of the identification motion [s]."""
 
 VALIDATION_PERIOD = 10.0
-"""Of the other motion, which is designed alike from another seed: what `dynid excite --seed 2` makes for a user."""
+"""Seed of the other motion, designed in the same way: `dynid excite --seed 2` for a user."""
 
 RAMP = 2.0
 """From rest into the periodic motion and back [s]."""
@@ -100,7 +100,7 @@ def run_demo(
         seed: of the motions and of the noise.
         overwrite: files of an earlier demonstration.
         progress: called before each step.
-        arm: serves a robot with noise of a seed, at first at a position (n,), and gives what records it.
+        arm: serves a robot with noise of a seed, at first at a position (n,), and returns its recorder.
 
     Raises:
         RobotFileError: the robot file has no truth.

@@ -1,6 +1,6 @@
-"""Faults on request: what simulated controllers, drives, buses and sensors can be asked to do wrong.
+"""Faults on request, of simulated controllers, drives, buses and sensors.
 
-`FAULTS` is the table of all of them: the word that is typed, its arguments, and the servers that obey it.
+`FAULTS` is the table of all of them: the typed word, its arguments, and the servers that obey it.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from drivers.errors import UsageError
 
 @dataclass(frozen=True)
 class Drop:
-    """Lose the next `count` data packages of every RTDE client, or sample frames of a bus; time goes on."""
+    """Lose the next `count` data packages of every RTDE client, or sample frames of a bus; time continues."""
 
     count: int
 
 
 @dataclass(frozen=True)
 class Freeze:
-    """Send nothing for `duration` [s] and keep the connections; what would have been sent is lost."""
+    """Send nothing for `duration` [s] and keep the connections; the data of that time are lost."""
 
     duration: float
 
@@ -48,7 +48,7 @@ class Heat:
 
 @dataclass(frozen=True)
 class BlockJoint:
-    """Jam the joint of index `joint` for good: it stops at once and moves no more."""
+    """Jam the joint of index `joint` for good: it stops at once and does not move."""
 
     joint: int
 
@@ -70,7 +70,7 @@ class PowerCycle:
 
 @dataclass(frozen=True)
 class HeartbeatStop:
-    """The drive of joint index `joint` sends no heartbeat any more; all else goes on."""
+    """The drive of joint index `joint` sends no heartbeat any more; all else continues."""
 
     joint: int
 
@@ -112,7 +112,7 @@ class Unplug:
 
 @dataclass(frozen=True)
 class Mute:
-    """Frames of one identifier are not sent for `duration` [s]; all else goes on."""
+    """Frames of one identifier are not sent for `duration` [s]; all else continues."""
 
     identifier: int
     duration: float
@@ -258,13 +258,13 @@ FAULTS = (
 
 
 def usage(server: ServerKind) -> str:
-    """The faults that a server obeys, as they are typed."""
+    """The faults that a server obeys, as typed."""
     first_word = "thermometer " if server == "thermometer" else ""  # beside an arm, it tells whose fault is meant
     return first_word + " | ".join(entry.usage for entry in FAULTS if server in entry.servers)
 
 
 def parse_fault(line: str, server: ServerKind, joints: Sequence[str]) -> Fault:
-    """Read a fault as it is typed; a joint goes by its name or its number from 1, an identifier as 0x182.
+    """Read a typed fault; a joint is given by name or number from 1, an identifier as 0x182.
 
     Raises:
         UsageError: not a fault of this server, or an argument out of its bounds.

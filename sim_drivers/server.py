@@ -23,7 +23,7 @@ class Server(ABC):
 
     Args:
         clock: the host's.
-        beside: servers that start and stop with this one; what ends one of them ends this one.
+        beside: servers that start and stop with this one; the end of one ends this one.
     """
 
     def __init__(self, clock: Clock, beside: Sequence[Server] = ()) -> None:
@@ -48,7 +48,7 @@ class Server(ABC):
         self.stop()
 
     def start(self) -> None:
-        """Open what it needs and start its threads.
+        """Open its resources and start its threads.
 
         Raises:
             ConnectionFailedError: a port, bus or address is not available.
@@ -94,10 +94,10 @@ class Server(ABC):
 
     @abstractmethod
     def _work(self) -> Mapping[str, Callable[[], None]]:
-        """What its threads do until `_stopping` is set, by their names."""
+        """Functions of its threads until `_stopping` is set, by thread name."""
 
     def _open(self) -> None:  # noqa: B027
-        """Open what the threads need."""
+        """Open the threads' resources."""
 
     def _close(self) -> None:  # noqa: B027
         """Close it: after the last thread, or where none was started; safe to call twice."""
@@ -131,7 +131,7 @@ class FaultyServer(Server):
         self._faults.put(fault)
 
     def obey(self, line: str) -> None:
-        """Request a fault as it is typed.
+        """Request a typed fault.
 
         Raises:
             UsageError: not a fault of this server.

@@ -1,4 +1,4 @@
-"""A simulated arm as a process of its own, and recordings of it with the command that a user has."""
+"""A simulated arm in a separate process, and recordings of it with the user's command."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HOSTS = tuple(f"127.0.0.{host}" for host in (1, 2, 3, 4, 5))
 """Loopback addresses that are tried in turn: the ports are fixed, another simulated arm may have them."""
 
 START_LIMIT = 60.0
-"""How long [s] the simulator may take until it listens."""
+"""Time limit [s] for the simulator to listen."""
 
 STOP_LIMIT = 10.0
 
@@ -41,7 +41,7 @@ Record = Callable[[Path, Path], Recorded]
 
 @contextmanager
 def over_rtde(robot: str, seed: int, position: FloatArray | None = None) -> Iterator[Record]:
-    """Serve a simulated arm over RTDE while the block runs; gives what moves and records it from another process.
+    """Serve a simulated arm over RTDE within the context; returns its recorder in another process.
 
     Args:
         robot: built-in robot or robot file.
@@ -113,7 +113,7 @@ def _ready(process: subprocess.Popen[str]) -> bool:
 
 
 def record_over_wire(robot: str, host: str, trajectory: Path, out: Path) -> dict[str, Any]:
-    """`dynid record ROBOT --host HOST --trajectory FILE -o OUT --yes`, in a process of its own; gives its JSON object.
+    """`dynid record ROBOT --host HOST --trajectory FILE -o OUT --yes`, in a separate process; returns its JSON object.
 
     Raises:
         WorkError: the recording did not run to its end.
@@ -132,7 +132,7 @@ def record_over_wire(robot: str, host: str, trajectory: Path, out: Path) -> dict
 
 
 def _priority() -> list[str]:
-    """Real-time priority where it can be had: here robot and recorder share one computer with whatever else runs."""
+    """Real-time priority where available: here robot and recorder share one computer with other processes."""
     return ["--realtime"] if may_have_realtime() else []
 
 

@@ -1,6 +1,6 @@
-"""Six CiA 402 drives at 400 Hz: who sees every frame? `python studies/can_lossless.py 300` takes five minutes.
+"""Six CiA 402 drives at 400 Hz: which reader gets every frame? `python studies/can_lossless.py 300` takes five minutes.
 
-Serves a simulated UR5e's drives over udp_multicast in a process of its own. `dynid record` sends SYNC and records; two
+Serves a simulated UR5e's drives over udp_multicast in a separate process. `dynid record` sends SYNC and records; two
 more processes listen to the same bus in the usual ways: canopen's callbacks that read every variable with `.raw`, and
 python-can's Notifier with one struct.unpack a frame. Prints the TPDOs that each of them saw between the same two
 moments, how regular the SYNCs were, and each process's share of a core.
@@ -31,7 +31,7 @@ NODES = range(1, 7)
 TPDOS_A_CYCLE = 2 * len(NODES)
 INTERFACE, CHANNEL = "udp_multicast", f"239.76.{os.getpid() // 250 % 250 + 1}.{os.getpid() % 250 + 1}"
 PORT = 20000 + os.getpid() % 30000
-"""Of this run alone: python-can's own listeners hear every group of a port."""
+"""Of this run only: python-can's own listeners receive every group of a port."""
 MARGIN = 2.0
 """Seconds at both ends of the recording that are not counted."""
 LISTEN = """
@@ -100,7 +100,7 @@ def own_bus(folder: Path) -> Path:
 
 
 def cpu_seconds(process: int) -> float:
-    """What a process has used of the processors so far [s] (Linux)."""
+    """Processor time of a process [s] (Linux)."""
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -184,8 +184,8 @@ def measure(seconds: float, folder: Path) -> dict[str, object]:
             "TPDOs that the SYNCs seen ask for": sent * TPDOS_A_CYCLE,
             "dynid record": {"rows": len(ticks), "missing": sent - len(ticks), "exit_status": record.returncode},
         }
-        for name, found in heard.items():
-            frames = between(found["frames"], start, end)
+        for name, stamps in heard.items():
+            frames = between(stamps["frames"], start, end)
             result[name] = {"TPDOs": frames, "missing": sent * TPDOS_A_CYCLE - frames}
         gaps = 1e3 * np.diff(heard["Notifier + struct"]["syncs"])
         result["SYNC interval at a listener [ms]"] = {

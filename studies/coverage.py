@@ -39,10 +39,10 @@ def coverage(robot: str, seeds: int, method: Method = "wls") -> tuple[float, flo
     for seed in range(seeds):
         motion = random_fourier_motion(model, DURATION, seed=seed, candidates=10)
         recording = simulate_recording(robot_file, motion, DURATION + HELD_OUT, seed=seed)
-        found = identify([recording], [], IdentifyChoices(method, split=DURATION))
-        error = np.abs(found.solution.parameters - truth)
-        corrected.append(error <= INTERVAL * found.std)
-        classical.append(error <= INTERVAL * found.solution.std)
+        result = identify([recording], [], IdentifyChoices(method, split=DURATION))
+        error = np.abs(result.solution.parameters - truth)
+        corrected.append(error <= INTERVAL * result.std)
+        classical.append(error <= INTERVAL * result.solution.std)
     return float(np.mean(corrected)), float(np.mean(classical)), float(np.mean(corrected, axis=0).min())
 
 

@@ -1,4 +1,4 @@
-"""The delay that is found, and what it is worth.
+"""The estimated delay, and its benefit.
 
 In simulation: a UR5e under its own controller, with dry friction as in its robot file and three times that, slow and
 fast, its torque recorded 0, 2 and 7 ms late, and one sample (2 ms) early. The controller holds a torque for 2 ms, and
@@ -57,12 +57,12 @@ PUBLIC = (
 def arm(delay: float, friction: float) -> RobotFile:
     """The arm with a late torque [s] and so much of its dry friction."""
     text = load_robot(ROBOT).text.replace("  noise:\n", f"  noise:\n    torque_delay: {max(delay, 0.0)}\n")
-    text = re.sub(r"coulomb: ([\d.]+), offset", lambda found: f"coulomb: {friction * float(found[1])}, offset", text)
+    text = re.sub(r"coulomb: ([\d.]+), offset", lambda match: f"coulomb: {friction * float(match[1])}, offset", text)
     return parse_robot(text, where=ROBOT, folder=None)
 
 
 def controlled(robot_file: RobotFile, period: float, seed: int, early: bool) -> Recording:
-    """What the sensors say over one period of a motion; `early` pairs a position with the next sample's torque."""
+    """Sensor values over one period of a motion; `early` pairs a position with the next sample's torque."""
     motion = random_fourier_motion(build_model(robot_file), period, seed)
     position, velocity, acceleration = motion.evaluate(np.arange(round(period * RATE)) / RATE)
     plant = Plant(robot_file, seed=seed, position=position[:, 0])
@@ -83,12 +83,12 @@ def controlled(robot_file: RobotFile, period: float, seed: int, early: bool) -> 
     return Recording(robot_file.text, {JOINTS_STREAM: Stream(JOINTS_STREAM, stamps, stamps, channels)})
 
 
-def true_error(found: Identification, seed: int) -> float:
+def true_error(search: Identification, seed: int) -> float:
     """Of predicted against true torque on another motion [%]."""
-    model = build_model(found.robot_file)
+    model = build_model(search.robot_file)
     motion = random_fourier_motion(model, PERIOD, OTHER + seed).evaluate(np.linspace(0.0, PERIOD, 2000))
-    true = model_torque(model, None, truth_vector(found.robot_file), *motion)
-    predicted = model_torque(model, found.base.columns, found.solution.parameters, *motion)
+    true = model_torque(model, None, truth_vector(search.robot_file), *motion)
+    predicted = model_torque(model, search.base.columns, search.solution.parameters, *motion)
     return float(100.0 * np.linalg.norm(predicted - true) / np.linalg.norm(true))
 
 
@@ -100,17 +100,17 @@ def simulated(seeds: int) -> None:
             robot_file = arm(delay, friction)
             for seed in range(seeds):
                 recording = controlled(robot_file, slower * PERIOD, seed, delay == EARLY)
-                found = identify([recording], [], IdentifyChoices())
+                search = identify([recording], [], IdentifyChoices())
                 without = identify([recording], [], IdentifyChoices(search_delay=False))
-                assert found.delay is not None
-                best = f"{1e3 * found.delay.best:.2f} ± {1e3 * found.delay.interval:.2f}"
-                used = ", ".join(f"{1e3 * value:.2f}" for value in sorted({j.used for j in found.delay.joints}))
-                errors = f"{true_error(without, seed):.2f}, {true_error(found, seed):.2f}"
+                assert search.delay is not None
+                best = f"{1e3 * search.delay.best:.2f} ± {1e3 * search.delay.interval:.2f}"
+                used = ", ".join(f"{1e3 * value:.2f}" for value in sorted({j.used for j in search.delay.joints}))
+                errors = f"{true_error(without, seed):.2f}, {true_error(search, seed):.2f}"
                 print(f"{name:20} {1e3 * delay:9.1f} {best:>15} {used:>9} {errors:>24}", flush=True)
 
 
 def public(folder: Path) -> None:
-    """Print what is found on each public recording, and the held-out error without and with it."""
+    """Print the estimate for each public recording, and the held-out error without and with it."""
     for name, file, urdf, joints, stop in PUBLIC:
         if name == "TX40":
             text = (Path(__file__).parents[1] / "examples" / "tx40.yaml").read_text(encoding="utf-8")
@@ -121,15 +121,17 @@ def public(folder: Path) -> None:
         recording = import_file(folder / file, robot_file, ImportChoices())
         choices = IdentifyChoices(model=ModelChoices(motor_inertia=False if name == "Panda" else None))
         choices = replace(choices, preprocess=replace(choices.preprocess, stop=stop))
-        found = identify([recording], [], choices)
+        search = identify([recording], [], choices)
         without = identify([recording], [], replace(choices, search_delay=False))
-        assert found.delay is not None
-        always = replace(choices, search_delay=False, preprocess=replace(choices.preprocess, delay=found.delay.best))
-        errors = [100.0 * one.validation.relative_error for one in (without, identify([recording], [], always), found)]
+        assert search.delay is not None
+        always = replace(choices, search_delay=False, preprocess=replace(choices.preprocess, delay=search.delay.best))
+        errors = [100.0 * one.validation.relative_error for one in (without, identify([recording], [], always), search)]
         print(
-            f"{name}: {found.delay.note}\n    held-out error {errors[0]:.3f} % without, {errors[1]:.3f} % with the "
+            f"{name}: {search.delay.note}\n    held-out error {errors[0]:.3f} % without, {errors[1]:.3f} % with the "
             f"best delay for all joints, {errors[2]:.3f} % as used\n    of each joint alone (used): "
-            + ", ".join(f"{1e3 * j.best:.2f} ± {1e3 * j.interval:.2f} ({1e3 * j.used:.2f})" for j in found.delay.joints)
+            + ", ".join(
+                f"{1e3 * j.best:.2f} ± {1e3 * j.interval:.2f} ({1e3 * j.used:.2f})" for j in search.delay.joints
+            )
         )
 
 

@@ -2,7 +2,7 @@
 
 The simulated SR400 (closed loop, coupled wrist, Table 4 as truth) goes from point to point by fifth-order moves, 1 kHz,
 encoder steps, current noise and ripple, unloaded and with Table 3's load. The drives' gains are those of the robot file
-here, so that the methods' own errors show; what uncertain gains do is in `sr400_table4.py`. Run it as
+here, so that the methods' own errors show; the effect of uncertain gains is in `sr400_table4.py`. Run it as
 python studies/energy_vs_dynamic.py [seeds [which tables, as 13]]. With 3 seeds about a quarter of an hour. Tables:
 
 1. Links 5 and 6 from the wrist's motion, the other joints locked, as the paper validates them (.4.4): each model's
@@ -87,13 +87,13 @@ def samples_of(motion: Motion) -> tuple[FloatArray, FloatArray, FloatArray]:
     return motion.evaluate(np.arange(0.0, motion.duration, 0.02))
 
 
-def torque_error(robot_file: RobotFile, found: Identification | None, motion: Motion) -> float:
+def torque_error(robot_file: RobotFile, fit: Identification | None, motion: Motion) -> float:
     """‖Y·(π̂ − π)‖/‖Y·π‖ [%] of the joints that move; inf without a model."""
-    if found is None:
+    if fit is None:
         return float("inf")
     samples = samples_of(motion)
-    expected = model_torque(found.model, None, truth_vector(robot_file), *samples)
-    predicted = model_torque(found.model, found.base.columns, found.solution.parameters, *samples)
+    expected = model_torque(fit.model, None, truth_vector(robot_file), *samples)
+    predicted = model_torque(fit.model, fit.base.columns, fit.solution.parameters, *samples)
     moving = np.any(samples[1] != 0, axis=1)
     return 100.0 * float(np.linalg.norm((predicted - expected)[moving]) / np.linalg.norm(expected[moving]))
 
@@ -102,44 +102,44 @@ def compare_parameters(arm: RobotFile, seed: int = 0, moves: int = WRIST_MOVES) 
     """Print table 1 of one arm; its models."""
     motion = random_points_motion(arm.robot, seed, moves, WRIST)
     recording, held_out = recorded(arm, motion, seed), recorded(arm, another_motion(arm, WRIST, seed), seed + 1)
-    models = [found for method in METHODS if (found := identified(recording, held_out, method)) is not None]
+    models = [fit for method in METHODS if (fit := identified(recording, held_out, method)) is not None]
     truth = models[0].base.projection @ truth_vector(arm)
-    print(f"{'':8}{'truth':>9}" + "".join(f"{found.solution.method:>20}" for found in models))
+    print(f"{'':8}{'truth':>9}" + "".join(f"{fit.solution.method:>20}" for fit in models))
     for i, name in enumerate(models[0].base.names):
-        figures = (f"{found.solution.parameters[i]:11.4f} ± {INTERVAL * found.std[i]:.4f}" for found in models)
+        figures = (f"{fit.solution.parameters[i]:11.4f} ± {INTERVAL * fit.std[i]:.4f}" for fit in models)
         print(f"{name:8}{truth[i]:9.4f}" + "".join(f"{text:>20}" for text in figures))
     return models
 
 
-def compare_motions(arm: RobotFile, seeds: int, numbers: Sequence[int] = MOVES, fourier: bool = True) -> FloatArray:
+def compare_motions(arm: RobotFile, seeds: int, rows: Sequence[int] = MOVES, fourier: bool = True) -> FloatArray:
     """Print table 2 of one arm; its errors of the torque [%] (motions, methods)."""
     print(f"{'motion':>15}" + "".join(f"{method:>9}{'cond':>8}{'ess.':>5}{'held':>6}" for method in METHODS))
     truth = None
     table = []
-    for number in (*numbers, *([0] if fourier else [])):
+    for row in (*rows, *([0] if fourier else [])):
         figures = np.empty((seeds, len(METHODS), 4))
         duration = 0.0
         for seed in range(seeds):
             motion: Motion
-            if number:
-                motion = random_points_motion(arm.robot, seed, number)
+            if row:
+                motion = random_points_motion(arm.robot, seed, row)
             else:
                 motion = random_fourier_motion(build_model(arm), FOURIER_PERIOD, seed, candidates=10)
             other = another_motion(arm, (), seed)
             recording, held_out = recorded(arm, motion, seed), recorded(arm, other, seed + 1)
             duration += motion.duration / seeds
             for column, method in enumerate(METHODS):
-                found = identified(recording, held_out, method)
+                fit = identified(recording, held_out, method)
                 figures[seed, column] = np.inf, np.inf, 0.0, np.nan
-                if found is None:
+                if fit is None:
                     continue
-                truth = found.base.projection @ truth_vector(arm)
-                held = np.abs(found.solution.parameters - truth) < INTERVAL * found.std
-                essential = len(found.pruned.solution.active)
-                condition = found.solution.scaled_condition
-                figures[seed, column] = torque_error(arm, found, other), condition, essential, held.mean()
+                truth = fit.base.projection @ truth_vector(arm)
+                held = np.abs(fit.solution.parameters - truth) < INTERVAL * fit.std
+                essential = len(fit.pruned.solution.active)
+                condition = fit.solution.scaled_condition
+                figures[seed, column] = torque_error(arm, fit, other), condition, essential, held.mean()
         middle, held_share = np.median(figures, axis=0), np.mean(figures[:, :, 3], axis=0)
-        label = f"{number} moves" if number else "Fourier"
+        label = f"{row} moves" if row else "Fourier"
         print(f"{label:>9}{duration:5.0f}s" + "".join(
             f"{error:9.2f}{condition:8.2g}{essential:5.0f}{share:6.0%}"
             for (error, condition, essential, _), share in zip(middle, held_share, strict=True)

@@ -1,4 +1,4 @@
-"""What is a designed excitation worth? Simulated identifications with motions of equal duration; takes minutes.
+"""What does a designed excitation gain? Simulated identifications with motions of equal duration; takes minutes.
 
 The UP6 with the paper's trajectory among them (torque noise added: the paper's simulation has none), and the UR5e. The
 error of a base parameter is relative to its true value, or to 2 % of the largest of its kind. Prints, for each motion,
@@ -69,17 +69,17 @@ def errors(robot_file: RobotFile, motion: Motion, seeds: int) -> npt.NDArray[np.
     scale = np.maximum(np.abs(truth), DEVIATION_FLOOR * np.array(largest))
     held_out = RestToRest(random_fourier_motion(model, DURATION, seed=99), 1, RAMP)
     validation = simulate_recording(robot_file, held_out, held_out.duration, seed=99)
-    found = []
+    results = []
     for seed in range(seeds):
         recording = simulate_recording(robot_file, motion, motion.duration, seed=seed)
         result = identify([recording], [validation], IdentifyChoices(reversals=0.0), robot_file=robot_file)
-        found.append(np.abs(result.solution.parameters - truth) / scale)
-    return np.array(found)
+        results.append(np.abs(result.solution.parameters - truth) / scale)
+    return np.array(results)
 
 
-def print_line(robot: str, name: str, found: npt.NDArray[np.float64]) -> None:
+def print_line(robot: str, name: str, results: npt.NDArray[np.float64]) -> None:
     """Medians over the rows of errors (K, b)."""
-    rms, worst = np.sqrt((found**2).mean(axis=1)), found.max(axis=1)
+    rms, worst = np.sqrt((results**2).mean(axis=1)), results.max(axis=1)
     print(f"{robot:6} {name:24} {np.median(rms):10.2%} {np.median(worst):10.2%}", flush=True)
 
 
@@ -97,8 +97,8 @@ def main(seeds: int) -> None:
             RestToRest(random_fourier_motion(model, DURATION, seed=seed, candidates=1), 1, RAMP)
             for seed in range(RANDOM_MOTIONS)
         ]
-        found = [errors(robot_file, motion, max(1, seeds // RANDOM_MOTIONS)) for motion in random]
-        print_line(robot, f"{RANDOM_MOTIONS} random motions", np.concatenate(found))
+        results = [errors(robot_file, motion, max(1, seeds // RANDOM_MOTIONS)) for motion in random]
+        print_line(robot, f"{RANDOM_MOTIONS} random motions", np.concatenate(results))
         if robot == "up6":
             print_line(robot, "the paper's Table 1", errors(robot_file, RestToRest(PAPER, 1, RAMP), seeds))
 

@@ -1,6 +1,6 @@
 """What `dynid excite` has after a time, for every built-in arm: `python studies/excite_robots.py 60 [BUSY]`.
 
-Each arm is designed for in a process of its own, for so many seconds, by default options. Prints the process time
+Each arm is designed for in a separate process, for so many seconds, by default options. Prints the process time
 until the first feasible motion (Python's start and imports included), the criterion (d-optimal) of that motion and of
 the best after 5 s, 20 s and at the end, the expected worst error bar of the first and the last, what the design took by
 the wall clock, and the load average. BUSY processes that never rest run beside it.
@@ -52,7 +52,7 @@ def measure(name: str, seconds: float) -> None:
 
 
 def main(seconds: float, busy: int) -> None:
-    """A line for each arm, each from a process of its own."""
+    """A line for each arm, each from a separate process."""
     marks = "".join(f"{f'{mark:g} s':>10}" for mark in MARKS if mark < seconds)
     print(
         f"{'arm':9} {'CPU s':>6} {'first':>10}{marks}{f'{seconds:g} s':>10} {'±% first':>8} {'±% last':>8} "

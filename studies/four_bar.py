@@ -43,13 +43,13 @@ SAMPLES = 4096
 def closing_error(robot_file: RobotFile) -> float:
     """Largest distance [m] between the closing frames over the limits, placed by the tree's kinematics."""
     model = build_model(robot_file)
-    numbers = {name: number for number, name in enumerate(model.link_names)}
+    joint_index = {name: joint for joint, name in enumerate(model.link_names)}
     largest = 0.0
     for tree in model.tree_position(random_states(model, 1000, seed=1)[0]).T:
         frames = place_tree(model.joints, tree)
         one, other = (
-            frames[number][1] + frames[number][0] @ end[1]
-            for number, end in loop_ends(robot_file.robot.model.loops[0], numbers)
+            frames[joint][1] + frames[joint][0] @ end[1]
+            for joint, end in loop_ends(robot_file.robot.model.loops[0], joint_index)
         )
         largest = max(largest, float(np.linalg.norm(one - other)))
     return largest
@@ -78,7 +78,7 @@ def print_costs(robot_file: RobotFile) -> None:
 
 
 def played(robot_file: RobotFile, motion: Motion, seed: int) -> Recording:
-    """What the simulated arm's sensors say while its controller follows a motion that begins at rest."""
+    """The simulated arm's sensor values while its controller follows a motion that begins at rest."""
     stamps = np.arange(round(motion.duration * RATE)) / RATE
     targets = [values.T for values in motion.evaluate(stamps)]
     plant = Plant(robot_file, seed=seed, position=targets[0][0])
@@ -98,15 +98,15 @@ def played(robot_file: RobotFile, motion: Motion, seed: int) -> Recording:
 
 def compare(robot_file: RobotFile, label: str, run: Recording, validation: Recording) -> tuple[Identification, int]:
     """Identify and print how many true base parameters lie within 1.96 deviations."""
-    found = identify([run], [validation], IdentifyChoices())
+    result = identify([run], [validation], IdentifyChoices())
     truth = base_parameters(build_model(robot_file)).projection @ truth_vector(robot_file)
-    inside = int(np.count_nonzero(np.abs(found.solution.parameters - truth) <= 1.96 * found.std))
+    inside = int(np.count_nonzero(np.abs(result.solution.parameters - truth) <= 1.96 * result.std))
     print(
         f"{label:12} {inside} of {len(truth)} true values within 1.96 deviations; relative error of the torque on "
-        f"another motion {100 * found.validation.relative_error:.2f} %",
+        f"another motion {100 * result.validation.relative_error:.2f} %",
         flush=True,
     )
-    return found, inside
+    return result, inside
 
 
 def main(seconds: float = 30.0, seeds: int = 4) -> int:
@@ -125,10 +125,10 @@ def main(seconds: float = 30.0, seeds: int = 4) -> int:
         runs = (simulate_recording(robot_file, each, each.duration, seed=seed) for each in (motion, other))
         total += compare(robot_file, f"exact, {seed}", *runs)[1]
     played_runs = (played(robot_file, each, seed) for seed, each in ((1, motion), (2, other)))
-    found, _ = compare(robot_file, "played", *played_runs)
+    result, _ = compare(robot_file, "played", *played_runs)
     truth = base_parameters(build_model(robot_file)).projection @ truth_vector(robot_file)
-    print(f"\nas played:\n{'parameter':10} {'truth':>9} {'found':>9} {'deviation':>10}")
-    for name, true, value, std in zip(found.base.names, truth, found.solution.parameters, found.std, strict=True):
+    print(f"\nas played:\n{'parameter':10} {'truth':>9} {'estimate':>9} {'deviation':>10}")
+    for name, true, value, std in zip(result.base.names, truth, result.solution.parameters, result.std, strict=True):
         print(f"{name:10} {true:9.4f} {value:9.4f} {std:10.4f}")
     return total
 

@@ -1,7 +1,7 @@
 """How well are a UR10e's drive gains found, whose true values are hidden? Simulated, 2.8 kg load, many seeds.
 
-Prints for how many seeds each gain could be told, its errors, how often 95 % intervals hold the true one, the same for
-total least squares over all columns alike; for an exciting motion and for one that goes slowly up and down; then what
+Prints for how many seeds each gain has a value, its errors, how often 95 % intervals hold the true one, the same for
+total least squares over all columns; for an exciting motion and for one that goes slowly up and down; then what
 `dynid payload` makes of gains that are 10 % wrong. About a minute.
 """
 
@@ -67,22 +67,22 @@ def slow_motion(seed: int) -> FourierSeries:
     return FourierSeries.from_position_amplitudes(SLOW_DURATION, middle, sine, cosine)
 
 
-def columns_alike(found: DriveGains) -> FloatArray:
+def columns_alike(gains: DriveGains) -> FloatArray:
     """Gains (n,) by the smallest singular vector of the whole matrix, columns scaled to unit length."""
-    pair = found.pair
+    pair = gains.pair
     dof, count = pair.model.dof, pair.base.count
-    if not np.all(np.isfinite(found.values)):
+    if not np.all(np.isfinite(gains.values)):
         return np.full(dof, np.nan)
     effect = load_effect(pair.model, pair.base, pair.robot_file.robot)
-    parts = np.column_stack([found.columns.effect, effect @ found.known.values])
-    size = count + parts.shape[1]
-    columns = [*found.active, *range(count, size)]
+    effects = np.column_stack([gains.columns.effect, effect @ gains.known.values])
+    size = count + effects.shape[1]
+    columns = [*gains.active, *range(count, size)]
     blocks = []
     for joint in range(dof):
-        for number, run in enumerate(pair.runs):
+        for run_index, run in enumerate(pair.runs):
             of_run = run.reduction.joints[joint]
-            wide = widened(of_run.columns, count, parts if number == LOADED else 0.0 * parts, np.zeros(count))
-            rows = of_run.factor @ wide / found.noise[joint] / abs(found.values[joint])
+            wide = widened(of_run.columns, count, effects if run_index == LOADED else 0.0 * effects, np.zeros(count))
+            rows = of_run.factor @ wide / gains.noise[joint] / abs(gains.values[joint])
             block = np.zeros((len(rows), len(columns) + dof))
             block[:, : len(columns)] = -rows[:, columns]
             block[:, len(columns) + joint] = rows[:, -1]
@@ -91,7 +91,7 @@ def columns_alike(found: DriveGains) -> FloatArray:
     lengths = np.linalg.norm(factor, axis=0)
     vector = np.linalg.svd(factor / lengths)[2][-1] / lengths
     # The torques of the pair were made with gains near the identified ones.
-    by_first_pass = found.values / found.relative_to_pair
+    by_first_pass = gains.values / gains.relative_to_pair
     return np.asarray(by_first_pass * vector[len(columns) :] / vector[len(columns) - 1])
 
 
@@ -100,9 +100,9 @@ def main(seeds: int = 20) -> None:
     names = load_robot("ur10e").robot.joint_names
     true = np.array([load_robot("ur10e").robot.drive(name).gain for name in names]) * np.array(HIDDEN)
     print(f"the file's gains off by up to 10 %; load {LOAD.mass:g} kg; {seeds} seeds; errors in per cent")
-    found = [identify_gains(*record(HIDDEN, seed), KnownLoad(LOAD.mass)) for seed in range(seeds)]
+    gains = [identify_gains(*record(HIDDEN, seed), KnownLoad(LOAD.mass)) for seed in range(seeds)]
     print(f"\nexciting motion, two runs of {DURATION:g} s")
-    print_errors(names, true, found)
+    print_errors(names, true, gains)
     slow = [
         identify_gains(*runs(HIDDEN, slow_motion(seed), SLOW_DURATION, SLOW_RATE, seed), KnownLoad(LOAD.mass))
         for seed in range(seeds)
@@ -115,22 +115,22 @@ def main(seeds: int = 20) -> None:
         print(f"  {line}")
 
 
-def print_errors(names: tuple[str, ...], true: FloatArray, found: list[DriveGains]) -> None:
-    """A line for each joint; seeds in which its gain got no value are left out (all columns alike: any gain)."""
-    error = np.array([100.0 * (each.values / true - 1.0) for each in found])
-    held = np.array([np.abs(each.values - true) <= INTERVAL * each.std for each in found])
-    std = np.array([100.0 * each.std / np.abs(each.values) for each in found])
-    alike = np.array([100.0 * (columns_alike(each) / true - 1.0) for each in found])
+def print_errors(names: tuple[str, ...], true: FloatArray, results: list[DriveGains]) -> None:
+    """A line for each joint; seeds in which its gain got no value are left out (all columns: any gain)."""
+    error = np.array([100.0 * (each.values / true - 1.0) for each in results])
+    held = np.array([np.abs(each.values - true) <= INTERVAL * each.std for each in results])
+    std = np.array([100.0 * each.std / np.abs(each.values) for each in results])
+    alike = np.array([100.0 * (columns_alike(each) / true - 1.0) for each in results])
     print(f"{'joint':20} told   mean    RMS  worst  σ told   held   columns alike: mean, RMS")
     for i, name in enumerate(names):
-        told = np.isfinite(error[:, i])
-        if not told.any():
+        known = np.isfinite(error[:, i])
+        if not known.any():
             print(f"{name:20} {0:4}")
             continue
-        own, others = error[told, i], alike[np.isfinite(alike[:, i]), i]
+        own, others = error[known, i], alike[np.isfinite(alike[:, i]), i]
         print(
-            f"{name:20} {told.sum():4} {own.mean():6.2f} {np.sqrt(np.mean(own**2)):6.2f} {np.abs(own).max():6.2f} "
-            f"{np.median(std[told, i]):7.2f} {held[told, i].mean():6.0%}   "
+            f"{name:20} {known.sum():4} {own.mean():6.2f} {np.sqrt(np.mean(own**2)):6.2f} {np.abs(own).max():6.2f} "
+            f"{np.median(std[known, i]):7.2f} {held[known, i].mean():6.0%}   "
             + (f"{others.mean():15.2f} {np.sqrt(np.mean(others**2)):5.2f}" if len(others) else "")
         )
 

@@ -1,4 +1,4 @@
-"""What does the sudden death of the recorder cost? `python studies/kill_recorder.py 20` takes about two minutes.
+"""What does a crash of the recorder cost? `python studies/kill_recorder.py 20` takes about two minutes.
 
 Records a simulated UR5e, kills `dynid record` with SIGKILL 2 to 5 s after its file appeared, rescues the file with
 `dynid recover` and compares its last sample with the controller's clock at the moment of the kill, which a second
@@ -39,10 +39,10 @@ def watch(driver: Driver, until: float) -> float:
 
 
 def kill_one(driver: Driver, out: Path, delay: float) -> dict[str, float]:
-    """Record, kill after `delay` [s] of the file's life, rescue; lost samples and seconds, and what was rescued.
+    """Record, kill `delay` [s] after the file was created, rescue; lost samples and seconds, and the rescued recording.
 
     Raises:
-        RuntimeError: the recording ended by itself, the rescue failed, or what was rescued has gaps.
+        RuntimeError: the recording ended by itself, the rescue failed, or the rescued recording has gaps.
     """
     command = [DYNID, "record", ROBOT, "--host", HOST, "--duration", "60", "-o", str(out), "--no-ui", "--json"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -85,9 +85,9 @@ def measure(kills: int) -> dict[str, list[float]]:
         driver.start()
         moments = random.Random(1)
         with tempfile.TemporaryDirectory() as folder:
-            found = []
-            for number in range(kills):
-                found.append(kill_one(driver, Path(folder) / f"{number}.h5", moments.uniform(2.0, 5.0)))
+            figures = []
+            for kill in range(kills):
+                figures.append(kill_one(driver, Path(folder) / f"{kill}.h5", moments.uniform(2.0, 5.0)))
                 driver.close()  # nobody read it during the rescue
                 driver.open()
                 driver.start()
@@ -95,14 +95,14 @@ def measure(kills: int) -> dict[str, list[float]]:
     finally:
         sim.terminate()
         sim.wait(10.0)
-    return {name: [one[name] for one in found] for name in ("seconds", "samples", "rescued")}
+    return {name: [one[name] for one in figures] for name in ("seconds", "samples", "rescued")}
 
 
 def main(kills: int) -> None:
     """Kill and print a table."""
     print(f"{kills} kills{'':<27}{'least':>8}{'median':>8}{'most':>8}")
-    for name, found in measure(kills).items():
-        values = np.array(found)
+    for name, figures in measure(kills).items():
+        values = np.array(figures)
         print(f"{name:<34}{values.min():>8.4g}{np.median(values):>8.4g}{values.max():>8.4g}")
 
 

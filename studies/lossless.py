@@ -1,8 +1,8 @@
 """Does a recording lose samples on a busy computer? `python studies/lossless.py 600` takes ten minutes.
 
-Serves a simulated UR5e at 500 Hz and reads it three times at once, each reader a process of its own: `dynid record`,
+Serves a simulated UR5e at 500 Hz and reads it three times at once, each reader a separate process: `dynid record`,
 a loop around ur_rtde's RTDEReceiveInterface, and that interface's own file recording. Meanwhile two shell loops and a
-Python thread that never lets go of its interpreter's lock keep the processors busy. Prints, for each reader, the
+Python thread that never releases its interpreter's lock keep the processors busy. Prints, for each reader, the
 samples, those missing from the controller's clock and those read twice, all three between the same two moments of that
 clock: from when the last of them has started to when the first has ended. Prints also what each process used of the
 processors meanwhile, and the sum.
@@ -30,7 +30,7 @@ HOST = "127.0.0.61"
 ROBOT = "ur5e"
 OURS, POLLED, WRITTEN = "dynid record", "ur_rtde getTimestamp + waitPeriod", "ur_rtde startFileRecording"
 GRACE = 20.0
-"""How long [s] beyond the recording the load and the helpers may live."""
+"""Time [s] beyond the recording for which the load and the helpers may run."""
 SHELL_LOOP = "ulimit -t {seconds}; while :; do :; done"
 PYTHON_LOOP = """
 import threading, time
@@ -95,7 +95,7 @@ def count(stamps: npt.NDArray[np.float64], first: int, last: int) -> dict[str, i
 
 
 def cpu_seconds(process: int) -> float:
-    """What a process has used of the processors so far [s] (Linux)."""
+    """Processor time of a process [s] (Linux)."""
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

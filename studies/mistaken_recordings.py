@@ -1,4 +1,4 @@
-"""What dynid says of real recordings after a deliberate mistake: the table of docs/checks.md.
+"""Checks of real recordings after a deliberate mistake: the table of docs/checks.md.
 
     python studies/mistaken_recordings.py ../shared/data
 
@@ -103,10 +103,10 @@ def changed(recording: Recording, change: Callable[[FloatArray], FloatArray]) ->
     return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
 
 
-def said(found: Identification) -> str:
+def said(checks: Identification) -> str:
     """Errors, and the checks that are about mistakes."""
-    named = [f"`{one.name}` {', '.join(one.joints)}".strip() for one in found.checks if one.name in WATCHED]
-    errors = f"{100 * found.fit.relative_error:.1f} | {100 * found.validation.relative_error:.1f}"
+    named = [f"`{one.name}` {', '.join(one.joints)}".strip() for one in checks.checks if one.name in WATCHED]
+    errors = f"{100 * checks.fit.relative_error:.1f} | {100 * checks.validation.relative_error:.1f}"
     return f"{errors} | {'; '.join(named) or '–'}"
 
 

@@ -43,11 +43,11 @@ def identified(seed: int, known: KnownLoad) -> Payload:
 
 def main(seeds: int = 40) -> None:
     """Print the tables."""
-    found = [identified(seed, LOAD) for seed in range(seeds)]
-    values = np.array([each.load.values for each in found])
-    std = np.array([np.sqrt(np.diag(each.load.covariance)) for each in found])
+    results = [identified(seed, LOAD) for seed in range(seeds)]
+    values = np.array([each.load.values for each in results])
+    std = np.array([np.sqrt(np.diag(each.load.covariance)) for each in results])
     held = np.abs(values - LOAD.values) <= INTERVAL * std
-    columns = found[0].load.columns
+    columns = results[0].load.columns
     print(f"{'':6} {'true':>9} {'mean':>9} {'σ':>9} {'held':>6}   ({seeds} seeds; noise alone, gains as in the file)")
     for i, name in enumerate(columns.names):
         print(
@@ -56,11 +56,11 @@ def main(seeds: int = 40) -> None:
         )
     print(f"all    {held.mean():36.1%}")
     tests = {
-        "mass": [each.mass_test for each in found],
-        "known values": [each.values_test for each in found],
-        "some load": [each.load_test for each in found],
-        "the known load": [each.known_test for each in found],
-        "the rest unchanged": [each.rest.test if each.rest else None for each in found],
+        "mass": [each.mass_test for each in results],
+        "known values": [each.values_test for each in results],
+        "some load": [each.load_test for each in results],
+        "the known load": [each.known_test for each in results],
+        "the rest unchanged": [each.rest.test if each.rest else None for each in results],
     }
     for name, of_seeds in tests.items():
         accepted = [test.passed for test in of_seeds if test is not None]
@@ -71,9 +71,9 @@ def main(seeds: int = 40) -> None:
             ("known values", [each.values_test for each in refused]),
             ("the known load", [each.known_test for each in refused]),
         ):
-            told = [test for test in of_seeds if test is not None]
-            rejected = sum(not test.passed for test in told)
-            print(f"wrong load, {name}, test of {test_name}: rejected in {rejected} of {len(told)}")
+            tests = [test for test in of_seeds if test is not None]
+            rejected = sum(not test.passed for test in tests)
+            print(f"wrong load, {name}, test of {test_name}: rejected in {rejected} of {len(tests)}")
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ from sim_drivers.synthetic.motion import random_fourier_motion
 EARLIER_PERIOD, EARLIER_DURATION = 10.0, 30.0
 PERIOD, RAMP = 20.0, 2.0
 ASKED = 5
-"""Recordings that `dynid info` is asked about."""
+"""Recordings for `dynid info`."""
 
 
 def without_ripple(robot_file: RobotFile) -> RobotFile:
@@ -47,11 +47,11 @@ def without_ripple(robot_file: RobotFile) -> RobotFile:
 
 
 def earlier_result(robot_file: RobotFile, recording: Recording) -> Prior:
-    """What an identification of an earlier recording tells."""
+    """Result of an identification of an earlier recording."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "result.json"
-        found = identify([recording], [], IdentifyChoices(reversals=0.0), robot_file=robot_file)
-        write_result(path, summarise(found, [recording], []))
+        result = identify([recording], [], IdentifyChoices(reversals=0.0), robot_file=robot_file)
+        write_result(path, summarise(result, [recording], []))
         return find_prior(robot_file, path)
 
 
@@ -67,17 +67,17 @@ def compare(label: str, robot_file: RobotFile, count: int) -> None:
     for source, prior in priors.items():
         forecast = excitation_figures(robot_file, motion, prior).forecast
         predicted[source] = np.array([parameter.std for parameter in forecast.parameters])
-    errors, told = [], []
+    errors, forecasts = [], []
     for seed in range(count):
         recording = simulate_recording(robot_file, motion, motion.duration, seed=seed)
         # Validated on the other recording, so that all of this one identifies.
-        found = identify([recording], [earlier], IdentifyChoices(reversals=0.0), robot_file=robot_file)
-        errors.append(found.solution.parameters - truth)
+        result = identify([recording], [earlier], IdentifyChoices(reversals=0.0), robot_file=robot_file)
+        errors.append(result.solution.parameters - truth)
         if seed < ASKED:
             forecast = motion_sufficiency(recorded_motion(recording, robot_file)).forecast
-            told.append([parameter.std for parameter in forecast.parameters])
+            forecasts.append([parameter.std for parameter in forecast.parameters])
     true = np.sqrt(np.mean(np.square(errors), axis=0))
-    for source, deviations in {**predicted, "dynid info": np.median(told, axis=0)}.items():
+    for source, deviations in {**predicted, "dynid info": np.median(forecasts, axis=0)}.items():
         low, middle, high = np.quantile(true / deviations, [0.1, 0.5, 0.9])
         print(f"{robot_file.robot.name:6} {label:16} {source:15} {middle:6.2f}  ({low:.2f} to {high:.2f})", flush=True)
 

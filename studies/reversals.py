@@ -54,7 +54,7 @@ PUBLIC = {
 }
 """Recording, joints, and whether the torque is that of motors, whose inertia it shows."""
 TX40_MOVES = 7.45
-"""The TX40's recording stands still after this time [s]."""
+"""The TX40 rests after this time [s]."""
 
 
 def with_stribeck(robot_file: RobotFile) -> RobotFile:
@@ -66,7 +66,7 @@ def with_stribeck(robot_file: RobotFile) -> RobotFile:
 
 
 def controlled(robot_file: RobotFile, motion: Motion, seed: int) -> Recording:
-    """What the sensors of an arm say that a controller moves."""
+    """Sensor values of an arm that a controller moves."""
     count = round(motion.duration * RATE)
     position, velocity, acceleration = motion.evaluate(np.arange(count) / RATE)
     plant = Plant(robot_file, seed=seed, position=position[:, 0])
@@ -104,10 +104,10 @@ def line(robot_file: RobotFile, pairs: Sequence[tuple[Recording, Recording]], sh
     truth = base.projection @ truth_vector(robot_file)
     off, deviations, errors = [], [], []
     for recording, other in pairs:
-        found = identify([recording], [other], IdentifyChoices(reversals=share))
-        off.append((found.solution.parameters - truth) / found.std)
-        deviations.append(found.std)
-        errors.append(held_out_errors(found))
+        identification = identify([recording], [other], IdentifyChoices(reversals=share))
+        off.append((identification.solution.parameters - truth) / identification.std)
+        deviations.append(identification.std)
+        errors.append(held_out_errors(identification))
     ratio, mean = np.array(off), np.mean(off, axis=0)
     inside = np.abs(ratio) <= WITHIN_95_PERCENT
     rigid = [i for i in range(base.count) if base.kinds[i] not in FRICTION]
@@ -123,13 +123,13 @@ def percent(errors: Sequence[float]) -> str:
     return " ".join(f"{error:8.2%}" for error in errors)
 
 
-def held_out_errors(found: Identification) -> tuple[float, float]:
+def held_out_errors(identification: Identification) -> tuple[float, float]:
     """Relative error of the held-out torques, and of those of joints above `LOW_SPEED`."""
-    series = found.validation_series
-    measured = np.concatenate([part.measured for part in series], axis=1)
-    residual = np.concatenate([part.residual for part in series], axis=1)
-    counted = np.concatenate([part.counted for part in series], axis=1)
-    fast = counted & (np.abs(np.concatenate([part.velocity for part in series], axis=1)) >= LOW_SPEED)
+    series = identification.validation_series
+    measured = np.concatenate([segment.measured for segment in series], axis=1)
+    residual = np.concatenate([segment.residual for segment in series], axis=1)
+    counted = np.concatenate([segment.counted for segment in series], axis=1)
+    fast = counted & (np.abs(np.concatenate([segment.velocity for segment in series], axis=1)) >= LOW_SPEED)
     return tuple(float(np.linalg.norm(residual[mask]) / np.linalg.norm(measured[mask])) for mask in (counted, fast))
 
 
@@ -170,8 +170,8 @@ def main(seeds: int = 12) -> None:
     for name, (recording, preprocess) in public_recordings(folder).items():
         print(f"\n{name}\n{'left out':>9} {'held out':>8} {'fast':>8}")
         for share in SHARES:
-            found = identify([recording], [], IdentifyChoices(preprocess=preprocess, reversals=share))
-            print(f"{share:9g} {percent(held_out_errors(found))}", flush=True)
+            identification = identify([recording], [], IdentifyChoices(preprocess=preprocess, reversals=share))
+            print(f"{share:9g} {percent(held_out_errors(identification))}", flush=True)
 
 
 if __name__ == "__main__":

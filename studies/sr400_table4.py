@@ -63,8 +63,8 @@ class Table:
         free, loaded: identifications of the arm without and with the load.
         truth, loaded_truth: true base parameters.
         predicted: Z_L.
-        std, loaded_std: standard deviations with the gains' part.
-        apart: X̂_L − Z_L over the standard deviation of this difference, the gains' part included.
+        std, loaded_std: standard deviations with the gains' share.
+        apart: X̂_L − Z_L over the standard deviation of this difference, the gains' share included.
     """
 
     free: Identification
@@ -113,9 +113,9 @@ def experiment(seed: int, moves: int, gains: dict[str, float]) -> Table:
     predicted = free.solution.parameters + load
     relative = relative_gain_std(robot_file.robot)
     # Wrong gains move X̂ and X̂_L alike but for the load's share.
-    moved = [relative * gain_sensitivity(found.reduction, found.solution) for found in (free, loaded)]
+    moved = [relative * gain_sensitivity(fit.reduction, fit.solution) for fit in (free, loaded)]
     std, loaded_std = (
-        np.hypot(found.std, np.linalg.norm(part, axis=1)) for found, part in zip((free, loaded), moved, strict=True)
+        np.hypot(fit.std, np.linalg.norm(table, axis=1)) for fit, table in zip((free, loaded), moved, strict=True)
     )
     noise = np.hypot(free.std, loaded.std)
     difference = np.hypot(noise, np.linalg.norm(moved[1] - moved[0], axis=1))
@@ -145,22 +145,22 @@ def print_table(table: Table) -> None:
         pruned = "" if i in free.pruned.solution.active else "p"
         pruned += "" if i in loaded.pruned.solution.active else "l"
         printed = "".join("       " if value is None else f"{value:7g}" for value in PAPER.get(name, (None,) * 3))
-        numbers = "".join(f"{value:9.3f}" for value in values)
-        print(f"{name:5}{numbers}{table.apart[i]:9.2f} {pruned:4} |{printed}".rstrip())
+        rows = "".join(f"{value:9.3f}" for value in values)
+        print(f"{name:5}{rows}{table.apart[i]:9.2f} {pruned:4} |{printed}".rstrip())
     print()
-    for label, found in (("free", free), ("loaded", loaded)):
+    for label, fit in (("free", free), ("loaded", loaded)):
         print(
-            f"{label}: {len(found.pruned.solution.active)} of {found.base.count} parameters essential; relative error "
-            f"{100 * found.fit.relative_error:.2f} %, on another motion {100 * found.validation.relative_error:.2f} %, "
-            f"essential model {100 * found.essential_validation.relative_error:.2f} %"
+            f"{label}: {len(fit.pruned.solution.active)} of {fit.base.count} parameters essential; relative error "
+            f"{100 * fit.fit.relative_error:.2f} %, on another motion {100 * fit.validation.relative_error:.2f} %, "
+            f"essential model {100 * fit.essential_validation.relative_error:.2f} %"
         )
-    for label, found, truth, std in (
+    for label, fit, truth, std in (
         ("free", free, table.truth, table.std), ("loaded", loaded, table.loaded_truth, table.loaded_std),
     ):  # fmt: skip
-        error = np.abs(found.solution.parameters - truth)
+        error = np.abs(fit.solution.parameters - truth)
         print(
             f"{label}: 95 % intervals hold the truth in {np.sum(error < INTERVAL * std)} of {len(truth)} parameters "
-            f"({np.sum(error < INTERVAL * found.std)} by noise alone)"
+            f"({np.sum(error < INTERVAL * fit.std)} by noise alone)"
         )
     print(
         f"Z_L and X_L: {np.sum(np.abs(table.apart) < INTERVAL)} of {len(table.apart)} within {INTERVAL:g} standard "

@@ -1,7 +1,7 @@
-"""One simulated arm, three wires: the same model? `python studies/three_wires.py` takes some minutes.
+"""One simulated arm, three buses: the same model? `python studies/three_wires.py` takes some minutes.
 
 Designs a motion of 10 s that uses about a third of every velocity and acceleration limit, and serves a UR5e three
-times: with RTDE, as CiA 402 drives on CANopen, and with CAN frames of its own. `dynid record` plays the same motion on
+times: with RTDE, as CiA 402 drives on CANopen, and with proprietary CAN frames. `dynid record` plays the same motion on
 each, `dynid identify` identifies each recording by itself. Prints, for each pair of wires, how far the base parameters
 are apart in combined standard deviations: the share within 1.96, the largest; and the same of each wire against the
 true values.
@@ -45,7 +45,7 @@ DYNID = str(Path(sys.executable).with_name("dynid"))
 HOST = f"127.74.{os.getpid() // 250 % 250 + 1}.{os.getpid() % 250 + 1}"
 """Loopback address of this process for RTDE."""
 GROUP = f"239.74.{os.getpid() // 250 % 250 + 1}.{os.getpid() % 250 + 1}"
-"""Multicast group of this process, so that arms of other programs are not heard."""
+"""Multicast group of this process, so that arms of other programs are not received."""
 
 
 def three_wire_arm(folder: Path) -> Path:
@@ -92,7 +92,7 @@ def dynid(*arguments: object, left: int = 0) -> bool:
 
 
 def record(arm: Path, wire: str, motion: Path, out: Path) -> None:
-    """Serve the arm on a wire and play the motion there."""
+    """Serve the arm on a bus and play the motion there."""
     sim = subprocess.Popen(
         [DYNID, "sim", str(arm), "--wire", wire, "--host", HOST, "--no-ui", *REALTIME],
         stdin=subprocess.PIPE,
@@ -156,24 +156,24 @@ def apart(first: BaseParameterResult, second: BaseParameterResult) -> float:
 
 
 def main(periods: int = 2) -> None:
-    """Record and identify on each wire, and compare."""
+    """Record and identify on each bus, and compare."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         arm, motion = three_wire_arm(folder), folder / "motion.yaml"
         dynid("excite", gentle(arm), "-o", motion, "--period", 10, "--periods", periods, "--starts", 1)
-        found = {}
+        models = {}
         for wire in WIRES:
             record(arm, wire, motion, folder / f"{wire}.h5")
-            found[wire] = identified(arm, folder / f"{wire}.h5", folder / wire)
+            models[wire] = identified(arm, folder / f"{wire}.h5", folder / wire)
         robot_file = load_robot(str(arm))
         base = base_parameters(build_model(robot_file))
         truth = dict(zip(base.names, base.projection @ truth_vector(robot_file), strict=True))
     print("apart, in combined standard deviations:")
     for one, two in itertools.combinations(WIRES, 2):
-        both = sorted(found[one].keys() & found[two].keys())
-        compare(f"{one} - {two}", [(apart(found[one][key], found[two][key]), key) for key in both])
+        both = sorted(models[one].keys() & models[two].keys())
+        compare(f"{one} - {two}", [(apart(models[one][key], models[two][key]), key) for key in both])
     for wire in WIRES:
-        known = [(p.value - truth[key], p.std, key) for key, p in found[wire].items() if p.value is not None and p.std]
+        known = [(p.value - truth[key], p.std, key) for key, p in models[wire].items() if p.value is not None and p.std]
         compare(f"{wire} - truth", [(error / std, key) for error, std, key in known])
 
 

@@ -6,13 +6,13 @@ file. Three ways to spend the same number of moves on the arm:
 - one experiment: every joint moves, every motor's torque is used;
 - two experiments: joints 5 and 6 locked, the torques of the other motors; then every joint moves, with the torques of
   motors 5 and 6 only; merged;
-- the same recordings, and of the second every motor's torque is used: then both experiments tell of the arm, and the
-  chi-square test can say whether they agree.
+- the same recordings, and of the second every motor's torque is used: then both experiments inform on the arm, and the
+  chi-square test can decide whether they agree.
 
 The first two with `wls`, which weighs each motor's equations by their noise, and with `ols`, as the paper did.
 
 Printed: values and error bars of the first seed beside the truth; how often a 95 % interval holds the truth and how
-large the errors are, over all seeds; and what the test says when the arm carries 2 kg in the second experiment only.
+large the errors are, over all seeds; and the test's result when the arm carries 2 kg in the second experiment only.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def compare(seeds: int, moves: int) -> Comparison:
     model = build_model(arm)
     base = base_parameters(model)
     rest = tuple(name for name in arm.robot.joint_names if name not in WRIST)
-    found: list[list[tuple[list[float], list[float]]]] = []
+    results: list[list[tuple[list[float], list[float]]]] = []
     agree: list[bool] = []
     loaded_agree: list[bool] = []
     for seed in range(seeds):
@@ -111,39 +111,41 @@ def compare(seeds: int, moves: int) -> Comparison:
                 (first, loaded),
             )
         )
-        ways = (result_of(once), result_of(once, method="ols"), two, two_ols, all_torques)
-        found.append([figures(result) for result in ways])
-        for result, list_of in ((all_torques, agree), (spoilt, loaded_agree)):
-            assert result.merge is not None
-            assert result.merge.consistency is not None
-            list_of.append(result.merge.consistency.agree)
-    table = np.array(found).transpose(1, 2, 0, 3)
+        kinds = (result_of(once), result_of(once, method="ols"), two, two_ols, all_torques)
+        results.append([figures(fit) for fit in kinds])
+        for fit, list_of in ((all_torques, agree), (spoilt, loaded_agree)):
+            assert fit.merge is not None
+            assert fit.merge.consistency is not None
+            list_of.append(fit.merge.consistency.agree)
+    table = np.array(results).transpose(1, 2, 0, 3)
     return Comparison(base.names, base.projection @ truth_vector(arm), table[:, 0], table[:, 1], agree, loaded_agree)
 
 
 def main(seeds: int = 5, moves: int = 24) -> Comparison:
     """Print the tables."""
-    found = compare(seeds, moves)
+    results = compare(seeds, moves)
     print(f"{ROBOT}, seed 0, {moves} + {moves} moves against {2 * moves}: value ± 95 %")
-    print(f"{'':6}{'truth':>9}" + "".join(f"{way:>20}" for way in WAYS))
-    for i, name in enumerate(found.names):
-        cells = (f"{found.values[way, 0, i]:.3f} ± {1.96 * found.std[way, 0, i]:.3f}" for way in range(len(WAYS)))
-        print(f"{name:6}{found.truth[i]:9.3f}" + "".join(f"{cell:>20}" for cell in cells))
-    error = found.values - found.truth
-    inside = np.abs(error) < 1.96 * found.std
-    wrist = np.array([name[-1] in "56" for name in found.names])
+    print(f"{'':6}{'truth':>9}" + "".join(f"{kind:>20}" for kind in WAYS))
+    for i, name in enumerate(results.names):
+        cells = (
+            f"{results.values[kind, 0, i]:.3f} ± {1.96 * results.std[kind, 0, i]:.3f}" for kind in range(len(WAYS))
+        )
+        print(f"{name:6}{results.truth[i]:9.3f}" + "".join(f"{cell:>20}" for cell in cells))
+    error = results.values - results.truth
+    inside = np.abs(error) < 1.96 * results.std
+    wrist = np.array([name[-1] in "56" for name in results.names])
     smaller = np.sqrt(np.mean(error[1:] ** 2, axis=1)) / np.sqrt(np.mean(error[0] ** 2, axis=0))
     print(f"\n{seeds} seeds; rms error over the one experiment's, median over the parameters of links and motors")
     print(f"{'':18}{'1 to 4, 7, 8':>14}{'5 and 6':>10}{'within 95 %':>14}")
-    for way, label in enumerate(WAYS):
-        ratios = np.ones(len(wrist)) if way == 0 else smaller[way - 1]
-        share = 100 * np.mean(inside[way])
+    for kind, label in enumerate(WAYS):
+        ratios = np.ones(len(wrist)) if kind == 0 else smaller[kind - 1]
+        share = 100 * np.mean(inside[kind])
         print(f"{label:18}{np.median(ratios[~wrist]):14.2f}{np.median(ratios[wrist]):10.2f}{share:12.1f} %")
     print(
-        f"\nthe experiments agree, says the chi-square test: the same arm {sum(found.agree)} of {seeds}, "
-        f"{LOAD:g} kg in one of them {sum(found.loaded_agree)} of {seeds}"
+        f"\nthe experiments agree, says the chi-square test: the same arm {sum(results.agree)} of {seeds}, "
+        f"{LOAD:g} kg in one of them {sum(results.loaded_agree)} of {seeds}"
     )
-    return found
+    return results
 
 
 if __name__ == "__main__":

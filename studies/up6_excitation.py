@@ -80,9 +80,9 @@ def main(seconds: float) -> None:
         "ours, 5 harmonics, condition": DesignChoices(),
     }
     for name, choices in cases.items():
-        found = design(robot_file, find_prior(robot_file), choices, search)
+        designs = design(robot_file, find_prior(robot_file), choices, search)
         # Full pace begins at half of the ramp's time.
-        report(name, found.motion, choices.ramp)
+        report(name, designs.motion, choices.ramp)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""Drive gains from slow up-and-down runs, with friction that no model knows: python studies/up_and_down.py [seeds].
+"""Drive gains from slow up-and-down runs, with friction that is in no model: python studies/up_and_down.py [seeds].
 
 A simulated UR10e whose true gains are hidden, 2.8 kg load. One joint after the other goes there and back, the others at
 rest in a few poses, once without and once with the load. To the file's Coulomb and viscous friction is added, in turn:
 nothing; Stribeck friction, half of the Coulomb friction more below some 0.05 rad/s; and 5 % of the gravity torque that
 the joint carries. Joints at rest are held by static friction, anything between ± their Coulomb friction. Printed for
 each: errors of the gains by half sums (`up_and_down`), with the centre of mass known and unknown, and by total
-least squares over the model (`drive_gains`), the same recordings and, as that method wants it, recordings in
+least squares over the model (`drive_gains`), the same recordings and, as that method needs it, recordings in
 which all joints move slowly. Some minutes.
 """
 
@@ -49,7 +49,7 @@ STRIBECK_VELOCITY = 0.05
 LOAD_SHARE = 0.05
 
 Friction = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
-"""Torque (n, N) that the model does not know, from velocities, gravity torques (n, N) and Coulomb frictions (n, 1)."""
+"""Torque (n, N) that is not in the model, from velocities, gravity torques (n, N) and Coulomb frictions (n, 1)."""
 
 FRICTIONS: dict[str, Friction] = {
     "as the model's": lambda velocity, gravity, coulomb: np.zeros_like(velocity),
@@ -82,8 +82,8 @@ def runs(motion: Motion, duration: float, friction: Friction, seed: int) -> tupl
     arm = with_gains(robot_file, dict(zip(robot_file.robot.joint_names, HIDDEN, strict=True)))
     loaded = with_load(arm, LOAD.mass, LOAD.com or (), LOAD.inertia or ())
     free, second = (
-        with_friction(each, simulate_recording(each, motion, duration, 2 * seed + number, RATE), motion, friction, seed)
-        for number, each in enumerate((arm, loaded))
+        with_friction(each, simulate_recording(each, motion, duration, 2 * seed + index, RATE), motion, friction, seed)
+        for index, each in enumerate((arm, loaded))
     )
     return free, second
 
@@ -109,15 +109,15 @@ def with_friction(arm: RobotFile, recording: Recording, motion: Motion, friction
     return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
 
 
-def print_errors(label: str, found: list[Any]) -> None:
+def print_errors(label: str, results: list[Any]) -> None:
     """Per joint: RMS error in per cent, and how many of the 95 % intervals hold; `-` where no seed has a value."""
     robot = load_robot("ur10e").robot
     true = np.array([robot.drive(name).gain for name in robot.joint_names]) * np.array(HIDDEN)
-    told = [each for each in found if each is not None]
+    identified = [each for each in results if each is not None]
     texts = []
     for joint in range(len(true)):
-        errors = np.array([100.0 * (each.values[joint] / true[joint] - 1.0) for each in told])
-        std = np.array([100.0 * each.std[joint] / abs(true[joint]) for each in told])
+        errors = np.array([100.0 * (each.values[joint] / true[joint] - 1.0) for each in identified])
+        std = np.array([100.0 * each.std[joint] / abs(true[joint]) for each in identified])
         good = np.isfinite(errors)
         if not good.any():
             texts.append(f"{'-':>18}")
@@ -127,11 +127,11 @@ def print_errors(label: str, found: list[Any]) -> None:
         texts.append(
             f"{rms:6.2f} {mean:+5.1f} {held:4.0%}".rjust(18) if good.all() else f"{rms:6.2f} ({good.sum()})".rjust(18)
         )
-    print(f"  {label:36}" + "".join(texts) + f"   {len(told)}/{len(found)}")
+    print(f"  {label:36}" + "".join(texts) + f"   {len(identified)}/{len(results)}")
 
 
 def attempt(identify: Callable[..., Any], *arguments: Any) -> Any:
-    """What was identified; None where it was refused."""
+    """The identified gains; None where they were refused."""
     try:
         return identify(*arguments)
     except DynidError as error:
@@ -158,8 +158,8 @@ def main(seeds: int = 20) -> None:
             ):
                 columns.setdefault(name, []).append(attempt(identify, *recordings, known))
         print(f"\nfriction {label}")
-        for name, found in columns.items():
-            print_errors(name, found)
+        for name, results in columns.items():
+            print_errors(name, results)
 
 
 if __name__ == "__main__":

@@ -67,7 +67,7 @@ class Confirmation:
         self._question = question
         self._told = told
         self.figures: MotionFigures | None = None
-        """Of the way to the start pose, once it is known."""
+        """Of the approach to the start pose, once it is known."""
 
     def approach(self, position: FloatArray) -> Motion:
         """The first way that passes the check.
@@ -81,7 +81,7 @@ class Confirmation:
     def ask(self) -> None:
         """Describe the way, then ask."""
         if self._told is not None and self.figures is not None:
-            tell(f"first the way to the start pose, {self.figures.duration:.1f} s", self.figures, self._told)
+            tell(f"first the approach to the start pose, {self.figures.duration:.1f} s", self.figures, self._told)
         if self._question is not None:
             _, out = self._question
             print("Move the arm? [y/N] ", end="", file=out, flush=True)

@@ -47,7 +47,7 @@ def checked_approach(
     refusal: UsageError | MotionRefusedError | None = None
     for way in approaches(position, start, limits):
         try:
-            check_limits(way, limits, "the way to the start pose")
+            check_limits(way, limits, "the approach to the start pose")
             return way, check.approach(way)
         except (UsageError, MotionRefusedError) as error:
             refusal = refusal or error

@@ -319,7 +319,7 @@ def _permitted_approach(
 def _prepare(
     driver: Driver, supervisor: Supervisor, recorder: Recorder, play: Play, course: _Course, approach: Motion
 ) -> Player:
-    check_limits(approach, play.robot.joints, "the way to the start pose")
+    check_limits(approach, play.robot.joints, "the approach to the start pose")
     way = ticks(approach, play.rate)
     begin = course.source_time()
     recorder.event(begin, "info", "player", f"approach to the start pose, {approach.duration:.2f} s")

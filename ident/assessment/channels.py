@@ -33,7 +33,7 @@ GAIN_OFF = 0.2
 public recordings (Panda, joint 6: 1.11 ± 0.05)."""
 
 GAINS = (0.1, 10.0)
-"""Factors that are tried."""
+"""Factors tested."""
 
 EDGE = 0.05
 """A minimum within this relative distance of the smallest or the largest factor is none."""
@@ -50,7 +50,7 @@ MOST_UNCERTAIN = 3.0
 
 AXES = "xyz"
 SAME_DIRECTION = float(np.sqrt(0.5))
-"""Cosine of 45°: an axis this near to the gravity believed stands for it."""
+"""Cosine of 45°: an axis this near to the believed gravity counts as it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ def relative_residual(grams: ChannelGrams, arrangement: Arrangement, joints: Seq
 
 
 def _explained(gram: FloatArray, score: FloatArray) -> float:
-    """What the best parameters take from the sum of squares."""
+    """Reduction of the sum of squares by the best parameters."""
     scale = np.sqrt(np.diag(gram))
     scale = np.where(scale > 0, scale, 1.0)
     solution = np.linalg.lstsq(gram / np.outer(scale, scale), score / scale, rcond=1e-12)[0]
@@ -132,7 +132,7 @@ def arrangement_checks(
     independent: float,
     error: float,
 ) -> list[Check]:
-    """Try what is usually mistaken: gravity's axis, a sign, two torques exchanged.
+    """Test common mistakes: gravity's axis, a sign, two torques exchanged.
 
     Args:
         model: as believed.

@@ -2,7 +2,7 @@
 
 It is estimated from the equations that no velocity reversal affects, since a joint that sticks at a reversal passes its
 torque on late or early, which looks like a delay of many milliseconds. It is judged by all equations of all joints:
-by blocks of the recording that had no part in finding it (delete-block cross-validation).
+by blocks of the recording that were not used to estimate it (delete-block cross-validation).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ LEVEL = 0.05
 """Significance level of a delay; of the delays of single joints, all tested at once."""
 
 LONGEST = 0.1
-"""Delays beyond this [s] are not a drive's: something else is wrong with the stamps."""
+"""Delays beyond this [s] are not a drive's: the stamps have another error."""
 
 LEAST_DRIFT = 1e-3
 """A drift over the recording by less than this [s] is not reported."""
@@ -80,7 +80,7 @@ class DelaySearch:
         interval: half of its 95 % interval [s]; nan where none was found.
         gain: share by which the best delay lowers the error over all equations of held-out blocks.
         used: the delay to use [s]: `best` where it helps, else 0.
-        joints: of each joint; `used` differs from that of all joints where a joint has a delay of its own.
+        joints: of each joint; `used` differs from that of all joints where a joint has its own delay.
         leads: whether the torque is ahead of its motion beyond the interval, which no drive can bring about.
         drift: growth of the delay with time [s/s]; nan where none was found.
         drift_interval: half of its 95 % interval [s/s].
@@ -113,13 +113,13 @@ def search_delay(
     parallel_filter: ZeroPhaseFilter,
     torques_of: Sequence[int] | None = None,
 ) -> DelaySearch:
-    """Find the delay by which the torque of all segments lags their motion, and say whether it helps.
+    """Estimate the delay by which the torque of all segments lags their motion, and whether it improves the model.
 
     Args:
         kernel: of the base columns.
         segments: prepared with delay 0; all their equations count, near velocity reversals too.
         parallel_filter: for τ and W.
-        torques_of: indices of the joints whose torques are looked at; all where None.
+        torques_of: indices of the joints whose torques are used; all where None.
     """
     dof = kernel.model.dof
     seen = np.isin(np.arange(dof), range(dof) if torques_of is None else list(torques_of))
@@ -277,7 +277,7 @@ def _sharing(data: _Data, alone: _Candidate, helps: bool) -> npt.NDArray[np.bool
 
 
 def _own_delays(data: _Data, alone: _Candidate, sharing: npt.NDArray[np.bool_], shared: float) -> _Candidate | None:
-    """Joints that share no delay get one of their own, 0 where they lead; None where there are none."""
+    """Joints that share no delay get their own, 0 where they lead; None where there are none."""
     own = data.seen & ~sharing
     lagging = own & (alone.fit.delays > 0.0)
     if not lagging.any() and not (own.any() and shared):

@@ -1,6 +1,6 @@
 """The equations that a search for the torque's delay solves, summed up block by block.
 
-With τ and its derivative taken at a delay d, τ(t + δ) = τ(t + d) + (δ − d)·τ̇(t + d) to first order: beside the base
+With τ and its derivative at a delay d, τ(t + δ) = τ(t + d) + (δ − d)·τ̇(t + d) to first order: beside the base
 parameters, corrections of the delays are linear unknowns. Of each joint and each block of consecutive samples the Gram
 matrix of [W τ…] is kept, so that estimates without a block, and errors on it, cost no further pass over the data.
 """
@@ -71,7 +71,7 @@ class DelayFit:
 
     Attributes:
         delays: (n,) [s].
-        drift: by how much the delay grows with time [s/s]; 0 where it was not estimated.
+        drift: growth of the delay with time [s/s]; 0 where it was not estimated.
         weights: (n,) one over each joint's residual [1/(N·m)]; 0 for joints that are left out.
     """
 
@@ -107,7 +107,7 @@ def delay_equations(
         segments: motion and torque.
         parallel_filter: for τ and W.
         blocks: as of `contiguous_blocks`.
-        delays: (n,) at which the joints' torques are taken [s].
+        delays: (n,) at which the joints' torques are evaluated [s].
         seen: (n,) joints whose equations count.
     """
     block_of_sample, count = blocks
@@ -226,8 +226,8 @@ def fit_delays(
 def _newton_step(normal: FloatArray, right: FloatArray, curvature: FloatArray) -> FloatArray:
     """Least squares whose last unknowns, the delays, have this second-order term; without it where it is not convex.
 
-    The term takes the torque's noise out of the slope's square: with the square alone, steps and intervals come out too
-    small where the parallel filter lets much noise pass.
+    The term removes the torque's noise from the slope's square: with the square alone, steps and intervals are too
+    small where the parallel filter passes much noise.
     """
     base = len(normal) - len(curvature)
     inverse = _inverse(normal[:base, :base])

@@ -21,7 +21,7 @@ class ExcitationReached:
     """Figures of a recorded motion; lists have one entry per joint.
 
     Attributes:
-        condition: of the filtered regressor, columns as they are.
+        condition: of the filtered regressor, columns not normalised.
         scaled_condition: the same with columns of unit length.
         unexcited: names of the base parameters that the motion does not excite.
         position_range: largest minus smallest position [rad or m].
@@ -57,7 +57,7 @@ def excitation_reached(motion: RecordedMotion) -> ExcitationReached:
 
 
 def excited_base_columns(reduction: Reduction, base: BaseParameters, runs: Sequence[Prepared]) -> tuple[int, ...]:
-    """Base columns that the data identify, without the friction of joints that stay at rest throughout.
+    """Base columns that the data identify, without the friction of joints that rest throughout.
 
     There sign(q̇) is encoder noise: independent of everything, and unrelated to friction.
     """

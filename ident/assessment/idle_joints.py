@@ -1,4 +1,4 @@
-"""Joints that rest most of the time: static friction carries an unknown part of their load, and enters the fit."""
+"""Joints that rest most of the time: static friction carries an unknown share of their load, and enters the fit."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def idle_joint_checks(
         f"{names[j]} {percent_text(float(share[j]), 2)} (friction {abs(coulomb[j]):.2g} N·m)" for j in idle
     )
     text = (
-        f"joints rest for most of the data: {figures}; static friction carries an unknown part of their load, which "
+        f"joints rest for most of the data: {figures}; static friction carries an unknown share of their load, which "
         "the error bars do not cover: move all joints at once, or identify each run with --torques-of its moving "
         "joints and merge the models"
     )

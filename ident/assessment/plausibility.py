@@ -69,7 +69,7 @@ def fits_opposite_gravity(
     """Whether gravity of the opposite sign leaves a clearly smaller sum of squared residuals than `residual_sum`.
 
     Both are least squares over the `active` base columns, with the rows of the motors `torques_of`; an arm that does
-    not feel gravity fits either sign alike.
+    not feel gravity fits both signs equally.
     """
     kernel = RegressorKernel(replace(model, gravity=-model.gravity), base.columns)
     reduction = stack_reductions([reduce_segments(kernel, segments, parallel) for segments, parallel in runs])

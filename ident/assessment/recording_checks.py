@@ -1,4 +1,4 @@
-"""Checks of a recording as it stands: its end, its import, its time stamps, clipped signals."""
+"""Checks of a recording without identification: its end, its import, its time stamps, clipped signals."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ JITTER_SHARE = 0.2
 """Jitter beyond this share of the period makes the velocity of a steadily moving joint wrong by as much."""
 
 CLIPPED_PERCENT = 0.1
-"""Share of clipped samples [%] beyond which they are no chance."""
+"""Share of clipped samples [%] beyond which clipping is reported."""
 
 IMPORT = "import"
 """Source of the events that importers write."""
@@ -54,7 +54,7 @@ def recording_checks(
     columns: Mapping[tuple[str, str], tuple[ColumnQuality, ...]] | None = None,
     label: str = "",
 ) -> list[Check]:
-    """What a recording says of itself.
+    """Properties of a recording.
 
     Args:
         recording: as read.

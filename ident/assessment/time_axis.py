@@ -24,16 +24,16 @@ CLOCK_DRIFT = 1e-3
 """Drift [s/s] from which on a clock is wrong; quartz clocks drift by 1e-4 at most."""
 
 CLOCK_SPAN = 5.0
-"""Shorter streams [s] say nothing of their clock."""
+"""Shorter streams [s] do not determine their clock."""
 
 
 @dataclass(frozen=True)
 class TimeAxis:
-    """What a recording says of its time stamps.
+    """Consistency of a recording's time stamps.
 
     Attributes:
         velocity_ratios: joint → change of position over ∫velocity dt; joints without a clear relation are left out.
-        clocks: stream → its clock against the host's; streams without a clock of their own are left out.
+        clocks: stream → its clock against the host's; streams without their own clock are left out.
     """
 
     velocity_ratios: Mapping[str, float]
@@ -41,7 +41,7 @@ class TimeAxis:
 
     @property
     def factor(self) -> float | None:
-        """By what all stamps should be multiplied, by the recorded velocities; None where they agree or say nothing."""
+        """Factor for all stamps by the recorded velocities; None where they agree or are inconclusive."""
         ratios = np.array(list(self.velocity_ratios.values()))
         if len(ratios) < 2 or np.min(ratios) <= 0.0:
             return None

@@ -1,4 +1,4 @@
-"""Recorded torques beside what the arm can give: a current taken in the wrong unit, a gear ratio left out."""
+"""Recorded torques against the arm's capability: a current in the wrong unit, a missing gear ratio."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PEAK = 0.999
 """Quantile of |τ| that counts as the peak: single outliers do not."""
 
 BEYOND = 5.0
-"""Peak over limit. Gears bear two to three times their rated torque for a moment; mistaken units make a factor of 1000,
+"""Peak over limit. Gears withstand two to three times their rated torque briefly; mistaken units make a factor of 1000,
 forgotten gear ratios one of 50 and more."""
 
 FAR_BELOW = 0.01
@@ -28,7 +28,7 @@ a limit, so that a gear ratio of 50 left out gives about 0.01."""
 STANDARD_GRAVITY = 9.81
 DENSEST_ARM = 2000.0
 """[kg/m³] mass that the peak torque holds at full reach, over the reach cubed. It is 10 to 220 for the public
-recordings (TX40 219, UR10 9, Panda 7); milliampere taken as ampere make it a thousand times that."""
+recordings (TX40 219, UR10 9, Panda 7); milliampere read as ampere make it a thousand times that."""
 
 
 def torque_level_checks(robot: Robot, model: DynamicModel, torque: FloatArray) -> list[Check]:

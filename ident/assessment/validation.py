@@ -1,4 +1,4 @@
-"""How well a model predicts torque: per joint, at low and at high speed apart (AUBO .3.4, Tables III and IV)."""
+"""Accuracy of torque prediction: per joint, separately at low and at high speed (AUBO .3.4, Tables III and IV)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LOW_SPEED = 0.1
 """Joint speed [rad/s or m/s] below which a static friction model is not valid (AUBO .3.4)."""
 
 HELD_OUT_SHARE = 0.3
-"""Last part of a recording that is kept for validation where no other recording is given."""
+"""Last share of a recording, held out for validation where no other recording is given."""
 
 MUCH_LARGER = 2.0
 """Ratio of the validation's errors to the identification's beyond which there is a check."""
@@ -32,7 +32,7 @@ class FitFigures:
 
     Attributes:
         relative_error: ‖τ − Ŵx‖ / ‖τ‖ over all samples of the joints whose torque is predicted, where they do not rest.
-        joint_relative_error: (n,) the same of each joint; nan where it carries no torque.
+        joint_relative_error: (n,) the same of each joint; nan where it has no torque.
         rmse: (n,) root mean square error [N·m]; nan, as all errors, where the model predicts no torque, or where the
             joint rests throughout.
         low_speed_rmse, high_speed_rmse: (n,) below and above `LOW_SPEED` [N·m]; nan where there is no such sample.
@@ -94,9 +94,9 @@ class TorqueErrors(Protocol):
 
 
 def overfitting_checks(fitted: TorqueErrors, held_out: TorqueErrors) -> list[Check]:
-    """Whether errors on held-out data are much larger than the identification's, and by what cause.
+    """Whether errors on held-out data are much larger than the identification's, and the cause.
 
-    The relative error is larger, too, on a motion that takes less torque. That is no sign of a bad model: the errors in
+    The relative error is larger, too, on a motion that needs less torque. That is no sign of a bad model: the errors in
     N·m are compared, each joint's with its own.
     """
     ratio = _times_larger(fitted.rmse, held_out.rmse)

@@ -21,7 +21,7 @@ from drivers.errors import ConnectionFailedError
 from drivers.streams import Batch, FloatArray
 
 FIRST_SAMPLE_LIMIT = 5.0
-"""How long [s] the first sample may take."""
+"""Time limit [s] for the first sample."""
 LISTEN = 1.0
 """Time [s] over which the rate is measured; two periods of the slowest stream where that is longer."""
 FEWEST_FOR_RATE = 20
@@ -58,7 +58,7 @@ class CheckedConnection:
     Attributes:
         name: of the connection.
         driver: name of its driver.
-        identities: of each device, as far as the driver can ask.
+        identities: of each device, as far as the driver can read them.
         streams: checked.
         notices: of the driver, level first.
         warnings: inconsistencies with the robot file, in words.

@@ -49,8 +49,8 @@ class RecordingInfo:
         excitation: how well the motion excites the arm; None where nothing could be analysed.
         delay: torque behind position; None where there is no torque or no motion.
         sufficiency: error bars expected from the motion; None where nothing could be analysed.
-        times: how long it must last for a wanted RSD; None where none was asked for.
-        verdict: what a model that is identified from it can be good for, at best, with all checks.
+        times: how long it must last for a wanted RSD; None where none was requested.
+        verdict: the best possible suitability of a model from it, with all checks.
         motion: prepared as `dynid identify` would; None where nothing could be analysed.
     """
 
@@ -69,7 +69,7 @@ class RecordingInfo:
 def recording_info(
     recording: Recording, robot_file: RobotFile, wanted_rsd_percent: float | None = None
 ) -> RecordingInfo:
-    """Look at a recording's clocks, signals and motion.
+    """Analyse a recording's clocks, signals and motion.
 
     Args:
         recording: as read.

@@ -31,9 +31,9 @@ class RobotCheck:
     Attributes:
         problems: errors about everything for which the file cannot be used.
         warnings: doubts, in words.
-        assumed: what is assumed in place of what the file does not state, in words.
+        assumed: assumptions in place of what the file does not state, in words.
         poses: of the tool at position zero and at the file's named poses; empty where the kinematics cannot be used.
-        budgets: what each CAN connection asks of its bus, by the connection's name.
+        budgets: bus load of each CAN connection, by the connection's name.
     """
 
     problems: tuple[InputError, ...]

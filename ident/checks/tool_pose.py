@@ -42,7 +42,7 @@ def tool_poses(robot_file: RobotFile, model: DynamicModel) -> tuple[ToolPose, ..
     """The tool's pose at position zero and at the file's `poses`.
 
     The tool point is `workspace.tool`, its axes are the last joint's turned by `workspace.tool_rotation`. Where loops
-    follow by closing, a pose beyond the limits is meaningless: nothing says that they close there.
+    follow by closing, a pose beyond the limits is meaningless: the loops need not close there.
     """
     zero = {ZERO: (0.0,) * robot_file.robot.dof}
     return tuple(

@@ -50,7 +50,7 @@ class EnergyRows:
 
 
 class EnergyEquations(Protocol):
-    """A way to make equations out of a segment."""
+    """Equations of a segment, by one method."""
 
     @property
     def kernel(self) -> EnergyKernel:

@@ -2,7 +2,7 @@
 
     H(t_b) − H(t_a) + Σ (Fv·∫q̇² dt + Fs·∫|q̇| dt + Fo·∫q̇ dt) = ∫ q̇mᵀτ dt
 
-A window is informative only if energy is exchanged in it: one in which the arm hardly moves is a row of noise. So
+A window is informative only if energy is exchanged in it: one in which the arm barely moves is a row of noise. So
 windows are not cut by the clock but by the exchange ∫ Σ|q̇m·τ| dt, of which each holds the same amount; they are short
 where the arm is fast and long near velocity reversals. Each begins a quarter of its exchange after the one before, so
 that what happens near its ends is seen in the middle of others.
@@ -49,7 +49,7 @@ class EnergyWindows:
 
     Attributes:
         kernel: for the base columns.
-        exchange: what each window holds of ∫ Σ|q̇m·τ| dt, to a sample [J].
+        exchange: ∫ Σ|q̇m·τ| dt of each window, to a sample [J].
     """
 
     kernel: EnergyKernel

@@ -105,7 +105,7 @@ class EnergyEstimator:
         return stack_reductions([reduce_energy(self.equations, run.segments, run.parallel_filter) for run in runs])
 
     def solve(self, reduction: Reduction, active: Sequence[int]) -> LeastSquares:
-        """OLS: windows of equal exchange weigh alike."""
+        """OLS: windows of equal exchange have equal weight."""
         return replace(ordinary_least_squares(reduction, active), method=self.method)
 
     def covariance(self, runs: Sequence[FilteredRun], solution: LeastSquares) -> CorrectedCovariance:
@@ -116,7 +116,7 @@ class EnergyEstimator:
 def estimator_of(
     method: Method, kernel: RegressorKernel, runs: Sequence[Prepared], window: float | None = None
 ) -> Estimator:
-    """The estimator that a method's name stands for.
+    """The estimator of a method's name.
 
     Args:
         method: its name.

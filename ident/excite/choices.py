@@ -30,7 +30,7 @@ class DesignChoices:
         period: of one repetition [s]; the duration of sums of sines and of point-to-point motions.
         periods: repetitions.
         ramp: from rest to full speed [s].
-        moving: names of the joints that move; all where None. The others stay in the middle of their range.
+        moving: names of the joints that move; all where None. The others rest in the middle of their range.
         loaded: design for the ten parameters of the last link, which a payload changes, all others being known.
         margin: share of every limit kept free.
         self_collision: whether collisions between links are checked.

@@ -28,7 +28,7 @@ class Design:
 
     Attributes:
         choices: its options.
-        motion: what is played, from rest to rest.
+        motion: as played, from rest to rest.
         family: of motions, which writes it to a trajectory file.
         variables: (size,) its variables.
         cost: exp of the criterion along one repetition at full speed: a condition number where it is one.
@@ -64,8 +64,8 @@ def design(
 
     Args:
         robot_file: the arm.
-        prior: what is known of its parameters and noise.
-        choices: what is wanted.
+        prior: prior parameters and noise.
+        choices: the user's.
         search_choices: how long and how to search.
         earlier: a motion to start from.
         progress: called after each better motion, and a few times per second.
@@ -73,7 +73,7 @@ def design(
 
     Raises:
         UsageError: an option is not possible, or no pose keeps all limits; names the limit.
-        IdentificationError: a search process died, with a number of starts.
+        IdentificationError: a search process crashed, with a number of starts.
         KeyboardInterrupt: Ctrl-C before a feasible motion was found.
     """
     begun = clock.now()

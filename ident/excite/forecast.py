@@ -118,7 +118,7 @@ class ExcitationFigures:
         worst_use: largest limit utilisation of any joint.
         worst_limit: the name of that limit.
         worst_time: when [s].
-        prior: where parameters and noise come from.
+        prior: origin of parameters and noise.
     """
 
     duration: float

@@ -3,7 +3,7 @@
 A measure takes A = ΦᵀΦ (b, b), Φ the base regressor along the motion, and gives a logarithm; all are of similar
 size. λ are A's eigenvalues. Largest and smallest eigenvalue are smoothed by power means of order `sharpness`,
 Σλ^p ^ (1/p) and (Σλ^-p) ^ (-1/p), which tend to them from outside as p grows: the largest is over-, the smallest
-underestimated, so a condition number is never taken for better than it is.
+underestimated, so a condition number is never underestimated.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Measure = Callable[[FloatArray, float], tuple[float, FloatArray]]
 """(A (b, b), sharpness) → cost and its symmetric derivative (b, b)."""
 
 _FLOOR = 1e-14
-"""Eigenvalues below this share of the largest count as this much: a cost must stay finite where nothing is excited."""
+"""Eigenvalues below this share of the largest are raised to this: a cost must be finite where nothing is excited."""
 
 
 def plain_condition(gram: FloatArray, sharpness: float) -> tuple[float, FloatArray]:

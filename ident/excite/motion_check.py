@@ -28,7 +28,7 @@ from ident.model.dynamic_model import build_model
 GRID_RATE = 1000.0
 """Grid [Hz] of the motion itself."""
 APPROACH_RATE = 200.0
-"""Grid [Hz] of the way to the start pose, which takes a tenth of the velocity limits."""
+"""Grid [Hz] of the approach, which uses a tenth of the velocity limits."""
 MOST_SAMPLES = 400_000
 """A motion of more than 400 s without repetition is checked on a grid that is coarser than 1 kHz."""
 TOLERANCE = 1e-3
@@ -54,7 +54,7 @@ class _Watched:
     kept: float
 
     def breach(self, sample: int, time: float) -> str:
-        """What is wrong at a sample, the first of those that come too near."""
+        """The violation at a sample, the first of those that come too near."""
         smallest, link = float(self.distance.min()), self.links[sample]
         if self.kind == "limit":
             return f"link {link} passes the {self.what} at {time:.2f} s, by up to {-smallest:.3f} m"
@@ -94,12 +94,12 @@ class ArmMotionCheck:
         return self._check(motion, GRID_RATE, where, from_here=False)
 
     def approach(self, motion: Motion) -> MotionFigures:
-        """Check the way to a start pose on a grid of 200 Hz; what is too near already must not come nearer.
+        """Check the approach on a grid of 200 Hz; links that are too near already must not come nearer.
 
         Raises:
             MotionRefusedError: as above.
         """
-        return self._check(motion, APPROACH_RATE, "the way to the start pose", from_here=True)
+        return self._check(motion, APPROACH_RATE, "the approach to the start pose", from_here=True)
 
     def _check(self, motion: Motion, rate: float, where: str, *, from_here: bool) -> MotionFigures:
         time = _grid(motion, rate, where)

@@ -50,7 +50,7 @@ class Family(Protocol):
 
     @property
     def rest(self) -> FloatArray:
-        """(n,) where the other joints stay [rad or m]."""
+        """(n,) rest positions of the other joints [rad or m]."""
 
     def grid(self, count: int) -> FloatArray:
         """About `count` times (N,) [s] that cover everything that is played, for designing (not for the last check)."""
@@ -74,7 +74,7 @@ class Family(Protocol):
         """A random x that keeps the position, velocity and acceleration limits on the grid."""
 
     def middle(self, variables: FloatArray) -> FloatArray:
-        """Middle (m,) of the range that each moving joint goes through [rad or m]."""
+        """Middle (m,) of the range of each moving joint's motion [rad or m]."""
 
     def about(self, variables: FloatArray, pose: FloatArray, share: float) -> FloatArray:
         """The x of the same motion with another middle, its amplitude multiplied by a factor.
@@ -86,7 +86,7 @@ class Family(Protocol):
         """
 
     def motion(self, variables: FloatArray) -> Motion:
-        """What is played: from rest to rest."""
+        """The motion as played, from rest to rest."""
 
     def trajectory(self, variables: FloatArray, robot: str, comment: str) -> Trajectory:
         """The same as the content of a trajectory file for the robot of that name."""
@@ -95,13 +95,13 @@ class Family(Protocol):
         """The x of a motion that was designed or written earlier.
 
         Raises:
-            UsageError: it is not of this form; says what differs.
+            UsageError: it is not of this form; names the difference.
         """
 
     def begun_near_middle(self, variables: FloatArray) -> FloatArray:
         """The x of the same closed path, begun where it comes nearest to the middle of all joints' ranges.
 
-        An arm is slow on its way to the start pose. Unchanged where a path has a beginning of its own.
+        An arm is slow on its approach. Unchanged where the path has a fixed beginning.
         """
 
     def with_longer_ramp(self, factor: float) -> Family:

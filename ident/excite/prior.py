@@ -35,7 +35,7 @@ class Prior:
     Attributes:
         parameters: (b,) base parameters; None where nothing is known.
         noise: (n,) standard deviation of each joint's torque noise [N·m or N].
-        source: where both come from, in words.
+        source: origin of both, in words.
         rate: independent noise values per second [Hz]. Its density noise²/(rate/2) is
             what matters in the band in which the model is fitted.
     """
@@ -47,7 +47,7 @@ class Prior:
 
 
 def recording_rate(robot: Robot) -> float:
-    """The rate [Hz] at which an arm is recorded: of its first connection that says one, else of its truth."""
+    """The rate [Hz] at which an arm is recorded: of its first connection that states one, else of its truth."""
     for connection in robot.connections.values():
         rate = (connection.model_extra or {}).get("rate")
         if isinstance(rate, int | float) and not isinstance(rate, bool) and 0 < rate < float("inf"):
@@ -56,7 +56,7 @@ def recording_rate(robot: Robot) -> float:
 
 
 def find_prior(robot_file: RobotFile, result: Path | None = None) -> Prior:
-    """What is known of an arm: from an earlier identification, else from the file's truth, else assumed.
+    """Prior of an arm: from an earlier identification, else from the file's truth, else assumed.
 
     Args:
         robot_file: the arm.

@@ -34,7 +34,7 @@ class Sufficiency:
 
     Attributes:
         seconds: duration of the motion used [s].
-        source: where parameters and noise come from, in words.
+        source: origin of parameters and noise, in words.
         repetitions: how often the motion was repeated, on average; 1 where it was not, or where there is no torque.
         forecast: condition, log det, predicted error bars.
     """
@@ -52,7 +52,7 @@ class TimeNeeded:
     Attributes:
         name: of the base parameter.
         rsd_percent: predicted for this recording [%].
-        seconds: of the same motion until it is as wanted [s]; the standard deviation falls with the root of the time.
+        seconds: of the same motion until it is reached [s]; the standard deviation falls with the root of the time.
     """
 
     name: str
@@ -66,8 +66,8 @@ class TimesNeeded:
 
     Attributes:
         wanted_rsd_percent: [%].
-        parameters: the significant ones (RSD below 15 % by now), those that take longest first.
-        sentence: what follows from it.
+        parameters: the significant ones (RSD below 15 % by now), the slowest first.
+        sentence: the conclusion.
     """
 
     wanted_rsd_percent: float
@@ -78,7 +78,7 @@ class TimesNeeded:
 def motion_sufficiency(motion: RecordedMotion, choices: PreprocessChoices | None = None) -> Sufficiency | None:
     """Expected error bars of a recorded motion; None without knowledge of parameters and noise.
 
-    Both come from a quick identification of all of it, or from the robot file where no torque is known.
+    Both come from a quick identification of the recording, or from the robot file where no torque is known.
 
     Args:
         motion: of a recording.
@@ -130,7 +130,7 @@ def _from_torque(motion: RecordedMotion) -> Sufficiency:
 
 
 def check_wanted_rsd(percent: float) -> None:
-    """Refuse a wanted relative standard deviation that is none.
+    """Refuse an impossible relative standard deviation.
 
     Raises:
         UsageError: it is not above 0 and at most 100 %.

@@ -9,7 +9,7 @@ without a right-hand side: the solution is the null vector of the concatenated m
 known load (κ = 1) fixes that. No gain is presumed.
 
 The noise is in V, the motor signals; that of W, from encoders, is negligible. So total least squares is applied where
-the noise is: the columns of W are eliminated exactly, and the smallest singular vector is taken of what remains
+the noise is: the columns of W are eliminated exactly, and the smallest singular vector of what remains is used
 of V, rows and columns scaled so that its noise is the same everywhere (mixed LS-TLS: Golub, Hoffman and Stewart, Linear
 Algebra and its Applications 88, 1987). Ordinary least squares would draw the weakly seen gains towards zero, total
 least squares over all columns alike would blame W for the motors' noise.
@@ -42,7 +42,7 @@ LEAST_GAP = 2.0
 """Second-smallest over smallest singular value below which the null vector is poorly determined."""
 
 ONE_AT_A_TIME = 0.5
-"""Share of the time with one joint alone in motion above which the runs are not for this method."""
+"""Share of the time with one joint alone in motion above which the runs do not suit this method."""
 
 SMALL_ANGLE = 5.0
 """A motor signal nearer than this [degrees] to its own joint's columns contains little information on its gain."""
@@ -58,7 +58,7 @@ class GainEstimate:
         std: its standard deviation; inf there.
         file_gain: of the robot file; None where it names none.
         angle: between the motor signal and the span of the columns that act on this joint alone (its friction, its
-            motor inertia, …) [degrees]; small where gain and inertia are hardly distinguishable.
+            motor inertia, …) [degrees]; small where gain and inertia are barely distinguishable.
         confused_with: inertial parameter or other gain whose estimate is most correlated with this one's, and how much.
         noise: standard deviation of the filtered motor signal about the model [A or V].
     """
@@ -84,14 +84,14 @@ class DriveGains:
     Attributes:
         pair: the runs, torques by the gains of a first pass.
         relative_to_pair: (n,) identified gains over those of that pass; nan where they are not identifiable.
-        signal: what was recorded of the motors: "current" or "voltage".
+        signal: recorded motor signal: "current" or "voltage".
         known: the load.
         gains: one per joint.
         covariance: (n, n) of the gains.
         active: base columns that were estimated.
         parameters, parameter_std: (b,) base parameters, the gains' uncertainty in their deviations; nan where they were
             not estimated.
-        columns: what else of the load was estimated.
+        columns: estimated load parameters.
         load, load_std: (k,) of it; nan where the motions do not show it.
         condition: largest over second-smallest singular value of what the model's columns leave of the motor signals.
         gap: second-smallest over smallest one; the null vector is sure where it is large.
@@ -151,7 +151,7 @@ def identify_gains(
         free: recording without the load, with motor signals.
         loaded: recording of the same arm with it.
         known: of the load; its mass at least.
-        robot_file: in place of the one that the free recording carries.
+        robot_file: in place of the free recording's.
         delay: of the signals [s]; searched where None.
 
     Raises:
@@ -191,7 +191,7 @@ def _gains(
     values[estimated], spread[estimated] = system.solution.unknowns[:-1], deviations[dof:]
     names = [f"the gain of {name}" for name in robot.joint_names]
     names += [(*pair.base.names, *columns.names)[i] for i in estimated]
-    # Friction is seen in the motor signal itself, so that it goes with the gain in any case: it says nothing.
+    # Friction is seen in the motor signal itself, so that it is correlated with the gain in any case.
     inertial = [
         dof + place
         for place, column in enumerate(estimated)

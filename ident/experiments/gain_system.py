@@ -1,4 +1,4 @@
-"""The concatenated system of two runs: gains, base parameters and load are unknown alike (see `drive_gains`)."""
+"""The concatenated system of two runs: gains, base parameters and load are the unknowns (see `drive_gains`)."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ class LoadEstimate:
         covariance: (k, k) from noise and errors that change along the motion.
         gain_covariance: (k, k) from the drive gains' standard deviations; zero where the file names none.
         unexcited: combinations that these two motions do not excite; nan in `values`.
-        known: what was taken as known.
+        known: parameters held fixed.
         standard: (10,) standard parameters in the tool frame; nan for those that only combinations reveal.
         standard_covariance: (10, 10), both causes together; nan where `standard` is.
     """
@@ -61,7 +61,7 @@ class LoadEstimate:
 
 @dataclass(frozen=True)
 class SeparateRuns:
-    """Each run by itself: base parameters (b,), weights (n,), and how each block moves the active ones (B, a)."""
+    """Each run separately: base parameters (b,), weights (n,), and how each block moves the active ones (B, a)."""
 
     active: tuple[int, ...]
     parameters: tuple[FloatArray, FloatArray]
@@ -111,7 +111,7 @@ def estimate_load(
     weights: tuple[FloatArray, FloatArray],
     known: KnownLoad | None,
 ) -> LoadEstimate:
-    """Joint least squares over both runs, each joint's rows weighted as in its run by itself.
+    """Joint least squares over both runs, each joint's rows weighted as in the separate runs.
 
     Raises:
         DataError: nothing is known of the load, and the motions show none of its parameters.

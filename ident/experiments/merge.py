@@ -34,7 +34,7 @@ CONTRADICTING = 3.0
 
 @dataclass(frozen=True)
 class Information:
-    """What one experiment says of b parameters x: values = combinations·x + an error.
+    """Information of one experiment on b parameters x: values = combinations·x + an error.
 
     Attributes:
         values: (a,).
@@ -59,7 +59,7 @@ class MergedEstimate:
         solution: by least squares; `rows` is the number of values merged, `residual_sum` the weighted one.
         covariance: (k, k) of the active parameters, from the experiments' covariances.
         root: (k, k) upper triangular square root of the summed information.
-        taken_up: (k, b − k) how much of each inactive parameter is in each active one.
+        taken_up: (k, b − k) share of each inactive parameter in each active one.
         consistency: whether the experiments agree; None where they share nothing.
         deviations: for each experiment (a,), how many standard deviations its values are from the merged ones; 0 where
             no other experiment determines the same.
@@ -76,12 +76,12 @@ class MergedEstimate:
 
 
 def variance_ratio(root: FloatArray, covariance: FloatArray) -> float:
-    """Mean ratio of the variances in `covariance` to those that the information rootᵀ·root stands for."""
+    """Mean ratio of the variances in `covariance` to those that follow from the information rootᵀ·root."""
     return float(np.trace(root @ covariance @ root.T)) / max(1, len(root))
 
 
 def usable(information: Information) -> Information:
-    """Without the values whose variance is not known; weighed as if they had never been asked for.
+    """Without the values whose variance is not known; weighted as if they had never been estimated.
 
     Raises:
         IdentificationError: no value is left.
@@ -112,7 +112,7 @@ def identifiable_columns(informations: Sequence[Information], preferred: Sequenc
 
 
 def merge(informations: Sequence[Information], active: Sequence[int]) -> MergedEstimate:
-    """Least squares over the values of all experiments; parameters that are not active are taken as 0.
+    """Least squares over the values of all experiments; parameters that are not active are 0.
 
     Args:
         informations: one per experiment, weighted by their roots.
@@ -181,7 +181,7 @@ def _consistency(
 ) -> SignificanceTest | None:
     """Whether the values of several experiments differ significantly from what one set of parameters gives.
 
-    Where the jackknife has too few blocks for the test, its variances count by their mean alone.
+    Where the jackknife has too few blocks for the test, only the mean of its variances is used.
     """
     from scipy.stats import chi2
 

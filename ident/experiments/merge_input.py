@@ -1,4 +1,4 @@
-"""What a merge takes: results of the same arm, of different data, each with what it says of the merged parameters."""
+"""Input of a merge: results of the same arm, of different data, each with its information on the merged parameters."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class MergeInput:
     """One of the results to be merged, ready for it.
 
     Attributes:
-        label: what messages call it.
+        label: its name in messages.
         result: as read.
         stored: its model.
-        information: what it says of the merged base parameters, weighed.
+        information: on the merged base parameters, weighted.
         names: of its values.
         ratio: mean variance, corrected for autocorrelation over white.
     """
@@ -41,11 +41,11 @@ def merge_inputs(results: Sequence[tuple[str, Result]]) -> tuple[list[MergeInput
     """The results ready to be merged, and the base parameters that they can show together.
 
     Args:
-        results: each with what messages call it.
+        results: each with its name in messages.
 
     Raises:
         UsageError: fewer than two, different arms, or data that would count twice.
-        ResultFileError: a result without a covariance, or parts that do not belong together.
+        ResultFileError: a result without a covariance, or inconsistent results.
     """
     if len(results) < 2:
         raise UsageError("merging needs at least two models", hint="dynid merge a/result.json b/result.json -o merged")
@@ -64,7 +64,7 @@ def _stored(label: str, result: Result) -> StoredModel:
 
 
 def _input(label: str, result: Result, stored: StoredModel, base: BaseParameters) -> MergeInput:
-    """What a result says of the merged base parameters."""
+    """Information of a result on the merged base parameters."""
     try:
         estimate = stored_estimate(result, stored.base)
     except ResultFileError as error:
@@ -96,7 +96,7 @@ def _input(label: str, result: Result, stored: StoredModel, base: BaseParameters
 
 
 def _check_same_arm(results: Sequence[tuple[str, Result]]) -> None:
-    """Raise where two results do not stand on the same robot file and columns."""
+    """Raise where two results do not have the same robot file and columns."""
     first_label, first = results[0]
     for label, other in results[1:]:
         for what, mine, theirs in (
@@ -129,7 +129,7 @@ def _first_difference(mine: str, theirs: str) -> str:
 
 
 def _check_disjoint(results: Sequence[tuple[str, Result]]) -> None:
-    """Raise where the same torques stand behind two results: they would count twice."""
+    """Raise where two results used the same torques: they would count twice."""
     for (label, one), (other_label, other) in combinations(results, 2):
         for use in used_recordings(one):
             for again in used_recordings(other):

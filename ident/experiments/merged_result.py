@@ -1,4 +1,4 @@
-"""From several results of one arm to one Result: which models may be merged, and what comes of it."""
+"""From several results of one arm to one Result: which models may be merged, and the merged result."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ MOST_CONTRADICTIONS = 10
 """So many are named."""
 
 CHECKED_AGAIN = ("indefinite-inertia",)
-"""Checks that a merged model raises or not by itself, whatever its parts raise."""
+"""Checks of the merged model itself, independent of those of its inputs."""
 
 
 def merge_results(
@@ -57,7 +57,7 @@ def merge_results(
     """One model from several.
 
     Args:
-        results: each with what messages call it.
+        results: each with its name in messages.
         held_out: a recording to validate with.
         threshold: of significance [%].
 
@@ -66,7 +66,7 @@ def merge_results(
 
     Raises:
         UsageError: fewer than two, different arms, or data that would count twice.
-        ResultFileError: a result without a covariance, or parts that do not belong together.
+        ResultFileError: a result without a covariance, or inconsistent results.
         IdentificationError: the values do not determine any parameter.
     """
     inputs, base = merge_inputs(results)
@@ -276,7 +276,7 @@ def _checks(
 
 
 def _checks_of_part(merge_input: MergeInput) -> list[Check]:
-    """What a model's own checks mean for the merge: wrong data stay wrong, poor excitation another may make up for."""
+    """Checks of an input that concern the merge: wrong data remain wrong, another input may excite what it does not."""
     own = merge_input.result.verdict.checks
     inherited = [check for check in own if check.severity == "serious" and check.name not in CHECKED_AGAIN]
     checks = [replace(check, text=f"{merge_input.label}: {check.text}") for check in inherited]

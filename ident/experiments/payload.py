@@ -1,6 +1,6 @@
 """The load on an arm's tool, from a run without and a run with it (SR400 .4.4, its load relations and Table 4).
 
-Both runs are one weighted least-squares problem: they share the base parameters x, and the load's columns stand in the
+Both runs are one weighted least-squares problem: they share the base parameters x, and the load's columns are in the
 loaded run's rows only,
 
     [W_free        0      ] [x]   [τ_free  ]
@@ -10,7 +10,7 @@ Error bars come from the delete-block jackknife. The drive gains' uncertainty co
 the torques, so a relative error ε_j of joint j's gain moves it by ε_j times what that joint's torque contributed.
 
 Whether a load explains what changed from one run to the other is tested on the base parameters that a load changes,
-identified from each run by itself. Their difference d has a covariance that is itself estimated from B blocks, so the
+identified from each run separately. Their difference d has a covariance that is itself estimated from B blocks, so the
 chi-square statistic dᵀC⁻¹d is compared with Hotelling's T² distribution, which tends to chi-square for many blocks.
 """
 
@@ -63,7 +63,7 @@ class BaseChange:
 
 @dataclass(frozen=True)
 class LargestChange:
-    """Of the base parameters that a load leaves alone, the one that changed most between the runs.
+    """Of the base parameters that a load does not change, the one that changed most between the runs.
 
     Attributes:
         index: of the base parameter.
@@ -121,8 +121,8 @@ def identify_payload(
     Args:
         free: recording without the load.
         loaded: recording of the same arm with it.
-        known: what is known of the load; None where it is to be payload.
-        robot_file: in place of the one that the free recording carries.
+        known: known parameters of the load; None where there are none.
+        robot_file: in place of the free recording's.
         delay: of the torque [s]; searched where None.
 
     Raises:

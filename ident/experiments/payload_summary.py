@@ -1,4 +1,4 @@
-"""What a free and a loaded run say: the tests in words, and the results that `--json` prints."""
+"""Results of a free and a loaded run: the tests in words, and the results that `--json` prints."""
 
 from __future__ import annotations
 
@@ -255,6 +255,6 @@ def _test_result(test: SignificanceTest | None) -> SignificanceResult | None:
 
 
 def _regrouped(columns: LoadColumns) -> list[str]:
-    """Parameters that no column of their own shows: without effect, or only seen together with others."""
+    """Parameters without their own column: without effect, or regrouped with others."""
     alone = {columns.kept[i] for i in range(len(columns.kept)) if np.count_nonzero(columns.projection[i]) == 1}
     return [f"{symbol}_L" for index, symbol in enumerate(INERTIAL) if index not in alone]

@@ -1,4 +1,4 @@
-"""Two recordings of one arm, without and with a load on its tool, reduced alike and cut into the same blocks.
+"""Two recordings of one arm, without and with a load on its tool, reduced in the same way and cut into the same blocks.
 
 All that payload and drive gains need of them are, for each run and joint, the triangular factor of [W_j y_j] (y the
 joint torque, or the motor's signal) and the Gram matrices of its blocks, from which the delete-block jackknife of
@@ -37,7 +37,7 @@ FREE, LOADED = 0, 1
 """Indices of the two runs, in every list of two."""
 
 Motion = Callable[[Recording, Robot], JointSignals]
-"""What is taken from a recording: positions, and torques or motor signals."""
+"""Reader of a recording's positions, and torques or motor signals."""
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,8 @@ def prepare_pair(
     Args:
         free: recording without the load.
         loaded: recording with it.
-        motion_of: what the right-hand side is.
-        robot_file: in place of the one that the free recording carries.
+        motion_of: reads the right-hand side.
+        robot_file: in place of the free recording's.
         delay: of the torque [s]; searched in the free run where None.
 
     Raises:
@@ -243,7 +243,7 @@ def weighted_blocks(
 
 
 def widened(columns: tuple[int, ...], count: int, effect: FloatArray, shift: FloatArray) -> FloatArray:
-    """(w + 1, b + k + 1) takes [W_j τ_j], non-zero columns only, to [W_j, W_j·effect, τ_j − W_j·shift]."""
+    """(w + 1, b + k + 1) maps [W_j τ_j], non-zero columns only, to [W_j, W_j·effect, τ_j − W_j·shift]."""
     width, extra = len(columns), effect.shape[1]
     wide = np.zeros((width + 1, count + extra + 1))
     wide[np.arange(width), list(columns)] = 1.0

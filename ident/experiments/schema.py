@@ -56,7 +56,7 @@ class CentreOfMass(_Entry):
 
 
 class KnownLoadValues(_Entry):
-    """What the user knows of the load, in the tool frame."""
+    """Known parameters of the load, in the tool frame."""
 
     mass: float = Field(description="[kg]")
     com: list[float] | None = Field(description="centre of mass [m]")
@@ -73,7 +73,7 @@ class SignificanceResult(_Entry):
 
 
 class UnchangedResult(SignificanceResult):
-    """Of the base parameters that a load leaves alone, the one that changed most."""
+    """Of the base parameters that a load does not change, the one that changed most."""
 
     worst: str
 
@@ -96,7 +96,7 @@ class DelayUsed(_Entry):
 
 
 class PayloadResult(_Entry):
-    """All that a free and a loaded run say of a load."""
+    """Results of a free and a loaded run about a load."""
 
     kind: Literal["payload"] = "payload"
     robot: str

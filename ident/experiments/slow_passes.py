@@ -33,12 +33,12 @@ BINS = 40
 """Bins a sweep: short against the positions over which gravity changes."""
 
 FEWEST_SAMPLES = 3
-"""A mean over fewer samples, one way through a bin, does not count."""
+"""Least number of samples per direction and bin."""
 
 
 @dataclass(frozen=True)
 class Pass:
-    """One joint on its way in one direction; M samples that count.
+    """One joint moving in one direction; M samples that count.
 
     Attributes:
         joint: its index.

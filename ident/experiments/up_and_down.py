@@ -4,9 +4,9 @@ What the load adds to the half sum of the signals up and down (`slow_passes`) is
 
     g_j·(s_loaded − s_free) = E_j(q)·load
 
-E_j(q) follows from the kinematics alone: neither the arm's own parameters nor a model of friction are needed, and the
-joints at rest do not matter. With a known centre of mass each joint stands for itself; without, the three first moments
-are unknown to all joints alike, and gains and moments are the null vector of one small system, solved as that of the
+E_j(q) follows from the kinematics only: neither the arm's own parameters nor a friction model are needed, and the
+joints at rest do not matter. With a known centre of mass each joint is independent; without, the three first moments
+are unknowns common to all joints, and gains and moments are the null vector of one small system, solved as that of the
 exciting motions (`total_least_squares`). Standard deviations come from a delete-block jackknife over the bins.
 """
 
@@ -91,13 +91,13 @@ class SlowGains:
 
     Attributes:
         robot: content of the robot file.
-        runs: what messages call the free and the loaded recording.
-        signal: what was recorded of the motors: "current" or "voltage".
+        runs: names of the free and the loaded recording in messages.
+        signal: recorded motor signal: "current" or "voltage".
         known: the load.
         gains: one per joint.
         moments, moments_std: (3,) first moments of the load in the tool frame [kg·m], nan where they do not show;
             those that are known have no deviation.
-        gap: second-smallest over smallest singular value; inf where one gain, or each for itself, is identified.
+        gap: second-smallest over smallest singular value; inf where one gain, or each separately, is identified.
         warnings: for the user.
     """
 
@@ -164,7 +164,7 @@ def identify_slow_gains(
         free: recording without the load, with motor signals.
         loaded: recording of the same arm with it.
         known: of the load; its mass at least.
-        robot_file: in place of the one that the free recording carries.
+        robot_file: in place of the free recording's.
         delay: of the signals [s]; 0 where None, since it cancels between up and down.
 
     Raises:
@@ -268,7 +268,7 @@ def _with_moments(used: Sequence[_JointRows], known: KnownLoad, where: str) -> _
 
 
 def _carries(joint_rows: _JointRows, known: KnownLoad) -> bool:
-    """Whether what is known of the load has weight about a joint's axis."""
+    """Whether the known load has a moment about a joint's axis."""
     weight = np.max(np.abs(joint_rows.gravity @ known.values))
     return bool(weight > 1e-6 * np.max(np.abs(joint_rows.gravity)) * known.mass)
 

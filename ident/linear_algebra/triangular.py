@@ -9,7 +9,7 @@ import numpy as np
 from drivers.streams import FloatArray
 
 GRAM_CONDITION_LIMIT = 1e4
-"""Up to this condition (column-normalised) the plain Gram matrix keeps enough digits."""
+"""Up to this condition (column-normalised) the plain Gram matrix is accurate enough."""
 
 PRECONDITIONED_CONDITION_LIMIT = 1e8
 """Up to this condition a preconditioned Gram matrix does; above it, and for dependent columns, QR of stacked blocks."""
@@ -74,7 +74,7 @@ class PreconditionedGram:
     """
 
     def __init__(self, sampled: FloatArray, sampled_rows: int) -> None:
-        """Take the triangular factor (p, p) of `sampled_rows` rows that are spread over the matrix."""
+        """Precondition with the triangular factor (p, p) of `sampled_rows` rows that are spread over the matrix."""
         width = sampled.shape[1]
         lengths = np.linalg.norm(sampled, axis=0)
         lengths = np.where(lengths > 0, lengths, 1.0)

@@ -9,7 +9,7 @@ from drivers.streams import FloatArray
 
 
 def cross(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Cross product of (…, 3, m) arrays; np.cross takes three times as long on short ones."""
+    """Cross product of (…, 3, m) arrays; np.cross is three times slower on short ones."""
     product = np.empty(np.broadcast_shapes(left.shape, right.shape))
     for component, (first, second) in enumerate(((1, 2), (2, 0), (0, 1))):
         out = product[..., component, :]

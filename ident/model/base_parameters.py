@@ -178,7 +178,7 @@ def _random_factor(model: DynamicModel) -> FloatArray:
 
 
 def _preference(parameter: StandardParameter, preferred: Sequence[int]) -> tuple[int, bool, int, int]:
-    """Sort key: what comes first is kept, what comes last is regrouped; of equals that of a preferred link is kept."""
+    """Sort key: first columns are kept, last ones regrouped; among equals that of a preferred link is kept."""
     beside = parameter.joint not in preferred
     if parameter.symbol in _KEEP_FIRST:
         return (0, beside, -parameter.joint, _KEEP_FIRST.index(parameter.symbol))

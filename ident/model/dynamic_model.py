@@ -7,7 +7,7 @@ Column order, everywhere: ten inertial parameters a link, links in the order of 
 then motor inertias `Ia`, viscous `Fv`, Coulomb `Fs` and offset `Fo`, each for those joints that have it. Inertias are
 about the origin of the joint's frame and in its axes, MX MY MZ are the first moments there (SR400 .3.1). A motor that
 several joints move has `Fvm` and `Fsm` in place of `Fv` and `Fs`; the latter two are then the joint's own friction
-(SR400 eq. 8) and stand last, after an inertia `Iac` of the joint's own where there is one.
+(SR400 eq. 8) and come last, after the joint's inertia `Iac` where there is one.
 """
 
 from __future__ import annotations

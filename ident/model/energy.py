@@ -58,7 +58,7 @@ class EnergyKernel:
     """
 
     def __init__(self, model: DynamicModel, columns: Sequence[int] | None = None) -> None:
-        """Take the arm and the standard columns wanted; all of them where None."""
+        """For an arm and some standard columns; all of them where None."""
         self.model = model
         parameters = model.parameters
         self.columns = tuple(range(len(parameters))) if columns is None else tuple(columns)
@@ -195,8 +195,8 @@ def _cached(key: ModelKey) -> BaseParameters:
 def random_windows(model: DynamicModel) -> FloatArray:
     """Energy regressor (p, r) over random windows: from one random state to another, in one second.
 
-    What friction takes depends on the path. It is drawn at random too: each half of the second at one velocity, the two
-    so that the joint gets to where it must, since an offset's work depends on nothing else.
+    The friction's work depends on the path. It is drawn at random too: each half of the second at one velocity, the two
+    so that the joint reaches its end position, on which alone an offset's work depends.
     """
     kernel = EnergyKernel(model)
     count = WINDOWS_PER_PARAMETER * len(kernel.columns)

@@ -6,7 +6,7 @@ R⁻ᵀ times these (SR400 eq. 6).
 Base parameters are not the masses and inertias of bodies, but the dynamics are linear in the parameters: every standard
 vector x with projection @ x = base has the same torques. Pinocchio divides by the masses, so x gets a mass of 1 kg for
 each link whose mass is not kept, and the kept parameters make up for it. Where they cannot, or where a kept mass is
-estimated as 0 or below, the link gets 1 kg and the torques of an arm of these extra point masses are taken off again.
+estimated as 0 or below, the link gets 1 kg and the torques of an arm of these extra point masses are subtracted.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PLACEHOLDER_MASS = 1.0
 """[kg] of a link whose mass is no base parameter."""
 
 LEAST_MASS = 0.01
-"""[kg]; links whose kept mass is less get `PLACEHOLDER_MASS`, and the difference is taken off again."""
+"""[kg]; links whose kept mass is less get `PLACEHOLDER_MASS`, and the difference is subtracted."""
 
 
 class InverseDynamics:

@@ -24,7 +24,7 @@ class JointColumn:
     """One column beside the links'.
 
     Attributes:
-        quantity: what its signal is: acceleration, velocity, its sign, or 1.
+        quantity: its signal: acceleration, velocity, its sign, or 1.
         motion: (joint, factor) of the active joints whose motion it follows; Σ factor · q̇.
         rows: (motor, factor) of the rows that it acts on.
     """

@@ -14,11 +14,11 @@ Placement = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint with one degree of freedom; its frame moves with the link behind it.
+    """A joint with one degree of freedom; its frame is fixed to the link that it moves.
 
     Attributes:
         name: as in the robot file.
-        parent: index of the joint whose link carries this one; `BASE_INDEX` for the base.
+        parent: index of the parent joint; `BASE_INDEX` for the base.
         prismatic: translation along the axis instead of rotation about it.
         rotation: (3, 3) of the joint frame in its parent's at position zero.
         translation: (3,) [m] of its origin in its parent's frame at position zero.

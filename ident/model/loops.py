@@ -29,7 +29,7 @@ from ident.model.mdh import mdh_placement
 from ident.model.transmission import LinearTransmission, Transmission
 
 CLOSING_TOLERANCE = 1e-6
-"""How far [m] the closing frames may lie apart at any position; files print lengths to this."""
+"""Largest distance [m] of the closing frames at any position; files print lengths to this."""
 
 CLOSING_ANGLE = 1e-6
 """How far [rad] their axes may be from parallel."""

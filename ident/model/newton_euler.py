@@ -68,7 +68,7 @@ class Recursion:
         self.frames = []
         self._stacks = []
         for index, joint in enumerate(joints):
-            # One stack a link: ω, α, a, then the angular and the linear part of every joint axis below it.
+            # One stack a link: ω, α, a, then the angular and the linear component of every joint axis below it.
             below = len(chains[index])
             stack = np.zeros((3, 3 + 2 * below, chunk))
             self._stacks.append(stack)

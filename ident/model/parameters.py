@@ -18,7 +18,7 @@ KIND_SYMBOLS: dict[Kind, str] = {"motor_inertia": "Ia", "viscous": "Fv", "coulom
 """Symbols of the joint parameters, in column order (SR400 eq. 6-7; Fo as f_o in AUBO eq. 6)."""
 
 PAIR_FIELDS = {"Iac": "pair_inertia", "Fv": "pair_viscous", "Fs": "pair_coulomb"}
-"""Where the truth of a coupled joint's own parameters stands in the robot file, by symbol."""
+"""Keys of a coupled joint's own true parameters in the robot file, by symbol."""
 
 Quantity = Literal["motor_inertia", "viscous", "coulomb", "offset"]
 """What a joint parameter is multiplied with: the acceleration, the velocity, its sign, or 1."""
@@ -36,7 +36,7 @@ class StandardParameter:
 
     Attributes:
         name: as in the papers (`XX2`, `Fv1`); numbered from 1 in the order of the tree's joints.
-        kind: what it is.
+        kind: of the parameter.
         joint: number of its joint in the tree, from 0.
         symbol: the name without the number.
     """

@@ -34,7 +34,7 @@ from ident.model.newton_euler import AxisMotion, Direction, FrameMotion, Recursi
 from ident.model.transmission import TreeMotion
 
 CHUNK = 4096
-"""Samples evaluated at once: enough to hide the interpreter, few enough for the cache ."""
+"""Samples evaluated at once: enough to hide the interpreter, few enough for the cache."""
 
 PINOCCHIO_BELOW = 500
 """Fewer samples than this are evaluated one by one by Pinocchio."""
@@ -44,7 +44,7 @@ _MASS_INDEX = 9
 
 
 Share = float | tuple[int, int]
-"""Factor of a joint's axis in a motor's: a number, or where (motor, joint) it stands in R⁻ᵀGᵀ if it varies."""
+"""Factor of a joint's axis in a motor's: a number, or its entry (motor, joint) of R⁻ᵀGᵀ if it varies."""
 
 _PRODUCTS = (("xx", 0, 0), ("yy", 1, 1), ("zz", 2, 2), ("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
 """Products of the angular velocity's components, by name."""
@@ -59,7 +59,7 @@ _INERTIA_TERMS: tuple[tuple[tuple[Any, ...], ...], ...] = (
     ((np.positive, "yz"), (np.negative, "xz"), (np.positive, "az")),
 )
 
-# Columns of [α]× + [ω]×², which takes MX MY MZ to the force.
+# Columns of [α]× + [ω]×², which maps MX MY MZ to the force.
 _MOMENT_TERMS: tuple[tuple[tuple[Any, ...], ...], ...] = (
     ((np.subtract, "-yy", "zz"), (np.add, "az", "xy"), (np.subtract, "xz", "ay")),
     ((np.subtract, "xy", "az"), (np.subtract, "-xx", "zz"), (np.add, "ax", "yz")),
@@ -166,7 +166,7 @@ class RegressorKernel:
 
         Args:
             model: the arm.
-            columns: standard columns wanted; all of them where None.
+            columns: standard columns to evaluate; all of them where None.
             chunk: most samples that one call of `evaluate` may bring.
         """
         self.model = model
@@ -381,7 +381,7 @@ def motion_factor(
 def evaluate_in_chunks(
     kernel: RegressorKernel, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
 ) -> Iterator[tuple[slice, FloatArray]]:
-    """Slices of the samples with their packed regressor (row_count, m), valid until the next one is asked for."""
+    """Slices of the samples with their packed regressor (row_count, m), valid until the next one is requested."""
     count = position.shape[1]
     buffer = np.empty((kernel.row_count, min(count, kernel.chunk)))
     for start in range(0, count, kernel.chunk):

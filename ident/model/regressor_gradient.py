@@ -30,7 +30,7 @@ from ident.model.regressor import RegressorKernel
 
 @dataclass(frozen=True)
 class _Spatial:
-    """Motion vectors or their duals; both parts (..., 3, m)."""
+    """Motion vectors or their duals; both components (..., 3, m)."""
 
     angular: FloatArray
     linear: FloatArray

@@ -1,7 +1,7 @@
 """Rigid-body dynamics of an arm at its motors, one sample at a time: for simulation.
 
 An arm without loops and coupling is Pinocchio's. With them, the tree follows the motors by q_tree = T·q_m + b with
-T = G·R⁻¹, so that the power that motors give is the power that the tree's joints take (SR400 eq. 4 and 6):
+T = G·R⁻¹, so that the motors' power equals that of the tree's joints (SR400 eq. 4 and 6):
 
     Γ_m = Tᵀ·Γ_tree(q_tree, T·q̇_m, T·q̈_m) + (Ia + I_pair)·q̈_m        M_m = Tᵀ·M_tree·T + Ia + I_pair
 
@@ -74,7 +74,7 @@ def rigid_arm(
 
 
 class _Tree:
-    """Every joint of the tree has a motor of its own."""
+    """Every joint of the tree has its own motor."""
 
     def __init__(self, model: DynamicModel, inertial: FloatArray, armature: FloatArray) -> None:
         import pinocchio as pin

@@ -44,7 +44,7 @@ class _Product:
 def symbolic_expressions(robot_file: RobotFile, model: DynamicModel, base: BaseParameters) -> tuple[str, ...]:
     """The expressions of all base parameters, in symbols where the robot file names its lengths, else as they are.
 
-    A coefficient that is no whole combination of products of lengths stays a number.
+    A coefficient that is no integer combination of products of lengths remains a number.
     """
     lengths = robot_file.robot.model.lengths
     if not lengths or robot_file.robot.model.mdh is None:

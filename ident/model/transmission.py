@@ -103,7 +103,7 @@ class Transmission(ABC):
         Args:
             velocity: (a, N) of the active joints.
             acceleration: (a, N).
-            motion: what `tree_motion` gave for them.
+            motion: result of `tree_motion` for them.
             gradient: (3, n, N) derivatives by the tree's position, velocity and acceleration.
             share: (a, n, N) derivatives by R⁻ᵀ·Gᵀ where it varies.
         """

@@ -1,4 +1,4 @@
-"""Kinematics from a URDF: parsed by Pinocchio, meshes never opened, joints locked where the robot file says so."""
+"""Kinematics from a URDF: parsed by Pinocchio, meshes never opened, joints locked as in the robot file."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def urdf_joints(xml: str, names: Sequence[str], locked: Mapping[str, float], whe
 
 
 def urdf_order(xml: str, names: Sequence[str], locked: Mapping[str, float], where: str) -> tuple[str, ...]:
-    """The same joints in an order in which each comes after the one that carries it.
+    """The same joints in an order in which each follows its parent.
 
     Raises:
         RobotFileError: not a URDF; a joint is missing, or neither named nor locked.

@@ -1,4 +1,4 @@
-"""How far residuals depend on their predecessors, and what that takes from their number."""
+"""Autocorrelation of residuals, and the reduction of their effective number."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ class TorqueSeries:
         predicted: (n, M) [N·m]; nan for joints whose torque the model does not predict.
         velocity: (n, M) [rad/s or m/s].
         used: (M,) whether the sample counts (the arm moves).
-        resting: (n, M) motors at rest, whose static friction no model knows; None where none was looked for.
+        resting: (n, M) motors at rest, whose static friction is in no model; None where not determined.
     """
 
     time: FloatArray

@@ -1,6 +1,6 @@
 """An identification's values with their whole covariance, and the combinations of parameters that they belong to.
 
-A model is printed with standard deviations. Whoever puts it together with another one needs more: how the errors hang
+A model is printed with standard deviations. Merging it with another one needs more: how the errors hang
 together, and which combinations of the arm's standard parameters the values belong to.
 """
 
@@ -46,7 +46,7 @@ class Estimate:
 
 
 def estimate_of(reduction: Reduction, solution: LeastSquares, covariance: FloatArray, blocks: int) -> Estimate:
-    """The estimate behind a solution.
+    """The estimate that belongs to a solution.
 
     Args:
         reduction: the system that was solved.
@@ -88,4 +88,4 @@ def _taken_up(factor: FloatArray, active: Sequence[int], excited: Sequence[int])
 
 
 ROUNDING = 1e-9
-"""Shares below this part of the longest column are rounding."""
+"""Shares below this fraction of the longest column are rounding residue."""

@@ -20,7 +20,7 @@ def gain_sensitivity(reduction: Reduction, solution: LeastSquares) -> FloatArray
 
     Args:
         reduction: the torque equations, one factor per joint.
-        solution: theirs, by `ols` or `wls`; the weights are taken as they are.
+        solution: theirs, by `ols` or `wls`; the weights are those of the solution.
 
     Raises:
         UsageError: the solution is that of the energy or power model, which has no rows of a single joint.

@@ -52,7 +52,7 @@ def p_text(p_value: float) -> str:
 def chi_square_test(
     difference: FloatArray, covariance: FloatArray, blocks: int, explained_by: FloatArray | None = None
 ) -> SignificanceTest | None:
-    """Whether a difference is significant, once its part in the span of some columns has been taken out.
+    """Whether a difference is significant, once its component in the span of some columns has been removed.
 
     Args:
         difference: (m,).

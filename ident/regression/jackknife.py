@@ -1,8 +1,8 @@
 """Covariance of estimated parameters when the residuals are autocorrelated: the only jackknife there is here.
 
-The classical covariance σ²(WᵀW)⁻¹ (SR400 eq. 14) takes every row as independent and of the same variance. Filtered
-torques are not, nor are ripple, friction and model errors, and a fit takes more out of its residual in the motion's own
-band than elsewhere: the error bars come out too small. Here they come from the delete-block jackknife (Künsch, Annals
+The classical covariance σ²(WᵀW)⁻¹ (SR400 eq. 14) assumes independent rows of the same variance. Filtered
+torques are not, nor are ripple, friction and model errors, and a fit reduces its residual more in the motion's own
+band than elsewhere: the error bars are too small. Here they come from the delete-block jackknife (Künsch, Annals
 of Statistics 17, 1989): leave out one block of consecutive samples after the other, all joints together, and see how
 far the parameters move,
 
@@ -72,7 +72,7 @@ class FilteredRun:
 
 @dataclass(frozen=True)
 class DistinctSamples:
-    """Filtered samples counted along the motion, those of a repeated phase alike.
+    """Filtered samples counted along the motion, repeated phases having the same index.
 
     Attributes:
         indices: for each series (M,), without holes over the samples that count; blocks are runs of these indices.
@@ -225,7 +225,7 @@ class BlockRows:
     Attributes:
         index: of the block.
         samples: (m,) which of the segment's filtered samples.
-        regressor: (kernel.row_count, m) packed rows; valid until the next ones are asked for.
+        regressor: (kernel.row_count, m) packed rows; valid until the next ones are requested.
         torque: (k, m) filtered; valid as long.
     """
 
@@ -249,7 +249,7 @@ def rows_by_block(
         segment: motion on a uniform grid.
         parallel_filter: for τ and W.
         blocks: (M,) index of each filtered sample's block.
-        torque: (k, N) to be filtered alike; none where None.
+        torque: (k, N) to be filtered in the same way; none where None.
     """
     torque = np.empty((0, len(segment.time))) if torque is None else torque
     position = 0

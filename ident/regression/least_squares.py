@@ -20,7 +20,7 @@ ENERGY_METHODS: tuple[Method, ...] = ("energy", "power")
 """Those that fit one scalar equation of the whole arm instead of one per joint."""
 
 EXCITATION_TOLERANCE = 1e-9
-"""A base column whose part independent of the preceding ones is below this share of its length is not excited, nor one
+"""A base column with an independent component below this share of its length is not excited, nor one
 that is shorter than this share of the longest: the derivative of a position that never changes is rounding."""
 
 ROUNDING = 1e-7
@@ -35,10 +35,10 @@ class LeastSquares:
     """A least-squares solution.
 
     Attributes:
-        method: what was fitted, and how.
+        method: name of the fit and its weighting.
         active: indices of the base columns that were estimated.
         parameters: (b,) base parameters; 0 for those that were not estimated.
-        covariance: (a, a) of the active ones, residuals taken as white (SR400 eq. 14).
+        covariance: (a, a) of the active ones, residuals assumed white (SR400 eq. 14).
         inverse: (a, a) inverse of the (weighted) normal matrix.
         weights: (n,) what each joint's rows were multiplied with, 0 without rows; (1,) for the energy methods.
         joint_std: (n,) standard deviation of each joint's residual [N·m], 0 without rows; (1,) of the energy's [J] or
@@ -74,7 +74,7 @@ class LeastSquares:
 
 
 def excited_columns(reduction: Reduction) -> tuple[int, ...]:
-    """Base columns that the data can identify: each has a part that is independent of those before it."""
+    """Base columns that the data can identify: each has a component that is independent of those before it."""
     factor = reduction.stacked()[:, : reduction.column_count]
     lengths = np.linalg.norm(factor, axis=0)
     return tuple(

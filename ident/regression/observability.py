@@ -1,11 +1,11 @@
 """What an experiment identifies of an arm: joints that were locked, motors whose torques are used (SR400 .4.3 point 7).
 
 With joints locked, or with the rows of some motors only, fewer combinations of the standard parameters act than in free
-motion. Which ones follows from the model: the regressor at random states with the locked joints where they stood, and
+motion. Which ones follows from the model: the regressor at random states with the locked joints where they were, and
 only the chosen motors' rows. So the regrouping does not hang on how well a recording happens to be excited.
 
-The torque of a motor that never turns is left out unless it is asked for: static friction, or a brake, holds an unknown
-part of it.
+The torque of a motor that never turns is left out unless requested: static friction, or a brake, holds an unknown
+share of it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from ident.model.regressor import RegressorKernel, evaluate_in_chunks
 REST_TOLERANCE = 5e-3
 """Default range [rad or m] within which a joint counts as locked.
 
-A joint on its brake sags by the backlash of its gear, some milliradians, while others move. Taken as fixed half a
+A joint on its brake sags by the backlash of its gear, some milliradians, while others move. Assumed fixed half a
 tolerance away, a moment of gravity of 100 N·m is off by 0.25 N·m, less than residuals are; a joint that is meant to
 move does so over a hundred times as much."""
 
@@ -47,16 +47,16 @@ SAME_POSE = 0.01
 """Positions of a locked joint closer than this [rad or m] are the same."""
 
 RIGHT_ANGLE = 2e-3
-"""A joint locked so near [rad] to a multiple of 90° is taken to stand there: geometry is special there, and parameters
+"""A joint locked so near [rad] to a multiple of 90° counts as being there: geometry is special there, and parameters
 that only this small angle separates are confounded with an error of the angle."""
 
 
 @dataclass(frozen=True)
 class ExperimentChoices:
-    """What a user may say of the experiment.
+    """A user's description of the experiment.
 
     Attributes:
-        locked: names of joints that must not move; whichever others stand still are found from the data.
+        locked: names of joints that must not move; other joints at rest are detected from the data.
         torques_of: names of the joints whose motors' torques are used; all that turn where empty.
         rest_tolerance: range of positions within which a joint counts as locked [rad or m].
 
@@ -82,8 +82,8 @@ class Experiment:
     """What a set of recordings can show of an arm.
 
     Attributes:
-        locked: indices of the joints with a motor that stood still throughout.
-        poses: where they stood, one entry (len(locked),) for each pose that was recorded [rad or m].
+        locked: indices of the joints with a motor that rested throughout.
+        poses: their positions, one entry (len(locked),) for each pose that was recorded [rad or m].
         torques: indices of the motors whose torque equations are used.
     """
 
@@ -100,7 +100,7 @@ def whole_arm(model: DynamicModel) -> Experiment:
 def find_experiment(
     model: DynamicModel, positions: Sequence[tuple[str, FloatArray]], choices: ExperimentChoices
 ) -> Experiment:
-    """Which joints stood still in all recordings, and whose torques to use.
+    """The joints that rested in all recordings, and whose torques to use.
 
     Args:
         model: the arm.
@@ -108,7 +108,7 @@ def find_experiment(
         choices: the user's.
 
     Raises:
-        DataError: a joint that is said to be locked moves.
+        DataError: a joint that is declared locked moves.
         UsageError: a name that no joint has.
     """
     named = joint_numbers(model, choices.locked, "--locked")
@@ -119,7 +119,7 @@ def find_experiment(
             if moved[joint] > allowed[joint]:
                 unit = _unit(model, joint)
                 raise DataError(
-                    f"joint {model.joint_names[joint]} is said to be locked and moves over {moved[joint]:.3g} {unit}; "
+                    f"joint {model.joint_names[joint]} is declared locked but moves over {moved[joint]:.3g} {unit}; "
                     f"the tolerance is {allowed[joint]:.2g} {unit}",
                     where=label,
                     hint="leave it out of --locked, choose a window with --start and --stop, or give a larger "
@@ -158,7 +158,7 @@ def moving_motors(model: DynamicModel, locked: Sequence[int]) -> tuple[int, ...]
 
 
 def ranges(position: FloatArray, rest_tolerance: float) -> tuple[FloatArray, FloatArray]:
-    """Largest minus smallest position (n,) of a recording (N, n), and the range up to which a joint stands still.
+    """Largest minus smallest position (n,) of a recording (N, n), and the range up to which a joint is at rest.
 
     That is the tolerance [rad or m], or what the encoder's noise alone explains. The noise comes from third
     differences, which smooth motion barely affects: of white noise of standard deviation σ they have the variance
@@ -302,7 +302,7 @@ def describe(model: DynamicModel, experiment: Experiment) -> str:
 
 
 def _pose(model: DynamicModel, position: FloatArray, locked: Sequence[int], rest_tolerance: float) -> tuple[float, ...]:
-    """Where the locked joints stood: the median, or the right angle that it cannot be told apart from."""
+    """Positions of the locked joints: the median, or the right angle from which it is indistinguishable."""
     values = []
     for joint in locked:
         value = float(np.median(position[:, joint]))

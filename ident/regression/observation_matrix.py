@@ -1,7 +1,7 @@
 """The overdetermined system Y = W·X + ρ (SR400 eq. 12), reduced while it streams by.
 
 Chunks of samples flow through the regressor kernel and the parallel filter into one triangular factor per joint.
-W is never stored: what is kept of a recording is, for each joint, R with RᵀR = [W τ]ᵀ[W τ], which is all that least
+W is never stored: a recording is reduced to, for each joint, R with RᵀR = [W τ]ᵀ[W τ], which is all that least
 squares with per-joint weights, subset selection and residual norms need. Factors of several recordings just stack.
 """
 
@@ -30,7 +30,7 @@ from ident.signals.filters import StreamedFilter, ZeroPhaseFilter
 from ident.signals.prepared import Segment
 
 CONDITION_SAMPLES = 1000
-"""Samples, spread over the data, from which condition and preconditioner come before the first pass."""
+"""Samples, spread over the data, that give condition and preconditioner before the first pass."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class JointFactor:
     Attributes:
         columns: indices of the base columns that are not structurally zero in them.
         factor: (k, len(columns) + m); the last m columns belong to the m torques.
-        rows: how many rows it stands for.
+        rows: how many rows it replaces.
     """
 
     columns: tuple[int, ...]
@@ -55,7 +55,7 @@ class Reduction:
     Attributes:
         joints: one factor per joint; a single one for the whole arm where its energy is balanced.
         column_count: number of base columns b.
-        torque_count: number of torques m, each reduced alike (1, but for a search of the delay: τ and its derivative).
+        torque_count: number of torques m, all reduced alike (1, but for a search of the delay: τ and its derivative).
         samples: number of filtered samples that went in.
         method: how the factors were built, in words.
     """

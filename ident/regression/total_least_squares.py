@@ -60,7 +60,7 @@ def signal_noise(factors: Sequence[FloatArray], rows: FloatArray) -> FloatArray:
 
     Args:
         factors: triangular factors (·, a + 1) of [A_j y_j].
-        rows: (n,) how many rows each stands for.
+        rows: (n,) how many rows each replaces.
     """
     noise = []
     for factor, count in zip(factors, rows, strict=True):

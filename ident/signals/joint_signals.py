@@ -1,4 +1,4 @@
-"""What an identification takes from a recording: joint positions and joint torques, in the robot's joint order."""
+"""Signals of an identification: a recording's joint positions and joint torques, in the robot's joint order."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class JointPositions:
     """One recording's joint positions as recorded; N samples, n joints in the robot's order.
 
     Attributes:
-        label: what messages call the recording; may be empty.
+        label: name of the recording in messages; may be empty.
         joint_names: (n,).
         time: (N,) the source's clock [s].
         position: (N, n) [rad or m].
@@ -43,12 +43,12 @@ class JointSignals:
     """One recording's joint signals as recorded; N samples, n joints in the robot's order.
 
     Attributes:
-        label: what messages call the recording; may be empty.
+        label: name of the recording in messages; may be empty.
         joint_names: (n,).
         time: (N,) the source's clock [s].
         position: (N, n) [rad or m].
         torque: (N, n) of the motors, referred to the joint side [N·m or N].
-        torque_origin: where the torque comes from, in words.
+        torque_origin: origin of the torque, in words.
         gains_used: names of the joints whose drive gain made the torque out of what was recorded.
         velocity: (N, n) [rad/s or m/s]; None where it was not recorded.
 
@@ -88,7 +88,7 @@ def _check(label: str, joint_names: Sequence[str], time: FloatArray, quantities:
 def read_joint_signals(recording: Recording, robot: Robot) -> JointSignals:
     """Positions and torques of a recording; a motor signal is turned into torque by the robot file's gains.
 
-    Γ = gain · signal (SR400 .4.3 point 1; AUBO eq. 2). Where both are there, a signal with a known gain goes before a
+    Γ = gain · signal (SR400 .4.3 point 1; AUBO eq. 2). Where both exist, a signal with a known gain is preferred to a
     recorded torque: the gain may have been corrected since. A signal is its motor's; a recorded torque is the joint's,
     and is referred to the motors by R⁻ᵀ where the robot file couples them.
 

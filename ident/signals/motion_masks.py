@@ -1,4 +1,4 @@
-"""Where and how fast the arm moves: the motion's band, and the windows in which anything moves at all."""
+"""Where and how fast the arm moves: the motion's band, and the windows with motion."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ BAND_POWER = 0.999
 """Share of a joint's velocity power that lies within the motion's band."""
 
 BAND_LIMIT_HZ = 20.0
-"""No motion is looked for above: drives do not follow, and the noise of differentiated positions grows with f²."""
+"""Upper limit of the motion's band: drives do not follow, and the noise of differentiated positions grows with f²."""
 
 MOVING_JOINT = 0.01
 """A joint counts for the band when its velocity's RMS is at least this share of the fastest joint's."""
@@ -32,7 +32,7 @@ def motion_band(position: FloatArray, rate: float) -> float:
         rate: [Hz].
 
     Positions are differenced and weighted with a Hann window; the spectrum is summed up to `BAND_LIMIT_HZ` or a fifth
-    of the rate. What white noise of the positions adds, which grows with f² once differenced, is taken from the upper
+    of the rate. The share of white position noise, which grows with f² once differenced, is estimated from the upper
     half of that range and subtracted. At least two periods of the record; 0 where nothing moves.
     """
     samples = position.shape[1] - 1

@@ -18,7 +18,7 @@ POSITION_CUTOFF_PER_TORQUE = 2.0
 POSITION_CUTOFF_OF_RATE = 0.4
 OUTPUT_RATE_PER_CUTOFF = 4.5
 CHEBYSHEV_PASSBAND = 0.4
-"""Cut-off of a Chebyshev decimation as part of the rate behind it (0.8 of its Nyquist frequency)."""
+"""Cut-off of a Chebyshev decimation as a fraction of the reduced rate (0.8 of its Nyquist frequency)."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def choose_cutoffs(band: float, rate: float, choices: PreprocessChoices) -> Cuto
     """Cut-offs from the motion's band and the data's rate, where the user gives none.
 
     The parallel filter's is ten times the band: τ also holds the harmonics of q̇², of sin(q) over wide swings and of dry
-    friction's reversals. It stays between 2 Hz and 20 Hz (but at least three times the band), above which gears and
+    friction's reversals. It is kept between 2 Hz and 20 Hz (but at least three times the band), above which gears and
     links bend and the rigid model ends. The positions' is twice that: a zero-phase Butterworth 4 then differs from 1
     by (1/2)⁸ = 0.4 % at the parallel filter's edge and by nothing within the band, so q̇ and q̈ are undistorted wherever
     τ is compared; at most 0.4 of the rate. The parallel filter keeps 4.5 samples a period of its cut-off.
@@ -115,7 +115,7 @@ def choose_cutoffs(band: float, rate: float, choices: PreprocessChoices) -> Cuto
     Args:
         band: of the motion [Hz], 0 where nothing moves.
         rate: of the data [Hz].
-        choices: what the user chose.
+        choices: the user's.
 
     Raises:
         UsageError: a cut-off above the Nyquist frequency, before or after decimation.
@@ -156,7 +156,7 @@ def choose_cutoffs(band: float, rate: float, choices: PreprocessChoices) -> Cuto
 
 
 def resolve(choices: PreprocessChoices, cutoffs: Cutoffs, rest_velocity: float) -> PreprocessChoices:
-    """The choices with every cut-off filled in that was taken from the data, so that other data get the same filters.
+    """The choices with the cut-offs chosen from the data, so that other data get the same filters.
 
     The factor of a Butterworth's decimation stays open: it follows from the cut-off and the rate of the other data.
     """

@@ -1,8 +1,8 @@
 """From recorded joint signals to segments that the model can be fitted to (SR400 .4.3 points 2 to 4).
 
-`prepare` runs the steps below in this order; each is a function of its own that returns what it made of the signals and
+`prepare` runs the steps below in this order; each is a function that returns the changed signals and
 one `Step`, a printable sentence with its numbers. The last step, parallel filtering, is only chosen here: the caller
-applies `Prepared.parallel_filter` to τ and to every column of W, and takes every `factor`-th entry of `Segment.used`.
+applies `Prepared.parallel_filter` to τ and to every column of W, and keeps every `factor`-th entry of `Segment.used`.
 
     window → resample → delay → decimation → low-pass → derivatives → motion windows → ends → parallel filter
 """
@@ -55,7 +55,7 @@ def prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
 
     Args:
         signals: as recorded.
-        choices: what the user chose.
+        choices: the user's.
 
     Raises:
         DataError: stamps that go backwards, too few samples, no motion.
@@ -263,7 +263,7 @@ def _motion_band(segments: Sequence[UniformSegment]) -> float:
 def _decimated(
     segments: tuple[UniformSegment, ...], band: float, factor: int
 ) -> tuple[tuple[UniformSegment, ...], Step | None]:
-    """Step 'decimation' of all signals: τ takes the positions' filter, else its noise above the new Nyquist aliases."""
+    """Step 'decimation' of all signals: τ gets the positions' filter, else its noise above the new Nyquist aliases."""
     if factor == 1:
         return segments, None
     rate = segments[0].rate
@@ -289,7 +289,7 @@ def _decimated(
 def _low_passed(
     segments: tuple[UniformSegment, ...], cutoffs: Cutoffs, choices: PreprocessChoices
 ) -> tuple[tuple[UniformSegment, ...], Step | None]:
-    """Step 'low-pass' of the positions; a recorded velocity takes the same filter."""
+    """Step 'low-pass' of the positions; a recorded velocity gets the same filter."""
     if choices.position_decimate > 1 and choices.position_cutoff is None:
         return segments, None
     zero_phase = butterworth(cutoffs.position, segments[0].rate)

@@ -13,8 +13,8 @@ MOTION_BEGINS, MOTION_ENDS = "motion begins", "motion ends"
 def played_window(recording: Recording) -> tuple[float | None, float | None]:
     """Start and stop [s from the first stamp] of the played motion, by the player's events.
 
-    The approach to the start pose and the hold at the end belong to no excitation: the arm creeps or stands, where
-    friction is not what the model says, and every joint may move, also one that is locked for the experiment.
+    The approach to the start pose and the hold at the end belong to no excitation: the arm creeps or rests, where
+    friction differs from the model, and every joint may move, even one that is locked for the experiment.
 
     Args:
         recording: its events and its stamps.

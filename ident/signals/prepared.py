@@ -44,7 +44,7 @@ class Segment:
         reversing: (n, N) motors near a velocity reversal, whose equations are left out (see `velocity_reversals`);
             None where all equations are used.
         resting: (n, N) motors at rest, among those of `reversing`; their torque is not compared with a prediction
-            either (see `velocity_reversals`). None where none was looked for.
+            either (see `velocity_reversals`). None where not determined.
     """
 
     time: FloatArray
@@ -68,7 +68,7 @@ class Prepared:
         parallel_filter: to be applied to τ and to every column of W of each segment.
         cutoffs: that were used, chosen or given.
         irregularity: of the recorded stamps.
-        choices: the user's, with every number filled in that was taken from the data.
+        choices: the user's, with the values chosen from the data filled in.
     """
 
     segments: tuple[Segment, ...]

@@ -29,7 +29,7 @@ class Irregularity:
         rms_deviation: of the periods from the median, gaps left out [s].
         gaps: number of holes that were not interpolated.
         duplicates: samples left out because they repeat their predecessor's stamp.
-        regular: whether the samples were taken as they are, without interpolation.
+        regular: whether the samples were used unchanged, without interpolation.
     """
 
     median_period: float
@@ -47,7 +47,7 @@ class Irregularity:
 
 
 def check_stamps(time: FloatArray) -> None:
-    """Refuse stamps that go backwards or are not numbers; equal neighbours are let through.
+    """Refuse stamps that go backwards or are not numbers; equal neighbours pass.
 
     Raises:
         DataError: naming the first bad sample.
@@ -109,8 +109,8 @@ def uniform_grid(start: float, stop: float, rate: float) -> FloatArray:
 def resample(time: FloatArray, rows: FloatArray, grid: FloatArray) -> FloatArray:
     """Cubic spline (not-a-knot) through `rows` (n, N) at the stamps `time` (N,), evaluated at `grid` (K,) → (n, K).
 
-    All signals take the same spline: its gain differs from 1 by less than (f/f_s)⁴·10 and is the same for τ and q,
-    where a straight line between samples would lower τ by up to (πf/f_s)²/2 and leave q alone. Fewer than four samples
+    All signals get the same spline: its gain differs from 1 by less than (f/f_s)⁴·10 and is the same for τ and q,
+    where a straight line between samples would lower τ by up to (πf/f_s)²/2 and not change q. Fewer than four samples
     are joined by straight lines.
     """
     if len(time) < 4:
@@ -145,7 +145,7 @@ def shift_torque(torque: FloatArray, rate: float, delay: float) -> FloatArray:
 
 
 def shiftable(samples: int, rate: float, delay: float) -> slice:
-    """The columns of `shift_torque` of N = `samples` that come from measured samples only; may be empty."""
+    """The columns of `shift_torque` of N = `samples` that depend on measured samples only; may be empty."""
     whole, fraction = _whole_and_fraction(delay * rate)
     before, behind = (1, 2) if fraction else (0, 0)
     start = min(max(0, before - whole), samples)

@@ -15,13 +15,13 @@ from ident.signals.options import Cutoffs, PreprocessChoices
 from ident.signals.prepared import Segment, Step
 
 END_PERIODS = 2.0
-"""Periods of the positions' cut-off that are left out at both ends of a segment. A low-pass cannot know how the motion
-goes on beyond them, and two derivatives amplify a wrong guess: a segment that ends in full motion can be off by its
+"""Periods of the positions' cut-off that are left out at both ends of a segment. A low-pass cannot see how the motion
+continues beyond them, and two derivatives amplify a wrong guess: a segment that ends in full motion can be off by its
 whole acceleration there, and a few such samples outweigh thousands of good ones."""
 
 FILTERED_END_PERIODS = 1.0
-"""Periods of the parallel filter's cut-off at both ends that do not count. τ and W pass them alike, but an odd
-extension pins the filter to the end's raw sample: its noise comes through unfiltered, many times that of the others."""
+"""Periods of the parallel filter's cut-off at both ends that are not used. τ and W are filtered alike, but an odd
+extension pins the filter to the end's raw sample: its noise passes unfiltered, many times that of the others."""
 
 SHORTEST_SEGMENT = 16
 """Samples; a shorter segment between two gaps is not worth differentiating."""
@@ -41,7 +41,7 @@ class UniformSegment:
 def central_difference(rows: FloatArray, rate: float) -> FloatArray:
     """Derivative by central differences of `rows` (n, N) at `rate` [Hz] → (n, N) (SR400 .4.3 points 2 and 3).
 
-    Second order at both ends too; a sinusoid of frequency f comes out sin(2πf/rate)/(2πf/rate) of its derivative.
+    Second order at both ends too; a sinusoid of frequency f is scaled by sin(2πf/rate)/(2πf/rate).
     """
     return np.asarray(np.gradient(rows, 1 / rate, axis=1, edge_order=2))
 

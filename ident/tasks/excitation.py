@@ -189,7 +189,7 @@ def design_excitation(
 
     Raises:
         UsageError: an option is not possible, or no pose keeps all limits; names the limit.
-        IdentificationError: a search process died, with `starts`.
+        IdentificationError: a search process crashed, with `starts`.
         KeyboardInterrupt: Ctrl-C before there was a feasible motion.
 
     Example:

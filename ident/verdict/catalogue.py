@@ -186,7 +186,7 @@ _EXCITATION = (
         "warning",
         PARAMETERS,
         "the torque of a motor at rest is used",
-        "Leave it out with --torques-of: static friction or a brake may carry any part of it.",
+        "Leave it out with --torques-of: static friction or a brake may carry any share of it.",
     ),
 )
 

@@ -1,7 +1,7 @@
 """Time on a CAN bus: how long a frame is with its stuffed bits, and which frame goes first (ISO 11898-1).
 
 Buses such as `virtual` and `udp_multicast` carry any number of frames per second; a simulated drive sends through a
-`BusModel` instead, so that what would not fit on a real bus does not fit here.
+`BusModel` instead, so that frames beyond a real bus's capacity are lost here, too.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Frame:
         id: identifier, 11 bits, or 29 where extended.
         data: 0 to 8 bytes.
         extended: whether the identifier has 29 bits.
-        remote: a request; its data stand for its length only.
+        remote: a request; its data give its length only.
     """
 
     id: int
@@ -102,7 +102,7 @@ def _header(identifier: int, length: int, extended: bool, remote: bool) -> tuple
 
 
 def exact_bits(frame: Frame) -> int:
-    """Exact length of a frame on the bus [bit]: stuffed bits as its content asks for, intermission included.
+    """Exact length of a frame on the bus [bit]: stuffed bits for its content, intermission included.
 
     Raises:
         ValueError: more than 8 bytes, or an identifier that is too large.
@@ -163,8 +163,8 @@ class _Waiting:
 class BusModel:
     """One frame at a time at a bit rate; of the frames that are ready when the bus is free, the lowest id goes first.
 
-    Time is whatever the caller counts in, as long as it runs forward. A cyclic frame (`newest_wins`) has two places to
-    wait in: once both are taken, a newer value takes the place of the second, which is then lost.
+    Time is in any unit of the caller's, as long as it increases. A cyclic frame (`newest_wins`) has two places to
+    wait in: when both are occupied, a newer value replaces the second, which is then lost.
 
     Args:
         bitrate: [bit/s].
@@ -190,7 +190,7 @@ class BusModel:
         self.lost = 0
 
     def submit(self, frame: Frame, ready: float, *, own: bool, newest_wins: bool = False) -> None:
-        """Hand a frame over at a time [s]; everything that ends before must have been taken with `pop` by then."""
+        """Hand a frame over at a time [s]; earlier frames must have been removed with `pop` by then."""
         # Arbitration compares bit by bit; of equal base identifiers the standard frame wins.
         key = (frame.id << 1 | 1) if frame.extended else frame.id << 19
         queue = self._queues.setdefault(key, deque())

@@ -1,4 +1,4 @@
-"""What simulated devices on a python-can bus share: opening and closing it, errors, and frames of faults."""
+"""Common base of simulated devices on a python-can bus: opening and closing it, errors, and frames of faults."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ VERSION, SERIAL_NUMBER = b"V1013\r", b"NA402\r"
 LONGEST_COMMAND = 40
 """[byte]: the longest command is that of an extended frame, 27."""
 BACKLOG_LIMIT = 65536
-"""Bytes that wait for a host that does not read, as in the kernel's serial buffers; what comes then is lost."""
+"""Bytes that are queued for a host that does not read, as in the kernel's serial buffers; later ones are lost."""
 OVERRUN, BUS_ERROR = 0x08, 0x80
 """Bits of the status flags (command F)."""
 POLL = 0.02
@@ -54,7 +54,7 @@ def parse_frame(command: bytes) -> can.Message | None:
 
 
 def format_frame(message: can.Message, stamp: int | None = None) -> bytes:
-    """What the adapter sends for a received frame, with a time stamp [ms] where it has one."""
+    """Message of the adapter for a received frame, with a time stamp [ms] where it has one."""
     letter = "r" if message.is_remote_frame else "t"
     identifier = f"{message.arbitration_id:03X}"
     if message.is_extended_id:
@@ -72,10 +72,10 @@ class PollableLineEnd(LineEnd, Protocol):
 
 
 class SlcanAdapter(Server):
-    """An adapter that is plugged in by `start` and let go of by `stop`.
+    """An adapter that `start` plugs in and `stop` closes.
 
     Args:
-        bus: what it stands in front of; closed with it.
+        bus: behind the adapter; closed with it.
         bitrate: of that bus [bit/s]; an adapter set to another gets nothing across.
         port: its end of the serial line; a pseudo-terminal where None.
         clock: the host's.
@@ -119,7 +119,7 @@ class SlcanAdapter(Server):
             self._bus.shutdown()
 
     def unplug(self) -> None:
-        """Pull it out: the port is gone for good; from any thread."""
+        """Unplug it: the port disappears for good; from any thread."""
         with self._lock:
             if self._plugged:
                 self._plugged = False

@@ -1,6 +1,6 @@
 """A simulated arm whose controller sends and obeys a table of CAN frames, without clock and bus.
 
-The controller measures once per cycle, sends it in the table's frames, and follows positions that it is commanded; what
+The controller measures once per cycle, sends it in the table's frames, and follows commanded positions; what
 a real one does beyond that (brakes, start-up, collision detection) it has not.
 """
 
@@ -37,17 +37,17 @@ MEASURED = (
 )
 """Quantities that a plant has per joint."""
 SLOW = ("temperature",)
-"""Quantities whose frames, where they hold nothing else, take turns: one per cycle."""
+"""Quantities whose frames, where they hold nothing else, are sent in turn: one per cycle."""
 SUBSTEP = 1e-3
 """How often the reference of the joint controllers is renewed [s]."""
 SPEED_MARGIN = 1.2
-"""A command that asks for more than this share of a joint's velocity limit is a fault."""
+"""A command beyond this share of a joint's velocity limit is a fault."""
 LEAST_STEADY = 5.0
 """Speed over a period [rad/s²] from which two commands determine how far the third should be."""
 HALT_DECELERATION = 10.0
 """Of a stop [rad/s²]: an assumption."""
 FAULT_COMMAND, FAULT_REQUESTED = 1, 2
-"""What `fault` says: a command outside the joint's limits of position or speed; a fault on request."""
+"""Values of `fault`: a command outside the joint's limits of position or speed; a fault on request."""
 
 
 class TableArm:
@@ -97,7 +97,7 @@ class TableArm:
         self._hold()
 
     def advance(self, duration: float) -> None:
-        """Let time pass [s]; the plant follows in whole steps of `SUBSTEP`."""
+        """Advance time [s]; the plant follows in whole steps of `SUBSTEP`."""
         self._time += duration
         self._ahead += duration
         while self._ahead >= SUBSTEP - 1e-9:
@@ -109,7 +109,7 @@ class TableArm:
             self.arm.advance(SUBSTEP)
 
     def cycle(self) -> list[Frame]:
-        """The frames of the next cycle, with what the sensors say now."""
+        """The frames of the next cycle, with the sensors' present values."""
         measured = self.arm.measure()
         marker = self._settings.cycle
         frames = [] if marker is None else [_frame(marker, b"")]
@@ -124,14 +124,14 @@ class TableArm:
         return frames
 
     def is_poll(self, identifier: int, data: bytes) -> bool:
-        """Whether a frame asks for a cycle: the last one of a poll."""
+        """Whether a frame requests a cycle: the last one of a poll."""
         poll = self._settings.poll
         return poll is not None and poll.frames[-1] == FixedFrame(identifier, data)
 
     def obey(self, identifier: int, data: bytes, late: float = 0.0) -> None:
-        """Take a frame of the master: start, stop, or a command.
+        """Process a frame of the master: start, stop, or a command.
 
-        `late` [s]: how long ago it arrived, where the arm's time has gone on already.
+        `late` [s]: how long ago it arrived, where the arm's time is ahead.
         """
         settings, given = self._settings, FixedFrame(identifier, data)
         if given in settings.stop:
@@ -160,7 +160,7 @@ class TableArm:
             self._follow(table.layouts, late)
 
     def fail(self, joint: int, reason: int = FAULT_REQUESTED) -> None:
-        """Let a joint fall into fault: the arm halts and is enabled no more until it is started anew."""
+        """Put a joint into fault: the arm halts and is disabled until it is started again."""
         self._faults[joint] = reason
         self.enabled, self._starting = False, 0
         self.arm.halt(HALT_DECELERATION)

@@ -37,12 +37,12 @@ from sim_drivers.faults import (
 from sim_drivers.plant.arm import SimulatedArm
 
 LONGEST_LAG = 0.25
-"""A stall of more than this [s] is not made up for: the arm's time stands still meanwhile."""
+"""A stall of more than this [s] is not made up for: the arm's time is halted meanwhile."""
 
 
 @dataclass(frozen=True)
 class TableStatus:
-    """What the arm has done so far.
+    """Counters of the arm.
 
     Attributes:
         time: of the arm [s].
@@ -66,13 +66,13 @@ class TableStatus:
 
 
 class ProprietaryCanServer(BusServer):
-    """An arm on a bus; `start` opens it, `stop` lets go.
+    """An arm on a bus; `start` opens it, `stop` closes it.
 
     Args:
         arm: the plant.
         robot: whose joints and limits these are.
         connection: the keys of a can_frames connection, without `driver`.
-        folder: what a relative `dbc` starts at; the current folder where None.
+        folder: of a relative `dbc`; the current folder where None.
         clock: the host's.
 
     Raises:
@@ -100,11 +100,11 @@ class ProprietaryCanServer(BusServer):
         self._status = TableStatus(arm.time)
 
     def status(self) -> TableStatus:
-        """What the arm has done so far."""
+        """Counters of the arm."""
         return self._status
 
     def ready(self) -> dict[str, object]:
-        """What a client must know to reach it."""
+        """Address for clients."""
         settings = self.settings
         return {
             "interface": settings.interface,

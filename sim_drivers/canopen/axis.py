@@ -52,13 +52,13 @@ class Axis:
     """One drive's motor, brake and their control.
 
     Args:
-        setup: what the drive is.
+        setup: of the drive.
         feedback: at the start.
-        objects: of the drive's node; what this side shows and obeys is connected to them.
+        objects: of the drive's node; the values that this side publishes and obeys are connected to them.
         emergency: called with every error code, 0 once the error is gone.
 
     Attributes:
-        feedback: what was measured last.
+        feedback: the last measurement.
         reference: where the joint is to be.
     """
 
@@ -119,7 +119,7 @@ class Axis:
             self.fault(OVER_TEMPERATURE)
 
     def take_setpoint(self, time: float, cycle: float) -> None:
-        """Take the cyclic set-point of a SYNC at a time [s], `cycle` [s] apart from its neighbours; 0 where unknown."""
+        """Apply the cyclic set-point of a SYNC at a time [s]; `cycle` [s] from the last one, 0 where unknown."""
         if not isinstance(self._motion, CyclicPosition) or self.machine.state is not State.OPERATION_ENABLED:
             return
         target = self.position_of(self.objects.number(TARGET_POSITION.index))
@@ -144,7 +144,7 @@ class Axis:
         return self.reference
 
     def obey(self) -> None:
-        """Follow mode and controlword, once everything that came with them is in the objects."""
+        """Follow mode and controlword, once all values received with them are in the objects."""
         if self.objects.number(MODE.index) != self._active_mode:
             self._take_mode()
         word = self.objects.number(CONTROLWORD.index)
@@ -200,7 +200,7 @@ class Axis:
         )
 
     def _entered(self, before: State) -> None:
-        """What a change of state does to the motion."""
+        """Effect of a change of state on the motion."""
         state = self.machine.state
         self._setpoint = self._next_setpoint = None
         self._acknowledged = False

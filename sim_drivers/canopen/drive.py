@@ -58,9 +58,9 @@ class SimulatedDrive:
 
     Args:
         node: node id.
-        setup: what it is.
+        setup: of the drive.
         feedback: at the start.
-        send: takes (identifier, data, newest wins) of every frame.
+        send: called with (identifier, data, newest wins) of every frame.
 
     Attributes:
         axis: its CiA 402 side.
@@ -106,7 +106,7 @@ class SimulatedDrive:
             self._boot()
 
     def receive(self, identifier: int, content: bytes) -> None:
-        """Take a frame that is neither NMT nor SYNC, nor for error control."""
+        """Process a frame that is neither NMT nor SYNC, nor for error control."""
         if self.nmt in (STATE_BOOT_UP, STATE_STOPPED):
             return
         if identifier == SDO_REQUEST + self.node:
@@ -125,7 +125,7 @@ class SimulatedDrive:
                     self.axis.obey()
 
     def heartbeat(self, producer: int, time: float) -> None:
-        """Take the heartbeat of another node at a time [s]."""
+        """Process the heartbeat of another node at a time [s]."""
         if self.nmt != STATE_BOOT_UP and self.error_control.heartbeat(producer, time):
             self._found()
 
@@ -135,7 +135,7 @@ class SimulatedDrive:
             self._found()
 
     def sync(self, time: float, cycle: float) -> None:
-        """Obey a SYNC: apply what was received, take the cyclic set-point, send what was measured.
+        """Obey a SYNC: apply received values and the cyclic set-point, send the measurement.
 
         The axis' feedback must be that of the SYNC's time.
 
@@ -156,7 +156,7 @@ class SimulatedDrive:
                 self._send(transmitted.identifier, content, True)
 
     def tick(self, time: float) -> None:
-        """What goes by time [s]: booting, error control, event-driven PDOs, temperature supervision."""
+        """Timed work at a time [s]: booting, error control, event-driven PDOs, temperature supervision."""
         if self.nmt == STATE_BOOT_UP:
             if time >= self.powered_at:
                 self._boot()
@@ -188,7 +188,7 @@ class SimulatedDrive:
         return self.axis.step(duration, actual)
 
     def _lose_connection(self, code: int) -> None:
-        """Say so, and do what the abort connection option (0x6007) asks of a drive that is enabled."""
+        """Send an emergency, and apply the abort connection option (0x6007) of a drive that is enabled."""
         option = self.objects.number(ABORT_OPTION.index)
         if self.enabled and option == AbortOption.FAULT:
             self.fault(code)

@@ -28,10 +28,10 @@ class NodeErrorControl:
     Args:
         objects: of the node.
         node: its id.
-        send: takes (identifier, data, newest wins) of every frame.
+        send: called with (identifier, data, newest wins) of every frame.
 
     Attributes:
-        muted: whether it says nothing; a fault on request.
+        muted: whether it sends nothing; a fault on request.
     """
 
     def __init__(self, objects: ObjectDictionary, node: int, send: Callable[[int, bytes, bool], None]) -> None:
@@ -60,7 +60,7 @@ class NodeErrorControl:
         return self._found(producer)
 
     def guard_request(self, time: float, nmt: int) -> bool:
-        """The master asked for the NMT state at a time [s]; whether with it no watched node is missing any more."""
+        """The master requested the NMT state at a time [s]; whether no watched node is missing any more."""
         if self._objects.number(HEARTBEAT_TIME.index):
             return False
         if not self.muted:

@@ -11,33 +11,33 @@ from dataclasses import dataclass
 from typing import Protocol
 
 LONGEST_CYCLE = 0.05
-"""SYNCs, or commands, further apart than this [s] begin a new series of unknown rate."""
+"""SYNCs, or commands, at a longer interval than this [s] begin a new series of unknown rate."""
 NEXT_SHARE = 0.9
 """A SYNC is still the next one where it is late by up to this share of a cycle; later ones come after others were left
 out."""
 PHASE_GAIN = 0.05
-"""Share of a SYNC's lateness that the drives' clock takes over."""
+"""Share of a SYNC's lateness that the drives' clock follows."""
 ASTRAY, ASTRAY_MEMORY = 0.2, 10.0
 """SYNCs that are early or late by more than this share of a cycle on average, over so many: the rate has changed."""
 LAG_CYCLES = 2.0
 """So many cycles after its SYNC the reference passes a set-point: the curve needs the next two."""
 EXTRAPOLATED_CYCLES = 3
-"""Cycles that a motion goes on with its velocity where set-points are left out."""
+"""Cycles for which a motion continues with its velocity where set-points are missing."""
 COAST_DECELERATION = 20.0
-"""Of the way to standstill where none comes even then [rad/s²]: an assumption."""
+"""Deceleration where none comes even then [rad/s²]: an assumption."""
 LARGEST_ACCELERATION = 30.0
-"""Set-points that ask for more [rad/s²] are no motion but a jump: an assumption."""
+"""Set-points with a larger acceleration [rad/s²] are a jump, not a motion: an assumption."""
 RESUME_TIME = 0.03
-"""Time constant [s] of the way to set-points that jump, or that come again after an interruption: an assumption."""
+"""Time constant [s] of the approach to set-points that jump, or that return after an interruption: an assumption."""
 LONGEST_COAST = 1000
-"""Cycles after which a joint without set-points certainly stands."""
+"""Cycles after which a joint without set-points is certainly at rest."""
 ARRIVED = 1e-6
 """[rad]: as good as there."""
 
 
 @dataclass(frozen=True)
 class AxisReference:
-    """Where a drive wants its joint: position, velocity, acceleration."""
+    """Reference of a drive for its joint: position, velocity, acceleration."""
 
     position: float
     velocity: float = 0.0
@@ -45,14 +45,14 @@ class AxisReference:
 
 
 class ReferenceMotion(Protocol):
-    """A reference that moves by itself."""
+    """A reference that moves on its own."""
 
     def step(self, duration: float) -> AxisReference:
         """The reference `duration` [s] later."""
 
     @property
     def finished(self) -> bool:
-        """Whether it will move no more by itself."""
+        """Whether it has come to rest."""
 
 
 class Standstill:
@@ -69,7 +69,7 @@ class Standstill:
 
     @property
     def finished(self) -> bool:
-        """Whether the joint stands."""
+        """Whether the joint is at rest."""
         return self._velocity == 0.0
 
     def step(self, duration: float) -> AxisReference:
@@ -106,7 +106,7 @@ class SyncClock:
         return time - self._time
 
     def passed(self, time: float) -> int:
-        """How many cycles a SYNC that comes at `time` is behind the last one, as far as time tells; at least 1."""
+        """How many cycles a SYNC that comes at `time` is after the last one, by time; at least 1."""
         cycles = (time - self._time) / self.cycle + 1.0 - NEXT_SHARE if self.cycle > 0.0 else 1.0
         return int(min(max(cycles, 1.0), LONGEST_COAST))
 
@@ -140,11 +140,11 @@ class CyclicPosition:
     Its acceleration is continuous. Straight lines have a step of velocity at every SYNC: the torque, which is measured
     at every SYNC too, would always differ from its mean by the same share of the inertial torque.
 
-    Where set-points are left out, the motion goes on with its velocity for some cycles, then comes to rest. When they
+    Where set-points are missing, the motion continues with its velocity for some cycles, then comes to rest. When they
     come again, or jump, it goes to them softly.
 
     Args:
-        start: where it begins; from a motion it goes on with zero velocity.
+        start: where it begins; from a motion it continues with zero velocity.
         time: when, in the clock of `aim` [s].
     """
 
@@ -265,7 +265,7 @@ class Profile:
         if self.finished:
             return AxisReference(self._position)
         way = self._target - self._position
-        # The largest speed after this step from which the rest of the way still suffices to stop, in whole steps.
+        # The largest speed after this step from which the remaining distance suffices to stop, in whole steps.
         braking = self._deceleration * duration
         rest = max(abs(way) - 0.5 * math.copysign(self._velocity, self._velocity * way) * duration, 0.0)
         allowed = math.sqrt(0.25 * braking**2 + 2.0 * self._deceleration * rest) - 0.5 * braking

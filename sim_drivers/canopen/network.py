@@ -1,6 +1,6 @@
 """Simulated drives, the bus between them and their master, and the arm that they move, in any time that runs forward.
 
-No clock and no sockets here: frames arrive with their time, and `advance` gives those that have gone out by then.
+No clock and no sockets here: frames arrive with their time, and `advance` returns those sent by then.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from sim_drivers.plant.arm import MeasurementLike
 LOOP_PERIOD = 1e-3
 """Of the drives' control loops [s]."""
 TICKS_PER_CHORE = 5
-"""Control periods between two looks at heartbeats and event timers."""
+"""Control periods between two checks of heartbeats and event timers."""
 LONGEST_LAG = 0.25
-"""A stall of more than this [s] is not made up for: the arm's time stands still meanwhile."""
+"""A stall of more than this [s] is not made up for: the arm's time is halted meanwhile."""
 PDO_IDENTIFIERS = range(0x181, 0x580)
 """Of the predefined connection set (CiA 301, 7.3.5)."""
 HEARTBEAT_IDENTIFIERS = range(HEARTBEAT + 1, HEARTBEAT + HIGHEST_NODE + 1)
 LONGEST_QUEUE = 100_000
-"""Frames of the master that may wait to be taken."""
+"""Most queued frames of the master."""
 PEAK_FACTOR = 3.0
-"""Torque limit of a joint over the rated torque of its drive, where the robot file does not say: an assumption."""
+"""Torque limit of a joint over the rated torque of its drive, where the robot file does not state it: an assumption."""
 
 
 class DrivenArm(Protocol):
-    """What the drives need of a plant (`sim_drivers.plant.plant.Plant` is one); arrays are (n,)."""
+    """Interface of a plant for the drives (`sim_drivers.plant.plant.Plant` is one); arrays are (n,)."""
 
     @property
     def position(self) -> FloatArray:
@@ -58,20 +58,20 @@ class DrivenArm(Protocol):
         """Reference of the joint controllers from now on."""
 
     def advance(self, duration: float) -> None:
-        """Let virtual time pass [s]."""
+        """Advance virtual time [s]."""
 
     def measure(self) -> MeasurementLike:
-        """What the sensors give now."""
+        """The sensors' present values."""
 
     def heat(self, joint: int, celsius: float) -> None:
-        """Warm a joint up by so much."""
+        """Raise a joint's temperature."""
 
     def block(self, joint: int) -> None:
         """Jam a joint."""
 
 
 def drive_setups(robot: Robot, settings: CanopenSettings) -> tuple[DriveSetup, ...]:
-    """What the drives of a connection are: as the robot file says, or of the usual size.
+    """Set-up of a connection's drives: from the robot file, or of the usual size.
 
     Raises:
         UsageError: counts per turn that are not an integer.
@@ -101,14 +101,14 @@ def drive_setups(robot: Robot, settings: CanopenSettings) -> tuple[DriveSetup, .
 
 @dataclass(frozen=True)
 class NetworkCounts:
-    """What has happened so far.
+    """Counters of the network.
 
     Attributes:
         syncs: SYNCs on the bus.
         sent: frames that drives have sent.
         lost: frames that found no room on the bus.
         bits: on the bus.
-        stalls: times when the arm's time stood still.
+        stalls: how often the arm's time was halted.
     """
 
     syncs: int = 0
@@ -131,7 +131,7 @@ class DriveNetwork:
 
     Attributes:
         drives: in the joints' order.
-        own_identifiers: what the drives send at present.
+        own_identifiers: that the drives send at present.
     """
 
     def __init__(
@@ -167,7 +167,7 @@ class DriveNetwork:
 
     @property
     def counts(self) -> NetworkCounts:
-        """What has happened so far."""
+        """Counters of the network."""
         return NetworkCounts(self._syncs, self._sent, self._bus.lost, self._bus.bits, self._stalls)
 
     def arrive(self, frame: Frame, time: float) -> None:
@@ -180,11 +180,11 @@ class DriveNetwork:
         return math.inf if end is None else end
 
     def power_cycle(self, joint: int) -> None:
-        """Take a drive's power away for a moment."""
+        """Cycle a drive's power."""
         self.drives[joint].power_cycle(self._now)
 
     def advance(self, now: float) -> list[Sent]:
-        """Let everything happen until `now` [s]; gives the drives' frames that are over by then, in order."""
+        """Advance to `now` [s]; returns the drives' frames that end by then, in order."""
         if now - self._tick_time > LONGEST_LAG:
             skipped = now - self._tick_time
             self._tick_time += skipped
@@ -271,7 +271,7 @@ class DriveNetwork:
             drive.axis.feedback = feedback
 
     def _feedback(self, ahead: float) -> list[Feedback]:
-        """What the drives measure `ahead` [s] of the plant's last step."""
+        """The drives' measurement `ahead` [s] of the plant's last step."""
         measured = self._arm.measure()
         position = self._arm.position + ahead * self._arm.velocity
         velocity, torque = measured.velocity, measured.torque

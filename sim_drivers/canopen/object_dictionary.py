@@ -1,4 +1,4 @@
-"""The object dictionary of one simulated CANopen node: what its EDS lists, with values (CiA 301, CiA 306)."""
+"""The object dictionary of one simulated CANopen node: the objects of its EDS, with values (CiA 301, CiA 306)."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Abort(IntEnum):
 
 
 class SdoAbortError(Exception):
-    """An access that is refused, with the code that says why."""
+    """A refused access, with its abort code."""
 
     def __init__(self, code: Abort) -> None:
         super().__init__(f"{code.name.lower().replace('_', ' ')} (0x{code:08X})")
@@ -52,7 +52,7 @@ class Entry:
         signed: whether a number may be negative.
         readable, writable: by SDO.
         mappable: into a PDO.
-        default: what it holds after a reset; None where the drive knows.
+        default: value after a reset; None where the drive provides it.
     """
 
     name: str
@@ -125,7 +125,7 @@ class ObjectDictionary:
         fixed: (index, subindex) → value that this node has instead of the default.
 
     Attributes:
-        entries: what there is.
+        entries: by index and subindex.
     """
 
     def __init__(self, node: int, fixed: dict[tuple[int, int], Value]) -> None:
@@ -148,7 +148,7 @@ class ObjectDictionary:
         self._values |= {key: value for key, value in before.items() if not 0x1000 <= key[0] < 0x2000}
 
     def live(self, index: int, subindex: int, read: Callable[[], int]) -> None:
-        """A value that the drive gives whenever it is asked."""
+        """A value that the drive computes on every read."""
         self._live[index, subindex] = read
 
     def on_write(self, index: int, subindex: int, check: Callable[[int], None]) -> None:
@@ -191,7 +191,7 @@ class ObjectDictionary:
         self._values[index, subindex] = value
 
     def read(self, index: int, subindex: int) -> bytes:
-        """What an SDO upload gives.
+        """Data of an SDO upload.
 
         Raises:
             SdoAbortError: no such object, or one that cannot be read.
@@ -203,7 +203,7 @@ class ObjectDictionary:
         return entry.encode(live() if live is not None else self._values[index, subindex])
 
     def write(self, index: int, subindex: int, content: bytes) -> None:
-        """What an SDO download does.
+        """Store the data of an SDO download.
 
         Raises:
             SdoAbortError: no such object, one that cannot be written, a wrong length, or a value that is refused.

@@ -25,7 +25,7 @@ class _Mapping:
 
 
 class _Pdo:
-    """What both directions share: COB-ID, transmission type, mapping, and what a master may do to them.
+    """Common base of both directions: COB-ID, transmission type, mapping, and a master's access to them.
 
     Args:
         objects: of the node.
@@ -44,7 +44,7 @@ class _Pdo:
         self.configured()
 
     def configured(self) -> None:
-        """The objects have changed: take them over."""
+        """Apply changed objects."""
         identifier = self._objects.number(self._communication, 1)
         self.identifier = None if identifier & INVALID else identifier & 0x7FF
         self.type = self._objects.number(self._communication, 2)
@@ -122,7 +122,7 @@ class TransmitPdo(_Pdo):
         return self._mapped.layout.pack(*[read() for read in self._mapped.readers])
 
     def on_sync(self) -> bytes | None:
-        """What it sends at a SYNC; None where it sends nothing."""
+        """Its frame at a SYNC; None where it sends nothing."""
         if self.identifier is None or not self.synchronous:
             return None
         if self.type == 0:
@@ -132,7 +132,7 @@ class TransmitPdo(_Pdo):
         return self.content() if self._syncs % self.type == 0 else None
 
     def on_time(self, time: float) -> bytes | None:
-        """What it sends by itself: where its content has changed, or its event timer has run out."""
+        """Its event-driven frame: where its content has changed, or its event timer has expired."""
         if self.identifier is None or self.synchronous:
             return None
         content = self.content()
@@ -156,11 +156,11 @@ class ReceivePdo(_Pdo):
         self._waiting: bytes | None = None
 
     def restart(self) -> None:
-        """The node has become operational: what was received before does not count."""
+        """The node has become operational: earlier data are discarded."""
         self._waiting = None
 
     def receive(self, content: bytes) -> bool:
-        """Take what has come; False where it is shorter than what is mapped."""
+        """Receive data; False where they are shorter than the mapping."""
         if len(content) < self._mapped.layout.size:
             return False
         self._waiting = content
@@ -169,7 +169,7 @@ class ReceivePdo(_Pdo):
         return True
 
     def apply(self) -> None:
-        """Write what has come last to the objects; a value that is refused leaves its object alone."""
+        """Write the last data to the objects; a refused value leaves its object unchanged."""
         content, self._waiting = self._waiting, None
         if content is None:
             return

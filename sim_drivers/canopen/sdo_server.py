@@ -13,10 +13,10 @@ LONGEST_DOWNLOAD = 4096
 
 
 class SdoServer:
-    """Answers one request after another; a client that breaks a transfer off has broken it off for itself only.
+    """Answers one request after another; a client that aborts a transfer affects no other.
 
     Args:
-        objects: what is read and written.
+        objects: to read and write.
     """
 
     def __init__(self, objects: ObjectDictionary) -> None:

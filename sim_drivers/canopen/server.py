@@ -1,6 +1,6 @@
 """Simulated CiA 402 drives on a python-can bus, in the time of a clock.
 
-One thread does everything. Frames are taken with the time of their arrival, run through the bus model together with
+One thread does everything. Frames get the time of their arrival, run through the bus model together with
 the drives' own, and those go out when they would have been over on a real bus. When the machine stalls, what was
 missed is made up for: frames come late then, but are lost only where a real bus would have lost them.
 """
@@ -40,7 +40,7 @@ from sim_drivers.faults import (
 )
 
 LONGEST_WAIT = 0.005
-"""Between two looks at the drives [s]; the arm moves without any frame, too."""
+"""Between two updates of the drives [s]; the arm moves without any frame, too."""
 GRANULARITY = 0.25e-3
 """Frames that are over within so short a time [s] go out together, not one wake-up each."""
 LOAD_WINDOW = 1.0
@@ -120,7 +120,7 @@ class CanopenServer(BusServer):
         )
 
     def ready(self) -> dict[str, object]:
-        """What a client must know to reach them."""
+        """Address for clients."""
         settings = self.settings
         place: dict[str, object] = {"interface": settings.interface, "channel": settings.channel}
         if self.adapter is not None:
@@ -161,7 +161,7 @@ class CanopenServer(BusServer):
                     self._transmit(bus, sent.frame)
 
     def _receive(self, bus: can.BusABC, timeout: float) -> None:
-        """Take every frame that is there, waiting for the first."""
+        """Receive all pending frames, waiting for the first."""
         message = self._next_message(bus, timeout)
         while message is not None:
             self._take(message)

@@ -1,4 +1,4 @@
-"""What a simulated drive is, how it is built in, and what it measures."""
+"""Set-up of a simulated drive, and its measurement."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ QUICK_STOP_RAMP = DriveObject(0x6085, 0, 4, False, "quick stop deceleration")
 
 @dataclass(frozen=True)
 class DriveSetup:
-    """What a drive is and how it is built in.
+    """Ratings of a drive and its mounting.
 
     Attributes:
         serial: serial number.
@@ -58,7 +58,7 @@ class DriveSetup:
 
 @dataclass(frozen=True)
 class Feedback:
-    """What a drive measures of its joint [rad, rad/s, N·m, A, °C]."""
+    """A drive's measurement of its joint [rad, rad/s, N·m, A, °C]."""
 
     position: float
     velocity: float = 0.0

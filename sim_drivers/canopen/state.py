@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class State(Enum):
-    """A state; its value is what bits 0–3, 5 and 6 of the statusword show (CiA 402-2, statusword coding)."""
+    """A state; its value is bits 0–3, 5 and 6 of the statusword (CiA 402-2, statusword coding)."""
 
     NOT_READY_TO_SWITCH_ON = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -19,7 +19,7 @@ class State(Enum):
 
 
 class Command(Enum):
-    """What a controlword asks for."""
+    """Commands of a controlword."""
 
     DISABLE_VOLTAGE = "disable voltage"
     QUICK_STOP = "quick stop"
@@ -37,7 +37,7 @@ DISABLE_AT_ONCE = 0
 STAY_IN_QUICK_STOP = (5, 6)
 """Quick stop options (0x605A) that end in quick stop active; the others go on to switch on disabled."""
 
-# The numbers are those of the transitions in CiA 402-2. What is missing is ignored, as the profile says.
+# The numbers are those of the transitions in CiA 402-2. Missing ones are ignored, as in the profile.
 TRANSITIONS = {
     (State.SWITCH_ON_DISABLED, Command.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 2
     (State.READY_TO_SWITCH_ON, Command.SWITCH_ON): State.SWITCHED_ON,  # 3
@@ -58,7 +58,7 @@ TRANSITIONS = {
 
 
 def command_of(controlword: int) -> Command:
-    """What bits 0–3 of a controlword ask for."""
+    """Command in bits 0–3 of a controlword."""
     if not controlword & 0x02:
         return Command.DISABLE_VOLTAGE
     if not controlword & 0x04:
@@ -69,7 +69,7 @@ def command_of(controlword: int) -> Command:
 
 
 class StateMachine:
-    """One drive's state; what the states do to the motor is the drive's affair.
+    """One drive's state; their effect on the motor is up to the drive.
 
     Attributes:
         state: now.
@@ -92,7 +92,7 @@ class StateMachine:
             self.state = State.SWITCH_ON_DISABLED
 
     def control(self, controlword: int) -> None:
-        """Obey a controlword; an edge of its bit 7 resets a fault (15), which by itself enables nothing."""
+        """Obey a controlword; an edge of its bit 7 resets a fault (15), which does not enable the drive."""
         reset = bool(controlword & FAULT_RESET_BIT)
         edge, self._reset_bit = reset and not self._reset_bit, reset
         if self.state is State.FAULT:
@@ -111,7 +111,7 @@ class StateMachine:
         self.state = reached
 
     def stopped(self) -> None:
-        """The drive stands: ends a quick stop (12) and a fault reaction (14)."""
+        """The drive is at rest: ends a quick stop (12) and a fault reaction (14)."""
         if self.state is State.FAULT_REACTION_ACTIVE:
             self.state = State.FAULT
         elif self.state is State.QUICK_STOP_ACTIVE and self.quick_stop_option not in STAY_IN_QUICK_STOP:

@@ -1,4 +1,4 @@
-"""What a simulated arm must offer to be served on a bus; `sim_drivers.plant.plant.Plant` does."""
+"""Interface of a simulated arm that can be served on a bus; `sim_drivers.plant.plant.Plant` has it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from drivers.streams import FloatArray
 
 
 class MeasurementLike(Protocol):
-    """What the sensors of a simulated arm give, each (n,) in SI units and °C."""
+    """Sensor values of a simulated arm, each (n,) in SI units and °C."""
 
     @property
     def position(self) -> FloatArray: ...  # noqa: D102
@@ -33,7 +33,7 @@ class MeasurementLike(Protocol):
 
 
 class SimulatedArm(Protocol):
-    """What the controller needs of a plant (`sim_drivers.plant.plant.Plant` is one)."""
+    """Interface of a plant for the controller (`sim_drivers.plant.plant.Plant` is one)."""
 
     @property
     def time(self) -> float:
@@ -48,13 +48,13 @@ class SimulatedArm(Protocol):
         """Brake to standstill at [rad/s²] and hold."""
 
     def advance(self, duration: float) -> None:
-        """Let virtual time pass [s]."""
+        """Advance virtual time [s]."""
 
     def measure(self) -> MeasurementLike:
-        """What the sensors give now."""
+        """The sensors' present values."""
 
     def heat(self, joint: int, celsius: float) -> None:
-        """Warm a joint up by so much."""
+        """Raise a joint's temperature."""
 
     def block(self, joint: int) -> None:
         """Jam a joint."""

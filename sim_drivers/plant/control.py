@@ -1,4 +1,4 @@
-"""Joint controllers of simulated arms: what their drives do between a target and a torque.
+"""Joint controllers of simulated arms: from a target to a torque.
 
 Both place the poles of every joint by its inertia J: stiffness J·ω², damping 2·ζ·J·ω, integral action ι·J·ω³. All
 arrays are (n,), units N·m, rad, s.
@@ -23,14 +23,14 @@ FRICTION_WIDTH = 0.02
 """Width [rad/s] of the smoothed sign in the friction that computed torque compensates."""
 
 COUPLING_LIMIT = 3.0
-"""How much stiffer than planned coupled joints may become under independent controllers, in ω²."""
+"""Largest increase of ω² of coupled joints under independent controllers over the design value."""
 
 
 def independent_inertia(inertias: FloatArray, inverse_inertias: FloatArray) -> FloatArray:
     """Inertias J (n,) that independent joint controllers may be tuned for.
 
     The mean diagonal of the joint-space inertia M, lowered where another posture or the other joints leave a joint
-    lighter, until no eigenvalue of M⁻¹·diag(J), hence no ω², is more than `COUPLING_LIMIT` times what was planned.
+    lighter, until no eigenvalue of M⁻¹·diag(J), hence no ω², is more than `COUPLING_LIMIT` times the design value.
 
     Args:
         inertias: (K, n) diagonal of M at K postures.
@@ -45,7 +45,7 @@ def independent_inertia(inertias: FloatArray, inverse_inertias: FloatArray) -> F
 
 @dataclass(frozen=True)
 class Target:
-    """What a controller follows: position, velocity and acceleration (n,)."""
+    """Reference of a controller: position, velocity and acceleration (n,)."""
 
     position: FloatArray
     velocity: FloatArray
@@ -53,7 +53,7 @@ class Target:
 
     @staticmethod
     def at_rest(position: FloatArray) -> Target:
-        """Standing still at a position."""
+        """At rest at a position."""
         zeros = np.zeros(len(position))
         return Target(np.array(position, dtype=np.float64), zeros, zeros)
 

@@ -5,7 +5,7 @@ Sliding, per joint (AUBO eq. 3-6; T in kelvin, τ_L the gravity torque; the Stri
     F = sign(q̇)·(Fc + Fb·exp(−(q̇/v_b)²) + f_L·τ_L² + Fv·|q̇|^α + √|q̇|·(β1 + β2·T + β3·T⁻³)) + Fo
 
 Equation 3 leaves out the neighbourhood of zero velocity. There a spring with a damper (a bristle, one Maxwell-slip
-element) takes the place of sign(q̇) on the terms that do not vanish at rest: it yields up to the break-away torque and
+element) replaces sign(q̇) in the terms that do not vanish at rest: it yields up to the break-away torque and
 then slides with it. A joint at rest therefore holds its load without creeping and without a sign that chatters.
 """
 
@@ -20,7 +20,7 @@ from drivers.streams import FloatArray
 from drivers.units import ZERO_CELSIUS
 
 BRISTLE_DAMPING = 0.5
-"""Damping ratio of a joint that stands on its bristle."""
+"""Damping ratio of a joint at rest on its bristle."""
 
 STABLE_STEP = 0.5
 """Largest step × natural frequency of bristle and arm; the integration (leapfrog) is stable below 2."""
@@ -57,7 +57,7 @@ class FrictionParameters:
 
 
 def friction_parameters(robot: Robot, share: float = 1.0) -> FrictionParameters:
-    """The friction that the file's truth gives every joint, or a share of it; none where it names no such joint."""
+    """The friction that the file's truth gives every joint, or a share of it; none for joints that it does not name."""
     joints = [robot.truth.joints.get(name, TruthJoint()) for name in robot.joint_names]
     return FrictionParameters(
         coulomb=share * np.array([joint.coulomb for joint in joints]),
@@ -91,7 +91,7 @@ def bristle_stiffness(
 ) -> tuple[FloatArray, FloatArray]:
     """Stiffness [N·m/rad] and damping [N·m·s/rad] (n,) of the bristles.
 
-    The stiffness breaks away after the pre-sliding travel, unless the integration needs a softer one.
+    The stiffness gives break-away after the pre-sliding travel, unless the integration needs a softer one.
 
     Args:
         parameters: of the friction.

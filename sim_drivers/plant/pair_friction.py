@@ -13,7 +13,7 @@ WIDTH = 0.01
 
 
 class PairFriction:
-    """Fs·sign(q̇) + Fv·q̇ of every coupled joint q̇ = R⁻¹·q̇_m, taken to the motors by −R⁻ᵀ."""
+    """Fs·sign(q̇) + Fv·q̇ of every coupled joint q̇ = R⁻¹·q̇_m, mapped to the motors by −R⁻ᵀ."""
 
     def __init__(self, robot: Robot, model: DynamicModel) -> None:
         joints = [robot.truth.joints.get(name, TruthJoint()) for name in robot.joint_names]

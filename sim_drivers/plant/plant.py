@@ -4,7 +4,7 @@ Leapfrog (velocity Verlet) with one articulated-body evaluation per step. Positi
 torque of one instant belong together: to second order in the step, the torque is the inverse dynamics of the motion.
 
 State, friction and controller are the motors', referred to the joint side. They are the joints', but where the robot
-file couples motors; there targets and measurements are taken from and to the joints by q_motor = R·q_joint.
+file couples motors; there targets and measurements are converted by q_motor = R·q_joint.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from sim_drivers.plant.sensors import EncoderSpeed, Measurement, TorqueSensor, d
 from sim_drivers.plant.thermal import JointHeat, copper_losses
 
 POSTURES = 20
-"""Random postures that inertias are taken over, for gains and for numerical stability."""
+"""Random postures at which inertias are evaluated, for gains and numerical stability."""
 
 JAMMED_INERTIA = 1e9
 """Inertia [kg·m²] of a jammed joint."""
@@ -43,7 +43,7 @@ STIFF_STEP = 0.2
 
 @dataclass(frozen=True)
 class PlantSettings:
-    """How the arm is simulated and controlled; what it is stands in its robot file's truth.
+    """How the arm is simulated and controlled; its parameters are in its robot file's truth.
 
     Attributes:
         step: of the integration [s].
@@ -163,7 +163,7 @@ class Plant:
     def set_target(
         self, position: FloatArray, velocity: FloatArray | None = None, acceleration: FloatArray | None = None
     ) -> None:
-        """What the controller follows from its next period on, (n,) each; ends a stop.
+        """Set the controller's reference from its next period on, (n,) each; ends a stop.
 
         Raises:
             ValueError: another shape, or a value that is not finite.
@@ -209,7 +209,7 @@ class Plant:
                 self._update_heat()
 
     def measure(self) -> Measurement:
-        """What the sensors measure now; each call draws its own noise."""
+        """The sensors' present values; each call draws its own noise."""
         target = self._target
         torque = self._torque_sensor.read() - self._unseen_inertia * self.acceleration
         model_torque = self._arm.inverse(target.position, target.velocity, target.acceleration)
@@ -241,7 +241,7 @@ class Plant:
         self._update_conditions()
 
     def block(self, joint: int) -> None:
-        """Jam the joint of this index: it stops at once and moves no more, whatever its drive does.
+        """Jam the joint of this index: it stops at once and does not move, whatever its drive does.
 
         Raises:
             ValueError: no such joint.

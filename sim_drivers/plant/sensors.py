@@ -1,4 +1,4 @@
-"""What a simulated arm's sensors say: quantised, noisy, rippled, late."""
+"""Sensors of a simulated arm: quantisation, noise, ripple, delay."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Measurement:
         current: motor signal, torque over gain, sign included [A]; the torque where the gain is unknown.
         torque: of the drive, joint side [N·m].
         temperature: of the housing [°C].
-        target_position, target_velocity, target_acceleration: what the controller follows.
-        target_current: motor signal that the controller asks for.
+        target_position, target_velocity, target_acceleration: the controller's reference.
+        target_current: motor signal commanded by the controller.
         target_torque: torque of the target's motion without friction [N·m].
     """
 
@@ -41,17 +41,17 @@ class Measurement:
 
 
 def quantised(values: FloatArray, resolution: float) -> FloatArray:
-    """Values rounded to whole steps of `resolution`; as they are where that is 0."""
+    """Values rounded to multiples of `resolution`; unchanged where that is 0."""
     return np.asarray(np.rint(values / resolution) * resolution) if resolution > 0 else values
 
 
 def drive_gains(robot: Robot) -> FloatArray:
-    """Joint torque over motor signal (n,) [N·m/A], sign included; 1 where the file does not know it."""
+    """Joint torque over motor signal (n,) [N·m/A], sign included; 1 where the file does not state it."""
     return np.array([1.0 if (gain := robot.drive(name).gain) is None else gain for name in robot.joint_names])
 
 
 class EncoderSpeed:
-    """Velocity as a drive knows it: the difference of encoder positions through a first-order low-pass.
+    """Velocity in a drive: the difference of encoder positions through a first-order low-pass.
 
     Args:
         position: (n,) encoder position at the start.
@@ -77,7 +77,7 @@ class TorqueSensor:
     """Drive torque with white noise and a ripple that follows the joint's angle, some steps late.
 
     Args:
-        robot: its truth says how much.
+        robot: its truth has their sizes.
         step: between two calls of `push` [s].
         generator: of noise and ripple phases.
     """

@@ -15,7 +15,7 @@ LOSS_AT_TORQUE_LIMIT = 80.0
 """Copper loss [W] at the torque limit of a joint whose truth gives none: a size, not a measurement."""
 
 UNKNOWN_TORQUE_LIMIT = 100.0
-"""Torque limit [N·m] taken for the copper loss of a joint without one."""
+"""Torque limit [N·m] assumed for the copper loss of a joint without one."""
 
 
 def copper_losses(robot: Robot) -> FloatArray:

@@ -14,17 +14,17 @@ class Session(Protocol):
     closing: bool
 
     def greeting(self) -> bytes:
-        """What the server says first."""
+        """Greeting of the server."""
 
     def receive(self, chunk: bytes) -> bytes:
-        """Take what the client sent, give what to answer.
+        """Process received data and return the answer.
 
         Raises:
             ConnectionLostError: the client does not follow this protocol.
         """
 
     def close(self) -> None:
-        """The client is gone."""
+        """The client has disconnected."""
 
 
 class ClientConnection:
@@ -32,7 +32,7 @@ class ClientConnection:
 
     Args:
         sock: connected; made non-blocking here.
-        session: what to say to it.
+        session: of the client.
         limit: bytes that may wait for a client that does not read.
     """
 
@@ -51,7 +51,7 @@ class ClientConnection:
         return bool(self._waiting)
 
     def send(self, content: bytes) -> None:
-        """Send what the socket takes and keep the rest; too much of it closes the connection."""
+        """Send as much as the socket accepts and keep the rest; too much of it closes the connection."""
         if not self.open or not content:
             return
         self._waiting += content
@@ -61,7 +61,7 @@ class ClientConnection:
             self.close()
 
     def flush(self) -> None:
-        """Send what waits, as far as the socket takes it."""
+        """Send queued data, as far as the socket accepts them."""
         while self.open and self._waiting:
             try:
                 sent = self.sock.send(self._waiting)
@@ -73,7 +73,7 @@ class ClientConnection:
             del self._waiting[:sent]
 
     def read(self) -> bytes:
-        """What the client sent; a client that has hung up is closed."""
+        """Received data; a client that has disconnected is closed."""
         try:
             chunk = self.sock.recv(CHUNK)
         except BlockingIOError:
@@ -85,7 +85,7 @@ class ClientConnection:
         return chunk
 
     def close(self) -> None:
-        """Let go of the socket; safe to call twice."""
+        """Close the socket; safe to call twice."""
         if self.open:
             self.open = False
             self._waiting.clear()

@@ -45,12 +45,12 @@ class ControlScript:
         self._kicked_at = 0.0
 
     def begin(self, controller: Controller) -> None:
-        """What the program does first."""
+        """Start of the program."""
         self._progress(controller, PROGRESS_FINISHED)
         self._signal(controller, READY)
 
     def kick(self, controller: Controller, received: Mapping[str, Value]) -> None:
-        """Tell the watchdog what a client wrote."""
+        """Feed the watchdog with a client's writes."""
         if f"input_int_register_{self._offset}" in received:
             self._kicked_at = controller.arm.time
 
@@ -123,7 +123,7 @@ class ControlScript:
         controller.motion.retarget(velocity, acceleration)
 
     def _stop(self, controller: Controller) -> None:
-        """speed_stop and servo_stop; stopl's deceleration of the tool is taken as one of the leading joint."""
+        """speed_stop and servo_stop; stopl's deceleration of the tool is applied to the leading joint."""
         self._end_asynchronous(controller)
         self._blocking = controller.brake(self._deceleration(controller))
 
@@ -167,7 +167,7 @@ class ControlScript:
         self._answer_integer(controller, int(controller.allowed(self._vector(controller, 0, JOINTS))))
 
     def _joint_torques(self, controller: Controller) -> None:
-        """get_joint_torques: what is left after the torque that the model of the arm explains."""
+        """get_joint_torques: the measured torque less that of the arm's model."""
         measured = controller.measured
         self._answer_vector(controller, (measured.torque - measured.target_torque).tolist())
 
@@ -195,7 +195,7 @@ class ControlScript:
             controller.values[f"output_double_register_{self._offset + register}"] = value
 
     def _progress(self, controller: Controller, progress: int) -> None:
-        """Register 2: bits 24-30 number the operation, 16-22 the writes, bit 15 says running, below is progress."""
+        """Register 2: bits 24-30 number the operation, 16-22 the writes, 15 is set while running, below is progress."""
         self._writes = (self._writes + 1) % 128
         if progress == PROGRESS_STARTED:
             self._operation = (self._operation + 1) % 128

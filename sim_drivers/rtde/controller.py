@@ -70,17 +70,17 @@ DRIFT_ACCELERATION = 4.0
 UNLOCK_DELAY = 5.0
 """A protective stop can be unlocked only so long [s] after it happened."""
 STEADY_TIME = 0.1
-"""Standing still so long [s] counts as steady."""
+"""Rest of this duration [s] counts as steady."""
 
 
 class ControlProgram(Protocol):
     """A program that runs on the controller."""
 
     def begin(self, controller: Controller) -> None:
-        """What the program does first."""
+        """Start of the program."""
 
     def kick(self, controller: Controller, received: Mapping[str, Value]) -> None:
-        """Tell the watchdog what a client wrote."""
+        """Feed the watchdog with a client's writes."""
 
     def step(self, controller: Controller) -> None:
         """One period."""
@@ -130,11 +130,11 @@ class Controller:
 
     @property
     def steady(self) -> bool:
-        """Whether the arm has stood still for a while."""
+        """Whether the arm is steady."""
         return self.arm.time - self._still_since >= STEADY_TIME
 
     def step(self) -> None:
-        """One period: obey, move, let time pass, measure."""
+        """One period: obey, move, advance time, measure."""
         if self.script is not None:
             self.script.step(self)
         if self.safety_mode == NORMAL:
@@ -152,7 +152,7 @@ class Controller:
         self.values |= {"control_step": self._steps, "actual_robot_energy_consumed": self._energy}
 
     def follow(self, reference: Reference) -> None:
-        """Take over a reference, or stop protectively where it lies outside the limits."""
+        """Apply a reference, or stop protectively where it lies outside the limits."""
         if not self.allowed(reference.position, reference.velocity):
             self.protective_stop("a joint left its limits of position or speed")
             return
@@ -222,7 +222,7 @@ class Controller:
         return True
 
     def drift(self, joint: int, velocity: float) -> None:
-        """A fault: carry a joint away from its reference at so many rad/s, until the program ends."""
+        """A fault: move a joint away from its reference at a velocity [rad/s], until the program ends."""
         if self.script is None:
             self.messages.append("no drift: no program is running")
             return
@@ -232,7 +232,7 @@ class Controller:
         self._drift_wanted, self._drift_velocity, self._drift_offset = np.zeros((3, JOINTS))
 
     def _drifted(self) -> Reference:
-        """The reference with what a drift adds to it, one period later."""
+        """The reference with the drift, one period later."""
         if not np.any(self._drift_wanted) and not np.any(self._drift_offset):
             return self.reference
         step = DRIFT_ACCELERATION * self.period
@@ -249,7 +249,7 @@ class Controller:
         return reference
 
     def write_inputs(self, received: dict[str, Value]) -> None:
-        """Take over what a client sent: registers, and outputs under their masks."""
+        """Apply a client's data: registers, and outputs under their masks."""
         values = self.values
         values.update(received)
         if self.script is not None:

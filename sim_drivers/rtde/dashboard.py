@@ -1,6 +1,6 @@
-"""The dashboard port (29999) of a simulated controller: one line asked, one line answered.
+"""The dashboard port (29999) of a simulated controller: one line per request, one per answer.
 
-Wordings: Universal Robots, "Dashboard Server e-Series", as far as ur_rtde 1.6.5 looks at them.
+Wordings: Universal Robots, "Dashboard Server e-Series", as far as ur_rtde 1.6.5 reads them.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ class DashboardSession:
         self._pending = b""
 
     def greeting(self) -> bytes:
-        """What the dashboard says first."""
+        """Greeting of the dashboard."""
         return b"Connected: Universal Robots Dashboard Server\n"
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Nothing to close."""
 
     def receive(self, chunk: bytes) -> bytes:
         """Answer every line that is complete.

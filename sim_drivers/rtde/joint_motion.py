@@ -25,7 +25,7 @@ SLOWEST = 1e-3
 
 @dataclass(frozen=True)
 class Reference:
-    """Where the arm's controller wants the joints: position, velocity, acceleration (n,)."""
+    """Reference of the arm's controller: position, velocity, acceleration (n,)."""
 
     position: FloatArray
     velocity: FloatArray
@@ -33,7 +33,7 @@ class Reference:
 
     @staticmethod
     def at_rest(position: FloatArray) -> Reference:
-        """Standing still at a position."""
+        """At rest at a position."""
         zeros = np.zeros_like(position)
         return Reference(position.copy(), zeros, zeros)
 
@@ -48,13 +48,13 @@ class JointMotion(Protocol):
 
 
 class MoveJ:
-    """movej: straight in joint space, a trapezoid of speed; the joint with the longest way leads.
+    """movej: straight in joint space, a trapezoid of speed; the joint with the longest distance leads.
 
     A moving arm is stopped first, with the same acceleration.
 
     Args:
         start: the reference to go on from.
-        target: (n,) where the joints shall stand.
+        target: (n,) positions of the joints.
         speed: of the leading joint [rad/s].
         acceleration: of the leading joint [rad/s²].
         speed_limit: (n,) of each joint [rad/s]; the whole motion is slowed down to keep it.

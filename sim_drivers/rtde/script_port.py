@@ -1,4 +1,4 @@
-"""The script port (30003) of a simulated controller: takes the control script of ur_rtde and starts it.
+"""The script port (30003) of a simulated controller: receives the control script of ur_rtde and starts it.
 
 URScript is not interpreted: of a whole program only its name and its register offset are read. The real port also
 sends the controller's state; this one is silent, as ur_rtde does not listen.
@@ -29,11 +29,11 @@ class ScriptSession:
         self._pending = ""
 
     def greeting(self) -> bytes:
-        """Nothing is said first."""
+        """No greeting."""
         return b""
 
     def close(self) -> None:
-        """A program goes on when the client that sent it leaves."""
+        """A program continues when its client disconnects."""
 
     def receive(self, chunk: bytes) -> bytes:
         """Start every program that is complete with this chunk.

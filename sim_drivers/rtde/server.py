@@ -1,6 +1,6 @@
 """A simulated arm behind the ports of a Universal Robots controller: RTDE, dashboard, script.
 
-One thread does everything. Each period, at absolute times, the controller takes one step and every RTDE client gets
+One thread does everything. Each period, at absolute times, the controller makes one step and every RTDE client gets
 its data package; between periods the sockets are read and written without ever waiting for one of them. When the
 machine stalls, the periods that were missed are made up for; after a long stall virtual time falls behind the clock
 instead, so that the timestamps never have a gap that the arm did not have.
@@ -46,7 +46,7 @@ SEND_BUFFER = 65536
 
 @dataclass(frozen=True)
 class Ports:
-    """Where to listen; 0 takes any free port, None none. Clients such as ur_rtde know only these."""
+    """Ports to listen on; 0 is any free port, None none. Clients such as ur_rtde use only these."""
 
     rtde: int | None = 30004
     dashboard: int | None = 29999
@@ -59,7 +59,7 @@ Service = Literal["rtde", "dashboard", "script"]
 
 @dataclass(frozen=True)
 class ServerStatus:
-    """What the server has done so far.
+    """Counters of the server.
 
     Attributes:
         time: of the controller [s].
@@ -68,7 +68,7 @@ class ServerStatus:
         faulted: data packages withheld by faults.
         overflowed: clients dropped because they did not read.
         broken: clients dropped because they did not follow the protocol.
-        refused: connections beyond what the server holds.
+        refused: connections beyond the server's capacity.
         stalls: times when virtual time fell behind the clock.
         safety_mode: 1 normal, 3 protective stop.
         playing: whether the control script runs.
@@ -87,11 +87,11 @@ class ServerStatus:
 
 
 class RtdeServer(FaultyServer):
-    """A simulated controller; `start` listens, `stop` lets go.
+    """A simulated controller; `start` listens, `stop` closes.
 
     Args:
         plant: the arm.
-        host: address to listen on; several arms take 127.0.0.2, 127.0.0.3, ….
+        host: address to listen on; for several arms 127.0.0.2, 127.0.0.3, ….
         version: of the controller's software, such as 5.22.
         rate: of its loop [Hz]; the version's (125 for 3.x, else 500) where None.
         joints: limits of the six joints; a UR's where None.
@@ -157,11 +157,11 @@ class RtdeServer(FaultyServer):
         self._arrived.put((sock, service))
 
     def status(self) -> ServerStatus:
-        """What the server has done so far."""
+        """Counters of the server."""
         return self._status
 
     def ready(self) -> dict[str, object]:
-        """What a client must know to reach it."""
+        """Address for clients."""
         return {
             "host": self.host,
             "version": str(self.version),
@@ -268,7 +268,7 @@ class RtdeServer(FaultyServer):
                 self.controller.drift(joint, velocity)
 
     def _attend(self, timeout: float) -> None:
-        """Read and write what can be, waiting at most `timeout` [s] for something to be."""
+        """Read and write where sockets are ready, waiting for them at most `timeout` [s]."""
         if self._clock.now() < self._frozen_until:
             # Unread and unanswered, as on a line that has gone dead.
             self._clock.sleep(timeout)

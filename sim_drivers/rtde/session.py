@@ -38,7 +38,7 @@ MAXIMUM_PACKAGE = 0xFFFF
 
 
 class RtdeSession:
-    """What one client set up, and what it gets.
+    """Set-up of one client, and its data.
 
     Args:
         controller: whose variables are read and written.
@@ -47,7 +47,7 @@ class RtdeSession:
     Attributes:
         closing: whether to hang up.
         running: whether the client wants data packages now.
-        withhold: data packages still to be lost on their way, a fault.
+        withhold: data packages still to be lost, a fault.
     """
 
     def __init__(self, controller: Controller, owners: dict[str, RtdeSession]) -> None:
@@ -77,7 +77,7 @@ class RtdeSession:
             del self._owners[name]
 
     def receive(self, chunk: bytes) -> bytes:
-        """Take what the client sent, give what to answer.
+        """Process received data and return the answer.
 
         Raises:
             ConnectionLostError: the client does not follow RTDE, or not version 2.
@@ -88,7 +88,7 @@ class RtdeSession:
         return answer
 
     def apply_inputs(self, *, behind: bool) -> None:
-        """Hand the controller what has come for its next period.
+        """Pass received packages to the controller for its next period.
 
         While virtual time makes up for a stall, packages that came a period apart must not act all at once: then one a
         period is handed on.

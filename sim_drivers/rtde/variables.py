@@ -1,4 +1,4 @@
-"""What a Universal Robots controller offers over RTDE: versions, variables and their types, recipes.
+"""RTDE interface of a Universal Robots controller: versions, variables and their types, recipes.
 
 Names, types and, where known, the version that brought each variable: Universal Robots, "RTDE Guide"; the table of the
 simulated server in Universal Robots' Client Library (tests/fake_rtde_server.cpp); the lists that ur_rtde 1.6.5 asks
@@ -167,7 +167,7 @@ def _registers(direction: str, version: ControllerVersion) -> dict[str, str]:
 
 
 def output_variables(version: ControllerVersion) -> dict[str, str]:
-    """What a controller of a version sends: name → type. Input registers can be read back."""
+    """Outputs of a controller of a version: name → type. Input registers can be read back."""
     later = {name: kind for name, (kind, cb3, e_series) in _LATER.items() if version.has(cb3, e_series)}
     return (
         dict(_ALWAYS)
@@ -179,7 +179,7 @@ def output_variables(version: ControllerVersion) -> dict[str, str]:
 
 
 def input_variables(version: ControllerVersion) -> dict[str, str]:
-    """What a controller of a version accepts: name → type."""
+    """Inputs of a controller of a version: name → type."""
     return dict(_IO_INPUTS) | _registers("input", version)
 
 

@@ -1,1 +1,1 @@
-"""What `dynid sim` serves, and until when."""
+"""Serving simulated devices: `dynid sim`."""

@@ -19,7 +19,7 @@ from sim_drivers.plant.plant import Plant
 from sim_drivers.serving.served import BusOptions, Served
 
 DEFAULT_BUS = {"interface": "udp_multicast", "channel": "239.74.163.2", "options": {"hop_limit": 0}}
-"""Where an arm answers whose robot file says nothing of it."""
+"""Default channel of an arm without one in its robot file."""
 
 SWITCH_INTERVAL = 2e-4
 """Of the interpreter [s] where drives and adapter share it."""

@@ -38,7 +38,7 @@ def simulate(
         host: address to listen on.
         version: of a UR controller.
         seed: of the noise.
-        live: whether a line on standard error shows its state.
+        live: whether a status line is shown on standard error.
         bus: how its bus differs from its robot file's.
         payload: see `sim_drivers.plant.altered_arm.with_payload`; None for none.
         position: see `start_position`; the middle of the joints' ranges where None.

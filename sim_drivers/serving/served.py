@@ -20,7 +20,7 @@ from drivers.errors import DynidError, UsageError, WorkError
 from drivers.terminal import styled, visible
 
 REFRESH = 0.5
-"""[s] between two live lines."""
+"""[s] between two status lines."""
 CLEAR_LINE = "\r\x1b[K"
 
 
@@ -42,7 +42,7 @@ class Served(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
     def ready(self) -> Mapping[str, object]:
-        """What a client must know to reach it; known once started."""
+        """Address for clients; known once started."""
 
     def live_line(self) -> str:
         """Its state in one line."""
@@ -57,7 +57,7 @@ class Served(Protocol):
 
 @dataclass(frozen=True)
 class BusOptions:
-    """How a simulated arm's bus differs from its robot file's, and what is served beside it.
+    """How a simulated arm's bus differs from its robot file's, and the devices served beside it.
 
     Attributes:
         interface, channel: of python-can; the connection's where None.
@@ -74,7 +74,7 @@ class BusOptions:
 
 
 def serve_until_interrupted(served: Served, name: str, *, live: bool) -> None:
-    """Start a simulated device, say so in one JSON object on standard output, and wait for Ctrl-C or SIGTERM.
+    """Start a simulated device, report it in one JSON object on standard output, and wait for Ctrl-C or SIGTERM.
 
     Raises:
         ConnectionFailedError: its bus or port is not available.

@@ -53,7 +53,7 @@ class BesideThermometer:
         self._both.close()
 
     def ready(self) -> Mapping[str, object]:
-        """What clients must know."""
+        """Addresses for clients."""
         return {**self._served.ready(), **_ready(self._thermometer)}
 
     def live_line(self) -> str:
@@ -87,7 +87,7 @@ class ThermometerAlone(FaultyServer):
         self._plant, self._thermometer = plant, thermometer
 
     def ready(self) -> Mapping[str, object]:
-        """What a client must know."""
+        """Address for clients."""
         return _ready(self._thermometer)
 
     def live_line(self) -> str:
@@ -103,7 +103,7 @@ class ThermometerAlone(FaultyServer):
         super().obey(line.strip().removeprefix(f"{WORD} "))
 
     def cause(self, fault: Fault) -> None:
-        """Make a fault happen: heat at the plant's next period, all others at once."""
+        """Apply a fault: heat at the plant's next period, all others at once."""
         if isinstance(fault, Heat):
             super().cause(fault)
         else:

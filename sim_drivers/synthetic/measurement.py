@@ -1,4 +1,4 @@
-"""Recordings of an arm that does not exist: exact inverse dynamics, then what sensors and drives do to it."""
+"""Recordings of a simulated arm: exact inverse dynamics, then the effects of sensors and drives."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A simulated serial thermometer: lines of text, as fast as its baud rate lets them through.
+"""A simulated serial thermometer: lines of text, as fast as its baud rate allows.
 
 A pseudo-terminal carries any number of characters per second; so they are handed over one after the other, ten bit
 times each.
@@ -33,7 +33,7 @@ NOISE_BYTES = bytes(range(256))
 
 @dataclass(frozen=True)
 class SimulatedThermometer:
-    """What the thermometer sends.
+    """Lines of the thermometer.
 
     Attributes:
         channels: one per value, in the order of the temperatures.
@@ -78,7 +78,7 @@ class ThermometerServer(FaultyServer):
     Args:
         source: an arm whose joints' housings are measured, all of them in their order, or a function that gives the
             temperatures [°C], one per channel.
-        settings: what is sent.
+        settings: of the lines.
         seed: of the garbage.
         line_end: its end of the line; a pseudo-terminal where None.
         clock: the host's.
@@ -134,7 +134,7 @@ class ThermometerServer(FaultyServer):
             self._plug_in()
 
     def cause(self, fault: Fault) -> None:
-        """Make a fault happen at once; from any thread."""
+        """Apply a fault at once; from any thread."""
         match fault:
             case Freeze(duration):
                 self._silent_until = self._clock.now() + duration
@@ -203,10 +203,10 @@ class ThermometerServer(FaultyServer):
 
 
 def simulated_thermometer(connection: Mapping[str, object], joints: Sequence[str]) -> SimulatedThermometer:
-    """What a thermometer of a robot file's connection sends: the channels of all joints that it names, in joint order.
+    """Settings for the thermometer of a connection: the channels of all joints that it names, in joint order.
 
     Raises:
-        UsageError: the connection's keys are wrong, or its pattern does not match what is sent.
+        UsageError: the connection's keys are wrong, or its pattern does not match the lines.
     """
     settings = parse_settings(connection, joints)
     simulated = SimulatedThermometer(

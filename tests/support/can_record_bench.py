@@ -1,4 +1,4 @@
-"""`dynid record` and `dynid sim` on CAN wires, each in a process of its own, and somebody who asks the drives."""
+"""`dynid record` and `dynid sim` on CAN buses, each in a separate process, and an SDO client of the drives."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SYNC_RATE = 100
 STATUSWORD = 0x6041
 NODES = range(1, 7)
 PATIENCE = 60.0
-"""How long [s] anything may take."""
+"""Time limit [s] of every step."""
 SOME_ROWS = 10
 """A recording with more of them has been going on."""
 ENABLED = 0x0027
@@ -43,12 +43,12 @@ _numbers = itertools.count(1)
 
 @dataclass(frozen=True)
 class Arm:
-    """A robot file of its own on a multicast group of its own.
+    """A separate robot file and multicast group.
 
     Attributes:
         path: of the robot file.
         group: multicast address of both CAN buses.
-        port: UDP port of the bus; programs that hear all groups of a port, such as python-can's logger, hear this bus.
+        port: UDP port of the bus; programs that join all groups of a port (python-can's logger) see this bus.
     """
 
     path: Path
@@ -118,14 +118,14 @@ def swing(folder: Path, duration: float = 30.0) -> Path:
 
 @contextmanager
 def simulated(arm: Arm, wire: str, *options: str) -> Iterator[tuple[dict[str, Any], subprocess.Popen[str]]]:
-    """The arm served on a wire."""
+    """The arm served on a bus."""
     with served("-c", COMMAND, "sim", str(arm.path), "--wire", wire, "--no-ui", *options) as (ready, process):
         yield dict(ready), process
 
 
 @contextmanager
 def recorder(arm: Arm, wire: str, out: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """`dynid record` in a process of its own, with time limits that no stall passes."""
+    """`dynid record` in a separate process, with time limits that no stall passes."""
     command = [
         sys.executable,
         "tests/support/patient_dynid.py",
@@ -149,7 +149,7 @@ def recorder(arm: Arm, wire: str, out: Path, *arguments: str) -> Iterator[subpro
 
 
 class Probe:
-    """Asks drives by SDO what they do, beside everybody else."""
+    """Reads the drives' states by SDO, beside the other clients."""
 
     def __init__(self, arm: Arm) -> None:
         self._bus = open_bus("udp_multicast", arm.group, 1_000_000, {"port": arm.port})
@@ -179,21 +179,21 @@ class Probe:
         return [node for node, word in words.items() if word is not None and word & 0x6F == ENABLED]
 
     def wait_until_off(self) -> list[int]:
-        """Until no drive is enabled; the nodes that say what they are."""
+        """Until no drive is enabled; the nodes that answered."""
         end = time.monotonic() + PATIENCE
         while self.enabled():
             assert time.monotonic() < end
         return [node for node in NODES if self.read(node, STATUSWORD) is not None]
 
     def wait_for_losses(self) -> list[int]:
-        """Until all nodes said that they miss their master (EMCY 0x8130), or for a minute; those that did."""
-        found: set[int] = set()
+        """Until all nodes reported a missing master (EMCY 0x8130), or for a minute; those that did."""
+        missing: set[int] = set()
         end = time.monotonic() + PATIENCE
-        while len(found) < len(NODES) and time.monotonic() < end:
+        while len(missing) < len(NODES) and time.monotonic() < end:
             frame = self._bus.recv(1.0)
             if frame is not None and 0x81 <= frame.arbitration_id <= 0x86 and frame.data[:2] == b"\x30\x81":
-                found.add(frame.arbitration_id - 0x80)
-        return sorted(found)
+                missing.add(frame.arbitration_id - 0x80)
+        return sorted(missing)
 
     def wait_for_motion(self, process: subprocess.Popen[str]) -> None:
         """Until a drive's TPDO1 shows a motion; nothing is asked, which would disturb the driver's configuration."""
@@ -212,14 +212,14 @@ class Probe:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a recording with a fault.
+    """Outcome of a recording with a fault.
 
     Attributes:
         status: exit status.
         errors: standard error.
         recording: the file; None where there is none.
-        seconds: from the fault to the end of the program; nan where nobody looked.
-        moved: how far a joint moves in 0.4 s afterwards [rad]; nan where nobody can tell.
+        seconds: from the fault to the end of the program; nan where not measured.
+        moved: how far a joint moves in 0.4 s afterwards [rad]; nan where unknown.
         enabled: nodes enabled afterwards.
     """
 
@@ -250,7 +250,7 @@ def type_fault(simulator: subprocess.Popen[str], line: str, recording: subproces
 
 
 def assert_stopped(outcome: Outcome, *reasons: str) -> None:
-    """One line says why, the file says it too, and the arm rests with its drives off."""
+    """One line gives the cause, the file has it too, and the arm rests with its drives off."""
     assert outcome.status == 1
     assert outcome.errors.startswith("dynid: ")
     assert outcome.errors.count("\n") == 1

@@ -23,7 +23,7 @@ READ = 0.02
 
 @dataclass
 class Bench:
-    """Both ends of the bus, and what was read."""
+    """Both ends of the bus, and the batches read."""
 
     clock: SimulatedClock
     bus: ScriptedBus
@@ -65,7 +65,7 @@ class Bench:
 
     @property
     def position(self) -> FloatArray:
-        """Where the arm stood last."""
+        """The arm's last position."""
         return np.array(self.blocks["joints"][-1].values["position"][-1])
 
     def said(self, level: str) -> list[str]:

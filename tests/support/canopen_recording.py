@@ -40,7 +40,7 @@ CHANNEL = "recorded"
 
 @dataclass(frozen=True)
 class Measured:
-    """What a drive measured and was at a SYNC."""
+    """Measurement and state of a drive at a SYNC."""
 
     feedback: Feedback
     enabled: bool
@@ -56,7 +56,7 @@ class Bench:
         server: its drives.
         driver: open.
         rate: of SYNC [Hz].
-        wire: hears all frames.
+        wire: receives all frames.
         measured: of every SYNC, of every drive.
         begun: when the recording began [s].
     """
@@ -119,25 +119,25 @@ class Bench:
     def expected(self, slots: Sequence[int]) -> dict[str, FloatArray]:
         """What the drives measured at these SYNCs, in their own numbers, by quantity (N, n)."""
         axes = [drive.axis for drive in self.server.network.drives]
-        found: dict[str, list[list[int]]] = {"position": [], "velocity": [], "torque": [], "current": []}
+        quantities: dict[str, list[list[int]]] = {"position": [], "velocity": [], "torque": [], "current": []}
         heard = dict(zip(self.sent(), self.measured, strict=False))  # off the bus they hear none
         for slot in slots:
             rows = list(zip(axes, heard[slot], strict=True))
-            found["position"].append([axis.counts_of(one.feedback.position) for axis, one in rows])
-            found["velocity"].append([round(one.feedback.velocity / RADIANS) for _, one in rows])
+            quantities["position"].append([axis.counts_of(one.feedback.position) for axis, one in rows])
+            quantities["velocity"].append([round(one.feedback.velocity / RADIANS) for _, one in rows])
             for name in ("torque", "current"):
-                found[name].append(
+                quantities[name].append(
                     [
                         round(1e3 * getattr(one.feedback, name) / getattr(axis.setup, f"rated_{name}")) * one.enabled
                         for axis, one in rows
                     ]
                 )
-        return {name: np.array(values) for name, values in found.items()}
+        return {name: np.array(values) for name, values in quantities.items()}
 
 
 @dataclass(frozen=True)
 class Run:
-    """What came of a recording.
+    """Outcome of a recording.
 
     Attributes:
         report: of the session.
@@ -241,7 +241,7 @@ def arm_on_bus(
 
 
 def _note(server: CanopenServer, measured: list[list[Measured]]) -> None:
-    """Note what the drives measure at every SYNC that they hear."""
+    """Note the drives' measurement at every SYNC that they receive."""
     for place, drive in enumerate(server.network.drives):
 
         def heard(time: float, cycle: float, drive=drive, place=place, sync=drive.sync) -> None:  # type: ignore[no-untyped-def]

@@ -1,4 +1,4 @@
-"""A simulated arm that its own controller moves, and what its sensors say."""
+"""A simulated arm that its own controller moves, and its sensor values."""
 
 from __future__ import annotations
 

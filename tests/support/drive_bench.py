@@ -35,7 +35,7 @@ def bus_settings(**keys: object) -> CanopenSettings:
 
 @dataclass(frozen=True)
 class Told:
-    """What a drive said at a SYNC."""
+    """A drive's TPDO at a SYNC."""
 
     status: int
     mode: int
@@ -112,26 +112,26 @@ class Bench:
         self.pass_time(0.005)
 
     def cycle(self, word: int, targets: Sequence[int], mode: int = 8, period: float = 0.0025) -> dict[int, Told]:
-        """RPDOs of all drives, SYNC, and what they say then."""
+        """RPDOs of all drives, SYNC, and their TPDOs."""
         for node, target in enumerate(targets, start=1):
             self.send(0x200 + node, struct.pack("<Hbi", word, mode, target))
         # A frame's time on the bus after the last RPDO, so that this SYNC applies them.
         self.pass_time(0.4 * period)
         self.send(0x80)
         out = self.pass_time(0.6 * period)
-        told = {}
+        controlwords = {}
         for sent in out:
             if 0x180 < sent.frame.id <= 0x186:
-                told[sent.frame.id - 0x180] = Told(*struct.unpack("<Hbi", sent.frame.data))
-        return told
+                controlwords[sent.frame.id - 0x180] = Told(*struct.unpack("<Hbi", sent.frame.data))
+        return controlwords
 
     def enable(self, mode: int = 8) -> list[int]:
-        """Operation enabled where they stand; the counts there."""
-        told = self.cycle(0x00, [0] * 6, mode)
-        targets = [told[node].position for node in range(1, 7)]
+        """Operation enabled at the present position; the counts there."""
+        controlwords = self.cycle(0x00, [0] * 6, mode)
+        targets = [controlwords[node].position for node in range(1, 7)]
         for word in (0x06, 0x07, 0x0F):
-            told = self.cycle(word, targets, mode)
-        assert {one.status & 0x6F for one in told.values()} == {0x27}
+            controlwords = self.cycle(word, targets, mode)
+        assert {one.status & 0x6F for one in controlwords.values()} == {0x27}
         return targets
 
     def emergencies(self) -> list[tuple[int, int, int]]:

@@ -1,4 +1,4 @@
-"""A plant that follows its target exactly, for tests of what stands in front of it."""
+"""A plant that follows its target exactly, for tests of the servers in front of it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Measurement:
 
 
 class ExactPlant:
-    """Current is 0.5 A plus the position, torque ten times that, so that a test can tell them apart."""
+    """Current is 0.5 A plus the position, torque ten times that, so that a test can distinguish them."""
 
     def __init__(self, joints: int = 6) -> None:
         self.time = 0.0

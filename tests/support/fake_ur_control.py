@@ -1,4 +1,4 @@
-"""Stand-ins for ur_rtde's control interface that write down what they are asked; `host` is the file they write to."""
+"""Stand-ins for ur_rtde's control interface that log their calls; `host` is the log file."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class FakeControl:
 
 
 class PrintingControl(FakeControl):
-    """Writes to standard output as a C++ library does, which Python's own `sys.stdout` knows nothing of."""
+    """Writes to standard output as a C++ library does, past Python's own `sys.stdout`."""
 
     def servoJ(
         self, q: Sequence[float], speed: float, acceleration: float, time: float, lookahead: float, gain: float
@@ -74,7 +74,7 @@ class CutOffControl(FakeControl):
 
 
 class WatchedControl(FakeControl):
-    """Writes down what the watchdog was set to."""
+    """Logs the watchdog's setting."""
 
     def setWatchdog(self, min_frequency: float) -> bool:
         self.write(f"setWatchdog {min_frequency:g}")
@@ -94,7 +94,7 @@ class RefusingControl(FakeControl):
 
 
 class DyingControl(FakeControl):
-    """Takes the whole process along, as a crash in ur_rtde would."""
+    """Ends the whole process, as a crash in ur_rtde would."""
 
     def servoJ(
         self, q: Sequence[float], speed: float, acceleration: float, time: float, lookahead: float, gain: float
@@ -128,7 +128,7 @@ def move_and_print(log: str) -> None:
 
 
 def move_for_ever(log: str) -> None:
-    """Take control and move; say so, and wait for whatever comes (for a process that a test kills)."""
+    """Take control and move; print so, and wait (for a process that a test kills)."""
     import numpy as np
 
     from drivers.rtde.motion import MotionProcess

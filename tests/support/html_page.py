@@ -1,4 +1,4 @@
-"""A page as a browser takes it apart."""
+"""A page as a browser parses it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 
 class Page(HTMLParser):
-    """Elements with their attributes, the text between them, and what the scripts hold: figures and frames by name."""
+    """Elements with their attributes, the text between them, and the scripts' data: figures and frames by name."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Simulated free and loaded runs of one arm, its drive gains as the file says or hidden."""
+"""Simulated free and loaded runs of one arm, its drive gains as in the file or hidden."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DURATION = 20.0
 
 @lru_cache
 def runs(seed: int, hidden: bool = False, everywhere: float = 1.0) -> tuple[Recording, Recording]:
-    """A free and a loaded run; gains times `HIDDEN` where asked for, and times `everywhere`."""
+    """A free and a loaded run; gains times `HIDDEN` where requested, and times `everywhere`."""
     robot_file = load_robot(ROBOT)
     factors = {name: everywhere * (factor if hidden else 1.0) for name, factor in HIDDEN.items()}
     return arm_runs(robot_file, factors, LOAD, seed)

@@ -7,7 +7,7 @@ from pathlib import Path
 from daq.robot.loader import RobotFile, parse_robot
 
 FOUR_BAR = (Path(__file__).parents[2] / "examples" / "four_bar.yaml").read_text(encoding="utf-8")
-"""A turning column with a planar four-bar linkage: the crank moves the rocker, which carries a wrist."""
+"""A revolute column with a planar four-bar linkage: the crank moves the rocker, which carries a wrist."""
 
 SPATIAL = """\
 name: spatial_loop
@@ -54,12 +54,12 @@ joints:
 
 
 def four_bar_arm(**replacements: str) -> RobotFile:
-    """`FOUR_BAR` with parts of its text replaced."""
+    """`FOUR_BAR` with text replaced."""
     return _parsed(FOUR_BAR, replacements)
 
 
 def spatial_arm(**replacements: str) -> RobotFile:
-    """`SPATIAL` with parts of its text replaced."""
+    """`SPATIAL` with text replaced."""
     return _parsed(SPATIAL, replacements)
 
 

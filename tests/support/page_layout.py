@@ -1,4 +1,4 @@
-"""What a reader of a page would stumble over, as JavaScript that runs in it."""
+"""Layout defects of a page, as JavaScript that runs in it."""
 
 COLLIDING_TEXTS = """(() => {
   const shown = (one) => {

@@ -43,6 +43,6 @@ def assert_upper_bound(constraint, path: Path) -> None:
     """The smooth bound lies above the use and comes close to it as the sharpness grows."""
     use = constraint.use(path)
     excess = [constraint.smooth_use(path, sharpness)[0] - use for sharpness in (5.0, 50.0, 5e4)]
-    assert all(np.all(found >= -1e-12) for found in excess)
+    assert all(np.all(bound >= -1e-12) for bound in excess)
     assert np.all(excess[0] >= excess[1] - 1e-12)
     assert np.all(excess[2] < 1e-3)

@@ -1,4 +1,4 @@
-"""Both ends of an RTDE wire for tests: a served arm in its own process, ur_rtde in another, and a bare socket."""
+"""Both ends of an RTDE connection for tests: a served arm in its own process, ur_rtde in another, and a bare socket."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.rtde import protocol as wire
 
 LIMIT = 60.0
-"""How long [s] anything may take before it counts as hung."""
+"""Time [s] after which a step counts as hung."""
 ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
 _numbers = itertools.count(1)
 
 
 def loopback() -> str:
-    """An address of this computer that no other test uses now: clients such as ur_rtde know only one port."""
+    """An address of this computer that no other test uses now: clients such as ur_rtde use only one port."""
     return f"127.{20 + os.getpid() % 200}.{os.getpid() // 200 % 250}.{next(_numbers)}"
 
 
 @contextmanager
 def served(*command: str) -> Iterator[tuple[dict[str, object], subprocess.Popen[str]]]:
-    """A served arm in its own process: what it said when it was ready, and the process, which takes faults."""
+    """A served arm in its own process: its message when it was ready, and the process, which accepts faults."""
     process = subprocess.Popen(
         [sys.executable, *command],
         stdin=subprocess.PIPE,
@@ -83,7 +83,7 @@ def ur_rtde(code: str, *hosts: str) -> dict[str, object]:
 
 
 class BareClient:
-    """A connected socket that speaks RTDE as UR's own Python client does: no comma behind the last name."""
+    """A connected socket with RTDE as in UR's own Python client does: no comma behind the last name."""
 
     def __init__(self, sock: socket.socket, clock: Clock = SYSTEM_CLOCK, *, greet: bool = True) -> None:
         self.sock = sock

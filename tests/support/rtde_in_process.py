@@ -29,7 +29,7 @@ KILLED = -9
 
 
 class Network:
-    """The ways to a server; `dead` lets nobody through any more."""
+    """The connections to a server; none works once `dead`."""
 
     def __init__(self, server: RtdeServer) -> None:
         self.dead = False
@@ -55,7 +55,7 @@ def serving(server: RtdeServer) -> Iterator[Network]:
 
 
 class RememberedArm:
-    """An arm that keeps what its sensors gave, from its first measurement on, one a period."""
+    """An arm that keeps its measurements, one per period."""
 
     def __init__(self, arm: SimulatedArm) -> None:
         self.times: list[float] = []
@@ -80,7 +80,7 @@ class RememberedArm:
 
 
 class PythonControl:
-    """What ur_rtde's control interface does with its program: commands through registers, answers read back.
+    """ur_rtde's control interface: commands to its program through registers, answers read back.
 
     A realtime command is sent and not waited for; another one waits until the program has done it.
     """
@@ -153,14 +153,14 @@ class PythonControl:
         self._send(wire.DATA_PACKAGE, struct.pack(">Bii12d", self._inputs, number, 0, *padded))
 
     def _wait_for(self, signal: int) -> bool:
-        """Until the program says so; False where it does not run any more."""
+        """Until the program confirms it; False where it does not run any more."""
         self._look(0.0)
         while self._connected and self._playing and self._signal != signal:
             self._look(60.0)
         return self._connected and self._playing
 
     def _look(self, seconds: float) -> None:
-        """Take what has come."""
+        """Process received data."""
         while self._connected and self._receive(seconds):
             seconds = 0.0
         while self._packages:
@@ -231,7 +231,7 @@ def pipe(clock: SimulatedClock) -> tuple[PipeEnd, PipeEnd]:
 
 
 class MotionThread:
-    """Does in a thread what the motion process does; `killed` is set, and its pipe broken, when it is killed."""
+    """A motion process as a thread; `killed` is set, and its pipe broken, when it is killed."""
 
     def __init__(
         self, clock: SimulatedClock, factory: ControlFactory, host: str, rate: float, *, killed: Callable[[], object]
@@ -281,7 +281,7 @@ class Motions:
         return MotionProcess(host, rate, timeout, self._control, self._start)
 
     def kill(self) -> None:
-        """Kill what moves the arm, as the operating system would."""
+        """Kill the motion process, as the operating system would."""
         self.made[-1].kill()
 
     def _start(self, factory: ControlFactory, host: str, rate: float, timeout: float) -> tuple[PipeEnd, MotionThread]:

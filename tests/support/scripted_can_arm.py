@@ -1,4 +1,4 @@
-"""An arm on a virtual CAN bus that sends what a test tells it to, cycle by cycle; for the tests of can_frames."""
+"""An arm on a virtual CAN bus that sends a test's cycles; for the tests of can_frames."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drivers.clock import Clock
 
 RATE = 100.0
 ANSWER_TIME = 0.001
-"""What an answer to a poll takes [s]."""
+"""Delay of the answer to a poll [s]."""
 JOINTS = ("shoulder", "elbow")
 _CHANNELS = count()
 
@@ -56,11 +56,11 @@ def moving(channel: str, **more: object) -> dict[str, object]:
 
 
 class ScriptedCanArm:
-    """Sends cycles at `RATE`, or one a poll; keeps what it hears.
+    """Sends cycles at `RATE`, or one per poll; keeps what it receives.
 
     Args:
         clock: of the test.
-        cycle: what it sends.
+        cycle: frames of a cycle.
         poll: identifier of the frame that makes it answer; None to send by itself.
     """
 

@@ -1,4 +1,4 @@
-"""CiA 402 drives on a virtual CAN bus that do what a test asks, written without drivers.canopen402."""
+"""CiA 402 drives on a virtual CAN bus that a test scripts, written without drivers.canopen402."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ STATUS = {
     "fault": 0x0218,
 }
 RAMP = 0.05
-"""How long [s] a quick stop takes."""
+"""Duration of a quick stop [s]."""
 FRAME_TIME = 1e-4
-"""How long [s] a frame of the drives takes on the bus."""
+"""Duration of a drive's frame on the bus [s]."""
 LOOK = 0.005
-"""Between two looks at what a test may have changed [s]."""
+"""Between two checks of what a test may have changed [s]."""
 
 
 def channel() -> str:
@@ -92,7 +92,7 @@ class ScriptedDrive:
     alternates: bool = True
     """Whether the toggle bit of its answers to guarding alternates."""
     slowness: float = 0.0
-    """How long it takes to answer SDO requests [s]."""
+    """Delay of the answer to an SDO request [s]."""
     short_tpdo: bool = False
     nmt: int = 0x7F
     controlwords: list[int] = field(default_factory=list)
@@ -211,7 +211,7 @@ class ScriptedDrive:
         return min(now + LOOK, beat, self._ramp_until if self.state == "quick stop" else now + LOOK)
 
     def tick(self, now: float) -> bool:
-        """What happens by itself; whether it sends a heartbeat."""
+        """Timed behaviour; whether it sends a heartbeat."""
         if self.state == "quick stop" and now >= self._ramp_until:
             self.objects[0x606C, 0] = 0
             self._ramp_until = now + RAMP
@@ -311,7 +311,7 @@ class ScriptedBus:
         self.times: list[float] = []
         """When each of them came [s]."""
         self.requests: list[tuple[float, int]] = []
-        """Every remote frame: time, node that is asked."""
+        """Every remote frame: time, requested node."""
         self.bus = can.Bus(interface="virtual", channel=self.channel, ignore_config=True)
         self._ending = False
         self._thread = clock.thread(self._serve, "scripted drives")
@@ -330,7 +330,7 @@ class ScriptedBus:
         self.send(identifier, data)
 
     def fail(self, node: int, code: int = 0x4310) -> None:
-        """A drive falls into fault and says so."""
+        """A drive goes into fault and reports it."""
         drive = next(one for one in self.drives if one.node == node)
         self.send(0x80 + node, drive.fail(code))
 

@@ -1,4 +1,4 @@
-"""A controller that speaks RTDE and does exactly what a test's script says, written without drivers.rtde."""
+"""An RTDE controller that follows a test's script exactly, written without drivers.rtde."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TYPES = {
 
 @dataclass(frozen=True)
 class Sample:
-    """A data package at a controller time; `values` replaces what `default_values` gives."""
+    """A data package at a controller time; `values` replace those of `default_values`."""
 
     time: float
     values: Mapping[str, Sequence[float]] = ()  # type: ignore[assignment]
@@ -50,14 +50,14 @@ class Cut:
 
 
 class Never:
-    """Say nothing more, but keep the connection."""
+    """Send nothing more, but keep the connection."""
 
 
 Step = Sample | Wait | Text | Cut | Never | bytes
 
 
 def default_values(clock: float) -> dict[str, Sequence[float]]:
-    """Values that tell when they were true: joint j of every vector is clock + j/10, times a factor."""
+    """Values that encode their time: joint j of every vector is clock + j/10, times a factor."""
     vector = [clock + joint / 10 for joint in range(6)]
     return {
         "timestamp": [clock],

@@ -57,13 +57,13 @@ class SimulatedLine:
 
     def read_until(self, end: bytes, seconds: float = 1.0) -> bytes:
         """What comes at the near end up to one of some bytes, or for so long [s]."""
-        client, found = SerialPort(self, self._clock, seconds), b""
-        while not found or found[-1] not in end:
+        client, received = SerialPort(self, self._clock, seconds), b""
+        while not received or received[-1] not in end:
             byte = client.read()
             if not byte:
                 break
-            found += byte
-        return found
+            received += byte
+        return received
 
 
 class SerialPort:

@@ -26,7 +26,7 @@ def write_page(folder: Path, info: RecordingInfo, file: str) -> None:
     Args:
         folder: made where it does not exist.
         info: of the recording.
-        file: what the recording is called.
+        file: name of the recording.
 
     Raises:
         UsageError, DiskError: they cannot be written.

@@ -18,7 +18,7 @@ from ident.report.traces import broken_line, envelope_indices, packed
 from ident.signals.resampling import gap_free_segments
 
 MOST_COLUMNS = 32
-"""Lines of one panel; a channel of more columns is shown in part."""
+"""Lines of one panel; of a channel with more columns, the first ones are shown."""
 
 MOST_POINTS = 3000
 PAGE_POINTS = 150_000

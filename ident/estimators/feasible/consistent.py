@@ -49,7 +49,7 @@ class ConsistentParameters:
         sources: (k,) where each link's prior comes from.
         misfit: rise of the sum of squared residuals, each of unit variance, over that of the estimate.
         boundary: indices of the links that the conditions hold near the boundary.
-        limits_hit: what the file's ranges hold.
+        limits_hit: ranges of the file that are active.
         steps: Newton steps.
     """
 
@@ -81,7 +81,7 @@ def consistent_parameters(
         robot_file: for `known`, `prior` and the URDF's bodies.
 
     Raises:
-        RobotFileError: what the file says is known cannot hold, alone or together.
+        RobotFileError: the file's `known` values are impossible, alone or together.
         IdentificationError: no minimum was reached.
     """
     root = estimate.root * min(1.0, PRECISION / max(float(np.linalg.norm(estimate.root @ estimate.values)), 1e-300))
@@ -131,7 +131,7 @@ def found_consistent(
     """The same; None where no minimum is reached, which must not cost the rest of a result.
 
     Raises:
-        RobotFileError: what the file says is known cannot hold, alone or together.
+        RobotFileError: the file's `known` values are impossible, alone or together.
     """
     try:
         return consistent_parameters(model, base, estimate, robot_file)

@@ -26,7 +26,7 @@ SIZE = 4
 """Rows of the matrices."""
 
 MOST_STEPS = 200
-"""Steps; most problems take 10 to 50."""
+"""Steps; most problems need 10 to 50."""
 
 DECREMENT = 1e-10
 """Half the squared Newton decrement, over the greatest weight, at which an iterate counts as the minimum."""
@@ -41,7 +41,7 @@ FAST, SLOW = 0.15, 0.5
 """Factors by which the weights fall."""
 
 DEEP = 1.0
-"""How far inside, in units of the conditions, a start is looked for."""
+"""Margin, in units of the conditions, with which a start is searched."""
 
 PUSH = 1e3
 """Weight of that wish over the barrier's."""
@@ -52,7 +52,7 @@ BoolArray = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
 @dataclass(frozen=True)
 class Conditions:
-    """What has to stay positive: k matrices S_k(y) = Σ_j y[variables[k, j]]·basis[k, j] − least[k], and g slacks.
+    """Positivity conditions: k matrices S_k(y) = Σ_j y[variables[k, j]]·basis[k, j] − least[k], and g slacks.
 
     Attributes:
         variables: (k, q) variables of each matrix.
@@ -93,7 +93,7 @@ class Minimum:
     Attributes:
         y: (p,).
         root: (f, f) upper triangular; rootᵀ·root is the objective's Hessian over the free variables.
-        steps: Newton steps taken.
+        steps: Newton steps made.
     """
 
     y: FloatArray
@@ -109,7 +109,7 @@ def minimise(
     Args:
         system: (m, p) B.
         target: (m,) c.
-        conditions: what has to stay positive, and the weights.
+        conditions: that must be positive, and the weights.
         start: (p,) strictly inside.
         free: (p,) variables that may change; the others keep their value of `start`.
 
@@ -154,7 +154,7 @@ def strictly_inside(conditions: Conditions, start: FloatArray, free: BoolArray) 
     All conditions are relaxed by the same τ, in units of each matrix's `least` or of 1, and τ is driven down.
 
     Args:
-        conditions: what has to stay positive.
+        conditions: that must be positive.
         start: (p,) any point.
         free: (p,) variables that may change.
 
@@ -217,7 +217,7 @@ class _Duals:
         return np.asarray(values[:, :, None] ** 0.25 * vectors.transpose(0, 2, 1) @ np.linalg.inv(roots))
 
     def ratio(self, conditions: Conditions, y: FloatArray) -> float:
-        """Mean of ⟨S, Z⟩ and s·z over what they are at the minimum: how far the weights have come down."""
+        """Mean of ⟨S, Z⟩ and s·z over their values at the minimum: the remaining weight of the barrier."""
         products = np.einsum("kab,kab->k", conditions.matrices(y), self.matrices) / SIZE
         return float(np.mean(np.append(products, conditions.slacks(y) * self.slacks) / conditions.weights))
 

@@ -1,6 +1,6 @@
-"""What is assumed of links where the data say nothing: bodies of the robot file, of the URDF, or of even density.
+"""Assumptions on links where data are inconclusive: bodies of the robot file, of the URDF, or of uniform density.
 
-Torques never reveal all of a link's ten parameters. Those that they leave open are taken from a prior, a body that can
+Torques never reveal all of a link's ten parameters. The others come from a prior, a body that can
 exist for every link. It is never mixed up with what was identified: see `ConsistentParameters.determined`.
 """
 
@@ -24,7 +24,7 @@ SLENDERNESS = 0.05
 """Radius of an assumed link over the length of the whole arm."""
 
 LEAST_SPREAD = 1e-3
-"""[m]; bodies of a URDF whose mass is spread less far than this about their centre are taken as assumed."""
+"""[m]; bodies of a URDF whose mass is spread less far than this about their centre count as assumed."""
 
 LEAST_RADIUS = 0.03
 """[m] of assumed links."""
@@ -79,7 +79,7 @@ def link_priors(model: DynamicModel, robot_file: RobotFile, system: FloatArray, 
 
 
 def _described(link: FloatArray, known: PriorLink, where: str) -> tuple[FloatArray, str]:
-    """A link (10,) with the mass, centre and inertia that are known of it, and the words for where it comes from."""
+    """A link (10,) with the mass, centre and inertia that are known of it, and its source in words."""
     if known.mass is None:
         raise ValueError("nothing is known of this link")
     scaled = link * (known.mass / link[9])

@@ -1,4 +1,4 @@
-"""What physically consistent parameters have to meet: from an arm, its priors and what its file says is known."""
+"""Conditions on physically consistent parameters: from an arm, its priors and the known values of its file."""
 
 from __future__ import annotations
 

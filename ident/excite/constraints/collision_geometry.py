@@ -1,9 +1,9 @@
 """The shape of an arm as capsules, for self-collision and obstacle distances.
 
 A capsule is a straight segment with a radius. It has a distance that is smooth wherever it matters and cheap for many
-samples at once, so every shape is replaced by capsules that enclose it: what is free of the capsules is free of the
+samples at once, so every shape is replaced by capsules that enclose it: clear of the capsules is clear of the
 shape. Where the URDF has a link's collision shapes, and its meshes can be found, they are enclosed; otherwise the link
-is taken for a tube along the straight lines from its joint's origin to the next joints' origins (with a corner where an
+is a tube along the straight lines from its joint's origin to the next joints' origins (with a corner where an
 MDH row has one), and for the last link to the tool point.
 """
 
@@ -36,7 +36,7 @@ class ArmGeometry:
     """An arm's capsules.
 
     Attributes:
-        capsules: every link has at least one; those of one link stand together, the base's first.
+        capsules: every link has at least one; those of one link are consecutive, the base's first.
         from_shapes: names of the links (by joint, or `base`) whose capsules enclose shapes of the URDF; the others
             are tubes along their axes.
     """
@@ -89,7 +89,7 @@ def arm_geometry(robot_file: RobotFile, model: DynamicModel) -> ArmGeometry:
 
 
 def tube_capsules(model: DynamicModel, rows: Sequence[MdhRow] | None, workspace: Workspace) -> tuple[Capsule, ...]:
-    """Capsules along the axes of every link, as thick as the robot file says.
+    """Capsules along the axes of every link, with the robot file's thickness.
 
     Where a link carries a prismatic joint, its tube reaches to the nearer end of that joint's travel; the link behind
     the joint has a tube as long as the travel, which covers what is drawn out.
@@ -133,7 +133,7 @@ def _travel(model: DynamicModel, index: int) -> tuple[float, float]:
 
 
 def _corners(joint: Joint, row: MdhRow | None, position: float) -> list[FloatArray]:
-    """The way from the carrying link's origin to a joint's origin, in the carrying link's frame."""
+    """Vector from the parent link's origin to a joint's origin, in the parent link's frame."""
     along = joint.rotation @ joint.axis
     end = joint.translation + (position * along if joint.prismatic else 0.0)
     if row is None:

@@ -23,7 +23,7 @@ ALWAYS_CLOSE = 0.95
 """Links that are close in at least this share of random configurations are so by construction."""
 
 CLOSE = 0.02
-"""Links nearer than this [m] by construction are not checked: their capsules cannot be kept apart."""
+"""Links nearer than this [m] by construction are not checked: their capsules always overlap."""
 
 _CONFIGURATIONS = 500
 
@@ -35,10 +35,10 @@ class LinkPairs:
     """Pairs of links by number (`BASE_INDEX` is the base), and what becomes of them.
 
     Attributes:
-        checked: kept apart.
+        checked: pairs with a least distance.
         neighbours: joined by a joint.
         close: left out since their capsules touch or nearly touch in nearly every random configuration.
-        ignored: left out since the robot file says so.
+        ignored: left out by the robot file.
     """
 
     checked: tuple[Pair, ...]

@@ -14,7 +14,7 @@ _SAMPLES = 2000
 
 
 def surroundings_warning(robot_file: RobotFile, motion: Motion) -> str | None:
-    """How low the joints and the tool point come, where the file bounds nothing; None where it sets a bound."""
+    """Lowest height of the joints and the tool point, where the file sets no bound; None where it sets one."""
     workspace = robot_file.robot.workspace
     if workspace.height is not None or obstacles_of(robot_file.robot):
         return None

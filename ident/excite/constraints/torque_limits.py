@@ -15,7 +15,7 @@ from ident.model.regressor import CHUNK, RegressorKernel, model_torque
 from ident.model.regressor_gradient import pull_back_regressor
 
 TORQUE_SHARE = 0.85
-"""Share of a torque limit that a design may use: the prior is rough, and a supervisor looks at noisy torque."""
+"""Share of a torque limit that a design may use: the prior is rough, and a supervisor checks noisy torque."""
 _NEGLIGIBLE = 1e-12
 """Samples whose torque moves the soft maximum by less than this of its change are left out of the derivative."""
 

@@ -20,12 +20,12 @@ from ident.model.dynamic_model import DynamicModel
 
 
 def criterion_within_limits(model: DynamicModel, criterion: Criterion) -> Criterion:
-    """The criterion, for arms with general loops looked at within the position limits."""
+    """The criterion, evaluated within the position limits for arms with general loops."""
     return _CriterionWithin(model.limits, criterion) if _may_not_close(model) else criterion
 
 
 def constraints_within_limits(model: DynamicModel, constraints: Sequence[Constraint]) -> tuple[Constraint, ...]:
-    """The constraints, for arms with general loops all but those of the joints looked at within the position limits."""
+    """The constraints, for arms with general loops all but the joints' own evaluated within the position limits."""
     if not _may_not_close(model):
         return tuple(constraints)
     return tuple(

@@ -25,7 +25,7 @@ from ident.excite.families.moving_joints import (
 from ident.excite.path import Path
 
 _SCALE_POINTS = 40
-"""Points in the shortest wave on which a coefficient's scale and a random motion's use of the limits are looked up."""
+"""Points in the shortest wave on which a coefficient's scale and a random motion's limit utilisation are evaluated."""
 _TOLERANCE = 1e-9
 
 Series = Callable[[float, FloatArray, FloatArray, FloatArray], Motion]
@@ -33,7 +33,7 @@ Series = Callable[[float, FloatArray, FloatArray, FloatArray], Motion]
 
 @lru_cache(maxsize=8)
 def _basis(series: Series, period: float, harmonics: int, time: bytes) -> FloatArray:
-    """Position, velocity and acceleration (3, 1 + 2H, N) that a coefficient of 1 alone would cause.
+    """Position, velocity and acceleration (3, 1 + 2H, N) that a single coefficient of 1 causes.
 
     The coefficients are the offset, the H sines and the H cosines; all motions of a period are sums of these.
     """
@@ -46,9 +46,9 @@ def _basis(series: Series, period: float, harmonics: int, time: bytes) -> FloatA
 
 @dataclass(frozen=True, eq=False)
 class _Family:
-    """What both have in common; x holds offset, sines and cosines of each joint that moves, one joint after another.
+    """Common base of both; x holds offset, sines and cosines of each joint that moves, one joint after another.
 
-    The offset counts from the middle of the joint's range in halves of it. A sine or cosine of 1 alone would use all
+    The offset counts from the middle of the joint's range in halves of it. A single sine or cosine of 1 would use all
     of the tightest limit.
     """
 
@@ -106,7 +106,7 @@ class _Family:
         return variables.ravel()
 
     def middle(self, variables: FloatArray) -> FloatArray:
-        """Middle (m,) of the range that each moving joint goes through [rad or m]."""
+        """Middle (m,) of the range of each moving joint's motion [rad or m]."""
         return midrange(self._coefficients(variables) @ self._own_basis[0])
 
     def about(self, variables: FloatArray, pose: FloatArray, share: float) -> FloatArray:
@@ -125,7 +125,7 @@ class _Family:
 
     @cached_property
     def _scale(self) -> FloatArray:
-        """(m, 1 + 2H) coefficients that each would use all of the tightest limit; of the offset, half the range."""
+        """(m, 1 + 2H) coefficients that each use all of the tightest limit; of the offset, half the range."""
         largest = np.abs(self._own_basis).max(axis=2)
         with np.errstate(divide="ignore"):  # an offset has no velocity
             allowed = np.stack([self.joints.half, self.joints.velocity, self.joints.acceleration])
@@ -172,9 +172,9 @@ class FourierFamily(_Family):
         period: [s].
         harmonics: order H of the series.
         moving: indices of the joints that move, ascending.
-        rest: (n,) where the others stay [rad or m].
+        rest: (n,) rest positions of the others [rad or m].
         periods: how many are played at full speed.
-        ramp: from rest to full speed [s]; it changes the pace alone, so that the path is that of the series.
+        ramp: from rest to full speed [s]; it changes the pace only, so that the path is that of the series.
 
     Raises:
         UsageError: no joint moves, or a number is not positive.
@@ -191,7 +191,7 @@ class FourierFamily(_Family):
         return FourierSeries
 
     def motion(self, variables: FloatArray) -> Motion:
-        """What is played: from rest to rest."""
+        """The motion as played, from rest to rest."""
         return RestToRest(FourierSeries(self.period, *self._split(variables)), self.periods, self.ramp)
 
     def trajectory(self, variables: FloatArray, robot: str, comment: str) -> Trajectory:
@@ -238,14 +238,14 @@ class FourierFamily(_Family):
 
 @dataclass(frozen=True, eq=False)
 class FourierQuinticFamily(_Family):
-    """Fourier series that a polynomial of fifth order brings to rest at the ends of every period (`FourierQuintic`).
+    """Quintic-corrected Fourier series: zero velocity and acceleration at the ends of every period (`FourierQuintic`).
 
     Attributes:
         limits: of all n joints.
         period: [s].
         harmonics: order H of the series.
         moving: indices of the joints that move, ascending.
-        rest: (n,) where the others stay [rad or m].
+        rest: (n,) rest positions of the others [rad or m].
         periods: how many follow each other.
 
     Raises:
@@ -257,7 +257,7 @@ class FourierQuinticFamily(_Family):
         return FourierQuintic
 
     def motion(self, variables: FloatArray) -> Motion:
-        """What is played: from rest to rest."""
+        """The motion as played, from rest to rest."""
         return FourierQuintic(self.period, *self._split(variables), self.periods)
 
     def trajectory(self, variables: FloatArray, robot: str, comment: str) -> Trajectory:
@@ -282,7 +282,7 @@ class FourierQuinticFamily(_Family):
         """
         if not isinstance(motion, FourierQuintic):
             raise UsageError(
-                "the earlier motion is no Fourier series with a polynomial", hint="--kind must be that of the file"
+                "the earlier motion is no quintic-corrected Fourier series", hint="--kind must be that of the file"
             )
         return self._encoded(motion)
 

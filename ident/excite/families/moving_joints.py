@@ -27,7 +27,7 @@ class MovingJoints:
     Attributes:
         limits: of all n joints; they may be infinite.
         moving: indices of those that move, ascending.
-        rest: (n,) where the others stay [rad or m].
+        rest: (n,) rest positions of the others [rad or m].
 
     Raises:
         UsageError: no joint moves.
@@ -95,8 +95,8 @@ class MovingJoints:
     ) -> tuple[FloatArray, FloatArray]:
         """Factors (m,) and offsets (m,) that put waves (m, N) into the limits.
 
-        Each wave then uses a random share of its tightest limit, of its range at most one turn, and keeps to random
-        parts of the range that it has left.
+        Each wave then uses a random share of its tightest limit, of its range at most one turn, and is placed at random
+        in the rest of the range.
         """
         lowest, highest = position.min(axis=1), position.max(axis=1)
         uses = [
@@ -114,8 +114,8 @@ class MovingJoints:
 
         Args:
             joints: their number.
-            position: (n,) a position of each on the way [rad or m].
-            travel: (n,) how far each gets from it [rad or m].
+            position: (n,) a position of each on the path [rad or m].
+            travel: (n,) largest distance of each from it [rad or m].
 
         Raises:
             UsageError: names the joint that moves, or rests elsewhere.

@@ -24,9 +24,9 @@ from ident.excite.families.moving_joints import (
 from ident.excite.path import Path
 
 _ORDER = 8
-"""Of the power mean that stands for the longest of the times that the joints need; even, and half of it too."""
+"""Order of the power mean that smooths the maximum of the joints' times; even, and half of it too."""
 _SHORTEST = 0.2
-"""Time that a move without any way needs, as a share of the mean."""
+"""Time of a move over no distance, as a share of the mean."""
 _FITTINGS = 30
 
 
@@ -55,7 +55,7 @@ class PointsFamily:
         duration: of all moves and rests [s].
         points: their number P.
         moving: indices of the joints that move, ascending.
-        rest: (n,) where the others stay [rad or m].
+        rest: (n,) rest positions of the others [rad or m].
         dwell: rest in every point but the first [s].
 
     Raises:
@@ -164,7 +164,7 @@ class PointsFamily:
         return self._variables(points + shift + generator.uniform(-0.5, 0.5, self.joints.count) * room)
 
     def motion(self, variables: FloatArray) -> Motion:
-        """What is played: from rest to rest."""
+        """The motion as played, from rest to rest."""
         return PointToPoint(*self._whole(variables), self.dwell)
 
     def trajectory(self, variables: FloatArray, robot: str, comment: str) -> Trajectory:
@@ -204,11 +204,11 @@ class PointsFamily:
         return self._variables(points)
 
     def middle(self, variables: FloatArray) -> FloatArray:
-        """Middle (m,) of the range that each moving joint goes through [rad or m]."""
+        """Middle (m,) of the range of each moving joint's motion [rad or m]."""
         return midrange(self._points(variables).T)
 
     def about(self, variables: FloatArray, pose: FloatArray, share: float) -> FloatArray:
-        """As in the protocol; the durations follow. Points stay within the joints' ranges."""
+        """As in the protocol; the durations follow. Points are kept within the joints' ranges."""
         points = self._points(variables)
         return self._variables(pose + share * (points - midrange(points.T)))
 

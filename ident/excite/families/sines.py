@@ -32,7 +32,7 @@ class SinesFamily:
     """Sums of sines (UP6 eq. 8, with an offset), whose frequencies are free within a band.
 
     x holds the offsets, then the amplitudes, then the frequencies, each (joints that move, sines). An offset counts
-    from the middle of the joint's range in halves of it, an amplitude in the one that alone would use all of the
+    from the middle of the joint's range in halves of it, an amplitude in the one that by itself would use all of the
     tightest limit in the middle of the band; a frequency lies at sin(x) of half the band's width from its middle.
 
     Played from rest to rest, the motion's own time runs from −ramp/2 to duration + ramp/2, and so does the grid.
@@ -42,7 +42,7 @@ class SinesFamily:
         duration: at full speed [s].
         sines: of each joint.
         moving: indices of the joints that move, ascending.
-        rest: (n,) where the others stay [rad or m].
+        rest: (n,) rest positions of the others [rad or m].
         ramp: from rest to full speed [s].
         band: lowest and highest angular frequency [rad/s]; half a wave to `sines` waves in `duration` where None.
 
@@ -117,13 +117,13 @@ class SinesFamily:
         return self._joined(offset, factor[:, None] * amplitude, share)
 
     def middle(self, variables: FloatArray) -> FloatArray:
-        """Middle (m,) of the range that each moving joint goes through [rad or m]."""
+        """Middle (m,) of the range of each moving joint's motion [rad or m]."""
         waves = self._band[1] * self.duration / (2.0 * np.pi)
         time = self.grid(int(_POINTS_A_WAVE * waves) + 2)
         return midrange(SumOfSines(self.duration, *self._values(variables)).evaluate(time)[0])
 
     def about(self, variables: FloatArray, pose: FloatArray, share: float) -> FloatArray:
-        """As in the protocol; the frequencies stay."""
+        """As in the protocol; the frequencies are unchanged."""
         offset, amplitude, frequency = self._split(variables)
         middle = self.middle(variables)
         away = share * (self.joints.middle + self.joints.half * offset - middle)
@@ -131,7 +131,7 @@ class SinesFamily:
         return np.concatenate([moved, (share * amplitude).ravel(), frequency.ravel()])
 
     def motion(self, variables: FloatArray) -> Motion:
-        """What is played: from rest to rest."""
+        """The motion as played, from rest to rest."""
         return RestToRest(SumOfSines(self.duration, *self._whole(variables)), 1, self.ramp)
 
     def trajectory(self, variables: FloatArray, robot: str, comment: str) -> Trajectory:
@@ -202,7 +202,7 @@ class SinesFamily:
 
     @cached_property
     def _scale(self) -> FloatArray:
-        """(m, 1) amplitudes that alone would use all of the tightest limit in the middle of the band."""
+        """(m, 1) amplitudes that by themselves would use all of the tightest limit in the middle of the band."""
         middle = np.sqrt(self._band[0] * self._band[1])
         allowed = [self.joints.half, self.joints.velocity / middle, self.joints.acceleration / middle**2]
         return np.asarray(np.min(allowed, axis=0)[:, None])

@@ -30,7 +30,7 @@ FRAMES = 100
 
 _SCENE_HEIGHT, _NARROW_SCENE_HEIGHT = 640, 600
 _GRID_COLOUR = "#A9AEB5"
-"""Readable on a light and on a dark page: scenes do not take the page's colours."""
+"""Readable on a light and on a dark page: scenes do not follow the page's colours."""
 _SIDES = 6
 _TILT = np.pi / 4.0
 _BOX_SIDES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -43,7 +43,7 @@ class AnimatedFigure(Figure):
     """A figure with frames, which the page's script adds once it is drawn.
 
     Attributes:
-        frames: what Plotly.addFrames takes.
+        frames: argument of Plotly.addFrames.
     """
 
     frames: Sequence[dict[str, Any]] = field(default=())
@@ -171,7 +171,7 @@ def capsule_mesh(geometry: ArmGeometry) -> Mesh:
 
 
 def _solid(shape: HalfSpace | Box, low: FloatArray, high: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """Corners (V, 3) [m] and triangles (T, 3) of a box, or of the part of a plane beside what is shown."""
+    """Corners (V, 3) [m] and triangles (T, 3) of a box, or of the shown region of a plane."""
     if isinstance(shape, Box):
         corners = np.array([shape.lower, shape.upper])
         corner_indices = np.array(list(product((0, 1), repeat=3)))

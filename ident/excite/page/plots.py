@@ -51,7 +51,7 @@ class Shown:
 
 
 def shown_part(robot_file: RobotFile, motion: Motion, prior: Prior) -> Shown:
-    """The way from rest into the motion and one repetition of it; all of it where it does not repeat."""
+    """The approach from rest and one repetition of the motion; the whole motion where it does not repeat."""
     end, repetitions = motion.duration, 1
     if isinstance(motion, RestToRest) and motion.periods > 1:
         end, repetitions = motion.ramp + motion.motion.duration, motion.periods
@@ -108,7 +108,7 @@ def _joint_panel(limits: JointLimits, quantity: str, unit: str, time: FloatArray
 
 
 def part_shown(shown: Shown) -> str:
-    """Which part of the motion is shown, in words."""
+    """The shown section of the motion, in words."""
     if shown.repetitions == 1:
         return "The whole motion, from rest to rest."
     return f"From rest into the motion and the first of its {shown.repetitions} repetitions."

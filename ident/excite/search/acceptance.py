@@ -31,8 +31,8 @@ class Accepted:
 
     Attributes:
         family: of motions, with a longer ramp where that was needed.
-        variables: (size,), begun where the arm's way to the start is short.
-        motion: what is played, from rest to rest.
+        variables: (size,), begun where the arm's approach is short.
+        motion: as played, from rest to rest.
         use: (m,) utilisation of every limit along it, on the dense grid; at most 1.
     """
 

@@ -1,4 +1,4 @@
-"""The worst error bar to expect of a motion, quick enough to be told while the search goes on."""
+"""The worst error bar to expect of a motion, quick enough to be reported during the search."""
 
 from __future__ import annotations
 

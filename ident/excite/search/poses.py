@@ -27,7 +27,7 @@ _CREEP = 1e-6
 
 
 class NoFeasiblePoseError(UsageError):
-    """No pose that was tried keeps all limits."""
+    """None of the candidate poses keeps all limits."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def feasible_pose(
         tick: called before every evaluation of the limits; what it raises ends the search.
 
     Raises:
-        NoFeasiblePoseError: none was found; names the limit that excludes all poses tried, if one does.
+        NoFeasiblePoseError: there is none; names the limit that excludes all candidates, if one does.
     """
     joints = moving_joints(problem)
     generator = np.random.default_rng([*seed, 1])
@@ -86,7 +86,7 @@ def feasible_pose(
 
 
 class _Tried:
-    """The poses tried, and the least utilisation of each limit among them."""
+    """The candidate poses, and the least utilisation of each limit among them."""
 
     def __init__(self, problem: Problem, tick: Callable[[], None]) -> None:
         self._problem = problem
@@ -96,7 +96,7 @@ class _Tried:
         self._best: FloatArray | None = None
 
     def pose(self, joints: MovingJoints, position: FloatArray) -> Pose:
-        """Try a pose (moving joints,)."""
+        """Evaluate a pose (moving joints,)."""
         self._tick()
         use = self._problem.use_along(pose_path(joints, position))
         self._count += 1

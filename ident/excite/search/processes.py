@@ -26,7 +26,7 @@ class TimeIsUpError(Exception):
 
 
 class SearchProcesses:
-    """Processes that take the next start, one after another, and report what becomes of it; a context manager.
+    """Processes that run one start after another and report the results; a context manager.
 
     Args:
         count: how many; 0 for none.
@@ -34,10 +34,10 @@ class SearchProcesses:
         seed: of the starts.
         solver: of the local problems.
         starts: after so many starts they end; None for no end.
-        seconds: after which they end by themselves, even where nobody ends them; None for no end.
+        seconds: after which they end by themselves, even without the parent; None for no end.
 
     Attributes:
-        died: processes that ended with an error of the system.
+        died: processes that crashed or were killed.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class SearchProcesses:
                 process.join()
 
     def next_start(self) -> int | None:
-        """The next start that nobody has taken; None where all are."""
+        """The next start that has not begun; None where all have."""
         if self._counter is None:
             start = self._next
             self._next += 1
@@ -108,7 +108,7 @@ class SearchProcesses:
         """What they have reported since; waits for the first one, at most `timeout` [s].
 
         Raises:
-            DynidError: what building the problem raised in one of them.
+            DynidError: from building the problem in one of them.
         """
         if self._results is None:
             return

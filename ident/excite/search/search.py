@@ -19,7 +19,7 @@ from ident.excite.search.solve import Solver
 from ident.excite.search.start import Candidate, Finished, Report, no_tick, random_start, run_start
 
 _POLL = 0.2
-"""Seconds between two looks at what other processes report, and between two reports of progress."""
+"""Seconds between two polls of the other processes, and between two reports of progress."""
 _CHECKS_IN_RESERVE = 8.0
 """Time kept for the last check and the figures of the result, in checks of a motion on the dense grid."""
 _LARGEST_RESERVE = 0.2
@@ -59,9 +59,9 @@ class SearchResult:
         best: the candidate of the least cost; None where there is none yet.
         finished: starts that went through all rounds.
         seconds: that the search took.
-        limit: seconds that it may take; None where it ends after a number of starts.
+        limit: time limit [s]; None where it ends after a number of starts.
         interrupted: whether Ctrl-C ended it.
-        died: processes that the system ended before their time.
+        died: processes that crashed or were killed.
     """
 
     best: Candidate | None
@@ -87,7 +87,7 @@ def search(
     whatever the time limit.
 
     Args:
-        problem: what is searched.
+        problem: to solve.
         make: builds the same problem in another process, so it must be picklable for several.
         choices: see there. One of `starts` and `seconds` must be given.
         first: variables of start 0, in place of random ones.
@@ -97,8 +97,8 @@ def search(
 
     Raises:
         NoFeasiblePoseError: no pose was found that keeps all limits; names the one that excludes them.
-        IdentificationError: a process died, and the result would depend on it.
-        DynidError: what building the problem raised.
+        IdentificationError: a process crashed, and the result would depend on it.
+        DynidError: from building the problem.
     """
     if choices.starts is None and choices.seconds is None:
         raise ValueError("a search needs a number of starts or a time limit")
@@ -116,7 +116,7 @@ def search(
 
 
 class _Run:
-    """The part of this process: its starts, the best of all, the time."""
+    """State of this process: its starts, the best of all, the time."""
 
     def __init__(
         self,
@@ -165,11 +165,11 @@ class _Run:
         return self.tick if start else lambda: None if self._best is None else self.tick()
 
     def tick(self) -> None:
-        """Look at the time and, now and then, at the other processes.
+        """Check the time and, now and then, the other processes.
 
         Raises:
             TimeIsUpError: at the deadline.
-            IdentificationError: a process died, and its starts are missing.
+            IdentificationError: a process crashed, and its starts are missing.
         """
         self._check_time()
         if self._clock.now() >= self._next_look:
@@ -180,16 +180,16 @@ class _Run:
             raise TimeIsUpError
 
     def _look(self, timeout: float) -> None:
-        """Take what other processes have reported; wait for it at most `timeout` [s]."""
+        """Collect the reports of other processes; wait at most `timeout` [s]."""
         for report in self._others.reports(timeout):
             self._add(report)
         if self._others.died and self._choices.starts is not None:
-            raise IdentificationError("a search process died", hint="is there enough memory? --time works without it")
+            raise IdentificationError("a search process crashed", hint="is there enough memory? --time tolerates it")
         self._progress(self.result())
         self._next_look = self._clock.now() + _POLL
 
     def _take(self, report: Report) -> None:
-        """What this process met itself."""
+        """Handle this process's own reports."""
         is_first = self._best is None
         self._add(report)
         since = self._clock.now()

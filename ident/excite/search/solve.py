@@ -1,7 +1,7 @@
 """From one start to a local optimum: a few rounds of nonlinear programming, each with a sharper problem.
 
 Extreme eigenvalues and largest uses have kinks where two of them meet, and an optimum lies on such kinks. So the first
-round sees them blunt, the last one nearly as they are.
+round smooths them strongly, the last one barely.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class Round:
 
 
 REACHES = (0.5, 0.15)
-"""How far a round may move a variable, tried in this order. A family scales variables to the order of 1; a line search
-that leaves for 10⁵, or into a collision, does not come back."""
+"""Largest change of a variable in a round, in this order. A family scales variables to the order of 1; a line search
+that jumps to 10⁵, or into a collision, does not return."""
 
 OPENING = Round(4.0, 300.0, 25, 1e-3)
 OPENING_REACH = 0.3
@@ -53,7 +53,7 @@ ROUNDS = (Round(4.0, 30.0, 100, 1e-4), Round(16.0, 100.0, 100, 1e-4), Round(64.0
 STEP = 0.05
 """Decrease of the cost (a logarithm) from which on an iterate is worth a check before its round ends."""
 OUTSIDE = 5
-"""Iterations after which an iterate outside the limits is worth a look too: shrunk, it may be the best so far."""
+"""Iterations after which an iterate outside the limits is checked too: shrunk, it may be the best so far."""
 _SAMPLES_AT_MAXIMUM = 1000.0
 """Samples that may share a soft maximum: an iterate whose bound exceeds the limit by log of it over the sharpness does
 exceed the limit."""
@@ -61,11 +61,11 @@ exceed the limit."""
 
 @dataclass(frozen=True)
 class Watch:
-    """What a solver calls on its way; either may end it by raising.
+    """Callbacks of a solver; either may end it by raising.
 
     Attributes:
         tick: before every evaluation.
-        visit: with an iterate (size,) that costs less than those before; says whether it keeps all limits.
+        visit: with an iterate (size,) of lower cost than those before; returns whether it keeps all limits.
     """
 
     tick: Callable[[], None]
@@ -108,7 +108,7 @@ def _round(problem: Problem, start: FloatArray, solver: Solver, step: Round, wat
 
 
 class _Evaluations:
-    """Smooth cost and slacks allowed − smooth use (m,), computed once for each point that a solver asks about."""
+    """Smooth cost and slacks allowed − smooth use (m,), computed once for each point that a solver evaluates."""
 
     def __init__(self, problem: Problem, step: Round, watch: Watch) -> None:
         self._problem = problem
@@ -138,7 +138,7 @@ class _Evaluations:
         return self._slacks(variables)[1]
 
     def iterate(self, variables: FloatArray, *state: object) -> None:
-        """Hand an iterate on, where it may be better than those before: what solvers call after each iteration."""
+        """Pass an iterate on where it may be better than those before: called by solvers after each iteration."""
         cost, _ = self.cost(variables)
         worst = float(self.slacks(variables).min(initial=np.inf))
         overestimate = np.log(_SAMPLES_AT_MAXIMUM) / self._step.limit_sharpness

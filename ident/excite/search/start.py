@@ -18,7 +18,7 @@ from ident.excite.search.solve import Solver, Watch, open_search, solve, tighten
 DRAWS = 20
 """Random members that a start is chosen from."""
 SHARES = (1.0, 0.95, 0.9, 0.8, 0.65, 0.5)
-"""Amplitudes at which an iterate outside the limits is tried."""
+"""Amplitudes at which an iterate outside the limits is tested."""
 OPENINGS = 2
 """Short rounds from feasible motions before the long ones."""
 _TIGHTENINGS = 5
@@ -26,7 +26,7 @@ _TIGHTENINGS = 5
 
 @dataclass(frozen=True)
 class Candidate:
-    """A motion that keeps every limit, as a start met it.
+    """A motion that keeps every limit, reported by a start.
 
     Attributes:
         start: index of the start.
@@ -76,9 +76,9 @@ def run_start(
         problem: to solve.
         start: its index.
         begin: (size,) where it begins.
-        seed: of the poses that are tried where `begin` does not keep the limits.
+        seed: of the candidate poses where `begin` does not keep the limits.
         solver: of the local problems.
-        report: takes what becomes of the start.
+        report: called with the start's results.
         tick: called before every evaluation; what it raises ends the start.
 
     Raises:
@@ -137,7 +137,7 @@ def random_start(
 ) -> FloatArray:
     """The first of `draws` random members that keeps all limits, or the one that passes them least; (size,).
 
-    From deep within a collision a local solver does not find its way out.
+    From deep within a collision a local solver does not escape.
     """
     generator = np.random.default_rng(seed)
     best: tuple[float, FloatArray] | None = None

@@ -45,7 +45,7 @@ STEADY = 1e-9
 """Change of an entry of G over all positions up to which it is constant."""
 
 REASONS = 20
-"""Positions that do not close among which the worst is looked for."""
+"""Positions that do not close, among which the worst is searched."""
 
 
 def build_closed_loops(
@@ -64,7 +64,7 @@ def build_closed_loops(
         linear: E (l, n) and e (l,) of the joints that follow by equations.
         ends: the closing frames of every general loop, in the file's order.
         motors: active joints, coupling and the pairs' columns; what follows counts as not known yet.
-        where: what an error message calls the loops.
+        where: name of the loops in error messages.
 
     Raises:
         RobotFileError: the loops do not close, do not fix the joints that follow, or change their branch.
@@ -120,7 +120,7 @@ def _check_within(loop: Loop, chain: ClosingChain, names: tuple[str, ...], where
 
 
 def _wanted_start(robot: Robot, loops: Sequence[Loop], names: tuple[str, ...]) -> FloatArray:
-    """Tree position (n,) that the file gives; motors in the middle of their limits where it says nothing."""
+    """Tree position (n,) that the file gives; motors in the middle of their limits by default."""
     tree = np.zeros(len(names))
     for limits in robot.joints:
         tree[names.index(limits.name)] = 0.5 * sum(limits.position)
@@ -304,7 +304,7 @@ def _check_dead_points(equations: LoopEquations, tree: FloatArray, names: tuple[
 def _refused(
     equations: LoopEquations, last: FloatArray, targets: FloatArray, names: tuple[str, ...], where: str
 ) -> RobotFileError:
-    """Why the branch ends at tree positions (n, K) on the way to targets (a, K): the worst of those looked at."""
+    """Why the branch ends at tree positions (n, K) on the way to targets (a, K): the worst of those examined."""
     worst: tuple[float, RobotFileError] | None = None
     for here, target in zip(last.T[:REASONS], targets.T[:REASONS], strict=True):
         tree = here.copy()

@@ -24,7 +24,7 @@ class ClosedLoops(Transmission):
 
     Attributes:
         names: of the tree's joints, for messages.
-        equations: what holds between them.
+        equations: their closing equations.
         start: (n,) tree position that closes, on the branch that is meant [rad or m].
         known: (n, K) further ones, spread over the joint limits.
         constant: (n, a) the entries of G that are the same at all known positions, zeros elsewhere.

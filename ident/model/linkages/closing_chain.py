@@ -60,7 +60,7 @@ class ClosingChain:
     """The joints between two closing frames.
 
     Attributes:
-        name: what messages call the loop.
+        name: name of the loop in messages.
         spherical: whether the opened joint is spherical, not revolute.
         before: placement of the first joint's frame in the first closing frame.
         links: the joints, the first closing frame's side first.
@@ -169,7 +169,7 @@ def closing_chain(
     """The chain between two closing frames.
 
     Args:
-        name: what messages call the loop.
+        name: name of the loop in messages.
         joints: the tree.
         ends: index of the joint behind which each closing frame lies, and the frame's placement in that joint's.
         spherical: whether the opened joint is spherical, not revolute.
@@ -204,7 +204,7 @@ def closing_chain(
 
 
 def _times(rotation: FloatArray, right: FloatArray) -> FloatArray:
-    """Rotations (N, 3, 3) times one matrix (3, 3) or vector (3,); as one product it takes a tenth of the time."""
+    """Rotations (N, 3, 3) times one matrix (3, 3) or vector (3,); as one product, ten times faster."""
     return (rotation.reshape(-1, 3) @ right).reshape(-1, 3, *right.shape[1:])
 
 

@@ -36,7 +36,7 @@ JUMP = 0.2
 """How far [rad or m] a solution may lie from its prediction over such a move and count as the same branch."""
 
 LONGEST_WAY = 200.0
-"""Longest way [rad or m] that a branch is followed; steps of `FARTHEST` make it up."""
+"""Longest path [rad or m] along which a branch is followed, in steps of `FARTHEST`."""
 
 SHORTEST = 1e-4
 """Move [rad or m] at which following a branch is given up."""
@@ -48,7 +48,7 @@ class Followed:
 
     Attributes:
         tree: (n, N) the last positions [rad or m] that close.
-        reached: (N,) how much of the way that is, 1 for all of it.
+        reached: (N,) the fraction of the path that was reached.
     """
 
     tree: FloatArray

@@ -320,7 +320,7 @@ def test_what_will_move_where_is_told_and_a_yes_moves_it(bench, dynid, keyboard,
     assert told[0] == "traj.yaml moves two-links for 1.6 s"
     assert re.match(r"  tool point: lowest 0\.\d+ m .*, farthest 0\.5\d\d m from it, at most 0\.\d\d m/s$", told[1])
     assert any(re.match(r"  smallest clearance to the table: 0\.030 m \(link elbow, at ", line) for line in told)
-    assert any(line.startswith("first the way to the start pose, 0.1 s") for line in told)
+    assert any(line.startswith("first the approach to the start pose, 0.1 s") for line in told)
     assert len(bench.made[0][1].commands) > 100
 
 
@@ -356,7 +356,7 @@ def test_a_way_to_the_start_that_comes_too_near_is_refused_and_moves_nothing(ben
     with_workspace(bench, "keep_out: [{name: wall, box: {lower: [0.2, 0.2, 0], upper: [0.22, 0.6, 0.6]}}]")
     status, _, err = dynid(*PLAY, "--yes")
     assert status == 2
-    assert "the way to the start pose: link" in err
+    assert "the approach to the start pose: link" in err
     assert "enters wall" in err
     assert "bring the arm nearer to the start pose" in err
     assert bench.made[0][1].commands == []

@@ -42,7 +42,7 @@ def test_columns_by_option(tmp_path: Path, robot: RobotFile) -> None:
     mapping = {"t": "tick", "q1": "JointPos3", "q2": "JointPos2", "q3": "JointPos1"}
     recording = import_file(write_csv(tmp_path, columns), robot, ImportChoices(columns=mapping))
     np.testing.assert_array_equal(content(recording)["position"], arrays["q"][:, ::-1])
-    assert "not taken over: q7" in messages(recording)
+    assert "not imported: q7" in messages(recording)
     assert "neither torque nor current" in messages(recording)
     path = write_npz(tmp_path, {"run.a": arrays["q"], "run.b": arrays["q"] + 1.0, "t": arrays["t"]})
     recording = import_file(path, robot, ImportChoices(columns={"q": "run.b"}))
@@ -94,7 +94,7 @@ def test_kelvin_zero_based_numbers_and_partial_temperatures(tmp_path: Path, robo
     np.testing.assert_allclose(temperature.values, 27.0)
     assert "counted from 0" in messages(recording)
     assert "no temperature for some joints" in messages(recording)
-    assert "not taken over: current" in messages(recording)  # one column: the whole arm's
+    assert "not imported: current" in messages(recording)  # one column: the whole arm's
 
 
 @pytest.mark.parametrize("effort", ["torque", "current"])

@@ -260,7 +260,7 @@ def test_named_csv_columns_go_before_any_order(tmp_path: Path, robot: RobotFile)
     np.testing.assert_array_equal(content(recording)["time"], arrays["t"])
     np.testing.assert_array_equal(content(recording)["position"], arrays["q"])
     assert "by order" not in messages(recording)
-    assert "not taken over: /joint_states/header/stamp, /joint_states/gripper/position" in messages(recording)
+    assert "not imported: /joint_states/header/stamp, /joint_states/gripper/position" in messages(recording)
 
 
 # --- stamps and gaps of drivers -------------------------------------------------------------------------------------

@@ -79,7 +79,7 @@ def test_a_pattern_stands_for_the_joints_numbers(tmp_path: Path, pattern: str, c
     recording = import_file(path, ROBOT, ImportChoices(columns={"position": pattern}))
     np.testing.assert_allclose(content(recording)["position"], arrays["q"], rtol=1e-14)
     assert "position converted from deg: all joints" in messages(recording)
-    assert "not taken over: pos x" in messages(recording)
+    assert "not imported: pos x" in messages(recording)
 
 
 def test_a_pattern_stands_for_the_joints_names(tmp_path: Path) -> None:
@@ -169,4 +169,4 @@ def test_groups_within_groups_are_found_and_endless_ones_end(tmp_path: Path) -> 
     with h5py.File(tmp_path / "run.h5", "a") as file:
         file["a/again"] = h5py.SoftLink("/a")
     recording = import_file(tmp_path / "run.h5", ROBOT, ImportChoices())
-    assert "not taken over: a.again" in messages(recording)
+    assert "not imported: a.again" in messages(recording)

@@ -30,7 +30,7 @@ class Passes:
         self.asked += 1
         position, _, _ = motion.evaluate(np.linspace(0.0, motion.duration, 400))
         if not all(self.allowed(q) for q in position.T):
-            raise MotionRefusedError("too near", where="the way to the start pose")
+            raise MotionRefusedError("too near", where="the approach to the start pose")
         return "figures"
 
 

@@ -283,7 +283,7 @@ def test_an_arm_that_never_says_where_it_is_is_not_moved(tmp_path: Path, clock: 
     ("fault", "kind", "reason"),
     [
         ("lost connection", ConnectionLostError, "the connection broke"),
-        ("bug", WorkError, "the session broke: KeyError: 'a bug'"),
+        ("bug", WorkError, "the session failed: KeyError: 'a bug'"),
         ("protective stop", SafetyStopError, "protective stop"),
     ],
 )
@@ -558,7 +558,7 @@ def test_an_arm_that_moved_meanwhile_is_somewhere_else(
     report = run(tmp_path / "run.h5", arm, Play(MOTION, ROBOT_FILE.robot, RATE, permission))
     assert isinstance(report.error, MotionRefusedError) == refused
     if refused:
-        assert "moved while the answer was awaited" in str(report.stopped_by)
+        assert "moved before the motion was confirmed" in str(report.stopped_by)
         assert arm.commands == []
     else:
         np.testing.assert_allclose(permission.planned[-1] - permission.planned[0], way)

@@ -335,7 +335,7 @@ def test_two_experiments_are_identified_and_merged(monkeypatch, capsys, parts):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["identify", "run.h5", "--locked", "wrist_3_joint"], "said to be locked and moves over"),
+        (["identify", "run.h5", "--locked", "wrist_3_joint"], "declared locked but moves over"),
         (["identify", "run.h5", "--locked", "elbow"], "no joint of ur5e is called 'elbow'"),
         (["identify", "run.h5", "--torques-of", "elbow"], "no joint of ur5e is called 'elbow'"),
         (["identify", "run.h5", "--torques-of", "elbow_joint", "--method", "power"], "--torques-of has no meaning"),

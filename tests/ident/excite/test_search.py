@@ -131,7 +131,7 @@ def test_an_error_of_a_process_reaches_the_caller():
 
 
 def test_a_process_that_dies_is_noticed_where_the_result_depends_on_it():
-    with pytest.raises(IdentificationError, match="process died"):
+    with pytest.raises(IdentificationError, match="process crashed"):
         search_toy(SearchChoices(starts=2, workers=2), fault="die")
 
 

@@ -195,7 +195,7 @@ def test_models_of_different_arms_are_refused(results, recorded, three_joint):
 
 
 def test_one_model_is_no_merge(results):
-    with pytest.raises(UsageError, match="two models or more"):
+    with pytest.raises(UsageError, match="at least two models"):
         merge_results([("a", results[0])])
 
 

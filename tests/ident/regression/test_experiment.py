@@ -87,7 +87,7 @@ def test_nearly_a_right_angle_is_one(ur, angle, taken):
 
 
 def test_a_locked_joint_that_moves_is_refused_with_how_far(ur):
-    with pytest.raises(DataError, match=r"joint j2 is said to be locked and moves over 2 rad") as caught:
+    with pytest.raises(DataError, match=r"joint j2 is declared locked but moves over 2 rad") as caught:
         find_experiment(ur, [("run.h5", positions(ur, (3,), (0.3,)))], ExperimentChoices(locked=("j4", "j2")))
     assert caught.value.where == "run.h5"
     assert "--start" in (caught.value.hint or "")

@@ -97,7 +97,7 @@ def test_friction_that_sticks_at_reversals_does_no_harm(three_joint, arm, segmen
 
 @pytest.mark.parametrize("share", [-0.1, 1.0, float("nan")])
 def test_what_is_no_share_is_refused(share):
-    with pytest.raises(UsageError, match="no share"):
+    with pytest.raises(UsageError, match="not a share"):
         IdentifyChoices(reversals=share)
 
 

@@ -99,5 +99,5 @@ def test_a_window_of_the_user_s_goes_before(approached):
     choices = IdentifyChoices(
         preprocess=PreprocessChoices(start=1.0), experiment=ExperimentChoices(locked=("j2",)), search_delay=False
     )
-    with pytest.raises(DataError, match="said to be locked and moves"):
+    with pytest.raises(DataError, match="declared locked but moves"):
         identify([approached], [], choices)

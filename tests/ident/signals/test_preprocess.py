@@ -170,7 +170,7 @@ def test_delays_for_another_number_of_joints_are_refused(recording: tuple[np.nda
     time, position, torque, _ = recording
     with pytest.raises(UsageError, match="2 delays for 3 joints"):
         prepare(time, position, torque, PreprocessChoices(joint_delays=(0.001, 0.002)))
-    with pytest.raises(UsageError, match="not a number"):
+    with pytest.raises(UsageError, match="not a finite number"):
         PreprocessChoices(joint_delays=(0.0, float("nan")))
 
 
