@@ -21,6 +21,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 import yaml
+from lossless import cpu_seconds
 
 from daq.robot.loader import load_robot
 from daq.session.realtime import may_have_realtime
@@ -97,12 +98,6 @@ def own_bus(folder: Path) -> Path:
     path = folder / "arm.yaml"
     path.write_text(yaml.safe_dump(arm, sort_keys=False), encoding="utf-8")
     return path
-
-
-def cpu_seconds(process: int) -> float:
-    """Processor time of a process [s] (Linux)."""
-    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def listener(body: str, out: Path, eds: Path) -> subprocess.Popen[str]:

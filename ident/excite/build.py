@@ -72,14 +72,14 @@ def build_family(model: DynamicModel, choices: DesignChoices) -> Family:
     """The family of motions of a design."""
     moving = _moving(model, choices.moving)
     rest = np.array([middle_of_range(*limits.position) for limits in model.limits])
-    common = (model.limits, choices.period)
+    common = (model.limits, moving, rest, choices.period)
     if choices.kind == "fourier":
-        return FourierFamily(*common, choices.harmonics, moving, rest, choices.periods, choices.ramp)
+        return FourierFamily(*common, choices.harmonics, choices.periods, choices.ramp)
     if choices.kind == "fourier-quintic":
-        return FourierQuinticFamily(*common, choices.harmonics, moving, rest, choices.periods)
+        return FourierQuinticFamily(*common, choices.harmonics, choices.periods)
     if choices.kind == "sines":
-        return SinesFamily(*common, choices.harmonics, moving, rest, choices.ramp)
-    return PointsFamily(*common, choices.points, moving, rest)
+        return SinesFamily(*common, choices.harmonics, choices.ramp)
+    return PointsFamily(*common, choices.points)
 
 
 def build_criterion(model: DynamicModel, columns: tuple[int, ...], prior: Prior, choices: DesignChoices) -> Criterion:

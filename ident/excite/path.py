@@ -46,7 +46,7 @@ class Family(Protocol):
 
     @property
     def moving(self) -> tuple[int, ...]:
-        """Numbers (m,) of the joints that move, ascending."""
+        """Indices (m,) of the joints that move, ascending."""
 
     @property
     def rest(self) -> FloatArray:

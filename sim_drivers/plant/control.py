@@ -44,7 +44,7 @@ def independent_inertia(inertias: FloatArray, inverse_inertias: FloatArray) -> F
 
 
 @dataclass(frozen=True)
-class Target:
+class Reference:
     """Reference of a controller: position, velocity and acceleration (n,)."""
 
     position: FloatArray
@@ -52,16 +52,16 @@ class Target:
     acceleration: FloatArray
 
     @staticmethod
-    def at_rest(position: FloatArray) -> Target:
+    def at_rest(position: FloatArray) -> Reference:
         """At rest at a position."""
         zeros = np.zeros(len(position))
-        return Target(np.array(position, dtype=np.float64), zeros, zeros)
+        return Reference(np.array(position, dtype=np.float64), zeros, zeros)
 
 
 class JointController(Protocol):
     """Drive torques from measured position and velocity."""
 
-    def torque(self, target: Target, position: FloatArray, velocity: FloatArray) -> FloatArray:
+    def torque(self, target: Reference, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """Torque (n,) [N·m] that the drives shall give until the next call."""
 
 
@@ -116,7 +116,7 @@ class Pid:
         self._integral_gain = INTEGRAL_SHARE * inertia**2 / largest_inertia * bandwidth**3
         self._integral = ErrorIntegral(period, torque_limit)
 
-    def torque(self, target: Target, position: FloatArray, velocity: FloatArray) -> FloatArray:
+    def torque(self, target: Reference, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """Torque (n,) [N·m] until the next call."""
         error = target.position - position
         return self._integral.limited(
@@ -148,7 +148,7 @@ class ComputedTorque:
         self._integral_gain = INTEGRAL_SHARE * bandwidth**3
         self._integral = ErrorIntegral(period, torque_limit)
 
-    def torque(self, target: Target, position: FloatArray, velocity: FloatArray) -> FloatArray:
+    def torque(self, target: Reference, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """Torque (n,) [N·m] until the next call."""
         error = target.position - position
         acceleration = (
@@ -173,16 +173,16 @@ class Braking:
         deceleration: (n,) [rad/s²].
     """
 
-    def __init__(self, start: Target, deceleration: FloatArray) -> None:
+    def __init__(self, start: Reference, deceleration: FloatArray) -> None:
         self._start, self._deceleration = start, deceleration
         self._stop_time = np.abs(start.velocity) / deceleration
 
-    def target(self, elapsed: float) -> Target:
+    def target(self, elapsed: float) -> Reference:
         """The target `elapsed` [s] after the start."""
         time = np.minimum(elapsed, self._stop_time)
         moving = elapsed < self._stop_time
         slope = -np.sign(self._start.velocity) * self._deceleration
-        return Target(
+        return Reference(
             self._start.position + self._start.velocity * time + 0.5 * slope * time**2,
             np.where(moving, self._start.velocity + slope * time, 0.0),
             np.where(moving, slope, 0.0),

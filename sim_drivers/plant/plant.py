@@ -22,7 +22,7 @@ from drivers.streams import FloatArray
 from ident.model.dynamic_model import build_model
 from ident.model.rigid_arm import RigidArm, rigid_arm
 from ident.model.true_parameters import truth_vector
-from sim_drivers.plant.control import Braking, ComputedTorque, JointController, Pid, Target, independent_inertia
+from sim_drivers.plant.control import Braking, ComputedTorque, JointController, Pid, Reference, independent_inertia
 from sim_drivers.plant.friction import SimulatedFriction, bristle_stiffness, friction_parameters, steepest_slope
 from sim_drivers.plant.pair_friction import PairFriction
 from sim_drivers.plant.sensors import EncoderSpeed, Measurement, TorqueSensor, drive_gains, quantised
@@ -140,7 +140,7 @@ class Plant:
         elif settings.controller == "computed-torque":
             believed = friction_parameters(robot, settings.nominal_share)
             self._controller = ComputedTorque(nominal, believed, settings.bandwidth, period, limits)
-        self._target = Target.at_rest(self.position)
+        self._target = Reference.at_rest(self.position)
         self._braking: tuple[Braking, int] | None = None
 
         self._generator = np.random.default_rng(seed)
@@ -169,7 +169,7 @@ class Plant:
             ValueError: another shape, or a value that is not finite.
         """
         zeros = np.zeros(self.robot.dof)
-        self._target = Target(
+        self._target = Reference(
             self._to_motors(self._vector(position, "position")).copy(),
             zeros if velocity is None else self._to_motors(self._vector(velocity, "velocity")).copy(),
             zeros if acceleration is None else self._to_motors(self._vector(acceleration, "acceleration")).copy(),
@@ -185,7 +185,7 @@ class Plant:
         rates = np.broadcast_to(np.asarray(deceleration, dtype=np.float64), (self.robot.dof,))
         if not np.all(rates > 0.0):
             raise ValueError(f"a deceleration must be positive, not {deceleration}")
-        start = Target(self.position, self.velocity, np.zeros(self.robot.dof))
+        start = Reference(self.position, self.velocity, np.zeros(self.robot.dof))
         self._braking = Braking(start, rates), self._steps
 
     def advance(self, duration: float) -> None:

@@ -18,7 +18,8 @@ from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from sim_drivers.plant.arm import MeasurementLike, SimulatedArm
-from sim_drivers.rtde.joint_motion import JointMotion, Reference, VelocityRamp
+from sim_drivers.plant.control import Reference
+from sim_drivers.rtde.joint_motion import JointMotion, VelocityRamp
 from sim_drivers.rtde.variables import (
     JOINTS,
     SIZES,

@@ -6,12 +6,12 @@ A motion is begun at a reference and hands out the next one each period. Shapes 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from drivers.streams import FloatArray
+from sim_drivers.plant.control import Reference
 
 LOOKAHEAD_RANGE = (0.03, 0.2)
 """URScript's range of servoj's lookahead_time [s]."""
@@ -21,21 +21,6 @@ ACCELERATION_RANGE = (0.01, 40.0)
 
 SLOWEST = 1e-3
 """[rad/s]: a movej of no speed would never end."""
-
-
-@dataclass(frozen=True)
-class Reference:
-    """Reference of the arm's controller: position, velocity, acceleration (n,)."""
-
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-
-    @staticmethod
-    def at_rest(position: FloatArray) -> Reference:
-        """At rest at a position."""
-        zeros = np.zeros_like(position)
-        return Reference(position.copy(), zeros, zeros)
 
 
 class JointMotion(Protocol):

@@ -2,28 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from drivers.streams import FloatArray
+from sim_drivers.plant.sensors import Measurement
 
 JOINT_NAMES = tuple(f"j{number}" for number in range(1, 7))
-
-
-@dataclass(frozen=True)
-class Measurement:
-    time: float
-    position: FloatArray
-    velocity: FloatArray
-    current: FloatArray
-    torque: FloatArray
-    temperature: FloatArray
-    target_position: FloatArray
-    target_velocity: FloatArray
-    target_acceleration: FloatArray
-    target_current: FloatArray
-    target_torque: FloatArray
 
 
 class ExactPlant:

@@ -54,6 +54,8 @@ class KinematicArm:
         self.commands: list[np.ndarray] = []
         self.command_times: list[float] = []
         self.opened = False
+        self.calls: list[str] = []
+        """open, start, stop and close, in their order."""
         self.begun = math.nan
         self.stopped_at: float | None = None
         self.commands_after_stop = 0
@@ -62,13 +64,24 @@ class KinematicArm:
         self._noticed = False
         self._lock = threading.Lock()
 
+    @property
+    def positions(self):
+        """All positions handed out (N, 2)."""
+        return np.concatenate([batch.values["position"] for batch in self.samples])
+
+    def stamp(self, host_time: float) -> float:
+        """A time of the host's clock [s] in the arm's own."""
+        return FIRST_STAMP + host_time - self.begun - 1.0 / self.rate
+
     def open(self):
         self.opened = True
+        self.calls.append("open")
 
     def streams(self):
         return (StreamLayout("joints", tuple(ChannelLayout(name, NAMES) for name in QUANTITIES), self.rate),)
 
     def start(self):
+        self.calls.append("start")
         self.begun = self.clock.now()
 
     @property
@@ -120,8 +133,11 @@ class KinematicArm:
             self.command_times.append(self.clock.now())
 
     def stop(self):
+        self.calls.append("stop")
         with self._lock:
             self.stopped_at = self.clock.now()
 
     def close(self):
-        self.stop()
+        self.calls.append("close")
+        if self.stopped_at is None:
+            self.stopped_at = self.clock.now()

@@ -18,8 +18,9 @@ from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Notice
 from drivers.clock import Clock
 from drivers.streams import Batch, ChannelLayout, StreamLayout
+from sim_drivers.plant.control import Reference
 from sim_drivers.plant.plant import Plant
-from sim_drivers.rtde.joint_motion import Reference, ServoJ
+from sim_drivers.rtde.joint_motion import ServoJ
 from sim_drivers.simulated_arm import Record, Recorded
 
 RATE = 500.0

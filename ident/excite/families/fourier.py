@@ -11,11 +11,10 @@ import numpy as np
 from daq.motion.fourier_quintic import FourierQuintic
 from daq.motion.trajectories import FourierSeries, Motion, RestToRest
 from daq.motion.trajectory_file import FourierQuinticTrajectory, FourierTrajectory, Trajectory
-from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.families.moving_joints import (
-    MovingJoints,
+    JointFamily,
     check_count,
     check_positive,
     check_ramp,
@@ -45,34 +44,26 @@ def _basis(series: Series, period: float, harmonics: int, time: bytes) -> FloatA
 
 
 @dataclass(frozen=True, eq=False)
-class _Family:
+class _Series(JointFamily):
     """Common base of both; x holds offset, sines and cosines of each joint that moves, one joint after another.
 
     The offset counts from the middle of the joint's range in halves of it. A single sine or cosine of 1 would use all
     of the tightest limit.
     """
 
-    limits: tuple[JointLimits, ...]
     period: float
     harmonics: int
-    moving: tuple[int, ...]
-    rest: FloatArray
     periods: int
 
     def __post_init__(self) -> None:
         check_positive("period", self.period)
         check_count("harmonics", self.harmonics, 1)
         check_count("periods", self.periods, 1)
-        len(self.joints)
+        super().__post_init__()
 
     @property
     def _series(self) -> Series:
         raise NotImplementedError
-
-    @cached_property
-    def joints(self) -> MovingJoints:
-        """The joints that move, and the others."""
-        return MovingJoints(self.limits, self.moving, self.rest)
 
     @property
     def size(self) -> int:
@@ -164,15 +155,12 @@ class _Family:
 
 
 @dataclass(frozen=True, eq=False)
-class FourierFamily(_Family):
+class FourierFamily(_Series):
     """Fourier series of one period (ROCR6 eq. 21, AUBO eq. 20), repeated, from rest to rest by a ramp of the pace.
 
     Attributes:
-        limits: of all n joints.
         period: [s].
         harmonics: order H of the series.
-        moving: indices of the joints that move, ascending.
-        rest: (n,) rest positions of the others [rad or m].
         periods: how many are played at full speed.
         ramp: from rest to full speed [s]; it changes the pace only, so that the path is that of the series.
 
@@ -237,15 +225,12 @@ class FourierFamily(_Family):
 
 
 @dataclass(frozen=True, eq=False)
-class FourierQuinticFamily(_Family):
+class FourierQuinticFamily(_Series):
     """Quintic-corrected Fourier series: zero velocity and acceleration at the ends of every period (`FourierQuintic`).
 
     Attributes:
-        limits: of all n joints.
         period: [s].
         harmonics: order H of the series.
-        moving: indices of the joints that move, ascending.
-        rest: (n,) rest positions of the others [rad or m].
         periods: how many follow each other.
 
     Raises:
@@ -285,11 +270,3 @@ class FourierQuinticFamily(_Family):
                 "the earlier motion is no quintic-corrected Fourier series", hint="--kind must be that of the file"
             )
         return self._encoded(motion)
-
-    def begun_near_middle(self, variables: FloatArray) -> FloatArray:
-        """Unchanged: it rests where it begins."""
-        return variables
-
-    def with_longer_ramp(self, factor: float) -> FourierQuinticFamily:
-        """The same: these motions have no ramp."""
-        return self

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -130,6 +131,40 @@ class MovingJoints:
                     f"earlier motion it moves or stays elsewhere",
                     hint="let it move too (--joints)",
                 )
+
+
+@dataclass(frozen=True, eq=False)
+class JointFamily:
+    """Common base of the families: the joints of their motions, and what holds where there is no ramp.
+
+    Attributes:
+        limits: of all n joints.
+        moving: indices of the joints that move, ascending.
+        rest: (n,) rest positions of the others [rad or m].
+
+    Raises:
+        UsageError: no joint moves.
+    """
+
+    limits: tuple[JointLimits, ...]
+    moving: tuple[int, ...]
+    rest: FloatArray
+
+    def __post_init__(self) -> None:
+        _ = self.joints  # refuses impossible ones
+
+    @cached_property
+    def joints(self) -> MovingJoints:
+        """The joints that move, and the others."""
+        return MovingJoints(self.limits, self.moving, self.rest)
+
+    def begun_near_middle(self, variables: FloatArray) -> FloatArray:
+        """Unchanged: the path has a fixed beginning."""
+        return variables
+
+    def with_longer_ramp(self, factor: float) -> Self:
+        """Unchanged: there is no ramp."""
+        return self
 
 
 def midrange(position: FloatArray) -> FloatArray:

@@ -9,14 +9,13 @@ import numpy as np
 
 from daq.motion.trajectories import QUINTIC_ACCELERATION, QUINTIC_VELOCITY, Motion, PointToPoint
 from daq.motion.trajectory_file import PointsTrajectory, Trajectory
-from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.families.bounded import from_share, to_share
 from ident.excite.families.moving_joints import (
     LARGEST_SHARE,
     LEAST_SHARE,
-    MovingJoints,
+    JointFamily,
     check_count,
     check_positive,
     midrange,
@@ -41,7 +40,7 @@ class _Moves:
 
 
 @dataclass(frozen=True, eq=False)
-class PointsFamily:
+class PointsFamily(JointFamily):
     """Fifth-order moves between points (SR400 .4.3), at rest in each, all in a given time.
 
     x holds the points (P, joints that move): each coordinate lies at sin(x) of half the joint's range (of a turn where
@@ -51,22 +50,16 @@ class PointsFamily:
     points. The grid is uniform in time: a rest of `dwell` weighs in a design what it weighs in the recording.
 
     Attributes:
-        limits: of all n joints.
         duration: of all moves and rests [s].
         points: their number P.
-        moving: indices of the joints that move, ascending.
-        rest: (n,) rest positions of the others [rad or m].
         dwell: rest in every point but the first [s].
 
     Raises:
         UsageError: no joint moves, a number is not possible, or the rests leave no time for moves.
     """
 
-    limits: tuple[JointLimits, ...]
     duration: float
     points: int
-    moving: tuple[int, ...]
-    rest: FloatArray
     dwell: float = 0.0
 
     def __post_init__(self) -> None:
@@ -78,12 +71,7 @@ class PointsFamily:
             raise UsageError(
                 f"{self.points - 1} rests of {self.dwell:g} s leave no time to move in {self.duration:g} s"
             )
-        len(self.joints)
-
-    @cached_property
-    def joints(self) -> MovingJoints:
-        """The joints that move, and the others."""
-        return MovingJoints(self.limits, self.moving, self.rest)
+        super().__post_init__()
 
     @property
     def size(self) -> int:
@@ -211,14 +199,6 @@ class PointsFamily:
         """As in the protocol; the durations follow. Points are kept within the joints' ranges."""
         points = self._points(variables)
         return self._variables(pose + share * (points - midrange(points.T)))
-
-    def begun_near_middle(self, variables: FloatArray) -> FloatArray:
-        """Unchanged: it begins at its first point."""
-        return variables
-
-    def with_longer_ramp(self, factor: float) -> PointsFamily:
-        """The same: these motions have no ramp."""
-        return self
 
     @property
     def _available(self) -> float:

@@ -9,12 +9,11 @@ import numpy as np
 
 from daq.motion.trajectories import Motion, RestToRest, SumOfSines
 from daq.motion.trajectory_file import SinesTrajectory, Trajectory
-from daq.robot.schema import JointLimits
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.families.bounded import from_share, to_share
 from ident.excite.families.moving_joints import (
-    MovingJoints,
+    JointFamily,
     check_count,
     check_positive,
     check_ramp,
@@ -28,7 +27,7 @@ _TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class SinesFamily:
+class SinesFamily(JointFamily):
     """Sums of sines (UP6 eq. 8, with an offset), whose frequencies are free within a band.
 
     x holds the offsets, then the amplitudes, then the frequencies, each (joints that move, sines). An offset counts
@@ -38,11 +37,8 @@ class SinesFamily:
     Played from rest to rest, the motion's own time runs from −ramp/2 to duration + ramp/2, and so does the grid.
 
     Attributes:
-        limits: of all n joints.
         duration: at full speed [s].
         sines: of each joint.
-        moving: indices of the joints that move, ascending.
-        rest: (n,) rest positions of the others [rad or m].
         ramp: from rest to full speed [s].
         band: lowest and highest angular frequency [rad/s]; half a wave to `sines` waves in `duration` where None.
 
@@ -50,11 +46,8 @@ class SinesFamily:
         UsageError: no joint moves, a number is not positive, or the band is none.
     """
 
-    limits: tuple[JointLimits, ...]
     duration: float
     sines: int
-    moving: tuple[int, ...]
-    rest: FloatArray
     ramp: float
     band: tuple[float, float] | None = None
 
@@ -65,12 +58,7 @@ class SinesFamily:
         low, high = self._band
         if not 0.0 < low < high < np.inf:
             raise UsageError(f"{low:g} to {high:g} rad/s is no band of frequencies")
-        len(self.joints)
-
-    @cached_property
-    def joints(self) -> MovingJoints:
-        """The joints that move, and the others."""
-        return MovingJoints(self.limits, self.moving, self.rest)
+        super().__post_init__()
 
     @property
     def size(self) -> int:
@@ -186,10 +174,6 @@ class SinesFamily:
         missing = np.zeros((len(rows), self.sines - count))
         padded = [np.concatenate([values, missing], axis=1) for values in (amplitude, share)]
         return self._joined(earlier.offset[rows], *padded)
-
-    def begun_near_middle(self, variables: FloatArray) -> FloatArray:
-        """Unchanged: its path is not closed."""
-        return variables
 
     def with_longer_ramp(self, factor: float) -> SinesFamily:
         """The same motions with a ramp that is `factor` times longer."""

@@ -6,8 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from kinematic_arm import RATE, ROBOT_FILE
-from punctual_arm import PunctualArm
+from kinematic_arm import RATE, ROBOT_FILE, KinematicArm
 from unchecked import unchecked_play
 
 from daq.motion.trajectories import PointToPoint
@@ -110,7 +109,7 @@ def motion() -> Play:
 
 
 def test_both_are_in_one_recording(tmp_path, clock):
-    arm, thermometer = PunctualArm(clock), Thermometer(clock)
+    arm, thermometer = KinematicArm(clock=clock), Thermometer(clock)
     sources = Sources("bench", arm, {"oven/sensor": thermometer})
     report = run(tmp_path / "run.h5", clock, sources, motion())
     sources.close()
@@ -119,19 +118,19 @@ def test_both_are_in_one_recording(tmp_path, clock):
     assert recording.complete
     assert set(recording.streams) == {"joints", "oven_sensor"}
     joints, heat = recording.streams["joints"], recording.streams["oven_sensor"]
-    np.testing.assert_array_equal(joints.channels["position"].values, arm.samples)
-    assert report.samples == {"joints": len(arm.samples), "oven_sensor": thermometer.rows}
+    np.testing.assert_array_equal(joints.channels["position"].values, arm.positions)
+    assert report.samples == {"joints": arm.count, "oven_sensor": thermometer.rows}
     assert heat.channels["temperature"].columns == ("elbow",)
     # Each keeps its own clock, and none of its samples waits for the other's.
     np.testing.assert_allclose(heat.time, STAMP + PERIOD * np.arange(1, thermometer.rows + 1), rtol=0, atol=1e-9)
-    assert thermometer.rows == int(len(arm.samples) * CYCLE / PERIOD + 1e-6)
+    assert thermometer.rows == int(arm.count * CYCLE / PERIOD + 1e-6)
     assert set(thermometer.timeouts) == {0.0}  # only the arm is waited for
     assert thermometer.calls == arm.calls == ["open", "start", "stop", "close"]
     np.testing.assert_allclose(arm.position, [0.0, 0.0], atol=1e-12)
 
 
 def test_the_clocks_of_all_are_compared_with_the_hosts(tmp_path, clock):
-    arm, thermometer = PunctualArm(clock), Thermometer(clock, drift=2e-4)
+    arm, thermometer = KinematicArm(clock=clock), Thermometer(clock, drift=2e-4)
     sources = Sources("bench", arm, {"oven": thermometer})
     report = run(tmp_path / "run.h5", clock, sources, duration=10.0)
     assert report.stopped_by is None
@@ -150,22 +149,22 @@ def test_the_clocks_of_all_are_compared_with_the_hosts(tmp_path, clock):
 def test_names_stay_apart(clock):
     sources = Sources(
         "arm",
-        PunctualArm(clock),
-        {"thermometer": Thermometer(clock), "joints": Thermometer(clock), "b": PunctualArm(clock)},
+        KinematicArm(clock=clock),
+        {"thermometer": Thermometer(clock), "joints": Thermometer(clock), "b": KinematicArm(clock=clock)},
     )
     sources.open()
     assert [layout.name for layout in sources.streams()] == ["joints", "thermometer", "joints_2", "b"]
 
 
 def test_where_one_cannot_be_opened_the_others_are_closed(clock):
-    arm, first, second = PunctualArm(clock), Thermometer(clock), Thermometer(clock, "open")
+    arm, first, second = KinematicArm(clock=clock), Thermometer(clock), Thermometer(clock, "open")
     with pytest.raises(ConnectionFailedError, match="second: no open"):
         Sources("arm", arm, {"first": first, "second": second}).open()
     assert arm.calls == first.calls == second.calls == ["open", "close"]
 
 
 def test_where_one_does_not_start_all_are_stopped(tmp_path, clock):
-    arm, first, second = PunctualArm(clock), Thermometer(clock), Thermometer(clock, "start")
+    arm, first, second = KinematicArm(clock=clock), Thermometer(clock), Thermometer(clock, "start")
     report = run(tmp_path / "run.h5", clock, Sources("arm", arm, {"first": first, "second": second}), motion())
     assert "second: no start" in (report.stopped_by or "")
     assert "stop" in arm.calls
@@ -174,16 +173,16 @@ def test_where_one_does_not_start_all_are_stopped(tmp_path, clock):
 
 
 def test_what_breaks_stops_the_arm_at_once_and_loses_nothing_of_it(tmp_path, clock):
-    arm, thermometer = PunctualArm(clock), Thermometer(clock, "read")
+    arm, thermometer = KinematicArm(clock=clock), Thermometer(clock, "read")
     report = run(tmp_path / "run.h5", clock, Sources("arm", arm, {"oven": thermometer}), motion())
     assert isinstance(report.error, ConnectionLostError)
     assert report.stopped_by == "oven: /dev/ttyUSB0: the wire is off"
     # It is noticed with the first sample of the arm after the loss; the player ends at its next period.
-    assert arm.commands[-1][0] - arm.begun == pytest.approx(0.915, abs=1e-9)
-    assert arm.stopped - arm.begun == pytest.approx(0.915 + CYCLE, abs=1e-9)
+    assert arm.command_times[-1] - arm.begun == pytest.approx(0.915, abs=1e-9)
+    assert arm.stopped_at - arm.begun == pytest.approx(0.915 + CYCLE, abs=1e-9)
     recording = read_recording(tmp_path / "run.h5")
-    np.testing.assert_array_equal(recording.streams["joints"].channels["position"].values, arm.samples)
-    assert len(arm.samples) == 183
+    np.testing.assert_array_equal(recording.streams["joints"].channels["position"].values, arm.positions)
+    assert arm.count == 183
     (stopped,) = (event for event in recording.events if event.source == "session")
     assert stopped.message == "stopped: oven: /dev/ttyUSB0: the wire is off"
     assert stopped.time == pytest.approx(arm.stamp(arm.begun + 0.915), abs=1e-9)
@@ -191,12 +190,12 @@ def test_what_breaks_stops_the_arm_at_once_and_loses_nothing_of_it(tmp_path, clo
 
 @pytest.mark.parametrize("essential", [False, True])
 def test_a_silent_thermometer_does_not_stop_the_arm_unless_it_is_required(tmp_path, clock, essential):
-    arm, thermometer = PunctualArm(clock), Thermometer(clock, "silence", essential=essential)
+    arm, thermometer = KinematicArm(clock=clock), Thermometer(clock, "silence", essential=essential)
     report = run(tmp_path / "run.h5", clock, Sources("arm", arm, {"oven": thermometer}), motion())
     assert thermometer.rows == 40
     if essential:  # five periods after the row at 0.9 s
         assert report.stopped_by == "stale data of stream oven: 0.115 s passes 0.1125 s"
-        assert arm.commands[-1][0] - arm.begun == pytest.approx(0.9 + 0.115, abs=1e-9)
+        assert arm.command_times[-1] - arm.begun == pytest.approx(0.9 + 0.115, abs=1e-9)
     else:
         assert report.stopped_by is None
         np.testing.assert_allclose(arm.position, [0.0, 0.0], atol=1e-12)
@@ -210,7 +209,7 @@ def test_the_source_of_a_silent_stream_is_asked_who_is_silent(clock):
         def losses(self, stream):
             return f"{stream} too hot"
 
-    sources = Sources("arm", PunctualArm(clock), {"oven": Attributed(clock)})
+    sources = Sources("arm", KinematicArm(clock=clock), {"oven": Attributed(clock)})
     sources.open()
     assert sources.silence("oven", 0.25) == "thermometer 0.25"  # under the source's own name of it
     assert sources.losses("oven") == "thermometer too hot"
@@ -219,10 +218,10 @@ def test_the_source_of_a_silent_stream_is_asked_who_is_silent(clock):
 
 
 def test_its_temperature_stops_the_arm(tmp_path, clock):
-    arm, thermometer = PunctualArm(clock), Thermometer(clock, heat=71.0)
+    arm, thermometer = KinematicArm(clock=clock), Thermometer(clock, heat=71.0)
     report = run(tmp_path / "run.h5", clock, Sources("arm", arm, {"oven": thermometer}), motion())
     assert report.stopped_by == "temperature of elbow: 71 °C passes 70 °C"
-    assert arm.commands[-1][0] - arm.begun == pytest.approx(0.925, abs=1e-9)
+    assert arm.command_times[-1] - arm.begun == pytest.approx(0.925, abs=1e-9)
     recording = read_recording(tmp_path / "run.h5")
     (stopped,) = (event for event in recording.events if event.source == "session")
     # The reason has the time of the hot sample, told on the joints' clock.
@@ -231,7 +230,7 @@ def test_its_temperature_stops_the_arm(tmp_path, clock):
 
 
 def test_notices_bear_their_sources_name_and_the_arms_time(tmp_path, clock):
-    arm, thermometer = PunctualArm(clock), Thermometer(clock, "notice")
+    arm, thermometer = KinematicArm(clock=clock), Thermometer(clock, "notice")
     report = run(tmp_path / "run.h5", clock, Sources("arm", arm, {"oven": thermometer}), motion())
     assert report.stopped_by is None
     (event,) = (event for event in read_recording(tmp_path / "run.h5").events if "rather warm" in event.message)
@@ -240,18 +239,18 @@ def test_notices_bear_their_sources_name_and_the_arms_time(tmp_path, clock):
 
 
 def test_a_source_that_cannot_be_stopped_is_told_and_the_arm_is_stopped_first(tmp_path, clock):
-    arm, thermometer = PunctualArm(clock), Thermometer(clock, "stop")
+    arm, thermometer = KinematicArm(clock=clock), Thermometer(clock, "stop")
     sources = Sources("arm", arm, {"oven": thermometer})
     report = run(tmp_path / "run.h5", clock, sources, duration=0.3)
     assert report.stopped_by is None
-    assert arm.stopped - arm.begun == pytest.approx(0.3, abs=CYCLE + 1e-9)
+    assert arm.stopped_at - arm.begun == pytest.approx(0.3, abs=CYCLE + 1e-9)
     messages = [event.message for event in read_recording(tmp_path / "run.h5").events]
     assert "oven: could not be stopped: RuntimeError: no stop" in messages
 
 
 def test_all_are_closed_even_where_one_refuses(clock):
     first, second = Thermometer(clock, "close"), Thermometer(clock)
-    sources = Sources("arm", PunctualArm(clock), {"first": first, "second": second})
+    sources = Sources("arm", KinematicArm(clock=clock), {"first": first, "second": second})
     sources.open()
     with pytest.raises(RuntimeError, match="no close"):
         sources.close()
@@ -259,12 +258,12 @@ def test_all_are_closed_even_where_one_refuses(clock):
 
 
 def test_only_the_main_one_is_commanded(clock):
-    class Watcher(PunctualArm):
+    class Watcher(KinematicArm):
         def command(self, position):
             raise DriverStateError("this one cannot move an arm")
 
-    arm = PunctualArm(clock)
+    arm = KinematicArm(clock=clock)
     Sources("arm", arm, {"oven": Thermometer(clock)}).command(np.array([0.1, 0.2]))
     assert arm.position.tolist() == [0.1, 0.2]
     with pytest.raises(DriverStateError):
-        Sources("watcher", Watcher(clock), {"arm": arm}).command(np.zeros(2))
+        Sources("watcher", Watcher(clock=clock), {"arm": arm}).command(np.zeros(2))

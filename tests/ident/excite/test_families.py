@@ -23,11 +23,11 @@ LIMITS = ROBOT.joints
 MOVING = (0, 1, 2, 4, 5)
 REST = np.array([0.0, -1.0, 0.5, 0.7, -0.3, 0.0])
 FAMILIES = {
-    "fourier": FourierFamily(LIMITS, 8.0, 4, MOVING, REST, 2, 1.5),
-    "fourier-quintic": FourierQuinticFamily(LIMITS, 8.0, 4, MOVING, REST, 2),
-    "sines": SinesFamily(LIMITS, 9.0, 3, MOVING, REST, 1.5),
-    "points": PointsFamily(LIMITS, 12.0, 7, MOVING, REST),
-    "points-dwell": PointsFamily(LIMITS, 12.0, 7, MOVING, REST, 0.3),
+    "fourier": FourierFamily(LIMITS, MOVING, REST, 8.0, 4, 2, 1.5),
+    "fourier-quintic": FourierQuinticFamily(LIMITS, MOVING, REST, 8.0, 4, 2),
+    "sines": SinesFamily(LIMITS, MOVING, REST, 9.0, 3, 1.5),
+    "points": PointsFamily(LIMITS, MOVING, REST, 12.0, 7),
+    "points-dwell": PointsFamily(LIMITS, MOVING, REST, 12.0, 7, 0.3),
 }
 UNLIMITED = tuple(
     SimpleNamespace(name=f"j{number}", position=position, velocity=velocity, acceleration=acceleration)
@@ -158,10 +158,10 @@ def test_a_longer_ramp_leaves_the_variables_their_meaning(family):
 @pytest.mark.parametrize(
     "build",
     [
-        lambda limits: FourierFamily(limits, 5.0, 3, (0, 1, 2), np.zeros(3), 1, 1.0),
-        lambda limits: FourierQuinticFamily(limits, 5.0, 3, (0, 1, 2), np.zeros(3), 1),
-        lambda limits: SinesFamily(limits, 5.0, 3, (0, 1, 2), np.zeros(3), 1.0),
-        lambda limits: PointsFamily(limits, 5.0, 6, (0, 1, 2), np.zeros(3)),
+        lambda limits: FourierFamily(limits, (0, 1, 2), np.zeros(3), 5.0, 3, 1, 1.0),
+        lambda limits: FourierQuinticFamily(limits, (0, 1, 2), np.zeros(3), 5.0, 3, 1),
+        lambda limits: SinesFamily(limits, (0, 1, 2), np.zeros(3), 5.0, 3, 1.0),
+        lambda limits: PointsFamily(limits, (0, 1, 2), np.zeros(3), 5.0, 6),
     ],
 )
 def test_infinite_limits_leave_finite_motions(build):
@@ -266,7 +266,7 @@ def test_one_unit_of_a_coefficient_uses_a_limit_fully():
         JointLimits(name=name, position=(-2.0, 2.0), velocity=v, acceleration=a)
         for name, v, a in (("slow", 0.1, 10.0), ("weak", 3.0, 0.1), ("short", 75.0, 1000.0))
     )
-    family = FourierFamily(limits, 6.0, 2, (0, 1, 2), np.zeros(3), 1, 1.0)
+    family = FourierFamily(limits, (0, 1, 2), np.zeros(3), 6.0, 2, 1, 1.0)
     for number in range(1, 5):
         variables = np.zeros((3, 5))
         variables[:, number] = 1.0

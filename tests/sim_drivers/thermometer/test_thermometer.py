@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kinematic_arm import RATE
+from kinematic_arm import RATE, KinematicArm
 from kinematic_arm import ROBOT_FILE as ARM
-from punctual_arm import PunctualArm
 from serial_lines import SerialLine
 from simulated_clock import SimulatedClock
 from unchecked import unchecked_play
@@ -343,12 +342,12 @@ def recorded(
     fault: tuple[float, str] | None = None,
     hot_from: float = np.inf,
     **keys: object,
-) -> tuple[PunctualArm, SessionReport, Recording]:
+) -> tuple[KinematicArm, SessionReport, Recording]:
     """A motion, or a while [s], of an arm at 31 °C that becomes hot, recorded with a thermometer that has a fault.
 
     Times count from the beginning of the recording [s].
     """
-    arm = PunctualArm(clock)
+    arm = KinematicArm(clock=clock)
     server = ThermometerServer(
         lambda: [30.0, 75.0 if clock.now() - arm.begun > hot_from else 31.0],
         simulated_thermometer({**KEYS, **keys}, JOINTS),
@@ -414,8 +413,8 @@ def test_a_thermometer_in_trouble_ends_nothing(
     np.testing.assert_allclose(np.sort(np.diff(times))[:-1], 0.2, rtol=0, atol=SLICE)
     assert times[0] == pytest.approx(0.4, abs=0.01)
     assert times[-1] == pytest.approx(4.8, abs=0.01)
-    np.testing.assert_array_equal(recording.streams["joints"].channels["position"].values, arm.samples)
-    assert len(arm.samples) == 5.0 * RATE
+    np.testing.assert_array_equal(recording.streams["joints"].channels["position"].values, arm.positions)
+    assert arm.count == 5.0 * RATE
 
 
 @pytest.mark.parametrize("required", [False, True])
@@ -432,8 +431,8 @@ def test_a_thermometer_pulled_out_in_mid_motion(
         assert told(recording) == [f"error: {gone}"]
         assert report.stopped_by == f"oven: {gone}"
         assert not recording.complete
-        assert arm.commands[-1][0] - arm.begun == pytest.approx(1.005, abs=1e-9)
-        assert arm.stopped - arm.begun == pytest.approx(1.01, abs=1e-9)
+        assert arm.command_times[-1] - arm.begun == pytest.approx(1.005, abs=1e-9)
+        assert arm.stopped_at - arm.begun == pytest.approx(1.01, abs=1e-9)
     else:
         assert told(recording) == [f"warning: {gone}", "info: the port is open again after 1.0 s, attempt 1"]
         assert report.stopped_by is None
@@ -450,8 +449,8 @@ def test_a_hot_joint_stops_the_arm(tmp_path: Path, clock: SimulatedClock, line: 
     assert times[-1] - arm.begun == pytest.approx(1.05, abs=0.01)
     (stopped,) = (event for event in recording.events if event.source == "session")
     assert stopped.time == pytest.approx(arm.stamp(times[-1]), abs=1e-9)
-    assert arm.commands[-1][0] - arm.begun == pytest.approx(1.05, abs=1e-9)
-    assert arm.stopped - arm.begun == pytest.approx(1.055, abs=1e-9)
+    assert arm.command_times[-1] - arm.begun == pytest.approx(1.05, abs=1e-9)
+    assert arm.stopped_at - arm.begun == pytest.approx(1.055, abs=1e-9)
 
 
 @pytest.mark.realtime
