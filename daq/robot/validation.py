@@ -36,11 +36,8 @@ def validated_robot(content: Mapping[Any, Any], where: str) -> Robot:
         robot = Robot.model_validate(content)
     except ValidationError as error:
         invalid = list(schema_problems(error, Robot))
-        invalid += [
-            problem
-            for problem in _about_names(content)
-            if problem.message not in {problem.message for problem in invalid}
-        ]
+        messages = {problem.message for problem in invalid}
+        invalid += [problem for problem in _about_names(content) if problem.message not in messages]
     unfilled = {problem.key_path for problem in missing}
     # A name that is still to be filled in fits nowhere; that needs no second message.
     problems = [

@@ -71,12 +71,12 @@ def merge_results(
     """
     inputs, base = merge_inputs(results)
     model = inputs[0].stored.model
-    informations = [merge_input.information for merge_input in inputs]
+    informations = [source.information for source in inputs]
     merged = merge(informations, identifiable_columns(informations, range(base.count)))
     std = np.full(base.count, np.inf)
     std[list(merged.solution.active)] = np.sqrt(np.diag(merged.covariance))
     inflation = np.divide(std, merged.solution.std, out=np.ones(base.count), where=np.isfinite(std))
-    rows = sum(merge_input.result.residuals.effective_rows or 0.0 for merge_input in inputs)
+    rows = sum(source.result.residuals.effective_rows or 0.0 for source in inputs)
     pruned = prune(merged.solution, inflation, rows, lambda columns: merge(informations, columns).solution, threshold)
     result = _result(model, base, inputs, merged, std, pruned, threshold)
     if held_out is None:
@@ -105,7 +105,7 @@ def _result(
         root=merged.root,
         covariance=merged.covariance,
         taken_up=merged.taken_up,
-        blocks=min(merge_input.information.blocks for merge_input in inputs),
+        blocks=min(source.information.blocks for source in inputs),
     )
     residuals = _residuals(inputs)
     robot_file = inputs[0].stored.robot_file
@@ -116,13 +116,13 @@ def _result(
         robot_file=first.robot_file,
         urdf=first.urdf,
         joints=first.joints,
-        method=f"merge of {' and '.join(merge_input.result.method for merge_input in inputs)}",
+        method=f"merge of {' and '.join(source.result.method for source in inputs)}",
         options={**first.options, "start": None, "stop": None, "split": None, "significant_rsd": threshold},
         model_options=first.model_options,
         preprocessing=[
-            step.model_copy(update={"text": f"{merge_input.label}: {step.text}"})
-            for merge_input in inputs
-            for step in merge_input.result.preprocessing
+            step.model_copy(update={"text": f"{source.label}: {step.text}"})
+            for source in inputs
+            for step in source.result.preprocessing
         ],
         delay=DelayFigures(used=first.delay.used, best=first.delay.best, note=f"of {inputs[0].label}"),
         base_parameters=parameter_results(model, base, solution, std, pruned, threshold),
@@ -151,24 +151,22 @@ def _result(
         condition=solution.condition,
         residuals=residuals,
         rank_margin=base.margin,
-        recordings=[use for merge_input in inputs for use in used_recordings(merge_input.result)],
+        recordings=[use for source in inputs for use in used_recordings(source.result)],
         versions=software_versions(),
         verdict=Verdict("not judged yet", checks=tuple(checks)),
         experiments=[
-            experiment_result(model, experiment)
-            for merge_input in inputs
-            for experiment in merge_input.stored.experiments
+            experiment_result(model, experiment) for source in inputs for experiment in source.stored.experiments
         ],
         merge=Merge(
             models=[
                 MergedModel(
-                    file=merge_input.label,
-                    method=merge_input.result.method,
-                    experiments=[experiment_result(model, experiment) for experiment in merge_input.stored.experiments],
-                    parameters=len(merge_input.names),
-                    variance_ratio=merge_input.ratio,
+                    file=source.label,
+                    method=source.result.method,
+                    experiments=[experiment_result(model, experiment) for experiment in source.stored.experiments],
+                    parameters=len(source.names),
+                    variance_ratio=source.ratio,
                 )
-                for merge_input in inputs
+                for source in inputs
             ],
             consistency=consistency,
         ),
@@ -178,7 +176,7 @@ def _result(
 
 def _residuals(inputs: Sequence[MergeInput]) -> Residuals:
     """Those of the experiments: of each joint, where its torque was used with the most equations."""
-    stored = [merge_input.result.residuals for merge_input in inputs]
+    stored = [source.result.residuals for source in inputs]
 
     def best(name: str, joint: int) -> float | None:
         known = [
@@ -205,15 +203,11 @@ def _consistency(inputs: Sequence[MergeInput], merged: MergedEstimate) -> Consis
         return None
     contradictions = [
         Contradiction(
-            file=merge_input.label,
-            parameter=name,
-            value=float(value),
-            merged=float(fitted),
-            deviations=float(deviation),
+            file=source.label, parameter=name, value=float(value), merged=float(fitted), deviations=float(deviation)
         )
-        for merge_input, deviations, fits in zip(inputs, merged.deviations, merged.fitted, strict=True)
+        for source, deviations, fits in zip(inputs, merged.deviations, merged.fitted, strict=True)
         for name, value, fitted, deviation in zip(
-            merge_input.names, merge_input.information.values, fits, deviations, strict=True
+            source.names, source.information.values, fits, deviations, strict=True
         )
         if abs(deviation) > CONTRADICTING
     ]
@@ -270,19 +264,19 @@ def _checks(
         )
         checks.append(raised("indefinite-inertia", text))
     checks += sign_checks(base, merged.solution.parameters, std)
-    for merge_input in inputs:
-        checks += _checks_of_part(merge_input)
+    for source in inputs:
+        checks += _checks_of_part(source)
     return checks
 
 
-def _checks_of_part(merge_input: MergeInput) -> list[Check]:
+def _checks_of_part(source: MergeInput) -> list[Check]:
     """Checks of an input that concern the merge: wrong data remain wrong, another input may excite what it does not."""
-    own = merge_input.result.verdict.checks
+    own = source.result.verdict.checks
     inherited = [check for check in own if check.severity == "serious" and check.name not in CHECKED_AGAIN]
-    checks = [replace(check, text=f"{merge_input.label}: {check.text}") for check in inherited]
+    checks = [replace(check, text=f"{source.label}: {check.text}") for check in inherited]
     if count := len(own) - len(inherited):
         other = " other" if inherited else ""
-        text = f"{merge_input.label} has {count}{other} check{'s' if count > 1 else ''} of its own"
+        text = f"{source.label} has {count}{other} check{'s' if count > 1 else ''} of its own"
         checks.append(raised("checks-of-a-part", text))
     return checks
 
