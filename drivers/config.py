@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import types
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Strict, StringConstraints, ValidationError
 from pydantic.fields import FieldInfo
@@ -12,7 +11,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from drivers.closest import did_you_mean
 from drivers.errors import UsageError
-from drivers.yaml_file import describe
+from drivers.yaml_file import describe, fields_of, locate, plain_type
 
 WITH = "with"
 """Key of a connection that belongs to the session: names of others that are recorded beside it."""
@@ -68,7 +67,7 @@ def refusal(problems: Iterable[ErrorDetails], schema: type[BaseModel], connectio
     """One error about all that is wrong with a connection's keys."""
     by_path: dict[str, tuple[str, str, str]] = {}
     for problem in problems:
-        path, field, section = _locate(schema, problem["loc"])
+        path, field, section = locate(schema, problem["loc"])
         by_path.setdefault(path, _words(problem, path, field, section))
     if len(by_path) == 1:
         ((path, (before, after, hint)),) = by_path.items()
@@ -86,7 +85,7 @@ def _words(problem: ErrorDetails, path: str, field: FieldInfo | None, section: t
     """What stands before and after the key's name, and the hint."""
     kind, context = problem["type"], problem.get("ctx", {})
     if kind in {"extra_forbidden", "invalid_key"}:
-        known = list(_fields(section))
+        known = list(fields_of(section))
         guess = did_you_mean(str(problem["loc"][-1]), known)
         return "unknown key ", "", f"allowed: {', '.join(known)}{f'; {guess}' if guess else ''}"
     words = "" if field is None else _allowed(field)
@@ -99,7 +98,7 @@ def _words(problem: ErrorDetails, path: str, field: FieldInfo | None, section: t
 
 def _allowed(field: FieldInfo) -> str:
     """What a field may be, in words: its type, its limits and its description."""
-    plain = _plain(field.annotation)
+    plain = plain_type(field.annotation)
     limits: dict[str, float] = {}
     for constraint in field.metadata:
         limits |= {name: getattr(constraint, name) for name in ("ge", "le") if hasattr(constraint, name)}
@@ -110,49 +109,3 @@ def _allowed(field: FieldInfo) -> str:
         kind += f" from {limits['ge']:.10g} to {limits['le']:.10g}"
     description = field.description or ""
     return f"{kind}{' ' if description.startswith('[') or not kind else ', '}{description}".strip(" ,")
-
-
-def _locate(schema: type[BaseModel], location: tuple[int | str, ...]) -> tuple[str, FieldInfo | None, type[BaseModel]]:
-    """Key path of a pydantic location, its field (None of an unknown key) and the section that it stands in."""
-    path, field, section = "", None, schema
-    annotation: Any = schema
-    for part in location:
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            section, field = annotation, _fields(annotation).get(str(part))
-            path += f".{part}"
-            if field is None:
-                break
-            annotation = _plain(field.annotation)
-        elif get_origin(annotation) in (tuple, dict):
-            path += f"[{part}]" if isinstance(part, int) and get_origin(annotation) is tuple else f".{part}"
-            arguments = [one for one in get_args(annotation) if one is not Ellipsis]
-            annotation = _plain(arguments[-1])
-        elif part in (choices := {one.__name__: one for one in _sections(annotation)}):
-            annotation = choices[str(part)]  # a tagged union: the tag is the section's name
-        else:  # a member of a union, or pydantic's name of a validator
-            break
-    return path.lstrip("."), field, section
-
-
-def _fields(section: type[BaseModel]) -> dict[str, FieldInfo]:
-    """Key of the file → field."""
-    return {field.alias or name: field for name, field in section.model_fields.items()}
-
-
-def _plain(annotation: Any) -> Any:
-    """An annotation without None and constraints; of a union its first member, unless there are several sections."""
-    if get_origin(annotation) is Annotated:
-        return _plain(get_args(annotation)[0])
-    if get_origin(annotation) in (Union, types.UnionType):
-        return annotation if len(_sections(annotation)) > 1 else _plain(_members(annotation)[0])
-    return annotation
-
-
-def _members(annotation: Any) -> list[Any]:
-    return [one for one in get_args(annotation) if one is not type(None)]
-
-
-def _sections(annotation: Any) -> list[type[BaseModel]]:
-    """The sections among the members of a union."""
-    members = [_plain(one) for one in _members(annotation)]
-    return [one for one in members if isinstance(one, type) and issubclass(one, BaseModel)]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import reprlib
+import types
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from drivers.closest import did_you_mean
@@ -135,7 +137,7 @@ def _told(problem: ErrorDetails, root: type[BaseModel]) -> list[YamlProblem]:
     location = tuple(part for part in problem["loc"] if not str(part).startswith("function-"))
     kind, place = problem["type"], key_path(location)
     if kind == "extra_forbidden":
-        allowed = tuple(section.model_fields) if (section := _section_at(root, location[:-1])) is not None else ()
+        allowed = tuple(fields_of(locate(root, location)[2]))
         message = "unknown key" + (f"; allowed here: {', '.join(allowed)}" if allowed else "")
         return [YamlProblem(place, message, did_you_mean(str(location[-1]), allowed))]
     if kind == "value_error":
@@ -157,40 +159,54 @@ def key_path(location: Sequence[int | str]) -> str:
 
 def meaning(root: type[BaseModel], location: Sequence[int | str]) -> str:
     """What the key at `location` means and its unit, from the description of its field; empty where there is none."""
-    names = [index for index, part in enumerate(location) if isinstance(part, str)]
-    if not names:
-        return ""
-    section = _section_at(root, location[: names[-1]])
-    field = section.model_fields.get(str(location[names[-1]])) if section is not None else None
+    field = locate(root, location)[1]
     return (field.description or "") if field is not None else ""
 
 
-def _section_at(root: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel] | None:
-    """The section that stands at `location`."""
-    annotation: Any = root
+def locate(schema: type[BaseModel], location: Sequence[int | str]) -> tuple[str, FieldInfo | None, type[BaseModel]]:
+    """Key path of a pydantic location, its field (None of an unknown key) and the section that it stands in."""
+    path, field, section = "", None, schema
+    annotation: Any = schema
     for part in location:
-        section = _section_of(annotation)
-        if section is None:
-            return None
-        if annotation is section:
-            field = section.model_fields.get(str(part))
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            section, field = annotation, fields_of(annotation).get(str(part))
+            path += f".{part}"
             if field is None:
-                return None
-            annotation = field.annotation
-        else:  # the part is an index of a list or a name in a mapping of such sections
-            annotation = section
-    return _section_of(annotation)
+                break
+            annotation = plain_type(field.annotation)
+        elif get_origin(annotation) in (tuple, dict):
+            path += f"[{part}]" if isinstance(part, int) and get_origin(annotation) is tuple else f".{part}"
+            arguments = [one for one in get_args(annotation) if one is not Ellipsis]
+            annotation = plain_type(arguments[-1])
+        elif part in (choices := {one.__name__: one for one in _sections(annotation)}):
+            annotation = choices[str(part)]  # a tagged union: the tag is the section's name
+        else:  # a member of a union, or pydantic's name of a validator
+            break
+    return path.lstrip("."), field, section
 
 
-def _section_of(annotation: Any) -> type[BaseModel] | None:
-    """The section class inside an annotation such as `tuple[MdhRow, ...] | None` or `dict[str, Connection]`."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for argument in getattr(annotation, "__args__", ()):
-        section = _section_of(argument)
-        if section is not None:
-            return section
-    return None
+def fields_of(section: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Key of the file → field."""
+    return {field.alias or name: field for name, field in section.model_fields.items()}
+
+
+def plain_type(annotation: Any) -> Any:
+    """An annotation without None and constraints; of a union its first member, unless there are several sections."""
+    if get_origin(annotation) is Annotated:
+        return plain_type(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, types.UnionType):
+        return annotation if len(_sections(annotation)) > 1 else plain_type(_members(annotation)[0])
+    return annotation
+
+
+def _members(annotation: Any) -> list[Any]:
+    return [one for one in get_args(annotation) if one is not type(None)]
+
+
+def _sections(annotation: Any) -> list[type[BaseModel]]:
+    """The sections among the members of a union."""
+    members = [plain_type(one) for one in _members(annotation)]
+    return [one for one in members if isinstance(one, type) and issubclass(one, BaseModel)]
 
 
 def describe(value: Any) -> str:
