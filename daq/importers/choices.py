@@ -33,7 +33,7 @@ class ImportChoices:
             file's name. For a whole quantity also a pattern, `q{}` with the joints' numbers or names in place of {},
             or numbers of CSV columns, `2-7`. A quantity that is named here is taken from these names only.
         degrees: positions and velocities of revolute joints are in degrees.
-        effort: what an array called `effort` is; a file without one needs no answer.
+        effort: quantity of an array called `effort`; unused without one.
         topic: which topic of a bag, where several carry sensor_msgs/JointState.
         rate: [Hz] of uniform stamps, for a file without a time column.
         repair: names of the requested `REPAIRS`.

@@ -41,14 +41,14 @@ def collect(
 
     Args:
         source: kind of the file, in words.
-        roles: what the names mean.
+        roles: meaning of the names.
         arrays: the file's name → (N,), (N, 1), (1, N), (N, n) or (n, N) numbers.
         joints: the robot's joint names.
         where: the file, for messages.
         array_joints: the joint names that the file gives for the columns of its (N, n) arrays.
         units: the file's name → unit, where the file states it elsewhere than in the name.
         unused: names in the file that mean nothing to us.
-        notes: what the reader assumed.
+        notes: assumptions of the reader.
         lines: (N,) line number of each sample.
 
     Raises:

@@ -18,7 +18,7 @@ class JointMatch:
 
     Attributes:
         columns: for each of the robot's joints, the index of its column in the file.
-        notes: what to record: a prefix, an order, joints that were left out.
+        notes: for the recording: a prefix, an order, joints that were left out.
         by_order: whether names were of no use.
     """
 

@@ -1,4 +1,4 @@
-"""What the names in a file mean: `q1 [deg]`, `torque3`, `elbow_joint/position`, `data.q` → quantity, joint, unit."""
+"""Meaning of the names in a file: `q1 [deg]`, `torque3`, `elbow_joint/position`, `data.q` → quantity, joint, unit."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ def _meant(key: str, joints: Sequence[str]) -> Role:
 def _chosen_roles(
     role: Role, key: str, given: str, names: Sequence[str], joints: Sequence[str], where: str, numbered: bool
 ) -> Iterator[Role]:
-    """What `--column KEY=GIVEN` chooses: one name, those that a pattern fits, or column numbers."""
+    """Columns of `--column KEY=GIVEN`: one name, those that a pattern fits, or column numbers."""
     whole = role.number is None and role.joint is None and role.quantity != "time"
     matches = _called(given, names)
     if len(matches) > 1:

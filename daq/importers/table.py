@@ -50,7 +50,7 @@ class ForeignTable:
         time: (N,) stamps in `time_unit`; None where the file has none.
         time_unit: as the file states it; empty where it doesn't.
         quantities: `position`, `velocity`, `torque`, `current`, `effort` or `temperature` → its columns.
-        notes: what the reader assumed.
+        notes: assumptions of the reader.
         lines: (N,) line number of each sample in a text file; None otherwise.
     """
 

@@ -1,4 +1,4 @@
-"""What a recording consists of: streams of channels, and events (HDF5 schema version 1, DESIGN.md "The recording").
+"""A recording in memory: streams of channels, and events (HDF5 schema version 1, DESIGN.md "The recording").
 
     /            attrs: dynid_schema, robot, urdf, created, versions, trajectory, speed_scale, host, comment, complete
     /streams/<name>/time, host_time      (N,) float64 [s]

@@ -35,7 +35,7 @@ except RecordingError:
 
 @dataclass(frozen=True)
 class Recovered:
-    """What was rescued.
+    """A rescued recording.
 
     Attributes:
         recording: as written to the new file.

@@ -295,7 +295,7 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
 
     Args:
         path: of the file (.h5).
-        recording: what to write.
+        recording: to write.
         overwrite: replace a file that exists.
 
     Raises:

@@ -129,8 +129,8 @@ def parse_robot(text: str, *, where: str, folder: Path | None, urdf_text: str | 
 
     Args:
         text: the YAML.
-        where: what an error message calls it.
-        folder: what a relative `model.urdf` resolves against.
+        where: its name in error messages.
+        folder: base of a relative `model.urdf`.
         urdf_text: the URDF's XML where it is known already (a recording carries it); read from disk otherwise.
 
     Raises:

@@ -78,7 +78,7 @@ def new_robot_file(urdf: Path | None, joints: int | None, out: Path, *, overwrit
     """Write a robot file to complete, and return its text.
 
     Args:
-        urdf: what to take kinematics and limits from; None for modified DH rows of `joints` joints.
+        urdf: source of kinematics and limits; None for modified DH rows of `joints` joints.
         joints: number of joints, where there is no URDF.
         out: the file to write.
         overwrite: whether it may exist already.
@@ -108,7 +108,7 @@ def new_robot_of_urdf(arm: UrdfArm, urdf: str) -> str:
     """The text of a robot file for a URDF.
 
     Args:
-        arm: what the URDF says.
+        arm: content of the URDF.
         urdf: its path, relative to where the robot file will be.
     """
     locked = ""

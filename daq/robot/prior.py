@@ -1,4 +1,4 @@
-"""What is known of an arm's parameters before it is identified: fixed values, ranges, and a body for each link."""
+"""Prior knowledge of an arm's parameters: fixed values, ranges, and a body for each link."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ class JointNames:
 
 
 def row_problems(rows: Sequence[tuple[str, str]]) -> tuple[str, ...]:
-    """What is wrong with the names (joint, antecedent) of an MDH table's rows."""
+    """Problems of the names (joint, antecedent) of an MDH table's rows."""
     problems, known = [], [BASE]
     for joint, antecedent in rows:
         if joint == BASE:
@@ -62,7 +62,7 @@ def row_problems(rows: Sequence[tuple[str, str]]) -> tuple[str, ...]:
 
 
 def name_problems(names: JointNames) -> tuple[str, ...]:
-    """What is wrong with the names of a robot file."""
+    """Problems of the names of a robot file."""
     joints, links = names.joints, (*names.joints, *names.passive)
     problems = [f"'joints' names '{name}' twice" for name in _repeated(joints)]
     if names.rows is not None:

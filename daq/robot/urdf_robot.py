@@ -175,7 +175,7 @@ def _joint(joint: ElementTree.Element, where: str) -> UrdfJoint:
     return UrdfJoint(
         name=name,
         kind=kind,
-        position=None if position == (0.0, 0.0) else position,  # what exporters write where nobody told them
+        position=None if position == (0.0, 0.0) else position,  # written by exporters that do not know the limits
         velocity=value if (value := values.get("velocity", 0.0)) > 0 else None,
         torque=value if (value := values.get("effort", 0.0)) > 0 else None,
     )

@@ -21,7 +21,7 @@ def validated_robot(content: Mapping[Any, Any], where: str) -> Robot:
 
     Args:
         content: the file's keys.
-        where: what an error message calls the file.
+        where: name of the file in error messages.
 
     Raises:
         RobotFileError: about the first problem; its `problems` are all of them.

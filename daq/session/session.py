@@ -60,7 +60,7 @@ class SessionReport:
         overflow: samples that were dropped because the disk did not keep up.
         stopped_by: why it ended before its end, in words; None where it ran to its end.
         punctuality: of the motion; None without one.
-        error: what ended it, for the exit status; None where it ran to its end or was interrupted.
+        error: that ended it, for the exit status; None where it ran to its end or was interrupted.
         heavy_loss: which streams lost more than `LOSS_LIMIT` of their samples, and why, in words; empty where none did.
     """
 

@@ -114,7 +114,7 @@ class Sources:
         return batches
 
     def notices(self) -> Sequence[Notice]:
-        """What all reported since the last call, the source's name first; stamps are on the main one's clock."""
+        """Notices of all since the last call, the source's name first; stamps are on the main one's clock."""
         notices = list(self._notices)
         self._notices.clear()
         for source in self._all:

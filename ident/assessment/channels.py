@@ -25,7 +25,7 @@ recordings (TX40, UR10, Panda), which are in order, no exchange has a ratio belo
 below 1.1, and no sign one below 0.98 (a light last joint fits either sign)."""
 
 LIKELIHOOD_LEVEL = 16.0
-"""What the log-likelihood ratio, doubled and counted in independent equations, must exceed: four σ, since up to thirty
+"""Threshold of the log-likelihood ratio, doubled and counted in independent equations: four σ, since up to thirty
 arrangements are tried."""
 
 GAIN_OFF = 0.2

@@ -159,7 +159,7 @@ def delay_checks(search: DelaySearch | None) -> list[Check]:
 
 @dataclass(frozen=True, eq=False)
 class _Data:
-    """What is searched: which torques (n,) are `seen`, and each filtered sample's block."""
+    """Data of the search: which torques (n,) are `seen`, and each filtered sample's block."""
 
     kernel: RegressorKernel
     segments: Sequence[Segment]

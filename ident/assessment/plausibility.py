@@ -20,7 +20,7 @@ from ident.verdict.check import Check
 
 POSES = 200
 CLEARLY_SMALLER = 0.99
-"""What the opposite gravity's sum of squared residuals must fall below, relative to the file's: not by rounding."""
+"""The opposite gravity's sum of squared residuals must be below this, relative to the file's: not by rounding."""
 
 LEVEL = 0.01
 """Significance level of the F-test on a smaller residual."""

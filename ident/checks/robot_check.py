@@ -26,7 +26,7 @@ QUICKEST = 300.0
 
 @dataclass(frozen=True)
 class RobotCheck:
-    """What `dynid check` finds in a robot file that can be read.
+    """Results of `dynid check` for a readable robot file.
 
     Attributes:
         problems: errors about everything for which the file cannot be used.

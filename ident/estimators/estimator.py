@@ -43,7 +43,7 @@ class Estimator(Protocol):
     """One way to estimate base parameters."""
 
     def notes(self, run: Prepared) -> tuple[Step, ...]:
-        """What it does to a recording's data before the regression, for the list of steps."""
+        """Its processing of the data before the regression, for the list of steps."""
 
     def reduce(self, runs: Sequence[Prepared]) -> Reduction:
         """The system of all data."""

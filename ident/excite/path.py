@@ -113,7 +113,7 @@ class Constraint(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each value is, for messages (`velocity of elbow`)."""
+        """Name of each value, for messages (`velocity of elbow`)."""
 
     def use(self, path: Path) -> FloatArray:
         """(m,) largest utilisation along the path, exactly on its grid; ≤ 1 is allowed."""

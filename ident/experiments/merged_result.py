@@ -131,7 +131,9 @@ def _result(
         consistent=None
         if consistent is None
         else consistent_model(model, base, robot_file, estimate, residuals.effective_rows or 0.0, consistent),
-        drive_gains=gain_results(robot_file.robot, {gain.joint for part in parts for gain in part.result.drive_gains}),
+        drive_gains=gain_results(
+            robot_file.robot, {gain.joint for source in inputs for gain in source.result.drive_gains}
+        ),
         fit=None,
         validation=None,
         validation_source="",

@@ -1,4 +1,4 @@
-"""What drive gains are identified from: motor currents or voltages, times gains that are only presumed."""
+"""Motor currents or voltages for the identification of drive gains, times presumed gains."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ident.signals.joint_signals import JointSignals, read_joint_signals
 
 
 def signal_of(robot: Robot) -> str:
-    """What the drives of an arm give: "current" or "voltage".
+    """Motor signal of an arm's drives: "current" or "voltage".
 
     Raises:
         DataError: they differ, or give torque.

@@ -139,7 +139,7 @@ def base_changes(payload: Payload) -> list[BaseParameterChange]:
 
 
 def payload_result(payload: Payload) -> PayloadResult:
-    """What `dynid payload --json` prints."""
+    """Output of `dynid payload --json`."""
     pair, base = payload.pair, payload.pair.base
     centre = (payload.with_mass or payload.load).centre
     known, unchanged = _known(payload), payload.rest
@@ -174,7 +174,7 @@ def payload_result(payload: Payload) -> PayloadResult:
 
 
 def gains_result(drives: DriveGains) -> GainsResult:
-    """What `dynid gains --json` prints."""
+    """Output of `dynid gains --json`."""
     pair, base, columns = drives.pair, drives.pair.base, drives.columns
     return GainsResult(
         robot=pair.robot_file.robot.name,
@@ -199,7 +199,7 @@ def gains_result(drives: DriveGains) -> GainsResult:
 
 
 def slow_gains_result(drives: SlowGains) -> SlowGainsResult:
-    """What `dynid gains --up-and-down --json` prints."""
+    """Output of `dynid gains --up-and-down --json`."""
     moments = [f"{INERTIAL[column]}_L" for column in FIRST_MOMENTS]
     return SlowGainsResult(
         robot=drives.robot.name,

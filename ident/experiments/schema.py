@@ -1,4 +1,4 @@
-"""What `dynid payload` and `dynid gains` write, beside the Result of an identification."""
+"""Results of `dynid payload` and `dynid gains`, beside the Result of an identification."""
 
 from __future__ import annotations
 

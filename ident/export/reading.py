@@ -67,7 +67,8 @@ class Simulation:
             return f"{self.motion}: finite, at most {percent_text(self.tracking_error, 2)} of the amplitude off"
         if not self.energy_gain:
             return f"{self.motion}: finite, energy never above its start"
-        return f"{self.motion}: finite, energy at most {percent_text(self.energy_gain, 2)} of its kinetic part above its start"
+        gained = percent_text(self.energy_gain, 2)
+        return f"{self.motion}: finite, energy at most {gained} of its kinetic part above its start"
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from daq.robot.loops import Loop
 
 
 def loop_name(loop: Loop) -> str:
-    """What messages call a loop."""
+    """Name of a loop in messages."""
     if loop.parallelogram is not None:
         return f"parallelogram {', '.join(loop.parallelogram)}"
     return f"loop of {', '.join(loop.following)}"

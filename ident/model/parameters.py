@@ -21,7 +21,7 @@ PAIR_FIELDS = {"Iac": "pair_inertia", "Fv": "pair_viscous", "Fs": "pair_coulomb"
 """Keys of a coupled joint's own true parameters in the robot file, by symbol."""
 
 Quantity = Literal["motor_inertia", "viscous", "coulomb", "offset"]
-"""What a joint parameter is multiplied with: the acceleration, the velocity, its sign, or 1."""
+"""Signal that a joint parameter multiplies: the acceleration, the velocity, its sign, or 1."""
 
 PAIR_SYMBOLS: dict[str, Quantity] = {"Iac": "motor_inertia", "Fv": "viscous", "Fs": "coulomb"}
 """What the columns of kind "coupling" are like, by symbol."""

@@ -1,4 +1,4 @@
-"""What uncertain drive gains do to base parameters: no residual shows it, and no jackknife.
+"""Effect of uncertain drive gains on base parameters: no residual shows it, and no jackknife.
 
 The torque of a joint is its gain times its motor's signal. Least squares is linear in the torque, so a gain that is too
 high by the share ε of itself moves the parameters by ε·(WᵀΩW)⁻¹W_jᵀΩ_jτ_j, W_j and τ_j that joint's rows.

@@ -114,7 +114,7 @@ def block_jackknife(
             rows = rows_by_block(kernel, segment, run.parallel_filter, next(indices) // length)
             _add_torque_rows(sums, kernel, solution, rows, torques.residual)
     normal = np.asarray(np.linalg.inv(solution.inverse))
-    if not np.all(np.diag(normal) > 0.0):  # rounding, where columns are hardly excited
+    if not np.all(np.diag(normal) > 0.0):  # rounding, where columns are barely excited
         normal = sums.gram.sum(axis=0)
     share = independent_share(autocorrelation[solution.weights > 0])
     return CorrectedCovariance(

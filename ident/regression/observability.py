@@ -1,4 +1,4 @@
-"""What an experiment identifies of an arm: joints that were locked, motors whose torques are used (SR400 .4.3 point 7).
+"""Identifiable parameters by experiment: locked joints, motors whose torques are used (SR400 .4.3 point 7).
 
 With joints locked, or with the rows of some motors only, fewer combinations of the standard parameters act than in free
 motion. Which ones follows from the model: the regressor at random states with the locked joints where they were, and
@@ -79,7 +79,7 @@ class ExperimentChoices:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What a set of recordings can show of an arm.
+    """Conditions of a set of recordings: locked joints and used torques.
 
     Attributes:
         locked: indices of the joints with a motor that rested throughout.

@@ -82,7 +82,9 @@ def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: floa
         for segment, mask in zip(prepared.segments, masks, strict=True)
     )
     counted = sum(int(segment.used.sum()) for segment in segments) * kernel.model.dof
-    left_out = sum(int((segment.reversing & segment.used).sum()) for segment in segments if segment.reversing is not None)
+    left_out = sum(
+        int((segment.reversing & segment.used).sum()) for segment in segments if segment.reversing is not None
+    )
     step = Step(
         "reversals",
         {"share": share, "left_out": left_out / max(1, counted)},

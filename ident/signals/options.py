@@ -1,4 +1,4 @@
-"""What the user may choose of the preprocessing, and the cut-offs that follow from the data where nothing is chosen."""
+"""The user's choices of the preprocessing, and the cut-offs that follow from the data by default."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CHEBYSHEV_PASSBAND = 0.4
 
 @dataclass(frozen=True)
 class PreprocessChoices:
-    """What the user may choose; None is chosen from the data (see `choose_cutoffs`, `default_rest_velocity`).
+    """The user's choices; None is chosen from the data (see `choose_cutoffs`, `default_rest_velocity`).
 
     Attributes:
         position_cutoff: of the positions' zero-phase Butterworth [Hz].

@@ -105,7 +105,7 @@ class IdentifiedPayload:
         return self.estimate.warnings
 
     def to_json(self) -> str:
-        """What `dynid payload --json` prints."""
+        """Output of `dynid payload --json`."""
         return json_text(payload_result(self.estimate).model_dump())
 
     def save(self, folder: str | PathLike[str]) -> None:
@@ -170,7 +170,7 @@ class IdentifiedGains:
         return self.estimate.warnings
 
     def to_json(self) -> str:
-        """What `dynid gains --json` prints."""
+        """Output of `dynid gains --json`."""
         return json_text(self._result.model_dump())
 
     def save(self, folder: str | PathLike[str]) -> None:

@@ -21,7 +21,7 @@ from ident.model.dynamic_model import DynamicModel
 def constraints_of(
     robot_file: RobotFile, model: DynamicModel, parameters: FloatArray | None, self_collision: bool
 ) -> tuple[Constraint, ...]:
-    """What a motion of this arm must keep, those with no value left out.
+    """Constraints on a motion of this arm, those with no value left out.
 
     Args:
         robot_file: with the limits and the section `workspace`.

@@ -26,7 +26,7 @@ class _Bound:
 
 
 class JointMotionLimits:
-    """What a motion uses of the joints' ranges, speeds and accelerations; infinite limits do not count.
+    """Utilisation of the joints' ranges, speeds and accelerations; infinite limits do not count.
 
     A position uses (q − middle)/(half the range) of the upper limit and the opposite of the lower one; velocity and
     acceleration use their magnitude over the limit.

@@ -37,7 +37,7 @@ _LIMIT = {"color": PREDICTED, "width": 1, "dash": "dash"}
 
 @dataclass(frozen=True)
 class Shown:
-    """What the plots show of a motion.
+    """Signals of a motion for the plots.
 
     Attributes:
         path: on a grid.

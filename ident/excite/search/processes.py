@@ -105,7 +105,7 @@ class SearchProcesses:
         return sum(process.is_alive() for process in self._processes)
 
     def reports(self, timeout: float = 0.0) -> Iterator[Report]:
-        """What they have reported since; waits for the first one, at most `timeout` [s].
+        """Their new reports; waits for the first one, at most `timeout` [s].
 
         Raises:
             DynidError: from building the problem in one of them.

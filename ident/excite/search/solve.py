@@ -98,7 +98,7 @@ def tighten(problem: Problem, variables: FloatArray, solver: Solver, watch: Watc
 
 
 def _round(problem: Problem, start: FloatArray, solver: Solver, step: Round, watch: Watch) -> FloatArray:
-    """What a round reaches; within a shorter reach where it ends further outside the limits than it began."""
+    """Result of a round; with a shorter reach where it ends further outside the limits than it began."""
     before = max(problem.allowed, float(problem.use(start).max(initial=0.0)))
     for reach in REACHES:
         minimum = _SOLVERS[solver](_Evaluations(problem, step, watch), start, step, reach)

@@ -1,4 +1,4 @@
-"""What becomes of one start: a feasible motion at once, then better ones, iterate by iterate."""
+"""One start of a search: a feasible motion at once, then better ones, iterate by iterate."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ STEP_TOLERANCE = 1e-7
 """Length [rad or m] of a Newton step after which the next would be rounding: convergence is quadratic."""
 
 MISSED = 1e-6
-"""What closing equations may miss zero by [m, rad]; files print lengths to this."""
+"""Tolerance of closing equations [m, rad]; files print lengths to this."""
 
 FARTHEST = 0.1
 """Longest move [rad or m] of a joint with a motor from one known position to the next."""
