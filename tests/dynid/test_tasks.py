@@ -120,7 +120,7 @@ def test_compare_is_a_row_a_method(run, other):
         ({"significance": 0}, "is not a percentage"),
         ({"locked": "elbow_joint"}, "a list of joint names is needed"),
         ({"locked": ["elbow"]}, "no joint of ur5e is called 'elbow'"),
-        ({"delay": float("nan")}, "nan is not a number"),
+        ({"delay": float("nan")}, "nan is not a finite number"),
         ({"start": 5.0, "stop": 4.0}, "is empty"),
         ({"robot": "ur5"}, "did you mean 'ur5e'"),
         ({"validation": "nowhere.h5"}, "nowhere.h5: no such file"),
