@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import JSON
+from ident.commands.options import FORCE, JSON
 
 app = typer.Typer()
 
@@ -18,7 +18,7 @@ def predict_torque(
     out: Path = typer.Option(None, "-o", "--out", help="Recording to write (.h5)."),
     parameters: str = typer.Option("consistent", "--parameters", help="consistent, full or essential."),
     page: Path = typer.Option(None, "--page", help="Page with plots to write (.html)."),
-    force: bool = typer.Option(False, "--force", help="Overwrite the output files."),
+    force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
     """Predict a recording's torques part by part (gravity, friction, inertia, Coriolis), and what the model leaves.
@@ -26,16 +26,12 @@ def predict_torque(
     Example: dynid predict model run.h5 -o predicted.h5 --page predicted.html
     """
     from daq.commands.console import print_json, print_table
-    from daq.recording.writer import require_writable
-    from drivers.errors import UsageError
+    from daq.output_files import check_outputs
+    from ident.result.model import result_path
     from ident.tasks.prediction import predict
 
     file = out if out is not None else Path(f"{recording.stem}-predicted.h5")
-    if file.exists() and recording.exists() and file.samefile(recording):
-        raise UsageError(f"--out {file} is the recording itself", hint="name another file")
-    require_writable(file, overwrite=force)
-    if page is not None and page.exists() and not force:
-        raise UsageError(f"--page {page} exists already", hint="choose another name or --force")
+    check_outputs([file, page], [recording, result_path(model)], overwrite=force)
     prediction = predict(model, recording, parameters=parameters)  # type: ignore[arg-type]  # the task checks it
     prediction.save(file, overwrite=force)
     if page is not None:

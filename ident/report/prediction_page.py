@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.output_files import replace_files
 from drivers.streams import FloatArray
 from ident.identify.predict import PARTS, RecordingPrediction, SegmentPrediction
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
@@ -25,7 +26,7 @@ from ident.report.figures import (
     plain,
     row_domains,
 )
-from ident.report.html_file import page_templates, write_html
+from ident.report.html_file import page_templates
 from ident.report.section import Tile
 from ident.report.traces import broken_line, packed, points_per_trace
 from ident.result.tables import Table
@@ -81,7 +82,7 @@ def write_prediction_page(
             },
         )
     )
-    write_html(path, text)
+    replace_files({path: text})
 
 
 def _torque_lines(segments: Sequence[SegmentPrediction]) -> list[Line]:
