@@ -72,8 +72,7 @@ def identify_recordings(
     from ident.tasks.identification import identify
 
     folder = out if out is not None else Path(f"{recordings[0].stem}-model")
-    inputs = [*recordings, *validate_with, *([accept] if accept is not None else ())]
-    inputs += load_robot(robot).files if robot else ()
+    inputs = [*recordings, *validate_with, accept, *(load_robot(robot).files if robot else ())]
     check_output_folder(folder, (RESULT_FILE, REPORT_FILE), inputs, overwrite=force)
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
     with progress_line(quiet=as_json) as progress:

@@ -53,7 +53,7 @@ def write_prediction_page(
         predicted: what is plotted.
 
     Raises:
-        UsageError: the file cannot be written.
+        UsageError, DiskError: it cannot be written.
     """
     segments = predicted.segments
     samples = sum(len(segment.time) for segment in segments)

@@ -17,6 +17,7 @@ ARGUMENTS = {
     "record": "arm.yaml --trajectory traj.yaml --prior result.json --yes -o OUT",
     "import": "run.csv --robot arm.yaml -o OUT",
     "recover": "run.h5 -o OUT",
+    "predict": "model run.h5 -o OUT --page PAGE",
     "export": "model --urdf OUT --into arm.urdf --mjcf PAGE",
     "robot new": "arm.urdf -o OUT.yaml",
     "identify": "run.h5 other.h5 --validate val.h5 --robot arm.yaml -o FOLDER",
@@ -28,7 +29,12 @@ ARGUMENTS = {
 }
 """Each command that writes files, with all that it reads; OUT and PAGE are files, FOLDER is a folder."""
 
-READS = {"export": ["model/result.json"], "record": ["samples.csv"], "merge": ["model/result.json"]}
+READS = {
+    "predict": ["model/result.json"],
+    "export": ["model/result.json"],
+    "record": ["samples.csv"],
+    "merge": ["model/result.json"],
+}
 """Files that a command reads without their being named on its line."""
 
 TRAJECTORY = "robot: ur5e\nkind: samples\ncsv: samples.csv\n"
