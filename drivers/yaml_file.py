@@ -24,6 +24,11 @@ _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
 # Without this, the text of a nested alias ("billion laughs") would fill the memory.
 _SHORT.maxlevel = 3
 
+MOST_NODES = 1_000_000
+"""Values of a file, its aliases written out."""
+LONGEST_NUMBER = 100
+"""Characters of a number; one of 400,000 in base 60 takes YAML seconds to read."""
+
 
 class UniqueKeyLoader(yaml.SafeLoader):
     """safe_load that refuses a key given twice, and names the line of a value that YAML itself cannot construct."""
@@ -39,7 +44,13 @@ class UniqueKeyLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep=deep)
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        """The value of a node; a yaml.MarkedYAMLError where YAML's own constructor breaks."""
+        """The value of a node; a yaml.MarkedYAMLError where YAML's own constructor breaks, or would take long."""
+        number = node.tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+        if number and len(node.value) > LONGEST_NUMBER:
+            raise yaml.MarkedYAMLError(
+                problem=f"cannot read the number {describe(node.value)} of {len(node.value)} characters",
+                problem_mark=node.start_mark,
+            )
         try:
             return super().construct_object(node, deep=deep)
         # PyYAML lets these through for scalars such as 2026-99-99 or !!int "".
@@ -47,6 +58,41 @@ class UniqueKeyLoader(yaml.SafeLoader):
             raise yaml.MarkedYAMLError(
                 problem=f"cannot read the value {describe(node.value)}", problem_mark=node.start_mark
             ) from error
+
+
+def load_yaml(text: str) -> Any:
+    """The content of a YAML text.
+
+    Raises:
+        yaml.YAMLError: it is not YAML, a key stands twice, or its aliases stand for more than `MOST_NODES` values.
+        RecursionError: it is nested too deeply.
+    """
+    loader = UniqueKeyLoader(text)
+    try:
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        _expanded_size(node, {})
+        return loader.construct_document(node)
+    finally:
+        loader.dispose()
+
+
+def _expanded_size(node: yaml.Node, known: dict[int, int]) -> int:
+    """Number of values that a node stands for where its aliases and merge keys (`<<`) are written out."""
+    size = known.get(id(node))
+    if size is None:
+        known[id(node)] = 1  # of an alias within its own value, which is not written out
+        children = [part for pair in node.value for part in pair] if isinstance(node, yaml.MappingNode) else node.value
+        size = 1
+        if not isinstance(node, yaml.ScalarNode):
+            size += sum(_expanded_size(child, known) for child in children)
+        known[id(node)] = size
+    if size > MOST_NODES:
+        raise yaml.MarkedYAMLError(
+            problem=f"aliases and merge keys stand for more than {MOST_NODES} values", problem_mark=node.start_mark
+        )
+    return size
 
 
 class SeveralProblems(ValueError):  # noqa: N818  # what a validator of a section raises to tell all that it found
@@ -86,7 +132,7 @@ def read_mapping(text: str, *, kind: str, where: str, refusal: type[InputError],
         InputError: `refusal`, where it is not YAML (with line and column), or not a mapping.
     """
     try:
-        content = yaml.load(text, Loader=UniqueKeyLoader)
+        content = load_yaml(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"{where}, line {mark.line + 1}, column {mark.column + 1}" if mark is not None else where

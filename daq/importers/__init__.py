@@ -26,6 +26,7 @@ from daq.importers.table import ForeignTable, parsing, printable
 from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, Stream, software_versions
 from daq.robot.loader import RobotFile
 from drivers.errors import ImportFileError
+from drivers.input_files import ARRAY_FILE, open_input
 from drivers.streams import UNITS
 
 __all__ = ["REPAIRS", "SUPPORTED", "ImportChoices", "import_file"]
@@ -109,7 +110,7 @@ def _reader(path: Path) -> Reader:
             where=str(path),
             hint="convert it: rosbags-convert --src FILE --dst FOLDER",
         )
-    with parsing(path, "a file"), path.open("rb") as file:
+    with open_input(path, ARRAY_FILE, ImportFileError) as file:
         head = file.read(16)
     looks = next((ending for magic, ending in _MAGIC if head.startswith(magic)), None)
     raise ImportFileError(

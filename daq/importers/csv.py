@@ -13,6 +13,7 @@ from daq.importers.collecting import collect
 from daq.importers.roles import assign_roles
 from daq.importers.table import ForeignTable, Note, listed, printable
 from drivers.errors import ImportFileError
+from drivers.input_files import TEXT_TABLE, read_bytes
 from drivers.streams import FloatArray
 
 _SEPARATORS = (";", "\t", ",")
@@ -83,10 +84,7 @@ def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
 
 
 def _decoded(path: Path) -> str:
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise ImportFileError(f"cannot be read: {error.strerror}", where=str(path)) from error
+    content = read_bytes(path, TEXT_TABLE, ImportFileError)
     encoding = "utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     if encoding == "utf-8-sig" and b"\0" in content:
         line = content[: content.index(b"\0")].count(b"\n") + 1

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import h5py
 import numpy as np
@@ -12,11 +14,16 @@ import numpy.typing as npt
 
 from daq.importers.choices import ImportChoices
 from daq.importers.npz import table_of_arrays
-from daq.importers.table import ForeignTable, parsing
+from daq.importers.table import ForeignTable, check_count, parsing
+from daq.recording.hdf5_bounds import MOST_ENTRIES, Hdf5Bounds
 from drivers.errors import ImportFileError
+from drivers.input_files import ARRAY_FILE, check_input, open_input, size_text
 
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _USER_BLOCK = 512
+_MAT5_HEADER = 128
+_COMPRESSED = 15  # miCOMPRESSED
+_CHUNK = 1 << 20
 DEEPEST = 5
 """Structs within structs that are opened."""
 
@@ -32,20 +39,46 @@ def read_mat(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
     Raises:
         ImportFileError: not a .mat file, or arrays that do not fit; with the variable.
     """
-    with parsing(path, "a MATLAB file"), path.open("rb") as file:
+    with parsing(path, "a MATLAB file"), open_input(path, ARRAY_FILE, ImportFileError) as file:
         head = file.read(_USER_BLOCK + len(_HDF5_SIGNATURE))
     if head.endswith(_HDF5_SIGNATURE) or head.startswith(_HDF5_SIGNATURE):
         return read_hdf5(path, joints, choices)
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
     arrays: dict[str, npt.NDArray[Any]] = {}
     opaque: list[str] = []
     with parsing(path, "a MATLAB file"):
+        _check_unpacked_size(path)
+        check_count(sum(math.prod(shape) for _, shape, _ in whosmat(str(path), appendmat=False)), path)
         content = loadmat(str(path), appendmat=False)
         for name, value in content.items():
             if not name.startswith("__"):
                 _add_variable(name, value, arrays, opaque)
     return table_of_arrays("MATLAB file (up to v7)", arrays, joints, choices, str(path), unreadable=opaque)
+
+
+def _check_unpacked_size(path: Path) -> None:
+    """Refuse a file whose compressed variables would fill the memory (MATLAB's MAT-file format, level 5, 1-3).
+
+    Each element of the file is its type and its length in bytes, four bytes each, then its bytes.
+    """
+    size = 0
+    with path.open("rb") as file:
+        header = file.read(_MAT5_HEADER)
+        order: Literal["little", "big"] = "big" if header.endswith(b"MI") else "little"
+        if header[124:128] not in (b"\x00\x01IM", b"\x01\x00MI"):
+            return  # level 4, which is not compressed
+        while len(tag := file.read(8)) == 8:
+            kind, length = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)
+            end = file.tell() + length
+            inflate = zlib.decompressobj() if kind == _COMPRESSED else None
+            while inflate is not None and not inflate.eof and (chunk := file.read(min(_CHUNK, end - file.tell()))):
+                while chunk:
+                    size += len(inflate.decompress(chunk, _CHUNK))
+                    chunk = inflate.unconsumed_tail
+                    if size > ARRAY_FILE.largest:
+                        raise ImportFileError(f"unpacks to more than {size_text(ARRAY_FILE.largest)}", where=str(path))
+            file.seek(end)
 
 
 def _add_variable(name: str, value: Any, arrays: dict[str, npt.NDArray[Any]], opaque: list[str]) -> None:
@@ -87,38 +120,54 @@ def read_hdf5(path: Path, joints: Sequence[str], choices: ImportChoices) -> Fore
     arrays: dict[str, npt.NDArray[Any]] = {}
     opaque: list[str] = []
     matlab = False
+    check_input(path, ARRAY_FILE, ImportFileError)
+    bounds = Hdf5Bounds(path, ImportFileError)
     with parsing(path, "an HDF5 or MATLAB v7.3 file"), h5py.File(path, "r") as file:
         if "dynid_schema" in file.attrs:
             raise ImportFileError("is a dynid recording already", where=str(path), hint="use it as it is")
-        for label, dataset in _datasets(file, "", set()):
+        for label, dataset in _datasets(file, "", set(), bounds):
             if not isinstance(dataset, h5py.Dataset) or dataset.shape is None:
                 opaque.append(label)
                 continue
+            bounds.check_dataset(dataset)
             matlab = matlab or "MATLAB_class" in dataset.attrs
-            _add_dataset(label, dataset, file, arrays, opaque)
+            _add_dataset(label, dataset, file, arrays, opaque, bounds)
     kind = "MATLAB file (v7.3)" if matlab else "HDF5 file"
     return table_of_arrays(kind, arrays, joints, choices, str(path), unreadable=opaque)
 
 
-def _datasets(group: Any, prefix: str, opened: set[tuple[int, int]]) -> Iterator[tuple[str, Any]]:
+def _datasets(group: Any, prefix: str, opened: set[tuple[int, int]], bounds: Hdf5Bounds) -> Iterator[tuple[str, Any]]:
     """Content of a group by dotted name; each group within it is opened once, since links may form cycles."""
-    for name, item in group.items():
+    for name, item in bounds.items(group).items():
         if not prefix and name.startswith("#"):  # MATLAB's own store of cells
             continue
         label = f"{prefix}{name}"
         about = h5py.h5o.get_info(item.id)
         if isinstance(item, h5py.Group) and prefix.count(".") < DEEPEST and (about.fileno, about.addr) not in opened:
             opened.add((about.fileno, about.addr))
-            yield from _datasets(item, f"{label}.", opened)
+            yield from _datasets(item, f"{label}.", opened, bounds)
         else:
             yield label, item
 
 
-def _add_dataset(label: str, dataset: Any, file: Any, arrays: dict[str, npt.NDArray[Any]], opaque: list[str]) -> None:
+def _add_dataset(
+    label: str,
+    dataset: Any,
+    file: Any,
+    arrays: dict[str, npt.NDArray[Any]],
+    opaque: list[str],
+    bounds: Hdf5Bounds,
+) -> None:
     matlab_class = dataset.attrs.get("MATLAB_class", b"")
     matlab_class = matlab_class.decode("ascii", "replace") if isinstance(matlab_class, bytes) else str(matlab_class)
     if matlab_class == "cell" and dataset.dtype == h5py.ref_dtype:
+        if dataset.size > MOST_ENTRIES:
+            opaque.append(label)
+            return
         cells = [file[reference] for reference in np.asarray(dataset[()]).flat]
+        for cell in cells:
+            if isinstance(cell, h5py.Dataset):
+                bounds.check_dataset(cell)
         if all(isinstance(cell, h5py.Dataset) and cell.dtype == np.uint16 for cell in cells):
             arrays[label] = np.array(["".join(map(chr, np.asarray(cell[()]).flat)) for cell in cells], dtype=np.str_)
             return
@@ -126,7 +175,7 @@ def _add_dataset(label: str, dataset: Any, file: Any, arrays: dict[str, npt.NDAr
         arrays[label] = np.array("".join(map(chr, np.asarray(dataset[()]).flat)))
         return
     if h5py.check_string_dtype(dataset.dtype) is not None:
-        arrays[label] = np.asarray(dataset.asstr()[()], dtype=np.str_)
+        arrays[label] = bounds.texts(dataset)
     elif dataset.dtype.kind in "iuf":
         arrays[label] = np.asarray(dataset[()]).T if matlab_class else np.asarray(dataset[()])
     else:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,10 +15,13 @@ import numpy.typing as npt
 from daq.importers.choices import ImportChoices
 from daq.importers.collecting import MOST_UNUSED, collect
 from daq.importers.roles import assign_roles
-from daq.importers.table import ForeignTable, Note, listed, parsing, printable
+from daq.importers.table import ForeignTable, Note, check_count, listed, parsing, printable
 from drivers.errors import ImportFileError
+from drivers.input_files import ARRAY_FILE, check_input, size_text
 
 JOINT_NAME_KEYS = ("joints", "joint_names")
+MOST_ARRAYS = 10_000
+"""Arrays of an archive."""
 
 
 def read_npz(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
@@ -31,15 +36,18 @@ def read_npz(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
         ImportFileError: not an .npz, pickled objects, or arrays that do not fit; with the key.
     """
     where = str(path)
+    check_input(path, ARRAY_FILE, ImportFileError)
     arrays: dict[str, npt.NDArray[Any]] = {}
     pickled: list[str] = []
     with parsing(path, "an .npz archive"):
-        archive = np.load(path, allow_pickle=False)
-        if not isinstance(archive, np.lib.npyio.NpzFile):
-            raise ImportFileError(
-                "holds a single array, not an .npz archive", where=where, hint="save it with numpy.savez"
-            )
-        with archive:
+        if not zipfile.is_zipfile(path):
+            with path.open("rb") as file:
+                if file.read(len(np.lib.format.MAGIC_PREFIX)) == np.lib.format.MAGIC_PREFIX:
+                    raise ImportFileError(
+                        "holds a single array, not an .npz archive", where=where, hint="save it with numpy.savez"
+                    )
+        _check_sizes(path)
+        with np.load(path, allow_pickle=False) as archive:
             for name in archive.files:
                 try:
                     arrays[name] = archive[name]
@@ -48,6 +56,35 @@ def read_npz(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
                         raise
                     pickled.append(name)
     return table_of_arrays("NumPy archive", arrays, joints, choices, where, unreadable=pickled)
+
+
+def _check_sizes(path: Path) -> None:
+    """Refuse what would fill the memory, by the sizes that the archive and the headers of its arrays declare."""
+    values = 0
+    with zipfile.ZipFile(path) as archive:
+        if len(archive.infolist()) > MOST_ARRAYS:
+            raise ImportFileError(f"holds more than {MOST_ARRAYS} arrays", where=str(path))
+        for member in archive.infolist():
+            name = member.filename.removesuffix(".npy")
+            if member.file_size > ARRAY_FILE.largest:
+                raise ImportFileError(
+                    f"unpacks to more than {size_text(ARRAY_FILE.largest)}", where=f"{path}: {printable(name)}"
+                )
+            with archive.open(member) as file:
+                if file.read(len(np.lib.format.MAGIC_PREFIX)) != np.lib.format.MAGIC_PREFIX:
+                    continue  # no array: NumPy hands out its bytes
+                file.seek(0)
+                version = np.lib.format.read_magic(file)
+                read_header = (
+                    np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+                )
+                shape, _, dtype = read_header(file)
+                if not dtype.hasobject and math.prod(shape) * dtype.itemsize > member.file_size - file.tell():
+                    raise ImportFileError(
+                        f"declares the shape {shape}, more than it holds", where=f"{path}: {printable(name)}"
+                    )
+            values += math.prod(shape)
+            check_count(values, path)
 
 
 def table_of_arrays(

@@ -12,9 +12,10 @@ import numpy.typing as npt
 
 from daq.importers.choices import ImportChoices
 from daq.importers.matching import JointMatch, match_joints, shares_joints
-from daq.importers.table import ForeignTable, Note, QuantityColumns, listed, parsing, printable
+from daq.importers.table import ForeignTable, Note, QuantityColumns, check_count, listed, parsing, printable
 from drivers.closest import did_you_mean
 from drivers.errors import ImportFileError, UsageError
+from drivers.input_files import BAG_FILE, BAG_METADATA, check_input
 from drivers.streams import FloatArray
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -70,6 +71,10 @@ def read_rosbag(path: Path, joints: Sequence[str], choices: ImportChoices) -> Fo
         path = path.parent
     where = str(path)
     notes: list[Note] = []
+    for file in bag_files(path):
+        check_input(file, BAG_FILE, ImportFileError)
+    if path.is_dir() and (path / METADATA).exists():
+        check_input(path / METADATA, BAG_METADATA, ImportFileError)
     files = _openable(path, notes)
     read = [_read_messages(file, choices.topic, where) for file in files]
     topics = sorted({messages.topic for messages in read})
@@ -130,11 +135,14 @@ def _read_messages(path: Path, topic: str | None, where: str) -> _Messages:
     logged: list[int] = []
     stamped: list[int] = []
     names: list[tuple[str, ...]] = []
+    values_read = 0
     fields: dict[str, list[FloatArray]] = {field: [] for field in _FIELDS}
     with parsing(path, "a ROS 2 bag"), Reader(path) as reader:
         connections = _chosen(reader.connections, topic, where)
         for _, stamp, raw in reader.messages(connections):
             message: Any = typestore.deserialize_cdr(raw, JOINT_STATE)
+            values_read += sum(len(getattr(message, field)) for field in _FIELDS)
+            check_count(values_read, path)
             logged.append(stamp)
             stamped.append(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
             names.append(tuple(message.name))

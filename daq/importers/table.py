@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from daq.recording.recording import Level
 from drivers.errors import DynidError, ImportFileError
+from drivers.input_files import MOST_VALUES
 from drivers.streams import FloatArray
 
 
@@ -73,6 +74,20 @@ def listed(names: object, limit: int = 12) -> str:
     texts = [printable(name) for name in names]  # type: ignore[attr-defined]
     shown = ", ".join(texts[:limit])
     return shown if len(texts) <= limit else f"{shown} and {len(texts) - limit} more"
+
+
+def check_count(values: int, path: Path) -> None:
+    """Refuse a file of more numbers than fit into memory, before they are read.
+
+    Raises:
+        ImportFileError: there are more than `MOST_VALUES`.
+    """
+    if values > MOST_VALUES:
+        raise ImportFileError(
+            f"holds {values / 1e6:.3g} million numbers; at most {MOST_VALUES / 1e6:g} million are read",
+            where=str(path),
+            hint="cut it into several files, or leave arrays out that are not needed",
+        )
 
 
 @contextmanager

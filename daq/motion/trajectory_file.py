@@ -20,6 +20,7 @@ joint. A robot's name or path may stand under `robot`.
 from __future__ import annotations
 
 import csv
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -42,6 +43,7 @@ from daq.motion.trajectories import (
 from daq.robot.schema import Robot
 from daq.robot.section import Finite, NonNegative, Positive
 from drivers.errors import UsageError
+from drivers.input_files import TRAJECTORY_FILE, TRAJECTORY_SAMPLES, read_text
 from drivers.streams import FloatArray
 from drivers.yaml_file import describe, read_mapping, validated
 
@@ -218,11 +220,7 @@ def load_trajectory(path: Path, robot: Robot) -> TrajectoryFile:
     Raises:
         UsageError: names file and key, what was found and what is allowed.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise UsageError(f"cannot be read: {reason}", where=str(path)) from error
+    text = read_text(path, TRAJECTORY_FILE, UsageError)
     return parse_trajectory(text, robot, where=str(path), folder=path.parent)
 
 
@@ -279,17 +277,16 @@ def _with_samples(content: dict[str, object], robot: Robot, where: str, folder: 
     if not isinstance(name, str) or "time" in content or "position" in content:
         raise UsageError("give 'csv', the name of a file, or 'time' and 'position'", where=f"{where}: csv")
     path = (folder or Path()) / name
-    try:
-        time, position = _read_csv(path, robot.joint_names)
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"cannot be read: {error}", where=str(path)) from error
+    time, position = _read_csv(path, robot.joint_names)
     rest = {key: value for key, value in content.items() if key != "csv"}
     return {**rest, "time": time.tolist(), "position": position.tolist()}
 
 
 def _read_csv(path: Path, joints: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        rows = list(csv.reader(file))
+    try:
+        rows = list(csv.reader(io.StringIO(read_text(path, TRAJECTORY_SAMPLES, UsageError))))
+    except csv.Error as error:  # a field of more than 128 KiB
+        raise UsageError(f"is no CSV file: {error}", where=str(path)) from error
     header = [name.strip() for name in rows[0]] if rows else []
     missing = [name for name in ("time", *joints) if name not in header]
     if missing:

@@ -9,9 +9,11 @@ from typing import Any
 import h5py
 import numpy as np
 
+from daq.recording.hdf5_bounds import Hdf5Bounds
 from daq.recording.hdf5_reason import hdf5_reason
 from daq.recording.recording import SCHEMA_VERSION, Channel, Event, Recording, Stream
 from drivers.errors import RecordingError
+from drivers.input_files import RECORDING_FILE, check_input
 from drivers.streams import FloatArray
 
 
@@ -32,9 +34,7 @@ def read_recording(path: str | Path) -> Recording:
     """
     path = Path(path)
     where = str(path)
-    if not path.is_file():
-        raise RecordingError("no such file" if not path.exists() else "is not a file", where=where)
-    if path.stat().st_size == 0:
+    if check_input(path, RECORDING_FILE, RecordingError) == 0:
         raise RecordingError("is empty (0 bytes)", where=where, hint="copy it again from its source")
     if not _has_hdf5_signature(path):
         raise RecordingError(
@@ -99,8 +99,15 @@ def _read(file: Any, path: Path) -> Recording:
             where=where,
             hint="update dynid",
         )
-    if "streams" not in file or not isinstance(file["streams"], h5py.Group) or len(file["streams"]) == 0:
+    bounds = Hdf5Bounds(path, RecordingError)
+    bounds.check_attributes(file)
+    members = bounds.items(file)
+    if "streams" not in members or not isinstance(members["streams"], h5py.Group) or len(members["streams"]) == 0:
         raise RecordingError("holds no stream: its writer stopped before the first one", where=where)
+    for group in bounds.items(members["streams"]).values():
+        for dataset in bounds.items(group).values() if isinstance(group, h5py.Group) else ():
+            if isinstance(dataset, h5py.Dataset):
+                bounds.check_dataset(dataset)
     return Recording(
         path=path,
         robot_text=str(attributes.get("robot", "")),
@@ -112,8 +119,8 @@ def _read(file: Any, path: Path) -> Recording:
         host=str(attributes.get("host", "")),
         comment=str(attributes.get("comment", "")),
         complete=bool(attributes.get("complete", False)),
-        streams={name: _read_stream(group, f"{where}: /streams/{name}") for name, group in file["streams"].items()},
-        events=_read_events(file),
+        streams={name: _read_stream(group, f"{where}: /streams/{name}") for name, group in members["streams"].items()},
+        events=_read_events(members.get("events"), bounds),
     )
 
 
@@ -179,14 +186,15 @@ def _read_clock(group: Any, name: str, count: int) -> FloatArray:
     return np.asarray(group[name][:count], dtype=np.float64)
 
 
-def _read_events(file: Any) -> tuple[Event, ...]:
-    if "events" not in file:
+def _read_events(table: Any, bounds: Hdf5Bounds) -> tuple[Event, ...]:
+    if table is None:
         return ()
+    bounds.check_dataset(table)
 
     def text(value: Any) -> str:
         return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
     return tuple(
         Event(float(row["time"]), text(row["level"]), text(row["source"]), text(row["message"]))  # type: ignore[arg-type]
-        for row in file["events"][:]
+        for row in bounds.rows(table)
     )

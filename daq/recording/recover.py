@@ -17,6 +17,7 @@ from daq.recording.reader import read_open_recording
 from daq.recording.recording import Channel, Event, Recording, Stream
 from daq.recording.writer import write_recording
 from drivers.errors import RecordingError
+from drivers.input_files import RECORDING_FILE, check_input
 
 READ_LIMIT = 20.0
 """Time limit [s] for reading a small recording; a larger one has its size over READ_SPEED [B/s] more."""
@@ -68,8 +69,7 @@ def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:
         RecordingError: nothing can be read, or HDF5 loops or crashes over it.
         UsageError: the new file is the old one, exists already or cannot be written.
     """
-    if not path.is_file():
-        raise RecordingError("no such file" if not path.exists() else "is not a file", where=str(path))
+    check_input(path, RECORDING_FILE, RecordingError)
     check_outputs([out], [path], overwrite=overwrite)
     _require_readable(path)
     rest = follow_recording(path)

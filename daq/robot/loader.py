@@ -15,7 +15,10 @@ from daq.robot.urdf_robot import assumed_of_urdf, read_urdf_arm, robot_text_of_u
 from daq.robot.validation import validated_robot
 from drivers.closest import did_you_mean
 from drivers.errors import RobotFileError
+from drivers.input_files import ROBOT_FILE, URDF_FILE, read_text
 from drivers.yaml_file import read_mapping
+
+URDF_SUFFIXES = frozenset({".urdf", ".xml"})
 
 
 class RobotFile(BaseModel):
@@ -92,8 +95,8 @@ def load_robot(name_or_path: str | Path | RobotFile) -> RobotFile:
         return name_or_path
     given = str(name_or_path)
     path = Path(given)
-    urdf = path.suffix.lower() in {".urdf", ".xml"}
-    if urdf or path.suffix.lower() in {".yaml", ".yml"} or path.is_file():
+    urdf = path.suffix.lower() in URDF_SUFFIXES
+    if urdf or path.suffix.lower() in {".yaml", ".yml"} or (os.path.exists(path) and not path.is_dir()):
         text = read_robot_text(path)
         assumed: tuple[str, ...] = ()
         if urdf:
@@ -110,14 +113,10 @@ def read_robot_text(path: Path) -> str:
     """The text of a robot file or URDF.
 
     Raises:
-        RobotFileError: no such file, or it is no UTF-8 text.
+        RobotFileError: no such file, not a regular one, too large, or no UTF-8 text.
     """
-    if not path.is_file():
-        raise RobotFileError("no such file", where=str(path), hint=_known_robots(str(path)))
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RobotFileError(f"cannot be read: {error}", where=str(path)) from error
+    kind = URDF_FILE if path.suffix.lower() in URDF_SUFFIXES else ROBOT_FILE
+    return read_text(path, kind, RobotFileError, hint=_known_robots(str(path)))
 
 
 def _known_robots(given: str) -> str:
@@ -159,12 +158,10 @@ def _read_urdf(urdf: str, folder: Path | None, where: str) -> str:
             )
         path = folder / path
     try:
-        path = path.expanduser()
-        return path.read_text(encoding="utf-8")
-    except (OSError, ValueError, RuntimeError) as error:  # also: not UTF-8, a NUL in the path, ~ of no user
-        reason = error.strerror if isinstance(error, OSError) else str(error)
+        return read_text(path.expanduser(), URDF_FILE, RobotFileError)
+    except (RobotFileError, RuntimeError) as error:  # ~ of no user
         raise RobotFileError(
-            f"cannot read the URDF {path}: {reason}",
+            f"cannot read the URDF {path}: {error.message if isinstance(error, RobotFileError) else error}",
             where=f"{where}: model.urdf",
             hint="a relative path starts at the robot file's folder",
         ) from error

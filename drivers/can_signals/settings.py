@@ -261,10 +261,7 @@ def parse_settings(
 def _dbc(path: object, folder: Path | None) -> Dbc | None:
     if not isinstance(path, str) or not path.strip():
         return None  # absent, or refused with the other keys
-    try:
-        return load_dbc((folder or Path()) / path.strip())
-    except ValueError as error:  # a NUL in the path
-        raise UsageError(f"no path: {error}", where="dbc") from error
+    return load_dbc((folder or Path()) / path.strip())
 
 
 def _command(keys: CommandKeys) -> CommandTable:

@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement, permutations
 
 import numpy as np
-import yaml
 
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from drivers.errors import DynidError
 from drivers.streams import FloatArray
-from drivers.yaml_file import UniqueKeyLoader
+from drivers.yaml_file import load_yaml
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.parameters import StandardParameter
@@ -80,7 +79,7 @@ def _arms_with_other_lengths(
     robot_file: RobotFile, model: DynamicModel, base: BaseParameters, count: int
 ) -> list[tuple[dict[str, float], FloatArray]]:
     """Lengths and projections of arms that keep the same columns; fewer than `count` where some cannot be built."""
-    content = yaml.load(robot_file.text, Loader=UniqueKeyLoader)
+    content = load_yaml(robot_file.text)
     generator = np.random.default_rng(0)
     arms = []
     for _ in range(count):

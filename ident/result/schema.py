@@ -13,6 +13,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from daq.output_files import replace_files
 from drivers.errors import ResultFileError
+from drivers.input_files import RESULT_FILE, read_text
 from ident.model.parameters import Kind
 from ident.verdict.acceptance import Acceptance
 from ident.verdict.check import PURPOSES, texts
@@ -376,10 +377,8 @@ def read_result(path: Path) -> Result:
     """
     where = str(path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ResultFileError(f"cannot be read: {error.strerror}", where=where) from error
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        content = json.loads(read_text(path, RESULT_FILE, ResultFileError))
+    except (ValueError, RecursionError) as error:  # also a number of more than 4,300 digits
         raise ResultFileError(f"is not JSON: {error}", where=where) from error
     if not isinstance(content, dict) or content.get("kind") != "result":
         raise ResultFileError("is not a result of dynid identify (no key 'kind': 'result')", where=where)

@@ -11,8 +11,7 @@ from drivers.can.bus import EXTENDED
 from drivers.can_signals.table.bits import FRAME_BYTES, BitField, ByteOrder
 from drivers.can_signals.table.signals import identifier_text
 from drivers.errors import UsageError
-
-MAXIMUM_BYTES = 20_000_000
+from drivers.input_files import DBC_FILE, read_bytes
 
 
 @dataclass(frozen=True)
@@ -67,12 +66,7 @@ def load_dbc(path: Path) -> Dbc:
         raise UsageError(
             "a DBC file needs the package cantools", where=str(path), hint="pip install 'dynid[dbc]'"
         ) from error
-    try:
-        if path.stat().st_size > MAXIMUM_BYTES:
-            raise UsageError(f"larger than {MAXIMUM_BYTES // 1_000_000} MB; is it a DBC file?", where=str(path))
-        text = _text(path.read_bytes())
-    except OSError as error:
-        raise UsageError(f"cannot be read: {error.strerror or error}", where=str(path)) from error
+    text = _text(read_bytes(path, DBC_FILE, UsageError))
     try:
         database = cantools.database.load_string(text, database_format="dbc", strict=True)
     except Exception as error:  # cantools lets those of its parser through, of many kinds

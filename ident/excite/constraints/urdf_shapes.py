@@ -12,6 +12,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from daq.robot.loader import RobotFile
+from drivers.errors import UsageError
+from drivers.input_files import MESH_FILE, check_input
 from drivers.streams import FloatArray
 from ident.excite.constraints.capsules import Capsule, box_capsules, cylinder_capsule, enclosing_capsule
 from ident.model.joints import BASE_INDEX
@@ -128,6 +130,10 @@ def _mesh_vertices(filename: str, folders: tuple[Path, ...]) -> FloatArray:
         raise _UnusableShapeError(f"no such file: {filename}")
     import coal
 
+    try:
+        check_input(path, MESH_FILE, UsageError)
+    except UsageError as error:
+        raise _UnusableShapeError(str(error)) from error
     try:
         vertices = np.array(coal.MeshLoader().load(str(path), np.ones(3)).vertices(), dtype=np.float64)
     except Exception as error:  # Coal and its mesh readers raise several kinds, none of them public

@@ -122,7 +122,7 @@ def test_any_xml_is_an_arm_or_refused(xml: str) -> None:
 # --- dynid robot new --------------------------------------------------------------------------------------------------
 
 letters = st.characters(exclude_categories=("C", "Zl", "Zp")) | st.sampled_from("./-_: #'\"[]{}e10")
-words = st.text(letters, min_size=1, max_size=12)
+words = st.text(letters, min_size=1, max_size=12).filter(lambda text: "TODO" not in text)
 numbers = st.floats(0.001, 40.0)
 joints = st.builds(
     UrdfJoint,

@@ -135,8 +135,8 @@ def test_a_connection_is_read() -> None:
         ({"start": [{"id": 1}]}, "start", "none that command it"),
         ({"timeout": -1}, "timeout", ""),
         ({"dbc": 5}, "dbc", ""),
-        ({"dbc": "nowhere.dbc"}, "nowhere.dbc", "cannot be read"),
-        ({"dbc": "a\0b"}, "dbc", "no path"),
+        ({"dbc": "nowhere.dbc"}, "nowhere.dbc", "no such file"),
+        ({"dbc": "a\0b"}, "a\0b", "cannot be read"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(change: dict[str, object], path: str, words: str) -> None:

@@ -151,16 +151,16 @@ def test_a_result_from_before_checks_had_names_is_still_read(content, tmp_path):
 
 
 def test_no_such_file(tmp_path):
-    with pytest.raises(ResultFileError, match="cannot be read: No such file"):
+    with pytest.raises(ResultFileError, match="no such file"):
         read_result(tmp_path / "none.json")
-    with pytest.raises(ResultFileError, match="cannot be read"):
+    with pytest.raises(ResultFileError, match="a folder"):
         read_result(tmp_path)
 
 
-@pytest.mark.parametrize("text", [b"", b"{", b"\xff\xfe\x00", b"not json", b"[" * 100_000])
+@pytest.mark.parametrize("text", [b"", b"{", b"\xff\xfe\x00", b"not json", b"[" * 100_000, b"9" * 5000])
 def test_what_is_not_json_is_refused(tmp_path, text):
     (tmp_path / "r.json").write_bytes(text)
-    with pytest.raises(ResultFileError, match="is not JSON"):
+    with pytest.raises(ResultFileError, match=r"is not (JSON|UTF-8)"):
         read_result(tmp_path / "r.json")
 
 

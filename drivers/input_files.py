@@ -1,0 +1,145 @@
+"""Input files: only regular ones, of a bounded size, are opened, so that no input makes a command wait or fill memory.
+
+Every reader of a file goes through this module. A library that opens a file by its name gets it after `check_input`.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from drivers.errors import InputError
+
+KB, MB, GB = 10**3, 10**6, 10**9
+
+
+@dataclass(frozen=True)
+class InputKind:
+    """A kind of input file.
+
+    Attributes:
+        name: in words, with the article.
+        largest: size [B] that is read; what is larger takes more than 20 s or 2 GB to read, or is no such file.
+    """
+
+    name: str
+    largest: int
+
+
+ROBOT_FILE = InputKind("a robot file", 500 * KB)
+URDF_FILE = InputKind("a URDF", 10 * MB)
+MESH_FILE = InputKind("a mesh", 50 * MB)
+DBC_FILE = InputKind("a DBC file", 4 * MB)
+TRAJECTORY_FILE = InputKind("a trajectory", MB)
+TRAJECTORY_SAMPLES = InputKind("a trajectory's CSV file", 5 * MB)
+RESULT_FILE = InputKind("a result", 50 * MB)
+RECORDING_FILE = InputKind("a recording", 2 * GB)
+TEXT_TABLE = InputKind("a text file of samples", 250 * MB)
+ARRAY_FILE = InputKind("a file of samples", GB)
+BAG_FILE = InputKind("a bag", 2 * GB)
+BAG_METADATA = InputKind("a bag's metadata.yaml", MB)
+
+MOST_VALUES = 64_000_000
+"""Numbers of one recording or foreign file, 512 MB of them: 90 min of six joints at 500 Hz with four quantities."""
+
+
+def check_input(path: Path, kind: InputKind, refusal: type[InputError], hint: str = "") -> int:
+    """Whether a file may be opened by its name; its size [B].
+
+    Args:
+        path: of the file.
+        kind: what it should be.
+        refusal: error that is raised.
+        hint: what to do where there is no such file.
+
+    Raises:
+        InputError: `refusal`, where it is missing, no regular file (a folder, FIFO or device), or too large.
+    """
+    where = str(path)
+    try:
+        about = path.stat()
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise refusal("no such file", where=where, hint=hint) from error
+    except (OSError, ValueError) as error:  # no right to its folder, too long a name; a NUL in it
+        raise _unreadable(error, path, refusal) from error
+    if not stat.S_ISREG(about.st_mode):
+        is_folder = stat.S_ISDIR(about.st_mode)
+        raise refusal(
+            "is not a file, but a folder" if is_folder else f"is not a regular file, so it is not read as {kind.name}",
+            where=where,
+        )
+    if about.st_size > kind.largest:
+        raise _too_large(kind, path, refusal)
+    return about.st_size
+
+
+@contextmanager
+def open_input(path: Path, kind: InputKind, refusal: type[InputError], hint: str = "") -> Iterator[BinaryIO]:
+    """A file that was checked by `check_input`, open for reading.
+
+    Raises:
+        InputError: as `check_input`, or it cannot be opened.
+    """
+    check_input(path, kind, refusal, hint)
+    try:
+        # Opening never waits, should the name lead to a FIFO by now.
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    except OSError as error:
+        raise _unreadable(error, path, refusal) from error
+    with os.fdopen(descriptor, "rb") as file:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise refusal(f"is not a regular file, so it is not read as {kind.name}", where=str(path))
+        yield file
+
+
+def read_bytes(path: Path, kind: InputKind, refusal: type[InputError], hint: str = "") -> bytes:
+    """All bytes of a file.
+
+    Raises:
+        InputError: as `open_input`, or it cannot be read.
+    """
+    with open_input(path, kind, refusal, hint) as file:
+        try:
+            content = file.read(kind.largest + 1)  # a file may say it is empty and go on for ever, as those of /proc
+        except OSError as error:
+            raise _unreadable(error, path, refusal) from error
+    if len(content) > kind.largest:
+        raise _too_large(kind, path, refusal)
+    return content
+
+
+def read_text(path: Path, kind: InputKind, refusal: type[InputError], hint: str = "") -> str:
+    """A file's text: UTF-8, with or without a byte order mark, line ends as in Unix.
+
+    Raises:
+        InputError: as `read_bytes`, or it is not UTF-8.
+    """
+    content = read_bytes(path, kind, refusal, hint)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise refusal(
+            f"cannot be read: is not UTF-8 text ({error.reason})", where=f"{path}, line {line}", hint="save it as UTF-8"
+        ) from error
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def size_text(size: int) -> str:
+    """A size [B] as people write it: `500 kB`, `2 GB`."""
+    unit, name = next(((unit, name) for unit, name in ((GB, "GB"), (MB, "MB")) if size >= unit), (KB, "kB"))
+    return f"{size / unit:.4g} {name}"
+
+
+def _too_large(kind: InputKind, path: Path, refusal: type[InputError]) -> InputError:
+    return refusal(f"is larger than {size_text(kind.largest)}, too large for {kind.name}", where=str(path))
+
+
+def _unreadable(error: Exception, path: Path, refusal: type[InputError]) -> InputError:
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return refusal(f"cannot be read: {reason}", where=str(path))
