@@ -12,10 +12,8 @@ from daq.importers.choices import DROP_DUPLICATES, DROP_NAN, SORT, TIME_UNITS, I
 from daq.importers.table import Note, printable
 from daq.importers.units import REVOLUTE
 from drivers.errors import ImportFileError
+from drivers.ranges import SAMPLING_RATE
 from drivers.streams import FloatArray
-
-SLOWEST, FASTEST = 1.0, 20_000.0
-"""Plausible sampling rates of a robot arm [Hz]; beyond them the stamps are probably not in seconds."""
 
 RESTART_RUN = 50
 """So many samples that rise in order, all before a stamp already passed, are a second run and not a late message."""
@@ -146,12 +144,12 @@ def _plausible_rate(samples: ImportedSamples, choices: ImportChoices, where: str
     if not np.isfinite(period) or period <= 0:
         raise ImportFileError("time stamps are too large to tell samples apart", where=where)
     rate = 1.0 / period
-    if SLOWEST <= rate <= FASTEST:
+    if SAMPLING_RATE.holds(rate):
         return
-    outside = f"{rate:.4g} samples per second is no plausible rate of a robot arm ({SLOWEST:g} to {FASTEST:g} Hz)"
+    outside = f"{rate:.4g} samples per second is no plausible rate of a robot arm ({SAMPLING_RATE})"
     if choices.rate is not None:
         raise ImportFileError(f"--rate: {outside}", where=where)
-    fitting = [unit for unit in TIME_UNITS[1:] if SLOWEST <= rate / REVOLUTE["time"][unit] <= FASTEST]
+    fitting = [unit for unit in TIME_UNITS[1:] if SAMPLING_RATE.holds(rate / REVOLUTE["time"][unit])]
     if fitting and choices.time_unit is None:
         guesses = " or ".join(f"{unit} ({rate / REVOLUTE['time'][unit]:.4g} Hz)" for unit in fitting)
         raise ImportFileError(

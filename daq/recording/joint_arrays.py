@@ -11,10 +11,8 @@ import numpy.typing as npt
 from daq.recording.unit_plausibility import DEGREES, beyond_reach, displacement_ratios, near
 from daq.robot.loader import RobotFile
 from drivers.errors import DataError
+from drivers.ranges import SAMPLING_RATE
 from drivers.streams import FloatArray
-
-SLOWEST, FASTEST = 1.0, 20_000.0
-"""Plausible sampling rates of a robot arm [Hz]."""
 
 WHERE = "Recording.from_arrays"
 
@@ -102,9 +100,9 @@ def _check_time(time: FloatArray) -> None:
             "keep the first of each" if repeats else "sort all arrays by time, or give each run as its own recording",
         )
     rate = 1.0 / float(np.median(steps))
-    if not SLOWEST <= rate <= FASTEST:
+    if not SAMPLING_RATE.holds(rate):
         units = {unit: rate * factor for unit, factor in (("ms", 1e3), ("µs", 1e6), ("ns", 1e9))}
-        fitting = next((unit for unit, there in units.items() if SLOWEST <= there <= FASTEST), None)
+        fitting = next((unit for unit, there in units.items() if SAMPLING_RATE.holds(there)), None)
         hint = f"the stamps look like {fitting}; give seconds" if fitting else "give seconds"
         raise _refusal("time", f"{rate:.4g} samples per second is no plausible rate of a robot arm", hint)
 

@@ -9,16 +9,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, ValidatorFunctionWrapHandler, WrapValidator
 
 from daq.robot.section import Angle, Positive
-
-LARGEST_TABLE_ANGLE = 2 * math.pi * (1 + 1e-5)
-"""A frame is turned by one turn at most [rad]; rounded digits of 2π are allowed."""
-
-LARGEST_POSITION = 45.0
-"""Seven turns [rad]: few joints exceed it, and limits in degrees are mostly larger. As a length [m], too.
-A value written as a multiple of pi is in radians, whatever its size."""
-
-LARGEST_VELOCITY = 75.0
-"""[rad/s] 4300 °/s; the last joint of a quick SCARA turns at 3000 °/s, and arms' limits in °/s are mostly larger."""
+from drivers.ranges import POSITION_LIMIT, TABLE_ANGLE, VELOCITY_LIMIT
 
 
 def multiple_of_pi(degrees: float) -> str:
@@ -34,7 +25,7 @@ def multiple_of_pi(degrees: float) -> str:
 
 
 def _table_angle(value: float) -> float:
-    if abs(value) > LARGEST_TABLE_ANGLE:
+    if not TABLE_ANGLE.holds(value):
         raise ValueError(
             f"{value:g} looks like degrees; angles are in rad, from -2π to 2π: {value:g}° is {multiple_of_pi(value)}"
         )
@@ -43,7 +34,7 @@ def _table_angle(value: float) -> float:
 
 def _position_limit(value: Any, parse: ValidatorFunctionWrapHandler) -> Any:
     position = parse(value)
-    if abs(position) > LARGEST_POSITION and not (isinstance(value, str) and "pi" in value):
+    if not POSITION_LIMIT.holds(position) and not (isinstance(value, str) and "pi" in value):
         raise ValueError(
             f"{position:g} looks like degrees, or like millimetres of a sliding joint; positions are in rad or m: "
             f"{position:g}° is {multiple_of_pi(position)}, {position:g} rad would be {position / math.pi:.2f}*pi"
@@ -52,10 +43,10 @@ def _position_limit(value: Any, parse: ValidatorFunctionWrapHandler) -> Any:
 
 
 def _velocity_limit(value: float) -> float:
-    if value > LARGEST_VELOCITY:
+    if not VELOCITY_LIMIT.holds(value):
         raise ValueError(
             f"{value:g} looks like degrees per second, or like mm/s of a sliding joint; velocities are in rad/s or "
-            f"m/s, up to {LARGEST_VELOCITY:g}: {value:g} °/s is {math.radians(value):.4g}"
+            f"m/s, up to {VELOCITY_LIMIT.most:g}: {value:g} °/s is {math.radians(value):.4g}"
         )
     return value
 

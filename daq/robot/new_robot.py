@@ -11,11 +11,11 @@ import yaml
 
 from daq.output_files import check_outputs, replace_files
 from daq.robot.loader import read_robot_text
-from daq.robot.magnitudes import LARGEST_POSITION, LARGEST_VELOCITY
 from daq.robot.schema import ASSUMED_ACCELERATION
 from daq.robot.urdf_robot import UrdfArm, UrdfJoint, read_urdf_arm
 from daq.robot.validation import TODO
 from drivers.errors import UsageError
+from drivers.ranges import POSITION_LIMIT, VELOCITY_LIMIT
 
 MOST_JOINTS = 50
 
@@ -32,7 +32,7 @@ description: {todo}, what a reader should know of this arm; or delete the line
 _URDF_MODEL = """\
 model:
   urdf: {urdf}   # kinematics, relative to this file; its inertias are not used
-{locked}\
+{loops}\
   gravity: [0, 0, -9.81]   # m/s², in the base frame; turn it for an arm on a wall or a ceiling
 """
 
@@ -111,11 +111,11 @@ def new_robot_of_urdf(arm: UrdfArm, urdf: str) -> str:
         arm: content of the URDF.
         urdf: its path, relative to where the robot file will be.
     """
-    locked = ""
-    if arm.mimicking:
-        frozen = ", ".join(f"{_quoted(name)}: 0" for name in arm.mimicking)
-        locked = f"  locked: {{{frozen}}}   # rad or m; joints that do not belong to the arm (here: <mimic>)\n"
-    model = _URDF_MODEL.format(urdf=_quoted(urdf), locked=locked)
+    loops = "  loops:   # joints that follow others (<mimic> of the URDF)\n" if arm.mimics else ""
+    for mimic in arm.mimics:
+        equation = f"{{{_quoted(mimic.follows)}: {mimic.multiplier!r}}}"
+        loops += f"    - {{joint: {_quoted(mimic.name)}, equation: {equation}, offset: {mimic.offset!r}}}\n"
+    model = _URDF_MODEL.format(urdf=_quoted(urdf), loops=loops)
     note = f" (here: link {arm.tool_link} of the URDF)".replace("\n", " ")
     rotation = [round(value, 9) for value in arm.tool_rotation]
     return _text(arm.name, model, arm.joints, [round(value, 9) for value in arm.tool], rotation, note)
@@ -163,10 +163,10 @@ def _joint(joint: UrdfJoint) -> str:
     position, note = joint.position, ""
     if joint.kind == "continuous":
         note = "; position: the URDF's joint is continuous, a turn to either side was written"
-    if position is not None and max(map(abs, position)) > LARGEST_POSITION:
+    if position is not None and not all(map(POSITION_LIMIT.holds, position)):
         note = f"; position: the URDF says {list(position)}, which is no limit in {unit}"
         position = None
-    velocity = joint.velocity if joint.velocity is None or joint.velocity <= LARGEST_VELOCITY else None
+    velocity = joint.velocity if joint.velocity is None or VELOCITY_LIMIT.holds(joint.velocity) else None
     limits = f"[{TODO}, {TODO}]" if position is None else f"[{position[0]:.9g}, {position[1]:.9g}]"
     lines = [
         f"  - name: {_quoted(joint.name)}",

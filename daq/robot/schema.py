@@ -9,7 +9,7 @@ import math
 from functools import reduce
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from daq.robot.lengths import with_lengths
 from daq.robot.loops import BASE as BASE
@@ -17,8 +17,20 @@ from daq.robot.loops import Loop, check_coupling, check_drives, check_pairs, pas
 from daq.robot.magnitudes import PositionLimit, TableAngle, VelocityLimit
 from daq.robot.prior import Known, Prior
 from daq.robot.references import OF_JOINTS, JointNames, name_problems, row_problems
-from daq.robot.section import Angle, Finite, NonNegative, NotTruthValue, Positive, Section, Vector3
+from daq.robot.section import (
+    Angle,
+    Finite,
+    Length,
+    NonNegative,
+    NotTruthValue,
+    Place,
+    Positive,
+    Section,
+    Vector3,
+    within,
+)
 from daq.robot.workspace import Mounting, Workspace
+from drivers.ranges import NUMBER
 from drivers.yaml_file import SeveralProblems
 
 ASSUMED_ACCELERATION = 10.0
@@ -36,11 +48,11 @@ class MdhRow(Section):
     antecedent: str = Field(default=BASE, description="name of the antecedent joint, or 'base'")
     type: Literal["revolute", "prismatic"] = "revolute"
     gamma: TableAngle = Field(default=0.0, description="[rad], non-zero only where a tree branches")
-    b: Finite = Field(default=0.0, description="[m], non-zero only where a tree branches")
+    b: Length = Field(default=0.0, description="[m], non-zero only where a tree branches")
     alpha: TableAngle = Field(description="[rad]")
-    d: Finite = Field(description="[m]")
+    d: Length = Field(description="[m]")
     theta0: TableAngle = Field(default=0.0, description="[rad], added to the joint position")
-    r: Finite = Field(description="[m]")
+    r: Length = Field(description="[m]")
 
 
 _INCLINED = 0.5
@@ -54,7 +66,7 @@ class ModelSection(Section):
 
     urdf: str | None = Field(default=None, description="path of the URDF, relative to the robot file")
     mdh: tuple[MdhRow, ...] | None = None
-    lengths: dict[str, Finite] = Field(
+    lengths: dict[str, Length] = Field(
         default_factory=dict, description="name → length [m]; `b`, `d` and `r` may then be written `d3` or `-d3`"
     )
     gravity: Vector3 = Field(default=(0.0, 0.0, -9.81), description="[m/s²] in the base frame")
@@ -170,7 +182,7 @@ class TruthLink(Section):
     """Inertial parameters of a simulated link, in the frame of its joint."""
 
     mass: Positive = Field(description="[kg]")
-    com: Vector3 = Field(description="centre of mass [m]")
+    com: Place = Field(description="centre of mass [m]")
     inertia: tuple[Finite, Finite, Finite, Finite, Finite, Finite] = Field(
         description="xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²]"
     )
@@ -253,7 +265,7 @@ class Robot(Section):
     )
     prior: Prior = Field(default_factory=Prior)
     workspace: Workspace = Field(default_factory=Workspace)
-    poses: dict[str, tuple[Angle, ...]] = Field(
+    poses: dict[str, tuple[Annotated[Angle, AfterValidator(within(NUMBER))], ...]] = Field(
         default_factory=dict, description="name → positions of all joints [rad or m], to compare with the pendant"
     )
     truth: Truth = Field(default_factory=Truth)

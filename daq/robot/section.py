@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+
+from drivers.ranges import LENGTH, NUMBER, POSITIVE, Range
 
 _PI_MULTIPLE = re.compile(r"^\s*([+-]?)\s*(?:(\d+(?:\.\d*)?)\s*\*\s*)?pi\s*(?:/\s*(\d+(?:\.\d*)?))?\s*$")
 
@@ -18,10 +21,23 @@ def _refuse_truth_value(value: Any) -> Any:
     return value
 
 
+def within(allowed: Range) -> Callable[[float], float]:
+    """A validator that refuses numbers out of a range."""
+
+    def check(value: float) -> float:
+        if not allowed.holds(value):
+            raise ValueError(f"{value:g} is not within {allowed}")
+        return value
+
+    return check
+
+
 NotTruthValue = BeforeValidator(_refuse_truth_value)
-Finite = Annotated[float, Field(allow_inf_nan=False), NotTruthValue]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), NotTruthValue]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), NotTruthValue]
+Finite = Annotated[float, Field(allow_inf_nan=False), AfterValidator(within(NUMBER)), NotTruthValue]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), AfterValidator(within(POSITIVE)), NotTruthValue]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), AfterValidator(within(NUMBER)), NotTruthValue]
+Length = Annotated[Finite, AfterValidator(within(LENGTH))]
+Place = tuple[Length, Length, Length]
 Vector3 = tuple[Finite, Finite, Finite]
 
 
@@ -40,7 +56,7 @@ def _parse_angle(value: Any) -> Any:
     return -angle if sign == "-" else angle
 
 
-Angle = Annotated[Finite, BeforeValidator(_parse_angle)]
+Angle = Annotated[float, Field(allow_inf_nan=False), NotTruthValue, BeforeValidator(_parse_angle)]
 
 
 class Section(BaseModel):

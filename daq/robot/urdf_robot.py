@@ -10,6 +10,7 @@ from pathlib import PurePath
 import numpy as np
 import yaml
 
+from daq.robot.urdf_check import checked_urdf
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
 
@@ -42,13 +43,30 @@ class UrdfJoint:
 
 
 @dataclass(frozen=True)
+class Mimic:
+    """A joint that follows another one: position = offset + multiplier · position of `follows`.
+
+    Attributes:
+        name: of the joint.
+        follows: name of a joint that moves by itself.
+        multiplier: of its position; rad/rad, m/rad, … as the joints are.
+        offset: [rad or m].
+    """
+
+    name: str
+    follows: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
 class UrdfArm:
     """The joints of a URDF and where its tool is mounted.
 
     Attributes:
         name: of the robot.
         joints: those that move by themselves, parents before children.
-        mimicking: names of those that copy another joint (`<mimic>`: a gripper's second finger).
+        mimics: those that follow another joint (`<mimic>`: a gripper's second finger, a parallelogram's rod).
         tool_link: name of the link at which the arm ends.
         tool: (3,) its origin [m] in the frame of the last joint.
         tool_rotation: (3,) its axes there, as a rotation vector [rad].
@@ -56,7 +74,7 @@ class UrdfArm:
 
     name: str
     joints: tuple[UrdfJoint, ...]
-    mimicking: tuple[str, ...]
+    mimics: tuple[Mimic, ...]
     tool_link: str
     tool: tuple[float, ...]
     tool_rotation: tuple[float, ...]
@@ -80,12 +98,10 @@ def read_urdf_arm(xml: str, file_name: str, where: str) -> UrdfArm:
         where: the file, for messages.
 
     Raises:
-        RobotFileError: no URDF, no movable joint, or something in it that is not a number.
+        RobotFileError: no URDF, no movable joint, something in it that is not a sensible number, or a `<mimic>` that
+            follows no joint.
     """
-    try:
-        root = ElementTree.fromstring(xml)
-    except ElementTree.ParseError as error:
-        raise RobotFileError(f"is not a URDF: {error}", where=where) from error
+    root = checked_urdf(xml, where)
     if "www.ros.org/wiki/xacro" in xml and any("xacro}" in element.tag for element in root.iter()):
         raise RobotFileError("is a xacro file, not a URDF", where=where, hint="convert it: xacro FILE > arm.urdf")
     joints = [joint for joint in root.findall("joint") if joint.find("child") is not None]
@@ -106,7 +122,7 @@ def read_urdf_arm(xml: str, file_name: str, where: str) -> UrdfArm:
     return UrdfArm(
         name=root.get("name") or PurePath(file_name).stem,
         joints=tuple(_joint(joint, where) for joint in driven),
-        mimicking=tuple(joint.get("name", "") for joint in mimicking),
+        mimics=_mimics(mimicking, {joint.get("name", "") for joint in driven}, where),
         tool_link=tool_link,
         tool=tool,
         tool_rotation=tool_rotation,
@@ -132,8 +148,11 @@ def robot_text_of_urdf(arm: UrdfArm, file_name: str, where: str) -> str:
         problems[0].problems = problems
         raise problems[0]
     model: dict[str, object] = {"urdf": file_name}
-    if arm.mimicking:
-        model["locked"] = dict.fromkeys(arm.mimicking, 0.0)
+    if arm.mimics:
+        model["loops"] = [
+            {"joint": mimic.name, "equation": {mimic.follows: mimic.multiplier}, "offset": mimic.offset}
+            for mimic in arm.mimics
+        ]
     content = {
         "name": arm.name,
         "model": model,
@@ -149,9 +168,36 @@ def assumed_of_urdf(arm: UrdfArm) -> tuple[str, ...]:
     assumed = [f"the tool is at the origin of the URDF's link {arm.tool_link}"]
     if continuous:
         assumed.append(f"position limits -2π to 2π of the continuous joint(s) {', '.join(continuous)}")
-    if arm.mimicking:
-        assumed.append(f"{', '.join(arm.mimicking)} (<mimic>) locked at 0")
     return tuple(assumed)
+
+
+def _mimics(joints: list[ElementTree.Element], driven: set[str], where: str) -> tuple[Mimic, ...]:
+    """What each of the joints follows, through others that follow too.
+
+    Raises:
+        RobotFileError: it follows no joint that moves by itself.
+    """
+    stated = {}
+    for joint in joints:
+        mimic = joint.find("mimic")
+        assert mimic is not None
+        values = float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0"))
+        stated[joint.get("name", "")] = (mimic.get("joint", ""), *values)
+    mimics = []
+    for name in stated:
+        follows, multiplier, offset, passed = *stated[name], {name}
+        while follows in stated and follows not in passed:
+            passed.add(follows)
+            follows, next_multiplier, next_offset = stated[follows]
+            multiplier, offset = multiplier * next_multiplier, offset + multiplier * next_offset
+        if follows not in driven:
+            raise RobotFileError(
+                f"follows '{follows}' (<mimic>), which is no joint that moves by itself",
+                where=f"{where}: joint {name}",
+                hint="name a movable joint there, or make this one fixed",
+            )
+        mimics.append(Mimic(name, follows, multiplier, offset))
+    return tuple(mimics)
 
 
 def _link(joint: ElementTree.Element, end: str) -> str:

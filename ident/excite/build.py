@@ -10,6 +10,7 @@ from daq.motion.trajectories import SHORTEST_RAMP
 from daq.robot.loader import RobotFile
 from drivers.closest import did_you_mean
 from drivers.errors import UsageError
+from drivers.ranges import HARMONICS, PERIOD, PERIODS, POINTS, RAMP, check_option
 from drivers.streams import FloatArray
 from ident.excite.choices import DesignChoices
 from ident.excite.constraints.constraints import constraints_of
@@ -196,15 +197,15 @@ def _waves(choices: DesignChoices) -> int:
 
 
 def _check(choices: DesignChoices) -> None:
-    if not 0.0 < choices.period < np.inf:
-        raise UsageError(f"--period {choices.period:g} is not a positive number of seconds")
-    if not SHORTEST_RAMP <= choices.ramp < np.inf:
+    if choices.ramp < SHORTEST_RAMP:
         raise UsageError(f"--ramp {choices.ramp:g} is too short; at least {SHORTEST_RAMP:g} s from rest to full speed")
-    counts = {"harmonics": choices.harmonics, "periods": choices.periods}
-    for name, count in counts.items():
-        if count < 1:
-            raise UsageError(f"--{name} {count} is less than 1")
-    if choices.points < 2:
-        raise UsageError(f"--points {choices.points}: a motion needs at least two points")
+    for name, value, allowed in (
+        ("period", choices.period, PERIOD),
+        ("ramp", choices.ramp, RAMP),
+        ("harmonics", choices.harmonics, HARMONICS),
+        ("periods", choices.periods, PERIODS),
+        ("points", choices.points, POINTS),
+    ):
+        check_option(f"--{name}", value, allowed)
     if not 0.0 <= choices.margin < 1.0:
         raise UsageError(f"--margin {choices.margin:g} is not between 0 and 1")

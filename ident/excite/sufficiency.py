@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.errors import DynidError, UsageError
+from drivers.errors import DynidError
 from drivers.percentage import percentage_text
+from drivers.ranges import PERCENT, check_option
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recorded_motion import RecordedMotion
 from ident.excite.forecast import Forecast, forecast
@@ -133,10 +134,9 @@ def check_wanted_rsd(percent: float) -> None:
     """Refuse an impossible relative standard deviation.
 
     Raises:
-        UsageError: it is not above 0 and at most 100 %.
+        UsageError: it is not within `PERCENT`.
     """
-    if not 0.0 < percent <= 100.0:
-        raise UsageError(f"--wanted-rsd {percent:g} is not a percentage above 0", hint="5 is usual")
+    check_option("--wanted-rsd", percent, PERCENT, hint="5 is usual")
 
 
 def times_needed(sufficiency: Sufficiency, wanted_rsd_percent: float) -> TimesNeeded:

@@ -9,6 +9,7 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from drivers.errors import UsageError
+from drivers.ranges import ENERGY_WINDOW, SMOOTHING, check_option
 from drivers.streams import FloatArray
 from ident.assessment.delay import DelaySearch
 from ident.assessment.validation import FitFigures
@@ -92,8 +93,7 @@ class IdentifyChoices:
             return
         if self.method != "energy":
             raise UsageError("energy windows belong to the method energy", where="energy_window")
-        if not (np.isfinite(self.energy_window) and self.energy_window > 0):
-            raise UsageError(f"windows of {self.energy_window:g} s hold no samples", where="energy_window")
+        check_option("energy_window", self.energy_window, ENERGY_WINDOW)
 
     @property
     def reversal_share(self) -> float:
@@ -116,8 +116,7 @@ def apply_model_choices(model: DynamicModel, choices: ModelChoices) -> DynamicMo
         changes["motor_inertia"] = everywhere if choices.motor_inertia else nowhere
     model = replace(model, **changes)  # type: ignore[arg-type]
     if choices.smoothing is not None:
-        if not (np.isfinite(choices.smoothing) and choices.smoothing >= 0):
-            raise UsageError(f"--smoothing {choices.smoothing} is not a speed", hint="give ε ≥ 0 in rad/s")
+        check_option("--smoothing", choices.smoothing, SMOOTHING)
         model = replace(model, smoothing=choices.smoothing)
     return model
 

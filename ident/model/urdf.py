@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import os
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
+from daq.robot.urdf_check import checked_urdf
 from drivers.closest import did_you_mean
 from drivers.errors import RobotFileError
 from ident.model.joints import BASE_INDEX, Joint
 
 UNIVERSE = 0
+_ONE_AT_A_TIME = threading.Lock()
+"""Standard error belongs to the whole process."""
 
 
 def urdf_joints(xml: str, names: Sequence[str], locked: Mapping[str, float], where: str) -> tuple[Joint, ...]:
@@ -67,12 +75,42 @@ def urdf_model(xml: str, names: Sequence[str], locked: Mapping[str, float], wher
     """
     import pinocchio as pin
 
+    root = checked_urdf(xml, where)
+    said: list[str] = []
     try:
-        full = pin.buildModelFromXML(xml)
+        with _standard_error(said):
+            full = pin.buildModelFromXML(xml)
     except Exception as error:  # Pinocchio raises several kinds, none of them public
-        reason = str(error).strip().splitlines()
-        raise RobotFileError(f"not a URDF: {reason[0] if reason else 'it contains no robot'}", where=where) from error
+        # The parser's own lines say more than the exception that follows them.
+        reason = [line.removeprefix("Error:").strip() for line in (*said, *str(error).splitlines())]
+        first = next((line for line in reason if line and not line.startswith("at line")), "it contains no robot")
+        raise RobotFileError(f"not a URDF: {first}", where=where) from error
+    for joint in root.findall("joint"):
+        mimic = joint.find("mimic")
+        if mimic is not None and joint.get("name") in locked and mimic.get("joint") in names:
+            raise RobotFileError(
+                f"joint '{joint.get('name')}' follows '{mimic.get('joint')}' (<mimic>), which moves, so it is not "
+                "locked",
+                where=f"{where}: model.locked",
+                hint="let it follow by an equation of model.loops (docs/loops.md); dynid robot new writes it",
+            )
     return _lock(full, names, locked, where)
+
+
+@contextmanager
+def _standard_error(lines: list[str]) -> Iterator[None]:
+    """Take what a library writes to the process's standard error: its parser prints there what it also raises."""
+    with tempfile.TemporaryFile() as taken, _ONE_AT_A_TIME:
+        sys.stderr.flush()
+        kept = os.dup(2)
+        os.dup2(taken.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            taken.seek(0)
+            lines += taken.read().decode("utf-8", "replace").splitlines()
 
 
 def urdf_inertias(

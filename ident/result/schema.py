@@ -7,13 +7,24 @@ import json
 import math
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, computed_field, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    computed_field,
+    model_validator,
+)
 
 from daq.output_files import replace_files
+from daq.robot.section import within
 from drivers.errors import ResultFileError
 from drivers.input_files import RESULT_FILE, read_text
+from drivers.ranges import RESULT_FACTOR, RESULT_VALUE, SMOOTHING
 from ident.model.parameters import Kind
 from ident.verdict.acceptance import Acceptance
 from ident.verdict.check import PURPOSES, texts
@@ -39,7 +50,9 @@ def _finite_or_none(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-Number = Annotated[float | None, BeforeValidator(_finite_or_none)]
+Value = Annotated[float, AfterValidator(within(RESULT_VALUE))]
+Factor = Annotated[float, AfterValidator(within(RESULT_FACTOR))]
+Number = Annotated[Value | None, BeforeValidator(_finite_or_none)]
 """A number; null where there is none (JSON knows no infinity and no NaN)."""
 
 
@@ -140,7 +153,7 @@ class ProcessingStep(_Part):
 class ExperimentResult(_Part):
     """What the recordings make identifiable: joints that were locked, motors whose torques were used."""
 
-    locked: dict[str, list[float]] = Field(description="positions of a joint at rest, one per pose [rad or m]")
+    locked: dict[str, list[Value]] = Field(description="positions of a joint at rest, one per pose [rad or m]")
     torques_of: list[str]
 
 
@@ -148,9 +161,9 @@ class LinkResult(_Part):
     """A link of the physically consistent model, in the frame of its joint."""
 
     link: str = Field(description="name of the joint that moves it")
-    mass: float = Field(description="[kg]")
-    com: list[float] = Field(description="centre of mass [m]")
-    inertia: dict[str, float] = Field(description="xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²]")
+    mass: Value = Field(description="[kg]")
+    com: list[Value] = Field(description="centre of mass [m]", min_length=3, max_length=3)
+    inertia: dict[str, Value] = Field(description="xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²]")
     prior: str = Field(description="where the body comes from that fills in what the data leave open")
     identified: float = Field(description="share of its ten parameters that the data determine")
 
@@ -160,7 +173,7 @@ class StandardParameterResult(_Part):
 
     name: str
     unit: str
-    value: float
+    value: Value
     std: Number = Field(description="null where the data do not determine it")
     determined: float = Field(description="share that the data determine; the rest comes from the prior")
     known: bool = Field(description="named in the robot file")
@@ -180,7 +193,7 @@ class ConsistentModel(_Part):
     """The model whose links, inertias and friction can exist, and what this costs."""
 
     parameters: list[StandardParameterResult]
-    base_values: dict[str, float] = Field(description="base parameters of these standard parameters, by name")
+    base_values: dict[str, Value] = Field(description="base parameters of these standard parameters, by name")
     prior_distance: str
     prior_weight: float = Field(description="in equations of unit variance per link")
     misfit: float = Field(description="rise of the sum of squared residuals, each of unit variance")
@@ -198,9 +211,13 @@ class EstimateResult(_Part):
     """The estimated values with their whole covariance, for merging; see ident.regression.estimate."""
 
     parameters: list[str] = Field(description="names of the estimated base parameters, a of them")
-    root: list[list[float]] = Field(description="(a, a) upper triangular; its square is the inverse covariance")
-    covariance: list[list[Number]] = Field(description="(a, a) corrected for autocorrelated residuals")
-    taken_up: dict[str, list[float]] = Field(description="how an unexcited parameter is absorbed by each estimated one")
+    root: list[list[Factor]] = Field(description="(a, a) upper triangular; its square is the inverse covariance")
+    covariance: list[list[Annotated[Factor | None, BeforeValidator(_finite_or_none)]]] = Field(
+        description="(a, a) corrected for autocorrelated residuals"
+    )
+    taken_up: dict[str, list[Factor]] = Field(
+        description="how an unexcited parameter is absorbed by each estimated one"
+    )
     blocks: int = Field(description="of the jackknife behind the covariance")
 
 
@@ -285,7 +302,22 @@ class ModelOptions(_Part):
     viscous: list[bool]
     coulomb: list[bool]
     offset: list[bool]
-    smoothing: float
+    smoothing: Annotated[float, AfterValidator(within(SMOOTHING))]
+
+
+_LISTS_OF_JOINTS = (
+    "joint_relative_error",
+    "rmse",
+    "low_speed_rmse",
+    "high_speed_rmse",
+    "max_error",
+    "joint_std",
+    "autocorrelation",
+    "motor_inertia",
+    "viscous",
+    "coulomb",
+    "offset",
+)
 
 
 class Result(_Part):
@@ -325,6 +357,20 @@ class Result(_Part):
     experiments: list[ExperimentResult] = Field(default=[], description="empty: all joints moved, all torques used")
     merge: Merge | None = None
     estimate: EstimateResult | None = None
+
+    @model_validator(mode="after")
+    def _lists_of_joints(self) -> Self:
+        """Refuse lists whose length is not the number of joints."""
+        count = len(self.joints)
+        fits = [self.fit, self.validation, self.essential.fit, self.essential.validation]
+        if self.consistent is not None:
+            fits += [self.consistent.fit, self.consistent.validation]
+        for part in (*fits, self.residuals, self.model_options):
+            for name, values in () if part is None else part:
+                if name not in _LISTS_OF_JOINTS or len(values) == count:
+                    continue
+                raise ValueError(f"'{name}' has {len(values)} entries for {count} joints")
+        return self
 
     @computed_field(description="texts of the verdict's checks that spoil a purpose")  # type: ignore[prop-decorator]
     @property

@@ -12,6 +12,7 @@ from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
 from drivers.errors import DataError
 from drivers.gains import DriveGain, joint_torque
+from drivers.ranges import RECORDED_POSITION, RECORDED_TORQUE, RECORDED_VELOCITY
 from drivers.streams import FloatArray
 
 
@@ -71,6 +72,9 @@ class JointSignals:
         _check(self.label, self.joint_names, self.time, quantities)
 
 
+_RANGES = {"position": RECORDED_POSITION, "velocity": RECORDED_VELOCITY, "torque": RECORDED_TORQUE}
+
+
 def _check(label: str, joint_names: Sequence[str], time: FloatArray, quantities: Mapping[str, FloatArray]) -> None:
     for name, values in quantities.items():
         if values.shape != (len(time), len(joint_names)):
@@ -82,6 +86,14 @@ def _check(label: str, joint_names: Sequence[str], time: FloatArray, quantities:
                 f"{len(bad)} value(s) are not numbers, the first at sample {sample}",
                 where=f"{label}: {name} of {joint_names[joint]}".removeprefix(": "),
                 hint="import the source again with the repair drop-nan (--repair, in Python repair=)",
+            )
+        allowed = _RANGES[name]
+        bad = np.argwhere(np.abs(values) > allowed.most)
+        if len(bad):
+            sample, joint = bad[0]
+            raise DataError(
+                f"{values[sample, joint]:g} at sample {sample} is not within {allowed}",
+                where=f"{label}: {name} of {joint_names[joint]}".removeprefix(": "),
             )
 
 

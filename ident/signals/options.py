@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 from drivers.errors import UsageError
+from drivers.ranges import CUTOFF, DECIMATION, DELAY, VELOCITY_LIMIT, WINDOW_TIME, check_option
 from ident.signals.filters import ZeroPhaseFilter, butterworth, chebyshev_decimation
 
 FilterKind = Literal["butterworth", "chebyshev"]
@@ -67,10 +68,20 @@ class PreprocessChoices:
                 raise UsageError(
                     f"a cut-off of {value:g} Hz removes the whole signal", where=name, hint="give more than 0 Hz"
                 )
+            if value is not None:
+                check_option(name, value, CUTOFF)
         for name in ("decimate", "position_decimate"):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise UsageError(f"decimation by {value} is not possible", where=name, hint="1 keeps every sample")
+            if value is not None:
+                check_option(name, value, DECIMATION)
+        for delay in (self.delay, *(self.joint_delays or ())):
+            check_option("a delay of", delay, DELAY, hint="it is in seconds")
+        for name, allowed in (("start", WINDOW_TIME), ("stop", WINDOW_TIME), ("rest_velocity", VELOCITY_LIMIT)):
+            value = getattr(self, name)
+            if value is not None and value > 0:
+                check_option(name, value, allowed)
         if self.filter_kind not in ("butterworth", "chebyshev"):
             raise UsageError(f"there is no filter '{self.filter_kind}'", hint="butterworth or chebyshev")
         if self.filter_kind == "chebyshev" and self.torque_cutoff is not None and self.decimate is not None:

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from drivers.errors import DataError
+from drivers.ranges import SAMPLING_RATE, STAMP
 from drivers.streams import FloatArray
 
 GAP_PERIODS = 10.0
@@ -55,6 +56,9 @@ def check_stamps(time: FloatArray) -> None:
     bad = np.flatnonzero(~np.isfinite(time))
     if len(bad):
         raise DataError("the time stamp is not a number", where=f"sample {bad[0]}", hint="leave the sample out")
+    bad = np.flatnonzero(np.abs(time) > STAMP.most)
+    if len(bad):
+        raise DataError(f"the time stamp {time[bad[0]]:g} s is not within {STAMP}", where=f"sample {bad[0]}")
     backwards = np.flatnonzero(np.diff(time) < 0)
     if len(backwards):
         first = int(backwards[0])
@@ -77,6 +81,12 @@ def measure_irregularity(time: FloatArray) -> Irregularity:
     if len(periods) == 0:
         raise DataError("fewer than two samples with different time stamps")
     median = float(np.median(periods))
+    if not SAMPLING_RATE.holds(1.0 / max(median, np.finfo(float).tiny)):
+        raise DataError(
+            f"{1.0 / max(median, np.finfo(float).tiny):.4g} samples per second is no plausible rate of a robot arm "
+            f"({SAMPLING_RATE})",
+            hint="the time stamps are probably not in seconds",
+        )
     gap = periods > max(GAP_PERIODS * median, GAP_SECONDS)
     # Against the mean period of the whole: a clock that runs a little fast or slow is no irregularity.
     distinct = np.concatenate([[0.0], np.cumsum(periods)])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from math import isfinite
 from os import PathLike
 from pathlib import Path
 from typing import get_args
@@ -21,6 +20,7 @@ from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
 from drivers.errors import IdentificationError, UsageError
 from drivers.percentage import percent_text, percentage_text
+from drivers.ranges import SEARCH_TIME, SEED, STARTS, check_option
 from drivers.streams import FloatArray
 from ident.excite.choices import DEFAULT_SECONDS, CriterionName, DesignChoices, Kind
 from ident.excite.constraints.surroundings import surroundings_warning
@@ -267,8 +267,7 @@ def check_design(kind: str, criterion: str, solver: str, seed: int) -> None:
     ):
         if value not in allowed:
             raise UsageError(f"{option} '{value}' does not exist", hint=f"one of: {', '.join(allowed)}")
-    if seed < 0:
-        raise UsageError(f"--seed {seed} is below 0")
+    check_option("--seed", seed, SEED)
 
 
 def check_search(seconds: float | None, starts: int | None) -> None:
@@ -281,10 +280,10 @@ def check_search(seconds: float | None, starts: int | None) -> None:
         raise UsageError(
             "--time and --starts exclude each other", hint="--starts does not depend on the machine's speed"
         )
-    if seconds is not None and not (isfinite(seconds) and seconds > 0):
-        raise UsageError(f"--time {seconds:g} is not a positive number of seconds")
-    if starts is not None and starts < 1:
-        raise UsageError(f"--starts {starts} is less than 1")
+    if seconds is not None:
+        check_option("--time", seconds, SEARCH_TIME)
+    if starts is not None:
+        check_option("--starts", starts, STARTS)
 
 
 def design_summary(designed: Design, figures: ExcitationFigures) -> str:

@@ -10,6 +10,7 @@ from typing import get_args
 
 from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import UsageError
+from drivers.ranges import PERCENT, check_option
 from ident.identify.acceptance import result_figures
 from ident.identify.identification import FrictionModel, IdentifyChoices, ModelChoices
 from ident.identify.identify import Progress
@@ -304,10 +305,9 @@ def check_significance(percent: float) -> None:
     """Refuse a threshold of significance out of range.
 
     Raises:
-        UsageError: it is not above 0 and at most 100 %.
+        UsageError: it is not within `PERCENT`.
     """
-    if not 0 < percent <= 100:
-        raise UsageError(f"a significance of {percent:g} is not a percentage", hint="the papers use 15")
+    check_option("significance", percent, PERCENT, hint="the papers use 15")
 
 
 def _names(given: Sequence[str], option: str) -> tuple[str, ...]:

@@ -49,7 +49,8 @@ def test_joints_limits_and_tool_come_from_the_urdf(urdf: Path) -> None:
     assert robot.joints[0].position == (-1.0, 2.0)
     assert (robot.joints[0].velocity, robot.joints[0].torque) == (3.0, 40.0)
     assert robot.joints[1].torque is None  # an effort of 0 is what exporters write where nobody told them
-    assert robot.model.locked == {"grip": 0.0}
+    (loop,) = robot.model.loops
+    assert (loop.joint, loop.equation, loop.offset) == ("grip", {"turn": 1.0}, 0.0)
     # tool0 is 0.2 m along the flange's x axis, which points down: 0.1 - 0.2 m.
     np.testing.assert_allclose(robot.workspace.tool, [0, 0, -0.1], atol=1e-9)
     np.testing.assert_allclose(robot.workspace.tool_rotation, [0, math.pi / 2, 0], atol=1e-9)
@@ -57,7 +58,7 @@ def test_joints_limits_and_tool_come_from_the_urdf(urdf: Path) -> None:
 
 def test_what_a_urdf_does_not_say_is_assumed_and_stated(urdf: Path) -> None:
     text = "; ".join(assumptions(load_robot(urdf)))
-    for words in ("acceleration limit 10 rad/s²", "link tool0", "-2π to 2π of the continuous joint(s) turn", "grip"):
+    for words in ("acceleration limit 10 rad/s²", "link tool0", "-2π to 2π of the continuous joint(s) turn"):
         assert words in text
     assert assumed_limits(load_robot("ur5e")) == ()
 
@@ -77,6 +78,12 @@ def test_every_joint_without_limits_is_named(urdf: Path) -> None:
         ('upper="2"', 'upper="360"', "looks like degrees"),
         ('xyz="0.2 0 0"', 'xyz="0.2 0"', "not three numbers"),
         ('xyz="0.2 0 0"', 'xyz="0.2 zero 0"', "not a number"),
+        ('xyz="0.2 0 0"', 'xyz="1e308 0 0"', "1e+308, which is not within -100 to 100 m"),
+        ('xyz="0.2 0 0"', 'xyz="nan 0 0"', "not finite"),
+        ('axis xyz="0 1 0"', 'axis xyz="0 0 0"', "joint swing: has an axis of length 0"),
+        ('axis xyz="0 1 0"', 'axis xyz="0 0 1e-300"', "joint swing: has an axis of length 0"),
+        ('<mimic joint="turn"/>', '<mimic joint="turn" multiplier="1e308"/>', "not within"),
+        ("</robot>", '<link name="x"/>' * 20_000 + "</robot>", "has 20007 links; at most 1000"),
         (
             '<robot name="arm">',
             '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro/>',
@@ -89,6 +96,22 @@ def test_a_wrong_urdf_is_refused_with_its_path(urdf: Path, old: str, new: str, m
     with pytest.raises(RobotFileError, match=re.escape(message)) as caught:
         load_robot(urdf)
     assert str(caught.value).startswith(str(urdf))
+
+
+def test_a_mimic_follows_through_others_what_moves_by_itself(urdf: Path) -> None:
+    grip = '<mimic joint="turn"/>'
+    second = '<mimic joint="grip" multiplier="-2" offset="0.5"/>'
+    more = '<link name="f2"/><joint name="grip2" type="prismatic"><parent link="base"/><child link="f2"/>' + LIMIT
+    chained = URDF.replace(grip, '<mimic joint="turn" multiplier="3" offset="1"/>')
+    urdf.write_text(chained.replace("</robot>", f"{more}{second}</joint></robot>"))
+    loops = {loop.joint: (loop.equation, loop.offset) for loop in load_robot(urdf).robot.model.loops}
+    assert loops == {"grip": ({"turn": 3.0}, 1.0), "grip2": ({"turn": -6.0}, -1.5)}
+    assert "equation: {turn: -6.0}, offset: -1.5" in new_robot_file(urdf, None, urdf.with_suffix(".yaml"))
+    for follows in ("nowhere", "grip", "a"):
+        urdf.write_text(URDF.replace(grip, f'<mimic joint="{follows}"/>'))
+        with pytest.raises(RobotFileError, match="no joint that moves by itself") as caught:
+            load_robot(urdf)
+        assert caught.value.where.endswith("joint grip")
 
 
 tags = st.sampled_from(["robot", "link", "joint", "parent", "child", "limit", "origin", "mimic", "axis"])
@@ -136,7 +159,7 @@ arms = st.builds(
     UrdfArm,
     name=words,
     joints=st.lists(joints, min_size=1, max_size=4, unique_by=lambda joint: joint.name).map(tuple),
-    mimicking=st.just(()) | st.just(("finger: {2}",)),
+    mimics=st.just(()),
     tool_link=words,
     tool=st.tuples(numbers, numbers, numbers),
     tool_rotation=st.just((0.0, 0.0, math.pi)),

@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.robot.loader import parse_robot
-from daq.robot.magnitudes import LARGEST_POSITION, LARGEST_VELOCITY, multiple_of_pi
+from daq.robot.magnitudes import multiple_of_pi
 from daq.robot.schema import MdhRow
 from drivers.errors import RobotFileError
+from drivers.ranges import POSITION_LIMIT, VELOCITY_LIMIT
 
 ARM = """\
 name: arm
@@ -101,7 +102,7 @@ def test_no_angle_of_a_table_is_beyond_a_turn(angle: float, sign: int) -> None:
 
 
 def test_what_is_written_with_pi_is_in_radians_whatever_its_size() -> None:
-    text = filled(RIGHT | {"D": "-20*pi", "E": f"{LARGEST_VELOCITY}"})
+    text = filled(RIGHT | {"D": "-20*pi", "E": f"{VELOCITY_LIMIT.most}"})
     assert parse_robot(text, where="arm.yaml", folder=None).robot.joints[0].position[0] == pytest.approx(-20 * math.pi)
-    (problem,) = problems(filled(RIGHT | {"D": f"-{LARGEST_POSITION + 1}"}))
+    (problem,) = problems(filled(RIGHT | {"D": f"-{POSITION_LIMIT.most + 1}"}))
     assert "46" in problem.message

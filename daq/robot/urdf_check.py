@@ -1,0 +1,118 @@
+"""What is wrong with a URDF's numbers and size, said before a kinematics library reads it."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from functools import lru_cache
+
+from drivers.errors import RobotFileError
+from drivers.ranges import INERTIA, LENGTH, MASS, NUMBER, Range
+
+MOST_LINKS = 1000
+"""Links of a URDF; its parser calls itself for each along a chain, and a humanoid with hands has 100."""
+LEAST_AXIS = 1e-6
+"""Length of a joint's axis; a shorter one is no direction."""
+MOVING = ("revolute", "continuous", "prismatic", "planar")
+ANGLE = Range(-1e4, 1e4, "rad")
+"""Of an `rpy`: some exporters add turns."""
+
+
+def checked_urdf(xml: str, where: str) -> ElementTree.Element:
+    """The root element of a URDF whose size and numbers are sensible.
+
+    Args:
+        xml: the URDF.
+        where: the file, for messages.
+
+    Raises:
+        RobotFileError: no XML, more links than `MOST_LINKS`, an axis without direction, numbers out of range; names
+            the joint or link.
+    """
+    root, problem = _checked(xml)
+    if problem is not None:
+        raise RobotFileError(problem[1], where=f"{where}: {problem[0]}" if problem[0] else where)
+    assert root is not None
+    return root
+
+
+class _UrdfError(ValueError):
+    """A problem; the message is all but its place."""
+
+
+@lru_cache(maxsize=16)
+def _checked(xml: str) -> tuple[ElementTree.Element | None, tuple[str, str] | None]:
+    try:
+        root = ElementTree.fromstring(xml)
+    except (ElementTree.ParseError, ValueError) as error:  # a NUL, or an encoding that is not known
+        return None, ("", f"is not a URDF: {error}")
+    count = sum(1 for _ in root.iter("link"))
+    if count > MOST_LINKS:
+        return root, ("", f"has {count} links; at most {MOST_LINKS} are read")
+    place = ""
+    try:
+        for joint in root.findall("joint"):
+            place = f"joint {joint.get('name', '')}"
+            _check_joint(joint)
+        for link in root.findall("link"):
+            place = f"link {link.get('name', '')}"
+            _check_link(link)
+    except _UrdfError as error:
+        return root, (place, str(error))
+    return root, None
+
+
+def _check_joint(joint: ElementTree.Element) -> None:
+    _check_origin(joint)
+    axis = joint.find("axis")
+    if axis is not None and joint.get("type") in MOVING:
+        values = _numbers(axis, "xyz", NUMBER, count=3)
+        if values and sum(value * value for value in values) < LEAST_AXIS**2:
+            raise _UrdfError("has an axis of length 0, which is no direction")
+    for tag in ("limit", "mimic", "dynamics"):
+        element = joint.find(tag)
+        for name in () if element is None else element.keys():
+            if name != "joint":
+                _numbers(element, name, _UNBOUNDED if tag == "limit" else NUMBER, count=1)
+
+
+def _check_link(link: ElementTree.Element) -> None:
+    inertial = link.find("inertial")
+    if inertial is None:
+        return
+    _check_origin(inertial)
+    for tag, allowed in (("mass", MASS), ("inertia", INERTIA)):
+        element = inertial.find(tag)
+        for name in () if element is None else element.keys():
+            _numbers(element, name, allowed, count=1)
+
+
+def _check_origin(owner: ElementTree.Element) -> None:
+    origin = owner.find("origin")
+    if origin is not None:
+        _numbers(origin, "xyz", LENGTH, count=3, what="an origin")
+        _numbers(origin, "rpy", ANGLE, count=3, what="an origin")
+
+
+_UNBOUNDED = Range(-1.8e308, 1.8e308)
+"""Limits are checked where a robot file takes them over; it may state others."""
+
+
+def _numbers(
+    element: ElementTree.Element | None, name: str, allowed: Range, *, count: int, what: str = ""
+) -> tuple[float, ...]:
+    """The numbers of an attribute; empty where it is absent."""
+    if element is None or (text := element.get(name)) is None:
+        return ()
+    said = what or f"a {element.tag}"
+    try:
+        values = tuple(float(word) for word in text.split())
+    except ValueError:
+        raise _UrdfError(f"has {said} that is not a number") from None
+    if len(values) != count:
+        raise _UrdfError(f"has {said} that is not {'three numbers' if count == 3 else 'one number'}")
+    for value in values:
+        if not abs(value) < float("inf"):
+            raise _UrdfError(f"has {said} that is not finite")
+        if not allowed.holds(value):
+            raise _UrdfError(f"has {said} whose {name} holds {value:g}, which is not within {allowed}")
+    return values

@@ -1,0 +1,95 @@
+"""What each quantity can sensibly be: one table of ranges for files, options and recordings.
+
+A number outside them is a mistake (of unit, of an exponent), and would overflow, or take for ever, further on.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from drivers.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Range:
+    """The values that a quantity can have.
+
+    Attributes:
+        least: smallest value, in `unit`.
+        most: largest value, in `unit`.
+        unit: as messages write it; empty for a count.
+    """
+
+    least: float
+    most: float
+    unit: str = ""
+
+    def holds(self, value: float) -> bool:
+        """Whether a number is within; NaN is not."""
+        return self.least <= value <= self.most
+
+    def __str__(self) -> str:
+        return f"{self.least:g} to {self.most:g} {self.unit}".rstrip()
+
+
+# A turn's and seven turns' worth; limits in degrees are mostly larger.
+TABLE_ANGLE = Range(-2 * math.pi * (1 + 1e-5), 2 * math.pi * (1 + 1e-5), "rad")
+"""A frame is turned by one turn at most; rounded digits of 2π are allowed."""
+POSITION_LIMIT = Range(-45.0, 45.0, "rad or m")
+"""Seven turns: hardly a joint goes further. What is written as a multiple of pi is in radians, whatever its size."""
+VELOCITY_LIMIT = Range(0.0, 75.0, "rad/s or m/s")
+"""4300 °/s; the last joint of a quick SCARA turns at 3000 °/s, and arms' limits in °/s are mostly larger."""
+LENGTH = Range(-100.0, 100.0, "m")
+"""Of links, tools and the surroundings; a gantry may be some 10 m long."""
+NUMBER = Range(-1e9, 1e9)
+"""Of a robot file, where nothing narrower is known."""
+POSITIVE = Range(1e-12, 1e9)
+"""The same where 0 makes no sense, as of a resolution or a capacity."""
+MASS = Range(0.0, 1e5, "kg")
+INERTIA = Range(-1e6, 1e6, "kg·m²")
+
+RECORDED_POSITION = Range(-1e6, 1e6, "rad or m")
+RECORDED_VELOCITY = Range(-1e5, 1e5, "rad/s or m/s")
+RECORDED_TORQUE = Range(-1e8, 1e8, "N·m or N")
+STAMP = Range(-1e11, 1e11, "s")
+"""Seconds since 1970 are 2e9; beyond 1e11 a double cannot tell samples of 20 µs apart."""
+SAMPLING_RATE = Range(1.0, 20_000.0, "Hz")
+"""Of a robot arm's recordings; beyond them the stamps are probably not in seconds."""
+
+CUTOFF = Range(0.01, 10_000.0, "Hz")
+"""Of a filter, whose response lasts as long as a period of its cut-off."""
+DECIMATION = Range(1, 10_000)
+DELAY = Range(-60.0, 60.0, "s")
+WINDOW_TIME = Range(0.0, 1e7, "s")
+"""From a recording's first stamp; four months."""
+ENERGY_WINDOW = Range(1e-3, 3600.0, "s")
+SMOOTHING = Range(0.0, 10.0, "rad/s")
+PERCENT = Range(1e-3, 100.0, "%")
+"""A standard deviation relative to its parameter: wanted, or a threshold of significance."""
+
+PERIOD = Range(0.1, 3600.0, "s")
+"""Of an excitation trajectory."""
+PERIODS = Range(1, 10_000)
+HARMONICS = Range(1, 50)
+POINTS = Range(2, 200)
+RAMP = Range(1e-3, 3600.0, "s")
+SEARCH_TIME = Range(1e-3, 604_800.0, "s")
+"""A week."""
+STARTS = Range(1, 100_000)
+SEED = Range(0, 2**63 - 1)
+
+RESULT_VALUE = Range(-1e15, 1e15)
+"""Any number of a result: a parameter that is hardly excited may be huge, but not so that squares overflow."""
+RESULT_FACTOR = Range(-1e30, 1e30)
+"""Entries of an estimate's factor and covariance: reciprocals and squares of deviations."""
+
+
+def check_option(option: str, value: float, allowed: Range, hint: str = "") -> None:
+    """Refuse an option's value out of its range.
+
+    Raises:
+        UsageError: names the option, its value and what is allowed.
+    """
+    if not allowed.holds(value):
+        raise UsageError(f"{option} {value:g} is not within {allowed}", hint=hint)
