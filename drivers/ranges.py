@@ -79,10 +79,8 @@ SEARCH_TIME = Range(1e-3, 604_800.0, "s")
 STARTS = Range(1, 100_000)
 SEED = Range(0, 2**63 - 1)
 
-RESULT_VALUE = Range(-1e15, 1e15)
+RESULT_VALUE = Range(-1e100, 1e100)
 """Any number of a result: a parameter that is hardly excited may be huge, but not so that squares overflow."""
-RESULT_FACTOR = Range(-1e30, 1e30)
-"""Entries of an estimate's factor and covariance: reciprocals and squares of deviations."""
 
 
 def check_option(option: str, value: float, allowed: Range, hint: str = "") -> None:

@@ -16,11 +16,12 @@ from typing import Any, Self
 import h5py
 import numpy as np
 
-from daq.output_files import check_outputs, unfinished_name
+from daq.output_files import DISK_ERRORS, check_outputs, unfinished_name
+from daq.recording.failsafe_file import FailsafeFile
 from daq.recording.hdf5_reason import hdf5_reason
 from daq.recording.recording import SCHEMA_VERSION, Level, Recording, software_versions
 from daq.robot.loader import RobotFile
-from drivers.errors import RecordingError
+from drivers.errors import DiskError, DynidError, RecordingError
 from drivers.streams import ChannelLayout, FloatArray, StreamLayout
 
 CHUNK_SECONDS = 0.5
@@ -51,6 +52,7 @@ def _try_bytes(path: Path, count: int) -> None:
     Where the header or a stream's first chunk are refused, HDF5 (2.0) crashes; where later ones are, it does not.
 
     Raises:
+        DiskError: the disk is full, or fails.
         RecordingError: the system refuses them.
     """
     try:
@@ -59,7 +61,7 @@ def _try_bytes(path: Path, count: int) -> None:
             if written < count:
                 trial.write(bytes(count - written))  # says why
     except OSError as error:
-        raise RecordingError(f"cannot be created: {hdf5_reason(error)}", where=str(path)) from error
+        raise _refused(error, path) from error
 
 
 def _chunk_bytes(layout: StreamLayout) -> int:
@@ -96,14 +98,19 @@ class RecordingWriter:
         speed_scale: float = 1.0,
         comment: str = "",
         overwrite: bool = False,
+        through: FailsafeFile | None = None,
     ) -> None:
-        check_outputs([path], overwrite=overwrite)
+        if through is None:
+            check_outputs([path], overwrite=overwrite)
+        self._through = through
         texts = robot.text + (robot.urdf_text or "") + trajectory + comment
-        _try_bytes(path, CREATION_ROOM + len(texts.encode()) + sum(_chunk_bytes(layout) for layout in streams))
+        if through is None:
+            _try_bytes(path, CREATION_ROOM + len(texts.encode()) + sum(_chunk_bytes(layout) for layout in streams))
         try:
             if overwrite:
                 path.unlink(missing_ok=True)  # not truncated: it may be known by another name too
-            self._file = h5py.File(path, "x", libver="latest")
+            mode = "x" if through is None else "w"
+            self._file = h5py.File(path if through is None else through, mode, libver="latest")
         except OSError as error:
             raise RecordingError(f"cannot be created: {hdf5_reason(error)}", where=str(path)) from error
         self.path = path
@@ -189,6 +196,7 @@ class RecordingWriter:
                 start = dataset.shape[0]
                 dataset.resize(start + count, axis=0)
                 dataset[start:] = values
+                self._check_disk()
         except (OSError, RuntimeError) as error:
             raise self._write_error(error) from error
 
@@ -210,6 +218,11 @@ class RecordingWriter:
             self.path.unlink()
         return RecordingError(f"cannot be created: {hdf5_reason(error)}", where=str(self.path))
 
+    def _check_disk(self) -> None:
+        """Raise what the disk refused, which HDF5 was not told."""
+        if self._through is not None and self._through.failure is not None:
+            raise self._through.failure
+
     def _write_error(self, error: BaseException) -> RecordingError:
         return RecordingError(f"cannot be written: {hdf5_reason(error)}", where=str(self.path))
 
@@ -221,6 +234,7 @@ class RecordingWriter:
         try:
             events.resize(events.shape[0] + 1, axis=0)
             events[-1:] = np.array([row], dtype=_EVENT_TYPE)
+            self._check_disk()
         except (OSError, RuntimeError) as error:
             raise self._write_error(error) from error
 
@@ -261,6 +275,9 @@ class RecordingWriter:
         HDF5 keeps a file open whose close failed, tries again at the interpreter's exit and crashes there (seen with
         HDF5 2.0, on a full disk and at a file size limit). So what it still wants to write goes nowhere.
         """
+        if self._through is not None:  # which takes all that HDF5 still wants to write
+            self._file.close()
+            return
         # The null device takes every byte, but refuses to be given a length, as a close may want. Memory takes a
         # length, but is bound by a file size limit. What one refused is not tried with the next.
         for make_sink in (_null_device, _memory_file, _null_device):
@@ -300,7 +317,8 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
 
     Raises:
         UsageError: the file exists already, is no regular file, or its folder cannot be written.
-        RecordingError: the disk refuses it, or the recording carries no robot file.
+        RecordingError: the recording carries no robot file.
+        DiskError: the disk is full or fails; a file that existed is as it was.
 
     Example:
         >>> import dynid, pathlib, tempfile
@@ -325,6 +343,10 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
     check_outputs([path], overwrite=overwrite)
     unfinished = unfinished_name(path)
     try:
+        file = FailsafeFile(unfinished)
+    except OSError as error:
+        raise _refused(error, path) from error
+    try:
         with RecordingWriter(
             unfinished,
             recording.robot(),
@@ -332,6 +354,7 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
             trajectory=recording.trajectory,
             speed_scale=recording.speed_scale,
             comment=recording.comment,
+            through=file,
         ) as writer:
             for stream in recording.streams.values():
                 blocks = {quantity: channel.values for quantity, channel in stream.channels.items()}
@@ -340,13 +363,26 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
                 writer.event(event.time, event.level, event.source, event.message)
             writer.keep_origin(recording)
             writer.close(complete=recording.complete)
-        with unfinished.open("r+b") as file:
-            os.fsync(file.fileno())
+        file.close()
+        if file.failure is not None:
+            raise file.failure
         unfinished.replace(path)
+    except OSError as error:
+        raise _refused(error, path) from error
     except RecordingError as error:
+        if file.failure is not None:
+            raise _refused(file.failure, path) from error
         raise RecordingError(error.message, where=str(path), hint=error.hint) from error
     finally:
+        file.close()
         unfinished.unlink(missing_ok=True)
+
+
+def _refused(error: OSError, path: Path) -> DynidError:
+    said = f"cannot be written: {error.strerror}"
+    if error.errno in DISK_ERRORS:
+        return DiskError(said, where=str(path), hint="make room on the disk; nothing was changed")
+    return RecordingError(said, where=str(path), hint="choose another place")
 
 
 def _nominal_rate(time: FloatArray) -> float:

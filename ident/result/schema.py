@@ -24,7 +24,7 @@ from daq.output_files import replace_files
 from daq.robot.section import within
 from drivers.errors import ResultFileError
 from drivers.input_files import RESULT_FILE, read_text
-from drivers.ranges import RESULT_FACTOR, RESULT_VALUE, SMOOTHING
+from drivers.ranges import RESULT_VALUE, SMOOTHING
 from ident.model.parameters import Kind
 from ident.verdict.acceptance import Acceptance
 from ident.verdict.check import PURPOSES, texts
@@ -51,7 +51,6 @@ def _finite_or_none(value: Any) -> Any:
 
 
 Value = Annotated[float, AfterValidator(within(RESULT_VALUE))]
-Factor = Annotated[float, AfterValidator(within(RESULT_FACTOR))]
 Number = Annotated[Value | None, BeforeValidator(_finite_or_none)]
 """A number; null where there is none (JSON knows no infinity and no NaN)."""
 
@@ -211,13 +210,9 @@ class EstimateResult(_Part):
     """The estimated values with their whole covariance, for merging; see ident.regression.estimate."""
 
     parameters: list[str] = Field(description="names of the estimated base parameters, a of them")
-    root: list[list[Factor]] = Field(description="(a, a) upper triangular; its square is the inverse covariance")
-    covariance: list[list[Annotated[Factor | None, BeforeValidator(_finite_or_none)]]] = Field(
-        description="(a, a) corrected for autocorrelated residuals"
-    )
-    taken_up: dict[str, list[Factor]] = Field(
-        description="how an unexcited parameter is absorbed by each estimated one"
-    )
+    root: list[list[Value]] = Field(description="(a, a) upper triangular; its square is the inverse covariance")
+    covariance: list[list[Number]] = Field(description="(a, a) corrected for autocorrelated residuals")
+    taken_up: dict[str, list[Value]] = Field(description="how an unexcited parameter is absorbed by each estimated one")
     blocks: int = Field(description="of the jackknife behind the covariance")
 
 

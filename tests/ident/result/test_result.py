@@ -150,6 +150,15 @@ def test_a_result_from_before_checks_had_names_is_still_read(content, tmp_path):
     assert result.warnings == ["watch j2"]
 
 
+@pytest.mark.parametrize("section", ["fit", "validation", "residuals", "model_options"])
+def test_a_list_that_does_not_fit_the_joints_is_refused(content, tmp_path, section):
+    name = next(name for name, value in content[section].items() if isinstance(value, list))
+    changed = {**content, section: {**content[section], name: [*content[section][name], content[section][name][0]]}}
+    (tmp_path / "result.json").write_text(json.dumps(changed), encoding="utf-8")
+    with pytest.raises(ResultFileError, match=f"'{name}' has .* entries for .* joints"):
+        read_result(tmp_path / "result.json")
+
+
 def test_no_such_file(tmp_path):
     with pytest.raises(ResultFileError, match="no such file"):
         read_result(tmp_path / "none.json")
