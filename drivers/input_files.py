@@ -34,6 +34,7 @@ class InputKind:
 ROBOT_FILE = InputKind("a robot file", 500 * KB)
 URDF_FILE = InputKind("a URDF", 10 * MB)
 MESH_FILE = InputKind("a mesh", 50 * MB)
+LIMITS_FILE = InputKind("a file of limits", 500 * KB)
 DBC_FILE = InputKind("a DBC file", 4 * MB)
 TRAJECTORY_FILE = InputKind("a trajectory", MB)
 TRAJECTORY_SAMPLES = InputKind("a trajectory's CSV file", 5 * MB)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from daq.output_files import check_outputs, replace_files
 from drivers.errors import ModelError, RobotFileError
+from drivers.input_files import URDF_FILE, read_text
 from ident.export import mujoco_reading, pinocchio_reading
 from ident.export.arm import ExportedArm
 from ident.export.left_out import left_out_of_mjcf, left_out_of_ros2_inertial, left_out_of_urdf
@@ -124,7 +125,4 @@ def _written(
 
 
 def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RobotFileError(f"cannot be read: {error}", where=str(path)) from error
+    return read_text(path, URDF_FILE, RobotFileError)

@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from daq.robot.section import Positive, Section
 from drivers.errors import UsageError
+from drivers.input_files import LIMITS_FILE, read_text
 from drivers.yaml_file import read_mapping, validated
 from ident.verdict.check import PURPOSE_WORDS, Purpose
 from ident.verdict.verdict import GRADES, Grade, Verdict
@@ -144,12 +145,7 @@ def read_limits(path: Path) -> AcceptanceLimits:
         UsageError: it cannot be read, or a key is wrong; names file and key.
     """
     where = str(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"cannot be read: {error.strerror}", where=where) from error
-    except UnicodeDecodeError as error:
-        raise UsageError("is not UTF-8 text", where=where) from error
+    text = read_text(path, LIMITS_FILE, UsageError)
     content = read_mapping(text, kind="a file of limits", where=where, refusal=UsageError, hint="relative_error: 0.08")
     return declared(content, where)
 
