@@ -28,7 +28,7 @@ from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import build_model
-from ident.model.loops import loop_ends, place_tree
+from ident.model.kinematics.loops import loop_ends, place_tree
 from ident.model.regressor import RegressorKernel
 from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.plant import Plant

@@ -10,7 +10,7 @@ from daq.robot.schema import Robot
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.model.dynamic_model import DynamicModel
-from ident.model.joints import BASE_INDEX
+from ident.model.kinematics.joints import BASE_INDEX
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 

@@ -13,10 +13,10 @@ from ident.export.left_out import left_out_of_mjcf
 from ident.export.shapes import Segment, link_segments
 from ident.export.urdf import link_name
 from ident.export.xml_text import comment_text, number, numbers, quaternion
-from ident.model.joints import BASE_INDEX, ancestors
-from ident.model.linkages.closed_loops import ClosedLoops
-from ident.model.loops import loop_ends, place_tree
-from ident.model.transmission import LinearTransmission
+from ident.model.kinematics.joints import BASE_INDEX, ancestors
+from ident.model.kinematics.linkages.closed_loops import ClosedLoops
+from ident.model.kinematics.loops import loop_ends, place_tree
+from ident.model.kinematics.transmission import LinearTransmission
 
 TIME_STEP = 0.001
 """[s] of the file: friction and stiff loops want it shorter than MuJoCo's default of 2 ms."""

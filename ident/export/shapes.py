@@ -7,7 +7,7 @@ import numpy as np
 from daq.robot.loader import BASE
 from drivers.streams import FloatArray
 from ident.export.arm import ExportedArm
-from ident.model.joints import BASE_INDEX
+from ident.model.kinematics.joints import BASE_INDEX
 
 SHORTEST = 1e-3
 """[m] below which two joints count as lying on each other."""

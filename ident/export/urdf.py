@@ -11,7 +11,7 @@ from ident.export.arm import ExportedArm
 from ident.export.left_out import left_out_of_urdf
 from ident.export.shapes import Segment, link_segments
 from ident.export.xml_text import comment_text, number, numbers, roll_pitch_yaw
-from ident.model.joints import BASE_INDEX
+from ident.model.kinematics.joints import BASE_INDEX
 
 BASE_LINK = "base_link"
 NO_EFFORT_LIMIT = 1e6

@@ -19,7 +19,7 @@ from drivers.streams import FloatArray
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import joint_column
-from ident.model.loops import main_chain
+from ident.model.kinematics.loops import main_chain
 from ident.model.parameters import Kind, StandardParameter
 from ident.model.regressor import RegressorKernel, motion_factor
 

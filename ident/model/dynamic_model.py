@@ -20,9 +20,11 @@ import numpy as np
 from daq.robot.loader import RobotFile
 from daq.robot.schema import JointLimits, Robot
 from drivers.streams import FloatArray
-from ident.model.joints import Joint
-from ident.model.loops import build_transmission, main_chain
-from ident.model.mdh import mdh_joints
+from ident.model.kinematics.joints import Joint
+from ident.model.kinematics.loops import build_transmission, main_chain
+from ident.model.kinematics.mdh import mdh_joints
+from ident.model.kinematics.transmission import Transmission, TreeMotion
+from ident.model.kinematics.urdf import urdf_joints, urdf_order
 from ident.model.parameters import (
     INERTIAL,
     KIND_SYMBOLS,
@@ -31,8 +33,6 @@ from ident.model.parameters import (
     Kind,
     StandardParameter,
 )
-from ident.model.transmission import Transmission, TreeMotion
-from ident.model.urdf import urdf_joints, urdf_order
 
 
 @dataclass(frozen=True)

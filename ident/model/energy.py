@@ -28,7 +28,7 @@ from ident.linear_algebra.vectors import cross
 from ident.model.base_parameters import RANDOM_SEED, BaseParameters, ModelKey, base_parameters_of, random_states
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, combined, joint_column
-from ident.model.joints import BASE_INDEX, Joint
+from ident.model.kinematics.joints import BASE_INDEX, Joint
 from ident.model.newton_euler import rotation_coefficients
 
 CHUNK = 4096

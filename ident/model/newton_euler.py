@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.streams import FloatArray
 from ident.linear_algebra.vectors import cross_matrix
-from ident.model.joints import BASE_INDEX, Joint
+from ident.model.kinematics.joints import BASE_INDEX, Joint
 
 Direction = tuple["FloatArray | float", "FloatArray | float", "FloatArray | float"]
 """Three components, each a number where it is constant or an array (chunk,)."""

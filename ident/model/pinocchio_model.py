@@ -9,7 +9,7 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import column_signal, joint_column
-from ident.model.joints import BASE_INDEX
+from ident.model.kinematics.joints import BASE_INDEX
 from ident.model.parameters import INERTIAL
 
 # Pinocchio's dynamic parameters of a link, in its order (pinocchio::InertiaTpl::toDynamicParameters).

@@ -29,9 +29,9 @@ from drivers.streams import FloatArray
 from ident.linear_algebra.triangular import QrAccumulator
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
-from ident.model.joints import ancestors
+from ident.model.kinematics.joints import ancestors
+from ident.model.kinematics.transmission import TreeMotion
 from ident.model.newton_euler import AxisMotion, Direction, FrameMotion, Recursion, combine, scaled
-from ident.model.transmission import TreeMotion
 
 CHUNK = 4096
 """Samples evaluated at once: enough to hide the interpreter, few enough for the cache."""

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from drivers.streams import FloatArray
 from ident.model.dynamic_model import DynamicModel
+from ident.model.kinematics.transmission import LinearTransmission, Transmission, TreeMotion
 from ident.model.pinocchio_model import pinocchio_model
-from ident.model.transmission import LinearTransmission, Transmission, TreeMotion
 
 if TYPE_CHECKING:
-    from ident.model.linkages.closed_loops import ClosedLoops
+    from ident.model.kinematics.linkages.closed_loops import ClosedLoops
 
 
 class RigidArm(Protocol):
@@ -66,7 +66,7 @@ def rigid_arm(
     transmission = model.transmission
     if isinstance(transmission, LinearTransmission):
         return _Linear(model, transmission, inertial, armature, pair_inertia)
-    from ident.model.linkages.closed_loops import ClosedLoops  # only arms that have such loops pay for it
+    from ident.model.kinematics.linkages.closed_loops import ClosedLoops  # only arms that have such loops pay for it
 
     if isinstance(transmission, ClosedLoops):
         return _Closed(model, transmission, inertial, armature, pair_inertia)

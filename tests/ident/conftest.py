@@ -12,7 +12,7 @@ from daq.robot.schema import JointLimits
 from drivers.streams import FloatArray
 from ident.linear_algebra.triangular import triangular
 from ident.model.dynamic_model import DynamicModel
-from ident.model.joints import Joint
+from ident.model.kinematics.joints import Joint
 from ident.model.regressor import model_torque
 from ident.regression.observation_matrix import JointFactor, Reduction
 from ident.signals.pipeline import Segment

@@ -17,8 +17,8 @@ from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
 from ident.estimators.feasible.pseudo_inertia import pseudo_inertia, standard_parameters
 from ident.model.dynamic_model import DynamicModel
+from ident.model.kinematics.urdf import urdf_inertias
 from ident.model.parameters import link_parameters
-from ident.model.urdf import urdf_inertias
 
 SLENDERNESS = 0.05
 """Radius of an assumed link over the length of the whole arm."""

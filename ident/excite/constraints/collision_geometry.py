@@ -23,7 +23,7 @@ from ident.excite.constraints.capsules import Capsule
 from ident.excite.constraints.placements import IndexArray
 from ident.excite.constraints.urdf_shapes import urdf_capsules
 from ident.model.dynamic_model import DynamicModel
-from ident.model.joints import BASE_INDEX, Joint
+from ident.model.kinematics.joints import BASE_INDEX, Joint
 
 DISTANCE_SCALE = 0.1
 """A distance d to what must not be touched uses 1 − d/0.1 m of its limit: all of it at contact, nothing at 0.1 m."""

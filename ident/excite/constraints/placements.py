@@ -11,7 +11,7 @@ import numpy.typing as npt
 from drivers.streams import FloatArray
 from ident.linear_algebra.vectors import axis_rotation
 from ident.model.dynamic_model import DynamicModel
-from ident.model.joints import BASE_INDEX, Joint, ancestors
+from ident.model.kinematics.joints import BASE_INDEX, Joint, ancestors
 
 IndexArray = npt.NDArray[np.intp]
 

@@ -17,7 +17,7 @@ from ident.excite.constraints.workspace import SAMPLES_AT_ONCE
 from ident.excite.path import Path
 from ident.model.base_parameters import random_states
 from ident.model.dynamic_model import DynamicModel
-from ident.model.joints import BASE_INDEX
+from ident.model.kinematics.joints import BASE_INDEX
 
 ALWAYS_CLOSE = 0.95
 """Links that are close in at least this share of random configurations are so by construction."""

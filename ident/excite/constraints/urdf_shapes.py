@@ -16,8 +16,8 @@ from drivers.errors import UsageError
 from drivers.input_files import MESH_FILE, check_input
 from drivers.streams import FloatArray
 from ident.excite.constraints.capsules import Capsule, box_capsules, cylinder_capsule, enclosing_capsule
-from ident.model.joints import BASE_INDEX
-from ident.model.urdf import UNIVERSE, urdf_model, urdf_order
+from ident.model.kinematics.joints import BASE_INDEX
+from ident.model.kinematics.urdf import UNIVERSE, urdf_model, urdf_order
 
 _PACKAGE_PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
 """Environment variables with the folders of ROS packages, ROS 1 and ROS 2."""

@@ -27,7 +27,7 @@ from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.path import Path
 from ident.model.base_parameters import random_states
 from ident.model.dynamic_model import DynamicModel
-from ident.model.joints import BASE_INDEX
+from ident.model.kinematics.joints import BASE_INDEX
 
 SAMPLES_AT_ONCE = 2000
 """Samples of a long path that are worked on together."""

@@ -20,7 +20,7 @@ from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometr
 from ident.excite.constraints.placements import IndexArray, place_arm, tool_point
 from ident.excite.page.plots import Shown, part_shown, path_until
 from ident.model.dynamic_model import build_model
-from ident.model.joints import BASE_INDEX, Joint
+from ident.model.kinematics.joints import BASE_INDEX, Joint
 from ident.report.figures import ACCENT, MEASURED, PREDICTED, RESIDUAL, Figure, base_layout, plain
 from ident.report.panels import ROOM, WIDE_ROOM, legend_rows
 from ident.report.traces import packed

@@ -13,7 +13,7 @@ from ident.export.c_code.expressions import Expression, Graph
 from ident.export.c_code.frames import JointFrame
 from ident.export.c_code.recursion import LinkMotion, unit_wrench
 from ident.export.c_code.vectors import Vector, add, constant_vector, cross, dot, scale
-from ident.model.joints import BASE_INDEX
+from ident.model.kinematics.joints import BASE_INDEX
 
 Axes = dict[int, tuple[Vector, Vector]]
 """(w, v) by the number of the joint in the tree."""

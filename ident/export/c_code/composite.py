@@ -10,7 +10,7 @@ from ident.export.c_code.expressions import Expression, Graph
 from ident.export.c_code.frames import JointFrame
 from ident.export.c_code.recursion import Wrench, along_axis, to_parent
 from ident.export.c_code.vectors import Matrix, Vector, add, apply, constant_vector, cross, dot, scale
-from ident.model.joints import BASE_INDEX
+from ident.model.kinematics.joints import BASE_INDEX
 
 
 @dataclass(frozen=True)

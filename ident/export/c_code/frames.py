@@ -22,9 +22,9 @@ from ident.export.c_code.vectors import (
 )
 from ident.linear_algebra.vectors import axis_rotation
 from ident.model.dynamic_model import DynamicModel
-from ident.model.joints import BASE_INDEX, Joint
+from ident.model.kinematics.joints import BASE_INDEX, Joint
+from ident.model.kinematics.transmission import LinearTransmission
 from ident.model.newton_euler import rotation_coefficients
-from ident.model.transmission import LinearTransmission
 
 ROUNDING = 1e-15
 """Entries of a rotation that are closer than this to 0 or ±1 are made exact; it is the rounding of a sine."""

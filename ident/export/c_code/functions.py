@@ -16,8 +16,8 @@ from ident.export.c_code.frames import combination, joint_frames
 from ident.export.c_code.joint_terms import friction, joint_parameter_column, joint_terms
 from ident.export.c_code.recursion import link_motions, link_wrench, tree_torques
 from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.kinematics.transmission import LinearTransmission
 from ident.model.parameters import INERTIAL
-from ident.model.transmission import LinearTransmission
 
 SIZE = len(INERTIAL)
 

@@ -16,7 +16,7 @@ from drivers.streams import FloatArray
 from ident.export.c_code.expressions import Expression, Graph
 from ident.export.c_code.frames import JointFrame
 from ident.export.c_code.vectors import Matrix, Vector, add, apply, constant_vector, cross, dot, scale
-from ident.model.joints import BASE_INDEX
+from ident.model.kinematics.joints import BASE_INDEX
 from ident.model.parameters import INERTIAL
 
 

@@ -12,7 +12,7 @@ from daq.robot.loader import parse_robot
 from drivers.errors import RobotFileError
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
-from ident.model.joints import Joint
+from ident.model.kinematics.joints import Joint
 from ident.model.parameters import INERTIAL, link_parameters
 from ident.model.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
@@ -75,7 +75,7 @@ def test_truth_needs_a_link_for_every_joint(ur_like):
 
 def test_mdh_frames_are_khalil_kleinfinger(random_tree):
     from daq.robot.schema import MdhRow
-    from ident.model.mdh import mdh_placement
+    from ident.model.kinematics.mdh import mdh_placement
 
     row = MdhRow(joint="j", gamma=0.3, b=0.1, alpha=0.7, d=0.2, theta0=-0.4, r=0.5)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.robot.schema import BASE, MdhRow
 from drivers.streams import FloatArray
-from ident.model.joints import Joint
+from ident.model.kinematics.joints import Joint
 
 Z_AXIS = np.array([0.0, 0.0, 1.0])
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from drivers.errors import DataError
 from drivers.streams import FloatArray
-from ident.model.linkages.loop_equations import Closing, LoopEquations
-from ident.model.transmission import Transmission, TreeMotion
+from ident.model.kinematics.linkages.loop_equations import Closing, LoopEquations
+from ident.model.kinematics.transmission import Transmission, TreeMotion
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from loop_arms import FOUR_BAR, four_bar_arm, spatial_arm
 from daq.robot.loader import parse_robot
 from drivers.errors import RobotFileError
 from ident.model.dynamic_model import build_model
-from ident.model.linkages.closed_loops import ClosedLoops
+from ident.model.kinematics.linkages.closed_loops import ClosedLoops
 
 START = "{coupler: 1.0, rocker: -1.3}"
 REFUSED = {

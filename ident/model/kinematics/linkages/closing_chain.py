@@ -19,7 +19,7 @@ import numpy as np
 
 from drivers.streams import FloatArray
 from ident.linear_algebra.vectors import cross, cross_matrix
-from ident.model.joints import BASE_INDEX, Joint, Placement
+from ident.model.kinematics.joints import BASE_INDEX, Joint, Placement
 
 POSITION_ROWS = 3
 REVOLUTE_ROWS = 5

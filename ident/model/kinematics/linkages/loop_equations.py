@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.streams import FloatArray
-from ident.model.linkages.closing_chain import ChainState, ClosingChain
+from ident.model.kinematics.linkages.closing_chain import ChainState, ClosingChain
 
 BoolArray = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 

@@ -15,7 +15,7 @@ import numpy as np
 from daq.robot.urdf_check import checked_urdf
 from drivers.closest import did_you_mean
 from drivers.errors import RobotFileError
-from ident.model.joints import BASE_INDEX, Joint
+from ident.model.kinematics.joints import BASE_INDEX, Joint
 
 UNIVERSE = 0
 _ONE_AT_A_TIME = threading.Lock()

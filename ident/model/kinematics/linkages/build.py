@@ -17,12 +17,12 @@ from daq.robot.loops import Loop
 from daq.robot.schema import Robot
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
-from ident.model.joints import Joint, Placement
-from ident.model.linkages.closed_loops import ClosedLoops
-from ident.model.linkages.closing_chain import ClosingChain, closing_chain
-from ident.model.linkages.loop_equations import LONGEST_WAY, MISSED, LoopEquations
-from ident.model.loop_text import length, loop_name
-from ident.model.transmission import LinearTransmission
+from ident.model.kinematics.joints import Joint, Placement
+from ident.model.kinematics.linkages.closed_loops import ClosedLoops
+from ident.model.kinematics.linkages.closing_chain import ClosingChain, closing_chain
+from ident.model.kinematics.linkages.loop_equations import LONGEST_WAY, MISSED, LoopEquations
+from ident.model.kinematics.loop_text import length, loop_name
+from ident.model.kinematics.transmission import LinearTransmission
 
 KNOWN_POSITIONS = 300
 """Random positions within the limits that are tried and remembered."""

@@ -13,8 +13,8 @@ from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.errors import DataError
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import DynamicModel, build_model
-from ident.model.linkages.closed_loops import ClosedLoops
-from ident.model.loops import loop_ends, place_tree
+from ident.model.kinematics.linkages.closed_loops import ClosedLoops
+from ident.model.kinematics.loops import loop_ends, place_tree
 from ident.model.regressor import regressor
 
 ARMS: tuple[Callable[[], RobotFile], ...] = (four_bar_arm, spatial_arm, spherical_arm)

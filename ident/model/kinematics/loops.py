@@ -23,10 +23,10 @@ from daq.robot.schema import MdhRow, Robot
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
 from ident.linear_algebra.vectors import axis_rotation
-from ident.model.joints import BASE_INDEX, Joint, Placement, ancestors
-from ident.model.loop_text import length, loop_name
-from ident.model.mdh import mdh_placement
-from ident.model.transmission import LinearTransmission, Transmission
+from ident.model.kinematics.joints import BASE_INDEX, Joint, Placement, ancestors
+from ident.model.kinematics.loop_text import length, loop_name
+from ident.model.kinematics.mdh import mdh_placement
+from ident.model.kinematics.transmission import LinearTransmission, Transmission
 
 CLOSING_TOLERANCE = 1e-6
 """Largest distance [m] of the closing frames at any position; files print lengths to this."""
@@ -58,7 +58,9 @@ def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Tran
     equations, right = _linear_equations(robot.model.loops, joints, joint_index, where)
     general = [loop for loop in robot.model.loops if loop.passive is not None]
     if general:
-        from ident.model.linkages.build import build_closed_loops  # only arms that have such loops pay for it
+        from ident.model.kinematics.linkages.build import (
+            build_closed_loops,  # only arms that have such loops pay for it
+        )
 
         nothing = np.zeros((len(joints), len(active))), np.zeros(len(joints))
         ends = [loop_ends(loop, joint_index) for loop in general]

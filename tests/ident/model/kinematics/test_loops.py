@@ -16,11 +16,11 @@ from ident.assessment.excitation import excited_base_columns
 from ident.assessment.plausibility import inertia_matrices
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import DynamicModel, build_model
-from ident.model.loops import loop_ends, main_chain, place_tree
+from ident.model.kinematics.loops import loop_ends, main_chain, place_tree
+from ident.model.kinematics.transmission import LinearTransmission
 from ident.model.pinocchio_model import pinocchio_model, pinocchio_regressor
 from ident.model.regressor import RegressorKernel, model_torque, regressor
 from ident.model.regressor_gradient import pull_back_regressor
-from ident.model.transmission import LinearTransmission
 
 FOUR_BAR = """\
 name: four_bar
