@@ -95,5 +95,5 @@ def test_models_that_cannot_be_compared_are_refused_in_one_line(models):
     renamed = models[0].result.model_copy(update={"joints": ["a", "b", "c"]})
     with pytest.raises(dynid.UsageError, match="different joints"):
         dynid.diff(models[0], dynid.IdentificationResult(renamed))
-    with pytest.raises(dynid.ResultFileError, match="cannot be read"):
+    with pytest.raises(dynid.ResultFileError, match="no such file"):
         dynid.diff(models[0], "nowhere")

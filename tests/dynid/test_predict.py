@@ -65,7 +65,7 @@ def test_an_external_torque_appears_in_the_residual_with_the_sign_that_is_writte
 
 def test_it_is_a_recording_that_can_be_read_back(prediction, result, tmp_path):
     prediction.save(tmp_path / "out.h5")
-    with pytest.raises(dynid.RecordingError, match="exists already"):
+    with pytest.raises(dynid.UsageError, match="exists already"):
         prediction.save(tmp_path / "out.h5")
     read = dynid.read_recording(tmp_path / "out.h5")
     assert read.robot().robot == prediction.robot_file.robot

@@ -86,8 +86,8 @@ def true_result(
         residuals=Residuals(
             rows=0,
             effective_rows=None,
-            joint_std=[],
-            autocorrelation=[],
+            joint_std=[None] * model.dof,
+            autocorrelation=[None] * model.dof,
             block_length=0,
             blocks=0,
             repetitions=1.0,

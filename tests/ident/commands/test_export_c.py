@@ -57,7 +57,7 @@ def test_json(model, tmp_path, monkeypatch, capsys):
         (["--c-float", "--urdf", "OUT/arm.urdf"], "--c-float needs --c"),
         (["--c", "OUT/arm", "--parameters", "some"], "there are no 'some' parameters"),
         (["--c", 'OUT/a"b'], "no name for C files"),
-        (["--c", "OUT/no/arm"], "folder that does not exist"),
+        (["--c", "OUT/no/arm"], "there is no such folder"),
         (["--c", "OUT/arm", "--urdf", "OUT/arm.c"], "same file"),
         ([], "names no file"),
     ],

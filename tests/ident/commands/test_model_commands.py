@@ -118,22 +118,22 @@ def test_diff_prints_tables_and_one_object(monkeypatch, capsys, folder):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["diff", "model", "nowhere"], "nowhere: cannot be read"),
+        (["diff", "model", "nowhere"], "nowhere: no such file"),
         (["diff", "limits.yaml", "model"], "is not JSON"),
-        (["predict", "nowhere", "val.h5"], "nowhere: cannot be read"),
+        (["predict", "nowhere", "val.h5"], "nowhere: no such file"),
         (["predict", "model", "nowhere.h5"], "nowhere.h5: no such file"),
         (["predict", "model", "limits.yaml"], "is not an HDF5 file"),
-        (["predict", "model", "val.h5", "-o", "val.h5", "--force"], "is the recording itself"),
+        (["predict", "model", "val.h5", "-o", "val.h5", "--force"], "is an input of this command"),
         (["predict", "model", "val.h5", "-o", "nowhere/out.h5"], "there is no such folder"),
         (["predict", "model", "val.h5", "-o", "new.h5", "--parameters", "best"], "there are no 'best' parameters"),
-        (["predict", "model", "val.h5", "-o", "new.h5", "--page", "limits.yaml"], "limits.yaml exists already"),
+        (["predict", "model", "val.h5", "-o", "new.h5", "--page", "limits.yaml"], "limits.yaml: exists already"),
         (["validate", "model", "val.h5", "--max-error", "8"], "8 is a ratio, not a percentage"),
         (["validate", "model", "val.h5", "--max-error", "-1"], "--max-error: relative_error"),
         (["validate", "model", "val.h5", "--max-rmse", "nan"], "--max-rmse: rmse: found nan"),
-        (["validate", "model", "val.h5", "--accept", "nowhere.yaml"], "nowhere.yaml: cannot be read"),
+        (["validate", "model", "val.h5", "--accept", "nowhere.yaml"], "nowhere.yaml: no such file"),
         (["validate", "model", "val.h5", "--accept", "elbow.yaml"], "limits for elbow, which the robot has not"),
         (["identify", "run.h5", "--accept", "elbow.yaml", "-o", "new"], "limits for elbow, which the robot has not"),
-        (["identify", "run.h5", "--accept", "model", "-o", "new"], "model: cannot be read"),
+        (["identify", "run.h5", "--accept", "model", "-o", "new"], "model: is not a file, but a folder"),
     ],
 )
 def test_bad_input_is_told_in_one_line(monkeypatch, capsys, folder, arguments, words):

@@ -150,4 +150,4 @@ def test_info_tells_it_as_json(monkeypatch, capsys, file, three_joint):
     assert json.loads(out)["sufficiency"]["needed"]["wanted_rsd_percent"] == 3.0
     status, out, err = run(monkeypatch, capsys, "info", str(file), "--wanted-rsd", "0")
     assert (status, out) == (2, "")
-    assert "--wanted-rsd 0 is not a percentage" in err
+    assert "--wanted-rsd 0 is not within 0.001 to 100 %" in err

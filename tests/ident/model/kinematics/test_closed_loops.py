@@ -116,7 +116,7 @@ def test_a_parallelogram_by_its_closing_frames_is_the_linear_one() -> None:
 
 
 def test_the_robot_file_of_the_docs_is_the_example_s() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "loops.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[4] / "docs" / "loops.md").read_text(encoding="utf-8")
     block = page.split("## Any other linkage", 1)[1].split("```yaml\n", 1)[1].split("```", 1)[0]
     model, example = build_model(parse_robot(f"name: docs\n{block}", where="docs", folder=None)), four_bar_arm()
     position = random_states(model, 20)[0]

@@ -157,7 +157,7 @@ def test_equations_and_the_parallelogram_are_the_same_arm() -> None:
 
 
 def test_the_robot_file_of_the_docs_closes() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "loops.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[4] / "docs" / "loops.md").read_text(encoding="utf-8")
     block = page.split("```yaml\n", 1)[1].split("```", 1)[0]
     model = build_model(parse_robot(f"name: docs\n{block}", where="docs", folder=None))
     assert model.joint_names == ("j1", "j2", "j7")
