@@ -188,7 +188,7 @@ def test_the_quality_of_a_recording_is_shown_and_saved(run, tmp_path):
     quality.save(tmp_path / "info")
     assert json.loads((tmp_path / "info" / "info.json").read_text(encoding="utf-8")) == json.loads(quality.to_json())
     assert quality.verdict.headline in html.unescape((tmp_path / "info" / "info.html").read_text(encoding="utf-8"))
-    with pytest.raises(dynid.UsageError, match="is not within 0.001 to 100 %"):
+    with pytest.raises(dynid.UsageError, match=r"is not within 0\.001 to 100 %"):
         dynid.info(run, wanted_rsd=-1.0)
 
 

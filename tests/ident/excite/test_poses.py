@@ -45,7 +45,7 @@ def test_an_arm_that_begins_to_move_has_its_coulomb_friction(problem):
 
 
 def test_the_limit_that_excludes_all_poses_is_named():
-    with pytest.raises(NoFeasiblePoseError, match="300.0 % of the distance from here, the margin allows 99 %"):
+    with pytest.raises(NoFeasiblePoseError, match=r"300\.0 % of the distance from here, the margin allows 99 %"):
         feasible_pose(impossible_problem(), np.zeros(2), [0])
 
 
