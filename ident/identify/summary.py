@@ -272,8 +272,7 @@ def parameter_results(
     """
     essential = pruned.solution
     rsd = relative_std(solution.parameters, std)
-    inflation = np.divide(std, solution.std, out=np.ones(base.count), where=np.isfinite(solution.std))
-    essential_std = essential.std * inflation
+    essential_std = np.hypot(std, essential.parameters - solution.parameters)  # the diagonal of `pruned_covariance`
     symbols = [model.parameters[column].symbol for column in base.columns]
 
     def entry(i: int) -> BaseParameterResult:

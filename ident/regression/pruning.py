@@ -1,4 +1,10 @@
-"""Essential parameters: backward elimination of those that the data cannot determine (SR400 .4.3 point 5)."""
+"""Essential parameters: backward elimination of those that the data cannot determine (SR400 .4.3 point 5).
+
+The parameters to drop are selected on the same data, and they are not exactly 0: standard deviations of the submodel
+contain neither and are too small. The essential model's error is the full model's error plus the difference between the
+two estimates, which is known. Its mean square is therefore estimated by the full model's covariance plus the outer
+product of that difference, whatever the selection was (`pruned_covariance`).
+"""
 
 from __future__ import annotations
 
@@ -38,6 +44,16 @@ def relative_std(parameters: FloatArray, std: FloatArray) -> FloatArray:
     known = np.isfinite(std) & (parameters != 0)
     result[known] = 100.0 * std[known] / np.abs(parameters[known])
     return result
+
+
+def pruned_covariance(covariance: FloatArray, difference: FloatArray) -> FloatArray:
+    """Mean square error (a, a) of the essential model, in place of a covariance.
+
+    Args:
+        covariance: (a, a) of the full model's parameters, corrected.
+        difference: (a,) essential minus full values; a dropped parameter's essential value is 0.
+    """
+    return np.asarray(covariance + np.outer(difference, difference))
 
 
 def prune(

@@ -17,12 +17,11 @@ import numpy.typing as npt
 from drivers.errors import ModelError, UsageError
 from drivers.streams import FloatArray
 from ident.estimators.feasible.consistent import ConsistentParameters, consistent_parameters
-from ident.linear_algebra.triangular import triangular
 from ident.model.base_parameters import base_parameters
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.model.regressor import CHUNK, regressor
-from ident.regression.estimate import Estimate
 from ident.regression.observability import describe
+from ident.regression.pruning import pruned_covariance
 from ident.result.arrays import outward, samples
 from ident.result.schema import Result, read_result
 from ident.result.simulated_motion import STEP, Controller, SimulatedMotion, simulated_motion
@@ -342,8 +341,10 @@ class Model:
     def torque_std(self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike) -> FloatArray:
         """Standard deviation σ [N·m] of `torque` from that of the parameters, √diag(Y·Σ·Yᵀ); shape of `q`.
 
-        Σ is the stored covariance, corrected for autocorrelated residuals; of the essential model it is carried through
-        the pruning. What the model lacks altogether is not in it: see `validation` for that.
+        Σ is the stored covariance, corrected for autocorrelated residuals. That of the essential model is the full
+        one's plus the outer product of what the pruning changed, since the dropped parameters are not exactly 0. σ is
+        inf where a parameter of unknown variance acts. What the model lacks altogether is not in it: see `validation`
+        for that.
 
         Args:
             q: (N, n) or (n,) positions [rad].
@@ -536,38 +537,18 @@ class Model:
         known = np.isfinite(np.diag(covariance))
         powers, axes = np.linalg.eigh(covariance[np.ix_(known, known)])
         sure = [index for index, there in zip(active, known, strict=True) if there]
-        return sure, axes * np.sqrt(np.clip(powers, 0.0, None)), [index for index in active if index not in sure]
+        unsure = [index for index in range(self._base.count) if index not in sure]
+        return sure, axes * np.sqrt(np.clip(powers, 0.0, None)), unsure
 
     def _covariance(self) -> tuple[tuple[int, ...], FloatArray]:
-        """Base parameters that were estimated, and their covariance."""
+        """Base parameters that were estimated, and their covariance (of the essential model its mean square error)."""
         if self.kind == "consistent":
             return tuple(range(self._base.count)), self._consistent.base_covariance
         estimate = stored_estimate(self.result, self._base)
         if self.kind == "full":
             return estimate.active, estimate.covariance
-        entries = {parameter.name: parameter for parameter in self.result.base_parameters}
-        kept = tuple(i for i in estimate.active if entries[self._base.names[i]].essential_value is not None)
-        return kept, _pruned_covariance(estimate, kept)
-
-
-def _pruned_covariance(estimate: Estimate, kept: tuple[int, ...]) -> FloatArray:
-    """Covariance (k, k) of the least-squares estimate that keeps these parameters only.
-
-    With root·θ the whitened full estimate, the pruned one is the least-squares solution of root[:, kept]·x = root·θ: a
-    linear map of θ, which carries its covariance along. Values of unknown variance are fitted away first.
-    """
-    known = np.isfinite(np.diag(estimate.covariance))
-    order = [*np.flatnonzero(~known), *np.flatnonzero(known)]
-    left = len(order) - int(known.sum())
-    root = triangular(estimate.root[:, order])[left:, left:]
-    places = [estimate.active.index(column) for column in kept]
-    sure = [int(place) for place in np.flatnonzero(known)]
-    columns = [sure.index(place) for place in places if known[place]]
-    gain = np.linalg.lstsq(root[:, columns], root, rcond=None)[0]
-    covariance = np.full((len(kept), len(kept)), np.inf)
-    inner = [i for i, place in enumerate(places) if known[place]]
-    covariance[np.ix_(inner, inner)] = gain @ estimate.covariance[np.ix_(known, known)] @ gain.T
-    return covariance
+        difference = self._values[list(estimate.active)] - estimate.values
+        return estimate.active, pruned_covariance(estimate.covariance, difference)
 
 
 def result_path(path: str | PathLike[str]) -> Path:

@@ -73,7 +73,9 @@ class BaseParameterResult(_Part):
     classical_std: Number = Field(description="for white residuals, SR400 eq. 14")
     significant: bool = Field(description="relative standard deviation below the threshold")
     essential_value: Number = Field(description="of the essential model; null where the parameter was left out")
-    essential_std: Number
+    essential_std: Number = Field(
+        description="root of the full model's variance plus the square of what the pruning changed"
+    )
 
 
 class JointFrictionResult(_Part):

@@ -166,17 +166,31 @@ def test_torque_std_is_the_spread_of_the_parameters(result):
     np.testing.assert_allclose(model.torque_std(q, dq, ddq), spread, rtol=0.06)
 
 
-def test_the_essential_model_is_surer(result):
+def test_the_essential_model_is_as_sure_as_the_full_one_but_for_what_the_pruning_changed(result):
     q, dq, ddq = states("ur5e", 40)
-    full = result.model.torque_std(q, dq, ddq)
-    essential = dynid.Model(result.result, "essential").torque_std(q, dq, ddq)
-    assert np.mean(essential**2) < np.mean(full**2)
+    full, essential = (dynid.Model(result.result, kind) for kind in ("full", "essential"))
+    difference = essential.torque(q, dq, ddq) - full.torque(q, dq, ddq)
+    expected = np.hypot(full.torque_std(q, dq, ddq), difference)
+    np.testing.assert_allclose(essential.torque_std(q, dq, ddq), expected, rtol=1e-9)
     stored = {p.name: p.essential_std for p in result.result.base_parameters if p.essential_std is not None}
-    carried = dynid.Model(result.result, "essential")._covariance()
-    names = base_parameters(build_model(arm("ur5e"))).names
-    own = {names[i]: float(np.sqrt(variance)) for i, variance in zip(carried[0], np.diag(carried[1]), strict=True)}
-    ratios = [own[name] / stored[name] for name in stored]
-    assert 0.7 < np.median(ratios) < 1.4  # the pruning scales the classical ones, parameter by parameter
+    assert 0 < len(stored) == result.result.essential.count < len(full.parameters)
+    active, covariance = essential._covariance()
+    own = {full.parameters.names[i]: np.sqrt(variance) for i, variance in zip(active, np.diag(covariance), strict=True)}
+    assert {name: own[name] for name in stored} == pytest.approx(stored, rel=1e-9)
+    of_full = {p.name: p.std for p in result.result.base_parameters}
+    assert all(stored[name] >= of_full[name] for name in stored)
+
+
+def test_torque_std_of_the_essential_model_is_infinite_where_an_unexcited_parameter_acts():
+    robot_file = arm("ur5e")
+    count = base_parameters(build_model(robot_file)).count - 1
+    model = dynid.Model(true_result(robot_file, {"Fv3": None}, covariance=1e-4 * np.eye(count)), "essential")
+    q, dq, ddq = states("ur5e", 3)
+    dq[0, 2] = 0.0
+    deviations = model.torque_std(q, dq, ddq)
+    assert np.all(np.isinf(deviations[1:, 2]))
+    assert np.all(np.isfinite(deviations[0]))
+    assert np.all(np.isfinite(np.delete(deviations, 2, axis=1)))
 
 
 def test_torque_std_covers_the_error_of_repeated_identifications():

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ident.regression.least_squares import ordinary_least_squares
-from ident.regression.pruning import SIGNIFICANT_RSD, prune, relative_std
+from ident.regression.pruning import SIGNIFICANT_RSD, prune, pruned_covariance, relative_std
 
 
 def system(dense_reduction, truth: np.ndarray, seed: int, rows: int = 400, noise: float = 1.0):
@@ -103,3 +103,43 @@ def test_the_last_parameter_stays_whatever_it_is(dense_reduction):
 def test_relative_std_of_what_has_no_value_is_infinite():
     rsd = relative_std(np.array([2.0, 0.0, -4.0, 1.0]), np.array([0.1, 0.1, 1.0, np.inf]))
     assert rsd == pytest.approx([5.0, np.inf, 25.0, np.inf])
+
+
+def test_intervals_hold_the_truth_although_the_data_chose_what_is_dropped(dense_reduction):
+    """Half of the parameters are about as large as their standard deviations, where selection does most harm."""
+    parameters, predictions, of_submodel = [], [], []
+    for seed in range(150):
+        generator = np.random.default_rng(seed)
+        W = generator.standard_normal((200, 10)) + 1.5 * generator.standard_normal((200, 1))
+        truth = np.where(np.arange(10) < 5, 3.0, 0.1) * generator.standard_normal(10)
+        reduction = dense_reduction([(W, W @ truth + generator.standard_normal(200))])
+        full, essential = ordinary_least_squares(reduction, range(10)), pruned(reduction).solution
+        covariance = pruned_covariance(full.covariance, essential.parameters - full.parameters)
+        error = essential.parameters - truth
+        parameters.append(np.abs(error) <= 1.96 * np.sqrt(np.diag(covariance)))
+        row = W[:40]
+        predictions.append(np.abs(row @ error) <= 1.96 * np.sqrt(np.sum(row @ covariance * row, axis=1)))
+        kept = row[:, list(essential.active)]
+        own = np.sqrt(np.sum(kept @ essential.covariance * kept, axis=1))
+        of_submodel.append(np.abs(row @ error) <= 1.96 * own)
+    assert np.mean(parameters) > 0.94
+    assert np.mean(predictions) > 0.94
+    assert np.mean(of_submodel) < 0.9
+
+
+@given(
+    values=st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=6),
+    dropped=st.sets(st.integers(0, 5)),
+    seed=st.integers(0, 1000),
+)
+def test_no_combination_of_essential_parameters_is_surer_than_of_the_full_ones(values, dropped, seed):
+    full = np.array(values)
+    generator = np.random.default_rng(seed)
+    root = generator.standard_normal((len(full), len(full)))
+    essential = full + generator.standard_normal(len(full))
+    essential[[i for i in dropped if i < len(full)]] = 0.0
+    combination = generator.standard_normal(len(full))
+    variance = combination @ pruned_covariance(root @ root.T, essential - full) @ combination
+    assert variance == pytest.approx(
+        np.sum((root.T @ combination) ** 2) + (combination @ (essential - full)) ** 2, rel=1e-9
+    )
