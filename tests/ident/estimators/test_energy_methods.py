@@ -180,6 +180,27 @@ def test_the_truth_is_within_the_error_bars(three_joint, method):
     assert found.validation.relative_error < 0.1
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_the_truth_is_within_the_error_bars_of_the_essential_model(three_joint, method):
+    """The submodel's own deviations hold it less often: they know nothing of the selection."""
+    held, by_submodel = [], []
+    for seed in range(8):
+        recording = recorded(three_joint, seed, 20.0)
+        choices = IdentifyChoices(method=method, split=10.0, search_delay=False)
+        found = identify([recording], [], choices)
+        truth = dict(zip(found.base.names, truth_of(three_joint), strict=True))
+        for entry in summarise(found, [recording], []).base_parameters:
+            if entry.essential_value is None:
+                continue
+            column = found.base.names.index(entry.name)
+            own = found.pruned.solution.std[column] * found.std[column] / found.solution.std[column]
+            error = abs(entry.essential_value - truth[entry.name])
+            held.append(error <= 1.96 * entry.essential_std)
+            by_submodel.append(error <= 1.96 * own)
+    assert np.mean(held) > 0.95
+    assert np.mean(by_submodel) < 0.93
+
+
 def test_the_wrist_of_a_coupled_closed_loop_arm():
     """SR400 .4.4: links 5 and 6 from the energy and from the dynamic model, the other joints locked."""
     robot_file = load_robot("sr400")
