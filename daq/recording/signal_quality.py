@@ -1,23 +1,19 @@
-"""Properties of a recorded signal, column by column: steps, noise, clipping."""
+"""Properties of a recorded signal, column by column: steps, noise, clipping, outliers."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from daq.recording.outliers import without_outliers
+from daq.recording.quantisation import quantisation_step
 from daq.recording.recording import Channel
 from drivers.streams import FloatArray
 
 CLIPPED_RUN = 5
 """At least this many equal extreme values in a row count as clipping."""
-
-LATTICE_TOLERANCE = 0.05
-"""Values are quantised where all gaps between them are multiples of the smallest within this fraction of it."""
-
-_LATTICE_VALUES = 2000
-_FEWEST_GAPS = 5  # fewer gaps can be multiples of each other by chance
 
 
 @dataclass(frozen=True)
@@ -30,6 +26,8 @@ class ColumnQuality:
         noise: standard deviation of its white noise: from second differences, robust against the motion.
         step: of quantisation; nan where the values lie on no grid.
         clipped_percent: samples that stay at the smallest or largest value for `CLIPPED_RUN` samples or more [%].
+        outliers: samples far from what their neighbours say (`daq.recording.outliers`).
+        outliers_stay: whether they are too many for exceptions, and are left in the signal.
     """
 
     name: str
@@ -38,11 +36,21 @@ class ColumnQuality:
     noise: float
     step: float
     clipped_percent: float
+    outliers: int = 0
+    outliers_stay: bool = False
 
 
-def channel_quality(channel: Channel) -> tuple[ColumnQuality, ...]:
-    """Figures of every column of a channel (N, n); nan for a column without finite values."""
-    return tuple(_column_quality(name, channel.values[:, k]) for k, name in enumerate(channel.columns))
+def channel_quality(channel: Channel, time: FloatArray) -> tuple[ColumnQuality, ...]:
+    """Figures of every column of a channel (N, n) with stamps (N,) [s]; nan for a column without finite values."""
+    clean = without_outliers(time, channel.values)
+    return tuple(
+        replace(
+            _column_quality(name, channel.values[:, k]),
+            outliers=int(clean.replaced[k] + clean.left[k]),
+            outliers_stay=bool(clean.left[k]),
+        )
+        for k, name in enumerate(channel.columns)
+    )
 
 
 def _column_quality(name: str, column: FloatArray) -> ColumnQuality:
@@ -68,23 +76,6 @@ def white_noise(values: FloatArray) -> float:
     if len(values) < 3:
         return float("nan")
     return float(np.median(np.abs(np.diff(values, n=2))) / (0.6745 * np.sqrt(6.0)))
-
-
-def quantisation_step(values: FloatArray) -> float:
-    """Step of the grid that all values (N,) lie on; nan where they lie on none or are all equal."""
-    levels = np.unique(values[:_LATTICE_VALUES])
-    if len(levels) < 2:
-        return float("nan")
-    gaps = np.diff(levels)
-    # Rounding splits one level into several that differ by next to nothing.
-    gaps = gaps[gaps > 1e-9 * np.max(np.abs(levels))]
-    if len(gaps) == 0:
-        return float("nan")
-    step = float(gaps.min())
-    if len(gaps) < _FEWEST_GAPS:
-        return float("nan")
-    multiples = gaps / step
-    return step if np.max(np.abs(multiples - np.round(multiples))) < LATTICE_TOLERANCE else float("nan")
 
 
 def _clipped(values: FloatArray) -> npt.NDArray[np.bool_]:

@@ -1,8 +1,8 @@
-"""Torques that fit better exchanged, with the other sign or another gain, or with gravity along another axis."""
+"""Torques that fit better exchanged or with the other sign, or with gravity along another axis."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -28,25 +28,9 @@ LIKELIHOOD_LEVEL = 16.0
 """Threshold of the log-likelihood ratio, doubled and counted in independent equations: four σ, since up to thirty
 arrangements are tried."""
 
-GAIN_OFF = 0.2
-"""Relative deviation of a gain that is reported. What friction models leave out moves the estimate by up to 0.11 on the
-public recordings (Panda, joint 6: 1.11 ± 0.05)."""
-
-GAINS = (0.1, 10.0)
-"""Factors tested."""
-
-EDGE = 0.05
-"""A minimum within this relative distance of the smallest or the largest factor is none."""
-
-GRIDS = (15, 7, 7, 7)
-"""Points of the grid over them, and of each finer one between the best point's neighbours."""
-
 EXPLAINED = 0.05
 """Relative error of the fit up to which gravity's axis is not doubted. A wrong axis leaves 0.09 to 0.63 on the public
 recordings, which are fitted to 0.01 to 0.05 with the right one."""
-
-MOST_UNCERTAIN = 3.0
-"""A gain that is less than this many σ from the one believed is not named, whatever its likelihood."""
 
 AXES = "xyz"
 SAME_DIRECTION = float(np.sqrt(0.5))
@@ -229,103 +213,3 @@ def opposite_gravity() -> Check:
         "signs of the drive gains"
     )
     return raised("gravity-opposite", text)
-
-
-@dataclass(frozen=True)
-class GainEstimate:
-    """The factor on one joint's torque that makes it agree best with the other joints.
-
-    Attributes:
-        factor: model torque over recorded torque; 1 where the gain is right.
-        std: its standard deviation.
-        likelihood: doubled log-likelihood ratio against 1, in independent equations.
-    """
-
-    factor: float
-    std: float
-    likelihood: float
-
-
-def gain_estimate(
-    grams: ChannelGrams, joint: int, joints: Sequence[int], weights: FloatArray, independent: float
-) -> GainEstimate:
-    """How far one joint's torque is off beside the others', which share parameters with it.
-
-    The rows of the joint are multiplied by a factor g, τ_j = g·W_j x, and the weighted sum of squares is minimised
-    over x and g: unlike a factor on the measured torque, that is not biased by the residuals.
-
-    Args:
-        grams: of all torques.
-        joint: whose gain is free.
-        joints: whose torques count.
-        weights: (n,) 1/σ of each joint's rows.
-        independent: number of independent equations.
-    """
-    rest = [other for other in joints if other != joint]
-    squares = weights**2
-    total = float(sum(squares[other] * grams.power[other] for other in joints))
-    other_gram = sum((squares[other] * grams.gram[other] for other in rest), np.zeros_like(grams.gram[0]))
-    other_score = sum((squares[other] * grams.score[other, other] for other in rest), np.zeros(grams.gram.shape[1]))
-
-    def chi_square(factor: float) -> float:
-        gram = other_gram + factor**2 * squares[joint] * grams.gram[joint]
-        score = other_score + factor * squares[joint] * grams.score[joint, joint]
-        return total - _explained(gram, score)
-
-    believed = chi_square(1.0)
-    factor, smallest = _minimum(chi_square)
-    if not GAINS[0] < factor * (1.0 - EDGE) < factor * (1.0 + EDGE) < GAINS[1]:  # the data do not bound it
-        return GainEstimate(1.0, float("inf"), 0.0)
-    step = 1e-3 * factor
-    curvature = (chi_square(factor + step) + chi_square(factor - step) - 2.0 * smallest) / step**2
-    if not (believed > 0 and smallest > 0 and curvature > 0):
-        return GainEstimate(1.0, float("inf"), 0.0)
-    std = float(np.sqrt(2.0 * smallest / (independent * curvature)))
-    # g multiplies the model; the gain multiplies the measured torque.
-    return GainEstimate(1.0 / factor, std / factor**2, float(independent * np.log(believed / smallest)))
-
-
-def _minimum(function: Callable[[float], float]) -> tuple[float, float]:
-    """The factor within `GAINS` at which a function is smallest, and its value there: finer and finer grids."""
-    low, high = np.log(GAINS)
-    for points in GRIDS:
-        grid = np.linspace(low, high, points)
-        values = [function(float(np.exp(value))) for value in grid]
-        best = int(np.argmin(values))
-        low, high = grid[max(0, best - 1)], grid[min(points - 1, best + 1)]
-    return float(np.exp(grid[best])), values[best]
-
-
-def gain_checks(
-    kernel: RegressorKernel,
-    joints: Sequence[int],
-    runs: Sequence[Prepared],
-    active: Sequence[int],
-    weights: FloatArray,
-    independent: float,
-) -> list[Check]:
-    """The joint whose gain is off most clearly: one wrong gain makes the others look wrong, too.
-
-    Args:
-        kernel: of the base columns.
-        joints: motors whose torques count.
-        runs: prepared data, with the equations that were fitted.
-        active: numbers of the base parameters that were estimated.
-        weights: (n,) of the joints' rows, 1/σ.
-        independent: number of independent equations.
-    """
-    grams, names = channel_grams(kernel, runs, active), kernel.model.joint_names
-    if len(joints) < 2 or not all(grams.power[joint] > 0 for joint in joints):
-        return []
-    estimates = {joint: gain_estimate(grams, joint, joints, weights, independent) for joint in joints}
-    joint, worst = max(estimates.items(), key=lambda one: one[1].likelihood)
-    off = abs(float(np.log(worst.factor)))
-    certain = off > MOST_UNCERTAIN * worst.std / worst.factor
-    if worst.likelihood < LIKELIHOOD_LEVEL or off < np.log(1.0 + GAIN_OFF) or not certain:
-        return []
-    text = (
-        f"the torque of {names[joint]} agrees with the other joints' when its drive gain is multiplied by "
-        f"{worst.factor:.2f} ± {1.96 * worst.std:.2f}: check the gain, or identify the gains with a known load "
-        "(dynid gains)"
-    )
-    return [raised("inconsistent-gain", text, [names[joint]])]

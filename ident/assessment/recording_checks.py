@@ -1,8 +1,8 @@
-"""Checks of a recording without identification: its end, its import, its time stamps, clipped signals."""
+"""Checks of a recording without identification: its end, import, time stamps, clipped signals, outliers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from daq.recording.recording import Recording
 from daq.recording.signal_quality import ColumnQuality, channel_quality
@@ -34,7 +34,7 @@ def column_qualities(
 ) -> dict[tuple[str, str], tuple[ColumnQuality, ...]]:
     """Figures of all columns, by stream and quantity; of some quantities only where they are named."""
     return {
-        (name, quantity): channel_quality(channel)
+        (name, quantity): channel_quality(channel, stream.time)
         for name, stream in recording.streams.items()
         for quantity, channel in stream.channels.items()
         if quantities is None or quantity in quantities
@@ -63,7 +63,7 @@ def recording_checks(
         label: names the recording among several.
     """
     streams = stream_qualities(recording) if streams is None else streams
-    columns = column_qualities(recording, MOTOR_SIGNALS) if columns is None else columns
+    columns = column_qualities(recording, ("position", *MOTOR_SIGNALS)) if columns is None else columns
     of = f"{label}: " if label else ""
     checks = closing_checks(recording)
     for event in recording.events:
@@ -87,4 +87,28 @@ def recording_checks(
             figures = ", ".join(f"{column.name} {percentage_text(column.clipped_percent, 2)} %" for column in clipped)
             text = f"{of}{stream}/{quantity} is clipped: {figures} of the samples; use a slower motion or a wider range"
             checks.append(raised("signal-clipped", text, [column.name for column in clipped]))
+        if quantity in ("position", *MOTOR_SIGNALS):
+            checks += _outlier_checks(f"{of}{stream}/{quantity}", qualities)
+    return checks
+
+
+def _outlier_checks(signal: str, columns: Sequence[ColumnQuality]) -> list[Check]:
+    """Single wrong samples of a signal: those that are replaced, and columns with too many of them."""
+    few = [column for column in columns if column.outliers and not column.outliers_stay]
+    many = [column for column in columns if column.outliers_stay]
+    checks = []
+    if few:
+        counts = ", ".join(f"{column.name} {column.outliers}" for column in few)
+        text = (
+            f"{signal}: single samples are far from what their neighbours say ({counts}) and are replaced by that: "
+            "see the encoder, its cable and the bus"
+        )
+        checks.append(raised("outliers-replaced", text, [column.name for column in few]))
+    if many:
+        counts = ", ".join(f"{column.name} {column.outliers}" for column in many)
+        text = (
+            f"{signal}: single samples are far from what their neighbours say, and too many ({counts}) to be replaced: "
+            "the fit uses them as they are; find what disturbs the signal and record again"
+        )
+        checks.append(raised("many-outliers", text, [column.name for column in many]))
     return checks

@@ -211,8 +211,8 @@ def print_info(info: RecordingInfo, file: str) -> None:
         unit = recording.streams[stream].channels[quantity].unit
         print_table(
             f"\n{stream}/{quantity} [{unit}]",
-            ("column", "smallest", "largest", "noise", "step", "clipped [%]"),
-            [(c.name, c.smallest, c.largest, c.noise, c.step, c.clipped_percent) for c in qualities],
+            ("column", "smallest", "largest", "noise", "step", "clipped [%]", "outliers"),
+            [(c.name, c.smallest, c.largest, c.noise, c.step, c.clipped_percent, c.outliers) for c in qualities],
         )
     if info.excitation is not None:
         print_table(

@@ -10,9 +10,10 @@ import numpy as np
 from daq.recording.recording import Recording
 from drivers.errors import IdentificationError
 from drivers.percentage import percent_text
-from ident.assessment.channels import arrangement_checks, gain_checks, opposite_gravity
+from ident.assessment.channels import arrangement_checks, opposite_gravity
 from ident.assessment.delay import delay_checks
 from ident.assessment.idle_joints import idle_joint_checks
+from ident.assessment.model_errors import model_error_checks
 from ident.assessment.plausibility import (
     POSES,
     fits_opposite_gravity,
@@ -72,8 +73,9 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     checks += sign_checks(identification.base, identification.solution.parameters, identification.std)
     idle = _idle_joint_checks(identification)
     arrangement = _arrangement_checks(identification)
-    # Static friction of resting joints looks like a gain that is off.
-    checks += [*idle, *(one for one in arrangement if not idle or one.name != "inconsistent-gain")]
+    # Static friction of resting joints looks like a gain or a length that is off.
+    model_errors = ("inconsistent-gain", "inconsistent-length")
+    checks += [*idle, *(one for one in arrangement if not idle or one.name not in model_errors)]
     checks += _reversal_checks(identification)
     share = _indefinite_share(identification)
     if share > 0:
@@ -159,7 +161,7 @@ def _few_equations(identification: Identification, advised: int) -> str:
 
 
 def _arrangement_checks(identification: Identification) -> list[Check]:
-    """Gravity, signs, exchanged torques and gains that fit the data better than those believed."""
+    """Gravity, signs, exchanged torques, gains and lengths that fit the data better than those believed."""
     checks: list[Check] = []
     if identification.choices.method not in ENERGY_METHODS:
         checks = arrangement_checks(
@@ -170,12 +172,11 @@ def _arrangement_checks(identification: Identification) -> list[Check]:
             identification.solution.active,
             identification.corrected.effective_rows,
             identification.fit.relative_error,
-        ) or gain_checks(
+        ) or model_error_checks(
             RegressorKernel(identification.model, identification.base.columns),
             identification.experiment.torques,
             [run.prepared for run in identification.runs],
-            identification.solution.active,
-            identification.solution.weights,
+            identification.solution,
             identification.corrected.effective_rows,
         )
     if any(check.severity == "serious" for check in checks) or not np.any(identification.model.gravity):

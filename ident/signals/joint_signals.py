@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from daq.recording.outliers import without_outliers
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
@@ -15,10 +16,27 @@ from drivers.gains import DriveGain, joint_torque
 from drivers.ranges import RECORDED_POSITION, RECORDED_TORQUE, RECORDED_VELOCITY
 from drivers.streams import FloatArray
 
+JOINT_QUANTITIES = ("position", "velocity", "current", "voltage", "torque")
+
+
+@dataclass(frozen=True)
+class ReplacedSamples:
+    """Samples of a recorded quantity that were outliers (`daq.recording.outliers`).
+
+    Attributes:
+        quantity: as recorded: position, current, …
+        joint: name.
+        count: of samples.
+    """
+
+    quantity: str
+    joint: str
+    count: int
+
 
 @dataclass(frozen=True, eq=False)
 class JointPositions:
-    """One recording's joint positions as recorded; N samples, n joints in the robot's order.
+    """One recording's joint positions as recorded, outliers replaced; N samples, n joints in the robot's order.
 
     Attributes:
         label: name of the recording in messages; may be empty.
@@ -41,7 +59,7 @@ class JointPositions:
 
 @dataclass(frozen=True, eq=False)
 class JointSignals:
-    """One recording's joint signals as recorded; N samples, n joints in the robot's order.
+    """One recording's joint signals as recorded, outliers replaced; N samples, n joints in the robot's order.
 
     Attributes:
         label: name of the recording in messages; may be empty.
@@ -52,6 +70,7 @@ class JointSignals:
         torque_origin: origin of the torque, in words.
         gains_used: names of the joints whose drive gain made the torque out of what was recorded.
         velocity: (N, n) [rad/s or m/s]; None where it was not recorded.
+        replaced: outliers in place of which stands what their neighbours say.
 
     Raises:
         DataError: a value is not finite; names the first such sample and its joint.
@@ -65,6 +84,7 @@ class JointSignals:
     torque_origin: str
     velocity: FloatArray | None = None
     gains_used: tuple[str, ...] = ()
+    replaced: tuple[ReplacedSamples, ...] = ()
 
     def __post_init__(self) -> None:
         optional = {} if self.velocity is None else {"velocity": self.velocity}
@@ -107,19 +127,20 @@ def read_joint_signals(recording: Recording, robot: Robot) -> JointSignals:
     Raises:
         DataError: a stream, quantity, joint or gain is missing, or values are not finite.
     """
-    positions = joint_positions(recording, robot)
-    stream = recording.streams[JOINTS_STREAM]
+    stream, replaced = _without_outliers(_joints_stream(recording))
+    position = _positions(stream, robot, recording)
     torque, origin, gains_used = _joint_torque(stream, robot, recording)
     velocity = _joint_values(stream, "velocity", robot, recording)
     return JointSignals(
         recording.label,
         tuple(robot.joint_names),
-        positions.time,
-        positions.position,
+        stream.time,
+        position,
         torque,
         origin,
         velocity,
         gains_used,
+        replaced,
     )
 
 
@@ -129,14 +150,43 @@ def joint_positions(recording: Recording, robot: Robot) -> JointPositions:
     Raises:
         DataError: the stream, the quantity or a joint is missing, or values are not finite.
     """
+    stream, _ = _without_outliers(_joints_stream(recording), ("position",))
+    position = _positions(stream, robot, recording)
+    return JointPositions(recording.label, tuple(robot.joint_names), stream.time, position)
+
+
+def _joints_stream(recording: Recording) -> Stream:
     stream = recording.streams.get(JOINTS_STREAM)
     if stream is None:
         streams = ", ".join(recording.streams) or "none"
         raise DataError(f"has no stream '{JOINTS_STREAM}'; streams: {streams}", where=recording.label)
+    return stream
+
+
+def _without_outliers(
+    stream: Stream, quantities: Sequence[str] = JOINT_QUANTITIES
+) -> tuple[Stream, tuple[ReplacedSamples, ...]]:
+    """The stream with outliers of some quantities replaced, and how many of them there were."""
+    channels, replaced = dict(stream.channels), []
+    for quantity in quantities:
+        if quantity not in channels:
+            continue
+        channel = channels[quantity]
+        clean = without_outliers(stream.time, channel.values)
+        channels[quantity] = replace(channel, values=clean.values)
+        replaced += [
+            ReplacedSamples(quantity, joint, int(count))
+            for joint, count in zip(channel.columns, clean.replaced, strict=True)
+            if count
+        ]
+    return replace(stream, channels=channels), tuple(replaced)
+
+
+def _positions(stream: Stream, robot: Robot, recording: Recording) -> FloatArray:
     position = _joint_values(stream, "position", robot, recording)
     if position is None:
         raise DataError("records no position", where=f"{recording.label}: {JOINTS_STREAM}")
-    return JointPositions(recording.label, tuple(robot.joint_names), stream.time, position)
+    return position
 
 
 def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[FloatArray, str, tuple[str, ...]]:

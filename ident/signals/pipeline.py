@@ -4,7 +4,7 @@
 one `Step`, a printable sentence with its numbers. The last step, parallel filtering, is only chosen here: the caller
 applies `Prepared.parallel_filter` to τ and to every column of W, and keeps every `factor`-th entry of `Segment.used`.
 
-    window → resample → delay → decimation → low-pass → derivatives → motion windows → ends → parallel filter
+    outliers → window → resample → delay → decimation → low-pass → derivatives → motion windows → ends → parallel filter
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
         f"τ and every column of W: {parallel.description}; {rate / parallel.factor:.4g} Hz remain",
     )
     steps = (
-        *(window_step, resample_step, delay_step, decimation_step, low_pass_step),
+        *(_outlier_step(signals), window_step, resample_step, delay_step, decimation_step, low_pass_step),
         *(velocity_step, motion_step, ends_step, parallel_step),
     )
     return Prepared(
@@ -146,6 +146,15 @@ def _windowed(signals: JointSignals, choices: PreprocessChoices) -> tuple[Unifor
     samples = window.stop - window.start
     text = f"{start:.4g} s to {stop:.4g} s, {samples} of {len(time)} samples"
     return windowed, Step("window", {"start_s": start, "stop_s": stop, "samples": samples}, text)
+
+
+def _outlier_step(signals: JointSignals) -> Step | None:
+    """Step 'outliers': what was replaced when the signals were read, in the whole recording."""
+    if not signals.replaced:
+        return None
+    counts = ", ".join(f"{one.quantity} of {one.joint} {one.count}" for one in signals.replaced)
+    text = f"single samples far from what their neighbours say, replaced by that: {counts}"
+    return Step("outliers", {f"{one.quantity}_{one.joint}": one.count for one in signals.replaced}, text)
 
 
 def _uniform(recorded: UniformSegment, irregularity: Irregularity) -> tuple[tuple[UniformSegment, ...], Step]:

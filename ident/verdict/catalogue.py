@@ -89,6 +89,18 @@ _RECORDING = (
         "a motor signal is clipped",
         "Use a slower motion, or a wider range of the signal.",
     ),
+    _note(
+        "outliers-replaced",
+        "single samples are far from what their neighbours say, and are replaced by that",
+        "Spikes and encoder glitches: see the encoder, its cable and the bus.",
+    ),
+    CheckKind(
+        "many-outliers",
+        "warning",
+        ALL,
+        "too many samples are far from what their neighbours say to be replaced",
+        "The fit uses them as they are: find what disturbs the signal and record again.",
+    ),
     CheckKind("no-motion", "serious", ALL, "there is no motion to analyse", "Record an excitation trajectory."),
     _note(
         "high-condition",
@@ -239,6 +251,13 @@ _MODEL = (
         PARAMETERS,
         "the drive gain of a joint does not agree with the other joints",
         "Identify the drive gains with a known load (`dynid gains`).",
+    ),
+    CheckKind(
+        "inconsistent-length",
+        "warning",
+        PARAMETERS,
+        "the torques agree better with another length of the arm",
+        "Check this length of the robot file or URDF, and that the file is this arm's.",
     ),
     CheckKind(
         "friction-near-reversals",

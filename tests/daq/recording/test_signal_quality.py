@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from daq.recording.quantisation import quantisation_step
 from daq.recording.recording import Channel
-from daq.recording.signal_quality import channel_quality, quantisation_step, white_noise
+from daq.recording.signal_quality import channel_quality, white_noise
 
 TIME = np.arange(5000) / 500.0
 
@@ -33,7 +34,7 @@ def test_a_continuous_signal_has_no_step():
 def test_clipping_is_found_and_a_turning_point_is_none():
     signal = 2.0 * np.sin(TIME)
     channel = Channel("current", np.column_stack([signal, np.clip(signal, -1.5, 1.5)]), "A", ("free", "clipped"))
-    free, clipped = channel_quality(channel)
+    free, clipped = channel_quality(channel, TIME)
     assert free.clipped_percent == 0.0
     expected = 100.0 * np.mean(np.abs(signal) >= 1.5)
     assert clipped.clipped_percent == pytest.approx(expected, abs=0.1)
@@ -42,5 +43,5 @@ def test_clipping_is_found_and_a_turning_point_is_none():
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True, width=32), max_size=30))
 def test_no_signal_crashes(values):
     channel = Channel("x", np.array(values, dtype=np.float64).reshape(-1, 1), "A", ("j",))
-    (quality,) = channel_quality(channel)
+    (quality,) = channel_quality(channel, 0.002 * np.arange(len(values)))
     assert quality.name == "j"

@@ -194,6 +194,16 @@ class Bench:
         return changed(recording, lambda i: i - 2.5 * acceleration / np.array([10.0, -8.0, 4.0]))
 
 
+def glitches(share: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Encoder glitches of 0.05 rad, spread over some of the samples."""
+
+    def change(values: np.ndarray) -> np.ndarray:
+        generator = np.random.default_rng(2)
+        return values + 0.05 * (generator.random(values.shape) < share)
+
+    return change
+
+
 def exchanged(values: np.ndarray) -> np.ndarray:
     """Torques of joints 2 and 3 exchanged: in N·m, gains -8 and 4."""
     return values[:, [0, 2, 1]] * np.array([1.0, -0.5, -2.0])
@@ -293,6 +303,14 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.names(changed(b.recorded(), lambda i: np.clip(i, -0.5 * i.max(axis=0), 0.5 * i.max(axis=0)))),
         lambda b: b.names(b.recorded()),
     ),
+    "outliers-replaced": (
+        lambda b: b.info(changed(b.recorded(), glitches(1e-3), "position")),
+        lambda b: b.clean_info(),
+    ),
+    "many-outliers": (
+        lambda b: b.found(changed(b.recorded(), glitches(0.04), "position")),
+        lambda b: b.found(changed(b.recorded(), glitches(1e-3), "position")),
+    ),
     "no-motion": (
         lambda b: b.info(changed(b.recorded(), lambda q: np.zeros_like(q), "position")),
         lambda b: b.clean_info(),
@@ -351,6 +369,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "torque-sign": (lambda b: b.found(changed(b.recorded(), lambda i: i * [1, -1, 1])), lambda b: b.clean()),
     "torques-exchanged": (lambda b: b.found(changed(b.recorded(), exchanged)), lambda b: b.clean()),
     "inconsistent-gain": (lambda b: b.found(changed(b.recorded(), lambda i: i * [1, 1, 1.6])), lambda b: b.clean()),
+    "inconsistent-length": (
+        lambda b: b.found(robot_file=b.said({"alpha: 0, d: 0.4, r: 0.1": "alpha: 0, d: 0.45, r: 0.1"})),
+        lambda b: b.clean(),
+    ),
     "friction-near-reversals": (lambda b: b.found(b.sticking()), lambda b: b.found(b.sticking(), reversals=0.2)),
     "indefinite-inertia": (lambda b: b.found(changed(b.recorded(), lambda i: i * [-1, 1, 1])), lambda b: b.clean()),
     "overfitting": (lambda b: b.found(changed(b.recorded(), spoilt_end)), lambda b: b.clean()),

@@ -1,0 +1,203 @@
+"""Single wrong samples of a recorded signal: spikes of a current, encoder glitches of up to three samples.
+
+A sample is an outlier where it is far from what its neighbours on both sides say. These are fitted with a cubic in the
+recorded time, without the one that fits worst, which may be another outlier. Far is many times the largest of three
+scales: the signal's white noise, its quantisation, and what the same cubic leaves of the neighbours, so that a velocity
+reversal, a step of friction or a burst of noise, which no cubic follows, is none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.recording.quantisation import quantisation_step
+from drivers.streams import FloatArray
+
+LONGEST = 3
+"""Consecutive wrong samples; more of them are a signal."""
+
+NEIGHBOURS = 5
+"""Samples on each side that the cubic is fitted to."""
+
+FAR = 15.0
+"""Distance from the cubic, in scales, of an outlier. No torque of the public recordings is as far, though their noise
+is not Gaussian; one nearer sample in a thousand adds less than a quarter to the variance of the noise."""
+
+STAMPS = 5.0
+"""Distance of an outlier, in units of what the unevenness of the stamps around explains."""
+
+TOO_MANY = 0.02
+"""Share of a column's samples beyond which they are no exceptions; such a column is left as it is."""
+
+_NORMAL_QUANTILES = ((0.5, 0.6745), (0.7, 1.0364))  # of the size of a standard normal variable
+_ROUNDING = 1e-14  # of the largest value, what a constant signal seems to be from a cubic
+_NEGLIGIBLE = 1e-9  # of the largest value
+_LARGEST_GAP = 4.0  # of the samples around, in median periods: no cubic across a gap
+_PASSES = 3
+_CHUNK = 20_000
+
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class CleanSignal:
+    """A signal whose outliers are replaced.
+
+    Attributes:
+        values: (N, n) with the cubic's values in place of outliers.
+        replaced: (n,) number of samples that were.
+        left: (n,) number of outliers in columns that have too many of them, which stay.
+    """
+
+    values: FloatArray
+    replaced: npt.NDArray[np.int64]
+    left: npt.NDArray[np.int64]
+
+
+def without_outliers(time: FloatArray, values: FloatArray) -> CleanSignal:
+    """Replace the outliers of a signal by what their neighbours say.
+
+    Args:
+        time: (N,) [s]; repeated stamps are allowed.
+        values: (N, n); a column with values that are not finite is left as it is.
+    """
+    clean = values.copy()
+    replaced, left = np.zeros(values.shape[1], dtype=np.int64), np.zeros(values.shape[1], dtype=np.int64)
+    for column in range(values.shape[1]):
+        interpolated = values[:, column].astype(np.float64)
+        count = int(np.sum(_replace_outliers(time, interpolated)))
+        if count > TOO_MANY * len(values):
+            left[column] = count
+        elif count:
+            replaced[column] = count
+            clean[:, column] = interpolated
+    return CleanSignal(clean, replaced, left)
+
+
+def _replace_outliers(time: FloatArray, values: FloatArray) -> BoolArray:
+    """Which of the values (N,) are outliers; they are replaced in place."""
+    found = np.zeros(len(values), dtype=bool)
+    if not np.all(np.isfinite(values)) or len(values) < 4 * NEIGHBOURS:
+        return found
+    # Repeated stamps have no cubic of their own; they are dropped again before anything is computed.
+    kept = np.flatnonzero(np.concatenate([[True], np.diff(time) > 0]))
+    stamps, signal = time[kept], values[kept]
+    if len(kept) < 4 * NEIGHBOURS:
+        return found
+    step = quantisation_step(signal)
+    floor = 0.0 if np.isnan(step) else step
+    for _ in range(_PASSES):  # a large outlier hides a small one beside it
+        distance = _distance_from_four(stamps, signal)
+        scale = max(floor, _noise(distance, float(np.max(np.abs(signal)))))
+        suspects = np.flatnonzero(np.abs(distance) > 0.5 * FAR * scale)
+        new = _confirmed(stamps, signal, suspects, scale)
+        if not new.any():
+            break
+        found[kept[new]] = True
+    values[found] = signal[found[kept]] if len(kept) == len(values) else np.interp(time[found], stamps, signal)
+    return found
+
+
+def _noise(distance: FloatArray, largest: float) -> float:
+    """Standard deviation of what is white in a signal, from its distances (N,) from a cubic, outliers apart.
+
+    A signal at rest that shows no noise at all says nothing about the noise in motion. The larger of two quantiles
+    counts, since noise in motion is larger than at rest.
+    """
+    sizes = np.abs(distance)
+    sizes = sizes[sizes > _ROUNDING * largest]
+    if len(sizes) == 0:
+        return _NEGLIGIBLE * largest
+    noise = max(float(np.quantile(sizes, quantile)) / normal for quantile, normal in _NORMAL_QUANTILES)
+    return max(noise, _NEGLIGIBLE * largest)
+
+
+def _distance_from_four(time: FloatArray, values: FloatArray) -> FloatArray:
+    """(N,) distance of each sample from the cubic through two samples on either side; 0 at both ends."""
+    prediction = values.copy()
+    inner = slice(2, len(values) - 2)
+    shifts = (-2, -1, 1, 2)
+    at = {shift: time[2 + shift : len(time) - 2 + shift] - time[inner] for shift in shifts}
+    total = np.zeros(len(values) - 4)
+    for shift in shifts:
+        weight = np.ones(len(total))
+        for other in shifts:
+            if other != shift:
+                weight *= at[other] / (at[other] - at[shift])
+        total += weight * values[2 + shift : len(values) - 2 + shift]
+    prediction[inner] = total
+    return values - prediction
+
+
+def _confirmed(time: FloatArray, values: FloatArray, suspects: IntArray, scale: float) -> BoolArray:
+    """Which of the suspects are outliers, shortest runs first; they are replaced in `values`."""
+    found = np.zeros(len(values), dtype=bool)
+    for length in range(1, LONGEST + 1):
+        # A run of wrong samples may begin at a suspect or just before one.
+        first = np.unique(suspects[:, None] - np.arange(length)) if len(suspects) else suspects
+        first = first[(first >= NEIGHBOURS) & (first + length + NEIGHBOURS <= len(values))]
+        for chunk in np.array_split(first, max(1, len(first) // _CHUNK)):
+            _confirm_runs(time, values, chunk, length, scale, found)
+        suspects = suspects[~found[suspects]]
+    return found
+
+
+def _confirm_runs(
+    time: FloatArray, values: FloatArray, first: IntArray, length: int, scale: float, found: BoolArray
+) -> None:
+    """Test runs of `length` samples that begin at `first`; mark and replace the outliers among them, farthest first."""
+    if len(first) == 0:
+        return
+    run = np.arange(length)
+    around = np.concatenate([np.arange(-NEIGHBOURS, 0), np.arange(length, length + NEIGHBOURS)])
+    stamps = time[first[:, None] + around]
+    middle, width = stamps.mean(axis=1, keepdims=True), 0.5 * np.ptp(stamps, axis=1, keepdims=True)
+    powers = np.arange(4)
+    basis = ((stamps - middle) / width)[:, :, None] ** powers
+    wanted = ((time[first[:, None] + run] - middle) / width)[:, :, None] ** powers
+    neighbours = values[first[:, None] + around]
+    spread, prediction = _fit_without_worst(basis, neighbours, wanted)
+    distance = np.min(np.abs(values[first[:, None] + run] - prediction), axis=1)
+    periods = np.diff(time[first[:, None] + np.arange(-NEIGHBOURS, length + NEIGHBOURS)], axis=1)
+    median = float(np.median(np.diff(time)))
+    # A stamp that is off makes a good sample of a moving joint look wrong.
+    slope = np.median(np.abs(np.diff(neighbours, axis=1) / np.diff(stamps, axis=1)), axis=1)
+    by_stamps = slope * np.max(np.abs(periods - median), axis=1)
+    outlying = distance > np.maximum(FAR * np.maximum(scale, spread), STAMPS * by_stamps)
+    outlying &= np.max(periods, axis=1) < _LARGEST_GAP * median
+    for number in np.flatnonzero(outlying)[np.argsort(-distance[outlying])]:
+        there = first[number] + run
+        # The same glitch also seems to begin a sample earlier or later: the farthest counts.
+        if not found[max(0, there[0] - 1) : there[-1] + 2].any():
+            found[there] = True
+            values[there] = prediction[number]
+
+
+def _fit_without_worst(basis: FloatArray, values: FloatArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Cubics through all neighbours but the one without which they fit best.
+
+    Args:
+        basis: (M, k, 4) powers of the neighbours' times.
+        values: (M, k) of the neighbours.
+        wanted: (M, r, 4) powers of the times to predict.
+
+    Returns:
+        Standard deviation (M,) of the remaining neighbours about the cubic, and its values (M, r).
+    """
+    inverse = np.linalg.pinv(basis)
+    hat = basis @ inverse
+    residual = values - np.einsum("mij,mj->mi", hat, values)
+    leverage = 1.0 - np.einsum("mii->mi", hat)
+    # Leaving out neighbour j takes r_j² / (1 − h_j) from the sum of squares, and moves the cubic by its share of that.
+    saved = residual**2 / leverage
+    worst = np.argmax(saved, axis=1)
+    every = np.arange(len(values))
+    rest = np.maximum(0.0, np.sum(residual**2, axis=1) - saved[every, worst])
+    coefficients = np.einsum("mij,mj->mi", inverse, values)
+    coefficients -= inverse[every, :, worst] * (residual[every, worst] / leverage[every, worst])[:, None]
+    freedom = values.shape[1] - 5
+    return np.sqrt(rest / freedom), np.einsum("mri,mi->mr", wanted, coefficients)

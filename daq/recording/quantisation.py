@@ -1,0 +1,30 @@
+"""The grid that a quantised signal lies on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.streams import FloatArray
+
+LATTICE_TOLERANCE = 0.05
+"""Values count as quantised when all gaps between them are whole multiples of the smallest within this part of it."""
+
+_LATTICE_VALUES = 2000
+_FEWEST_GAPS = 5  # fewer gaps can be multiples of each other by chance
+
+
+def quantisation_step(values: FloatArray) -> float:
+    """Step of the grid that all values (N,) lie on; nan where they lie on none or are all equal."""
+    levels = np.unique(values[:_LATTICE_VALUES])
+    if len(levels) < 2:
+        return float("nan")
+    gaps = np.diff(levels)
+    # Rounding splits one level into several that differ by next to nothing.
+    gaps = gaps[gaps > 1e-9 * np.max(np.abs(levels))]
+    if len(gaps) == 0:
+        return float("nan")
+    step = float(gaps.min())
+    if len(gaps) < _FEWEST_GAPS:
+        return float("nan")
+    multiples = gaps / step
+    return step if np.max(np.abs(multiples - np.round(multiples))) < LATTICE_TOLERANCE else float("nan")

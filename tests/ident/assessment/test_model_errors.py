@@ -1,0 +1,109 @@
+"""A wrong gain or length is found among the others; a right arm has none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.robot.loader import RobotFile
+from ident.assessment import refit
+from ident.assessment.refit import Deviation, deviations, shifted_origins
+from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identify import identify
+from ident.model.dynamic_model import build_model
+from ident.model.regressor import RegressorKernel
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
+
+MODEL_ERRORS = {"inconsistent-gain", "inconsistent-length"}
+
+
+class Arm:
+    """One arm, recorded once per seed."""
+
+    def __init__(self, robot_file: RobotFile) -> None:
+        self.robot_file = robot_file
+        self.recorded = cache(self._recorded)
+
+    def _recorded(self, seed: int) -> Recording:
+        motion = random_fourier_motion(build_model(self.robot_file), 10.0, seed, candidates=3)
+        return simulate_recording(self.robot_file, motion, 30.0, seed)
+
+    def found(self, seed: int, gain: dict[int, float] | None = None, shift: float = 0.0) -> Identification:
+        """Identified with some motor signals scaled, and with d of the third joint off."""
+        recording = self.recorded(seed)
+        stream = recording.streams[JOINTS_STREAM]
+        current = stream.channels["current"]
+        scale = np.array([(gain or {}).get(joint, 1.0) for joint in range(3)])
+        channels = dict(stream.channels) | {"current": replace(current, values=current.values * scale)}
+        recording = replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+        robot = self.robot_file.robot
+        rows = list(robot.model.mdh or ())
+        rows[2] = rows[2].model_copy(update={"d": rows[2].d + shift})
+        model = robot.model.model_copy(update={"mdh": tuple(rows)})
+        robot_file = self.robot_file.model_copy(update={"robot": robot.model_copy(update={"model": model})})
+        return identify([recording], [], IdentifyChoices(search_delay=False), robot_file)
+
+
+@pytest.fixture(scope="module")
+def arm(three_joint: RobotFile) -> Arm:
+    return Arm(three_joint)
+
+
+def deviations_of(found: Identification) -> dict[tuple[int, int | None], Deviation]:
+    kernel = RegressorKernel(found.model, found.base.columns)
+    prepared = [run.prepared for run in found.runs]
+    ones = deviations(kernel, found.experiment.torques, prepared, found.solution, found.corrected.effective_rows)
+    return {(one.joint, one.axis): one for one in ones}
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_right_arm_has_no_deviation(arm, seed):
+    found = arm.found(seed)
+    assert not MODEL_ERRORS & {check.name for check in found.checks}
+    for one in deviations_of(found).values():
+        assert abs(one.value) < 4.0 * one.std
+
+
+@pytest.mark.parametrize(("joint", "gain"), [(1, 0.8), (2, 1.3), (2, 0.6), (1, 2.0)])
+def test_a_wrong_gain_is_named_and_estimated(arm, joint, gain):
+    found = arm.found(1, {joint: gain})
+    (check,) = [check for check in found.checks if check.name in MODEL_ERRORS]
+    assert check.name == "inconsistent-gain"
+    estimate = deviations_of(found)[joint, None]
+    assert abs(estimate.value - (gain - 1.0)) < 4.0 * estimate.std
+    names = found.model.joint_names
+    # Joints 2 and 3 share all that they know: which of the two is off the data may not tell.
+    assert check.joints[0] in (names[1], names[2])
+
+
+def test_a_wrong_length_is_named_and_estimated(arm):
+    found = arm.found(1, shift=0.05)
+    estimate = deviations_of(found)[2, 0]
+    assert abs(estimate.value + 0.05) < 4.0 * estimate.std + 0.01  # linear in 12 % of the length
+    (check,) = [check for check in found.checks if check.name in MODEL_ERRORS]
+    assert check.name == "inconsistent-length"
+    assert check.joints == ("j3",)
+
+
+def test_a_factor_common_to_all_gains_is_not_seen(arm):
+    found = arm.found(1, dict.fromkeys(range(3), 1.3))
+    assert not MODEL_ERRORS & {check.name for check in found.checks}
+
+
+def test_what_the_parameters_take_up_is_left_out(arm):
+    found = deviations_of(arm.found(1))
+    assert (0, 2) not in found  # the base's height: no torque depends on it
+    assert (0, 2) in shifted_origins(arm.found(1).model)
+
+
+def test_long_recordings_are_looked_at_in_part(arm, monkeypatch):
+    whole = deviations_of(arm.found(1))[1, None]
+    monkeypatch.setattr(refit, "MOST_SAMPLES", 1500)
+    part = deviations_of(arm.found(1))[1, None]
+    assert part.std > 1.2 * whole.std
+    assert abs(part.value) < 4.0 * part.std
