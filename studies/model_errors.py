@@ -2,9 +2,9 @@
 
     python studies/model_errors.py 3 ../shared/data
 
-Simulated arms, 30 s each, with one gain or one length (d or r of the modified DH table) of the robot file wrong, one
-after the other; then the public recordings as they are, whole and in parts, on which nothing should be named. Takes
-some ten minutes with 3 seeds.
+Simulated arms, 30 s each of a random motion with a period of 10 s, with one gain or one length (d or r of the modified
+DH table) of the robot file wrong, one after the other; then the public recordings as they are, whole and in parts, on
+which nothing should be named. Takes some ten minutes with 3 seeds.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from sim_drivers.synthetic.motion import random_fourier_motion
 ROBOTS = ("ur5e", "rocr6", "panda")
 GAINS = (0.05, 0.1, 0.2)
 SHIFTS = (0.01, 0.02, 0.05)
-DURATION = 30.0
+PERIOD, DURATION = 10.0, 30.0
 MODEL_ERRORS = ("inconsistent-gain", "inconsistent-length")
 
 
@@ -78,7 +78,7 @@ def power(robot: str, seeds: int) -> None:
     model, choices = build_model(robot_file), IdentifyChoices()
     runs = []
     for seed in range(seeds):
-        motion = random_fourier_motion(model, DURATION, seed=seed, candidates=5)
+        motion = random_fourier_motion(model, PERIOD, seed=seed, candidates=5)
         runs.append(simulate_recording(robot_file, motion, DURATION, seed=seed))
     false = sum(bool(named(identify([run], [], choices))) for run in runs)
     print(f"| {robot} | nothing | {false} of {len(runs)} | |", flush=True)

@@ -3,8 +3,8 @@
 Joints share parameters, and gravity and inertia of one body reach several of them through the lengths between: a gain
 or a length of the robot file that is wrong leaves a residual of its own form. Beside the parameters x one further
 unknown is estimated by Gauss-Newton: a factor g on the model's torque of a joint, τ_j = g·W_j x, or a shift of a
-joint's origin, with τ linear in it about the robot file's value. Weights of the joints are estimated anew with it. The doubled
-log-likelihood ratio against the file's value says whether that is more than chance, in independent equations.
+joint's origin, with τ linear in it about the robot file's value. Weights of the joints are estimated anew with it. The
+doubled log-likelihood ratio against the file's value says whether that is more than chance, in independent equations.
 
 All unknowns share one reduction of the data, so that they cost one pass together.
 """
