@@ -241,7 +241,7 @@ BAD = [
     (["identify", "run.h5", "--start", "9", "--stop", "3"], ["window", "empty"]),
     (["identify", "run.h5", "--start", "100"], ["run.h5", "no samples", "lasts 13.992 s"]),
     (["identify", "run.h5", "--smoothing=-1"], ["--smoothing -1"]),
-    (["identify", "run.h5", "--significance", "0"], ["significance of 0", "15"]),
+    (["identify", "run.h5", "--significance", "0"], ["significance 0 is not within", "15"]),
     (["identify", "run.h5", "--measured-velocity"], ["holds no velocity"]),
     (["identify", "run.h5", "-o", "run.h5"], ["is a file; a folder is needed"]),
     (["identify", "run.h5", "--validate", "missing.h5"], ["missing.h5", "no such file"]),

@@ -147,7 +147,7 @@ def test_choices_of_columns_change_the_model_and_nothing_else(three_joint):
     assert changed.coulomb == changed.offset == changed.motor_inertia == (False,) * 3
     assert changed.smoothing == 0.3
     for wrong in (-1.0, np.nan, np.inf):
-        with pytest.raises(UsageError, match="not a speed"):
+        with pytest.raises(UsageError, match="is not within 0 to 10 rad/s"):
             apply_model_choices(model, ModelChoices(smoothing=wrong))
 
 

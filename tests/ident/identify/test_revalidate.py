@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from drivers.errors import DataError, ResultFileError
 from ident.identify.identification import IdentifyChoices, ModelChoices
@@ -101,9 +102,9 @@ def test_options_of_the_wrong_type_are_named(result, recordings, key, value):
         revalidate(tampered(result, lambda content: content["options"].update({key: value})), recordings[1])
 
 
-def test_flags_for_another_number_of_joints_are_refused(result, recordings):
-    with pytest.raises(ResultFileError):
-        revalidate(tampered(result, lambda content: content["model_options"].update(viscous=[True])), recordings[1])
+def test_flags_for_another_number_of_joints_are_refused(result):
+    with pytest.raises(ValidationError, match="'viscous' has 1 entries for 3 joints"):
+        tampered(result, lambda content: content["model_options"].update(viscous=[True]))
 
 
 def test_a_recording_of_another_arm_is_refused(result):
