@@ -11,6 +11,7 @@ import pytest
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile
 from ident.assessment import refit
+from ident.assessment.model_errors import model_error_checks
 from ident.assessment.refit import Deviation, deviations, shifted_origins
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
@@ -69,7 +70,7 @@ def test_a_right_arm_has_no_deviation(arm, seed):
         assert abs(one.value) < 4.0 * one.std
 
 
-@pytest.mark.parametrize(("joint", "gain"), [(1, 0.8), (2, 1.3), (2, 0.6), (1, 2.0)])
+@pytest.mark.parametrize(("joint", "gain"), [(1, 0.75), (2, 1.4), (2, 0.6), (1, 2.0)])
 def test_a_wrong_gain_is_named_and_estimated(arm, joint, gain):
     found = arm.found(1, {joint: gain})
     (check,) = [check for check in found.checks if check.name in MODEL_ERRORS]
@@ -99,6 +100,16 @@ def test_what_the_parameters_take_up_is_left_out(arm):
     found = deviations_of(arm.found(1))
     assert (0, 2) not in found  # the base's height: no torque depends on it
     assert (0, 2) in shifted_origins(arm.found(1).model)
+
+
+def test_too_little_data_names_nothing(arm):
+    found = arm.found(1, {1: 2.0})
+    kernel = RegressorKernel(found.model, found.base.columns)
+    prepared = [run.prepared for run in found.runs]
+    arguments = (kernel, found.experiment.torques, prepared, found.solution)
+    assert model_error_checks(*arguments, found.corrected.effective_rows)
+    for independent in (0.0, 5.0, len(found.solution.active) + 0.1):
+        assert model_error_checks(*arguments, independent) == []
 
 
 def test_long_recordings_are_looked_at_in_part(arm, monkeypatch):
