@@ -107,7 +107,7 @@ def _check_folder(folder: Path, where: str) -> None:
 
 
 def unfinished_name(path: Path) -> Path:
-    """A name beside a file that nobody can foresee: create it exclusively, then rename it."""
+    """A name beside a file that is not foreseeable: create it exclusively, then rename it."""
     return path.with_name(f".dynid-{secrets.token_hex(8)}")
 
 

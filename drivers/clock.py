@@ -29,7 +29,7 @@ class HasFileno(Protocol):
 
 @dataclass(frozen=True)
 class Breakdown:
-    """The end of a thread that nobody asked for.
+    """The unrequested end of a thread.
 
     Attributes:
         thread: its name.

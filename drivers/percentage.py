@@ -8,7 +8,7 @@ DASH = "–"
 """What stands for a missing value."""
 
 LEAST, MOST = 0.001, 1e6
-"""Percentages whose size is outside of this are told as less or more than it."""
+"""Percentages outside of these sizes are written as less or more than them."""
 
 
 def percent_text(ratio: float | None, digits: int = 3) -> str:

@@ -176,10 +176,10 @@ def schema_problems(error: ValidationError, root: type[BaseModel]) -> tuple[Yaml
     # pydantic calls a list too short when its entries are wrong.
     within = {problem["loc"][:depth] for problem in found for depth in range(len(problem["loc"]))}
     kept = [problem for problem in found if not (problem["type"] == "too_short" and problem["loc"] in within)]
-    return tuple(told for problem in kept for told in _told(problem, root))
+    return tuple(line for problem in kept for line in _described(problem, root))
 
 
-def _told(problem: ErrorDetails, root: type[BaseModel]) -> list[YamlProblem]:
+def _described(problem: ErrorDetails, root: type[BaseModel]) -> list[YamlProblem]:
     location = tuple(part for part in problem["loc"] if not str(part).startswith("function-"))
     kind, place = problem["type"], key_path(location)
     if kind == "extra_forbidden":

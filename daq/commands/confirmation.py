@@ -1,4 +1,4 @@
-"""What a person is told before an arm moves, and the question whether it may."""
+"""The summary that is printed before an arm moves, and the question whether it may."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Confirmation:
         limits: of the joints.
         check: of the arm.
         question: terminal on which the person is asked; None where the answer is yes already.
-        told: where the approach is described; None for nowhere.
+        screen: where the approach is described; None for nowhere.
     """
 
     def __init__(
@@ -59,13 +59,13 @@ class Confirmation:
         limits: Sequence[JointLimits],
         check: MotionCheck,
         question: tuple[TextIO, TextIO] | None,
-        told: TextIO | None,
+        screen: TextIO | None,
     ) -> None:
         self._start = motion.evaluate(np.zeros(1))[0][:, 0]
         self._limits = limits
         self._check = check
         self._question = question
-        self._told = told
+        self._screen = screen
         self.figures: MotionFigures | None = None
         """Of the approach to the start pose, once it is known."""
 
@@ -80,8 +80,8 @@ class Confirmation:
 
     def ask(self) -> None:
         """Describe the way, then ask."""
-        if self._told is not None and self.figures is not None:
-            tell(f"first the approach to the start pose, {self.figures.duration:.1f} s", self.figures, self._told)
+        if self._screen is not None and self.figures is not None:
+            tell(f"first the approach to the start pose, {self.figures.duration:.1f} s", self.figures, self._screen)
         if self._question is not None:
             _, out = self._question
             print("Move the arm? [y/N] ", end="", file=out, flush=True)

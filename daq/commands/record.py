@@ -87,14 +87,14 @@ def record_command(
     samples = played.samples if played is not None else None
     check_outputs([out], [*robot_file.files, trajectory, samples, prior], overwrite=force)
     require_room(out)
-    told = sys.stdout if not as_json else sys.stderr if question is not None else None
+    screen = sys.stdout if not as_json else sys.stderr if question is not None else None
     confirmation = figures = None
     if motion is not None:
         check = load_motion_check(robot_file, prior)
         figures = check.trajectory(motion, str(trajectory))
-        confirmation = Confirmation(motion, robot_file.robot.joints, check, question, told)
-        if told is not None:
-            tell(_title(str(trajectory), robot_file.robot.name, speed_scale, figures.duration), figures, told)
+        confirmation = Confirmation(motion, robot_file.robot.joints, check, question, screen)
+        if screen is not None:
+            tell(_title(str(trajectory), robot_file.robot.name, speed_scale, figures.duration), figures, screen)
     if realtime:
         ask_for_realtime()
     for warning in warnings:

@@ -1,7 +1,7 @@
 """The check that a motion passes before it is played, and what it tells of the motion.
 
-It needs the arm's geometry and dynamics, which are not daq's: whoever has them enters a `MakeMotionCheck` in the
-entry-point group `dynid.motion_check`. Without one no motion is played.
+It needs the arm's geometry and dynamics, which are not daq's: the package that has them enters a `MakeMotionCheck` in
+the entry-point group `dynid.motion_check`. Without one no motion is played.
 """
 
 from __future__ import annotations

@@ -219,7 +219,7 @@ class RecordingWriter:
         return RecordingError(f"cannot be created: {hdf5_reason(error)}", where=str(self.path))
 
     def _check_disk(self) -> None:
-        """Raise what the disk refused, which HDF5 was not told."""
+        """Raise what the disk refused, which was kept from HDF5."""
         if self._through is not None and self._through.failure is not None:
             raise self._through.failure
 

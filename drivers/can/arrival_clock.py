@@ -1,4 +1,4 @@
-"""When a CAN frame arrived: from the stamp that the kernel, or its sender, gave it where that can be told."""
+"""When a CAN frame arrived: from the stamp that the kernel, or its sender, gave it where its clock is known."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import can
 
 from drivers.clock import Clock
 
-# Interfaces whose time stamps are the kernel's or the sender's clock of day, so that an age can be told from them.
+# Interfaces whose time stamps are the kernel's or the sender's clock of day, so that they give a frame's age.
 _STAMPED_BY_CLOCK = frozenset({"SocketcanBus", "UdpMulticastBus", "VirtualBus"})
 _CLOCK_CHECK = 0.1
 _OLDEST = 1.0

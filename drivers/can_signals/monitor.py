@@ -92,7 +92,7 @@ class FaultWatch:
         self._last: dict[str, float] = {}
 
     def forget(self) -> None:
-        """Begin anew: what is in fault is told again."""
+        """Begin anew: what is in fault is reported again."""
         self._last.clear()
 
     def note(self, signals: Sequence[Signal], rows: Rows, source_minus_host: float) -> None:

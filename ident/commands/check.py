@@ -23,7 +23,7 @@ def check(
 ) -> None:
     """Check a robot file: its keys, kinematics, base parameters, connections and the load of their CAN buses.
 
-    All problems are told at once; what was assumed is listed, and where the tool is at named poses.
+    All problems are reported at once; what was assumed is listed, and where the tool is at named poses.
 
     Example: dynid check my_arm.yaml --connect
     """

@@ -17,7 +17,7 @@ from ident.signals.pipeline import prepare
 from ident.signals.prepared import Step
 
 Progress = Callable[[str], None]
-"""Told what is done next, in words."""
+"""Called with what is done next, in words."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ WHOLE_ARM = ("time", "counter")
 STREAM_OF: Mapping[str, str] = {"temperature": "thermal", "fault": "status"}
 """Stream of a quantity where the entry names none; all others are in `joints`."""
 COUNTER_TURN = 4
-"""Fewest rows after which a counter may begin anew: with less, a lost row could not be told from a repeated one."""
+"""Fewest rows after which a counter may begin anew: with less, a lost row is indistinguishable from a repeated one."""
 
 
 class SignalKeys(ConnectionSettings):

@@ -73,6 +73,6 @@ def guard_requests(
     before: Callable[[int, float], None],
     clock: Clock = SYSTEM_CLOCK,
 ) -> LifeSigns:
-    """A remote frame to each node once a period [s], evenly spread; `before` is told which one, by its index."""
+    """A remote frame to each node once a period [s], evenly spread; `before` gets its index."""
     frames = [(HEARTBEAT + node | REMOTE, bytes(1)) for node in ids]
     return LifeSigns(sender, frames, period / len(frames), before, clock)

@@ -194,7 +194,7 @@ class Aligner:
     A row is handed out when everything that arrived before the next SYNC is known, since only then nothing more can
     belong to it, and every drive has answered or is known not to.
 
-    A drive that leaves one answer out and sends one of the next few twice cannot be told from one that was late.
+    A drive that leaves one answer out and sends one of the next few twice is indistinguishable from one that was late.
 
     Args:
         ids: node ids of the n drives.

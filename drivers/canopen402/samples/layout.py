@@ -25,6 +25,6 @@ def stream_layouts(joints: Sequence[str], warm: Sequence[str], rate: float) -> t
     layouts = [StreamLayout("joints", tuple(channels), rate)]
     if warm:
         channel = ChannelLayout("temperature", tuple(warm), "", "temperature object of the drive, read by SDO")
-        # A drive that answers no SDO for a second is told by the poll; it is no reason to stop a motion.
+        # A drive that answers no SDO for a second is reported by the poll; it is no reason to stop a motion.
         layouts.append(StreamLayout("thermal", (channel,), THERMAL_RATE, essential=False))
     return tuple(layouts)

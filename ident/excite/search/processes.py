@@ -176,7 +176,7 @@ def _work(
             except NoFeasiblePoseError:
                 continue
     except TimeIsUpError:
-        # Nobody reads any more: do not wait for it.
+        # No process reads it any more: do not wait for it.
         results.cancel_join_thread()
     except DynidError as error:
         results.put(error)
