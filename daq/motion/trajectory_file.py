@@ -44,6 +44,7 @@ from daq.robot.schema import Robot
 from daq.robot.section import Finite, NonNegative, Positive
 from drivers.errors import UsageError
 from drivers.input_files import TRAJECTORY_FILE, TRAJECTORY_SAMPLES, read_text
+from drivers.ranges import COEFFICIENTS
 from drivers.streams import FloatArray
 from drivers.yaml_file import describe, read_mapping, validated
 
@@ -51,7 +52,7 @@ _LARGEST = 1e9
 """No arm gets near it, whatever the unit."""
 _LOOKS = 997
 
-Row = Annotated[tuple[Finite, ...], Field(min_length=1)]
+Row = Annotated[tuple[Finite, ...], Field(min_length=1, max_length=int(COEFFICIENTS.most))]
 Rows = Annotated[tuple[Row, ...], Field(min_length=1)]
 Ramp = Annotated[Finite, Field(ge=SHORTEST_RAMP, description="[s] from rest to full speed, and back")]
 

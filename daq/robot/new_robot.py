@@ -15,9 +15,7 @@ from daq.robot.schema import ASSUMED_ACCELERATION
 from daq.robot.urdf_robot import UrdfArm, UrdfJoint, read_urdf_arm
 from daq.robot.validation import TODO
 from drivers.errors import UsageError
-from drivers.ranges import POSITION_LIMIT, VELOCITY_LIMIT
-
-MOST_JOINTS = 50
+from drivers.ranges import JOINTS, POSITION_LIMIT, VELOCITY_LIMIT
 
 _HEAD = """\
 # Robot file of dynid (docs/robot-file.md). Replace every TODO, or delete its line where the comment says so;
@@ -93,8 +91,8 @@ def new_robot_file(urdf: Path | None, joints: int | None, out: Path, *, overwrit
     if out.suffix.lower() not in {".yaml", ".yml"}:
         raise UsageError(f"'{out}' is no name of a robot file", where="--out", hint="end it in .yaml")
     check_outputs([out], [urdf], overwrite=overwrite)
-    if joints is not None and not 1 <= joints <= MOST_JOINTS:
-        raise UsageError(f"--joints {joints} is not from 1 to {MOST_JOINTS}")
+    if joints is not None and not 1 <= joints <= int(JOINTS.most):
+        raise UsageError(f"--joints {joints} is not from 1 to {int(JOINTS.most)}")
     if urdf is None:
         text = new_robot_of_joints(joints or 0)
     else:

@@ -30,7 +30,7 @@ from daq.robot.section import (
     within,
 )
 from daq.robot.workspace import Mounting, Workspace
-from drivers.ranges import NUMBER
+from drivers.ranges import JOINTS, NUMBER
 from drivers.yaml_file import SeveralProblems
 
 ASSUMED_ACCELERATION = 10.0
@@ -65,7 +65,7 @@ class ModelSection(Section):
     """Kinematics: exactly one of `urdf` and `mdh`."""
 
     urdf: str | None = Field(default=None, description="path of the URDF, relative to the robot file")
-    mdh: tuple[MdhRow, ...] | None = None
+    mdh: tuple[MdhRow, ...] | None = Field(default=None, max_length=int(JOINTS.most))
     lengths: dict[str, Length] = Field(
         default_factory=dict, description="name → length [m]; `b`, `d` and `r` may then be written `d3` or `-d3`"
     )
@@ -257,7 +257,7 @@ class Robot(Section):
     description: str = ""
     sources: dict[str, str] = Field(default_factory=dict, description="where the numbers come from, by section")
     model: ModelSection
-    joints: tuple[JointLimits, ...] = Field(min_length=1)
+    joints: tuple[JointLimits, ...] = Field(min_length=1, max_length=int(JOINTS.most))
     drives: tuple[Drive, ...] = ()
     friction: Friction = Field(default_factory=Friction)
     known: dict[str, Known] = Field(

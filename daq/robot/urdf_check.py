@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ElementTree
 from functools import lru_cache
 
 from drivers.errors import RobotFileError
-from drivers.ranges import INERTIA, LENGTH, MASS, NUMBER, Range
+from drivers.ranges import INERTIA, JOINTS, LENGTH, MASS, NUMBER, Range
 
 MOST_LINKS = 1000
 """Links of a URDF; its parser calls itself for each along a chain, and a humanoid with hands has 100."""
@@ -48,6 +48,9 @@ def _checked(xml: str) -> tuple[ElementTree.Element | None, tuple[str, str] | No
     count = sum(1 for _ in root.iter("link"))
     if count > MOST_LINKS:
         return root, ("", f"has {count} links; at most {MOST_LINKS} are read")
+    movable = sum(1 for joint in root.iter("joint") if joint.get("type") in MOVING)
+    if not JOINTS.holds(movable) and movable:
+        return root, ("", f"has {movable} movable joints; at most {JOINTS.most:g} are read")
     place = ""
     try:
         for joint in root.findall("joint"):
@@ -103,7 +106,7 @@ def _numbers(
     """The numbers of an attribute; empty where it is absent."""
     if element is None or (text := element.get(name)) is None:
         return ()
-    said = what or f"a {element.tag}"
+    said = what or f"{'an' if element.tag[0] in 'aeiou' else 'a'} {element.tag}"
     try:
         values = tuple(float(word) for word in text.split())
     except ValueError:

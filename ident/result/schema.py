@@ -435,7 +435,8 @@ def read_result(path: Path) -> Result:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(key) for key in first["loc"])
-        raise ResultFileError(f"{first['msg']}", where=f"{where}: {key}", hint="identify again") from error
+        message = first["msg"].removeprefix("Value error, ")
+        raise ResultFileError(message, where=f"{where}: {key}" if key else where, hint="identify again") from error
 
 
 def file_sha256(path: Path) -> str:

@@ -176,3 +176,13 @@ def test_extreme_numbers_are_refused_in_words_and_without_warnings(content, data
         except UsageError:
             return
     check_limits(read.motion, ROBOT.joints, "played")
+
+
+def test_a_series_of_too_many_harmonics_is_refused_before_it_is_evaluated() -> None:
+    rows = f"[{', '.join(['0'] * 1001)}]"
+    text = (
+        "robot: two-links\nkind: fourier\nperiod: 10\noffset: [0, 0]\n"
+        f"sine: [{rows}, {rows}]\ncosine: [{rows}, {rows}]\n"
+    )
+    with pytest.raises(UsageError, match="at most 1000"):
+        parse_trajectory(text, ROBOT, where="t.yaml", folder=None)

@@ -323,3 +323,11 @@ def test_an_unknown_robot_gets_the_list() -> None:
     with pytest.raises(RobotFileError) as caught:
         load_robot("tractor")
     assert caught.value.hint == f"built-in: {', '.join(builtin_robots())}"
+
+
+def test_an_arm_of_too_many_joints_is_refused() -> None:
+    joint, row = "  - {name: j2, ", "    - {joint: j2, "
+    rows = "".join(f"    - {{joint: k{number}, alpha: 0, d: 0, r: 0}}\n" for number in range(60))
+    joints = "".join(f"  - {{name: k{number}, position: [-1, 1], velocity: 1}}\n" for number in range(60))
+    assert "at most 50" in refusal(TWO_JOINTS.replace(row, rows + row)).message
+    assert "at most 50" in refusal(TWO_JOINTS.replace(joint, joints + joint)).message
