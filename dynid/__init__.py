@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from ident.result.model import load_model as load_model
     from ident.result.tables import Table as Table
     from ident.tasks.arm import base_parameters as base_parameters
+    from ident.tasks.comparison import MethodComparison as MethodComparison
+    from ident.tasks.comparison import compare as compare
     from ident.tasks.difference import diff as diff
     from ident.tasks.excitation import ExcitationTrajectory as ExcitationTrajectory
     from ident.tasks.excitation import design_excitation as design_excitation
@@ -55,7 +57,6 @@ if TYPE_CHECKING:
     from ident.tasks.recording_quality import RecordingQuality as RecordingQuality
     from ident.tasks.recording_quality import info as info
     from ident.tasks.validation import Validation as Validation
-    from ident.tasks.validation import compare as compare
     from ident.tasks.validation import merge as merge
     from ident.tasks.validation import validate as validate
     from sim_drivers.synthetic.simulated_run import simulate as simulate
@@ -82,13 +83,14 @@ _HOMES = {
     "ident.result.model": ("Model", "load_model"),
     "ident.result.tables": ("Table",),
     "ident.tasks.arm": ("base_parameters",),
+    "ident.tasks.comparison": ("MethodComparison", "compare"),
     "ident.tasks.difference": ("diff",),
     "ident.tasks.excitation": ("ExcitationTrajectory", "design_excitation", "load_trajectory"),
     "ident.tasks.identification": ("IdentificationResult", "identify", "load_result"),
     "ident.tasks.loads": ("IdentifiedGains", "IdentifiedPayload", "drive_gains", "payload"),
     "ident.tasks.prediction": ("Prediction", "predict"),
     "ident.tasks.recording_quality": ("RecordingQuality", "info"),
-    "ident.tasks.validation": ("Validation", "compare", "merge", "validate"),
+    "ident.tasks.validation": ("Validation", "merge", "validate"),
     "sim_drivers.synthetic.simulated_run": ("simulate",),
 }
 """Module → its public names. Type checkers read the imports above, which a test holds against this table."""

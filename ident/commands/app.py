@@ -4,8 +4,21 @@ from __future__ import annotations
 
 import typer
 
-from ident.commands import check, diff, excite, export, identify, info, merge, payload, predict, robot, validate
+from ident.commands import (
+    check,
+    compare,
+    diff,
+    excite,
+    export,
+    identify,
+    info,
+    merge,
+    payload,
+    predict,
+    robot,
+    validate,
+)
 
 app = typer.Typer()
-for command in (robot, check, excite, info, identify, validate, predict, diff, merge, payload, export):
+for command in (robot, check, excite, info, identify, validate, predict, compare, diff, merge, payload, export):
     app.add_typer(command.app)

@@ -56,7 +56,7 @@ def excite(
     from daq.commands.console import print_json, progress_line
     from daq.output_files import check_outputs
     from daq.robot.loader import load_robot
-    from ident.commands.options import joints_option
+    from ident.commands.options import names_option
     from ident.result.model import result_path
     from ident.tasks.excitation import design_excitation, load_trajectory, search_state
 
@@ -77,7 +77,7 @@ def excite(
             time=seconds,
             starts=starts,
             loaded=loaded,
-            joints=joints_option(joints, "--joints"),
+            joints=names_option(joints, "--joints"),
             prior=prior_file,
             margin=margin,
             self_collision=self_collision,

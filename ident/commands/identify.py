@@ -42,7 +42,7 @@ def identify_recordings(
     reversals: float = typer.Option(
         None,
         "--leave-out-reversals",
-        help="Leave out velocity reversals: motors slower than this share of their RMS velocity; default 0.2.",
+        help="Leave out velocity reversals: motors slower than this share of their RMS velocity; default 0.05.",
     ),
     energy_window: float = typer.Option(
         None, "--energy-window", help="Mean duration of the windows of --method energy [s]."
@@ -67,7 +67,7 @@ def identify_recordings(
     from daq.commands.console import progress_line
     from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder
     from daq.robot.loader import load_robot
-    from ident.commands.options import delay_option, joints_option, limits_option
+    from ident.commands.options import delay_option, limits_option, names_option
     from ident.commands.print_result import print_result
     from ident.tasks.identification import identify
 
@@ -93,8 +93,8 @@ def identify_recordings(
             position_decimate=position_decimate,
             filter=filter_kind,  # type: ignore[arg-type]
             measured_velocity=measured_velocity,
-            locked=joints_option(locked, "--locked") or (),
-            torques_of=joints_option(torques_of, "--torques-of") or (),
+            locked=names_option(locked, "--locked") or (),
+            torques_of=names_option(torques_of, "--torques-of") or (),
             rest_tolerance=rest_tolerance,
             leave_out_reversals=reversals,
             energy_window=energy_window,

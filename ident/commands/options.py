@@ -62,7 +62,7 @@ def delay_option(text: str) -> float | None:
     return value
 
 
-def joints_option(text: str | None, option: str) -> tuple[str, ...] | None:
+def names_option(text: str | None, option: str) -> tuple[str, ...] | None:
     """Names that commas separate; None where the option was not given.
 
     Raises:
@@ -72,7 +72,7 @@ def joints_option(text: str | None, option: str) -> tuple[str, ...] | None:
         return None
     names = tuple(name for part in text.split(",") if (name := part.strip()))
     if not names:
-        raise UsageError(f"{option} '{text}' names no joint")
+        raise UsageError(f"{option} '{text}' holds no name")
     return names
 
 

@@ -235,7 +235,7 @@ def identify(
         torques_of: names of the joints whose motors' torques are used; all moving motors where empty.
         rest_tolerance: range of positions within which a joint counts as locked [rad or m]; 0.005 where None.
         leave_out_reversals: leave out velocity reversals: motors slower than this share
-            of their RMS velocity; 0 leaves out none, None is 0.2 for the methods "ols" and "wls".
+            of their RMS velocity; 0 leaves out none, None is 0.05 for the methods "ols" and "wls".
         energy_window: mean duration of the windows of the method "energy" [s].
         start: leave out samples before this time [s from the first stamp].
         stop: leave out samples after this time [s from the first stamp].
@@ -256,15 +256,10 @@ def identify(
         >>> result.validation.relative_error < 0.2
         True
     """
-    *others, last = get_args(Method)
-    if method not in (*others, last):
-        raise UsageError(f"no method is called '{method}'", hint=f"{', '.join(others)} or {last}")
-    if friction is not None and friction not in get_args(FrictionModel):
-        raise UsageError(f"no friction model is called '{friction}'", hint="none, viscous, coulomb or coulomb-viscous")
     check_significance(significance)
     choices = IdentifyChoices(
-        method=method,
-        model=ModelChoices(friction, offset, motor_inertia, smoothing),
+        method=checked_method(method),
+        model=ModelChoices(checked_friction(friction), offset, motor_inertia, smoothing),
         preprocess=PreprocessChoices(
             position_cutoff=position_cutoff,
             torque_cutoff=torque_cutoff,
@@ -299,6 +294,33 @@ def identify(
         result = result.model_copy(update={"acceptance": judge_acceptance(limits, result_figures(result))})
     recorded = recorded_runs(identification, recordings, held_out)
     return IdentificationResult(result, identification.fit_series, identification.validation_series, recorded)
+
+
+def checked_method(method: str) -> Method:
+    """A method's name, if there is such a method.
+
+    Raises:
+        UsageError: there is none.
+    """
+    names: tuple[Method, ...] = get_args(Method)
+    for name in names:
+        if method == name:
+            return name
+    *others, last = names
+    raise UsageError(f"no method is called '{method}'", hint=f"{', '.join(others)} or {last}")
+
+
+def checked_friction(friction: str | None) -> FrictionModel | None:
+    """A friction model's name, if there is such a model; None follows the robot file.
+
+    Raises:
+        UsageError: there is none.
+    """
+    known: tuple[FrictionModel | None, ...] = (None, *get_args(FrictionModel))
+    for model in known:
+        if friction == model:
+            return model
+    raise UsageError(f"no friction model is called '{friction}'", hint="none, viscous, coulomb or coulomb-viscous")
 
 
 def check_significance(percent: float) -> None:

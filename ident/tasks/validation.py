@@ -1,26 +1,23 @@
-"""Validate, compare and merge identified models in one call each."""
+"""Validate and merge identified models in one call each."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 
-from daq.robot.loader import RobotFile
 from drivers.errors import UsageError
 from ident.assessment.validation import fit_figures
 from ident.experiments.merged_result import merge_results
 from ident.identify.acceptance import validation_figures
 from ident.identify.revalidate import revalidate, validation_verdict
-from ident.regression.least_squares import Method
 from ident.regression.pruning import SIGNIFICANT_RSD
 from ident.result.consistent_model import fit_result
 from ident.result.model import Model, result_path
 from ident.result.schema import Fit, Result, read_result
-from ident.result.tables import Cell, Table, table_of_rows
+from ident.result.tables import Table
 from ident.tasks.acceptance import Limits, limits_of
-from ident.tasks.identification import IdentificationResult, check_significance, error_table, identify
+from ident.tasks.identification import IdentificationResult, check_significance, error_table
 from ident.tasks.runs import Run, Runs, recording_of, recordings_of
 from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
 from ident.verdict.verdict import Verdict, together
@@ -173,55 +170,6 @@ def merge(
     held_out = None if validation is None else recording_of(validation)
     merged, validated = merge_results(named, held_out, significance)
     return IdentificationResult(merged, (), validated.series if validated is not None else ())
-
-
-def compare(
-    runs: Runs,
-    methods: Sequence[Method] = ("ols", "wls"),
-    *,
-    validation: Runs = (),
-    robot: str | Path | RobotFile | None = None,
-) -> Table:
-    """Identify with several methods and set their errors side by side.
-
-    Args:
-        runs: a recording, or several of one arm, or their paths.
-        methods: of "ols", "wls", "energy" and "power".
-        validation: held-out recordings; the last 30 % without any.
-        robot: in place of the recording's own robot file.
-
-    Returns:
-        One row per method: relative errors of fit and validation [%], then the validation's RMSE of each joint [N·m].
-
-    Raises:
-        InputError: invalid recordings or methods.
-        IdentificationError: a method has no solution.
-
-    Example:
-        >>> import dynid
-        >>> table = dynid.compare(dynid.simulate("ur5e", duration=10.0, seed=1), methods=("ols", "wls"))
-        >>> table.names
-        ('ols', 'wls')
-    """
-    if isinstance(methods, str) or not methods:
-        raise UsageError("methods must be a list of method names", hint='methods=("ols", "wls")')
-    recordings, held_out = recordings_of(runs), recordings_of(validation)
-    rows: list[tuple[Cell, ...]] = []
-    joints: list[str] = []
-    for method in methods:
-        result = identify(recordings, validation=held_out, method=method, robot=robot).result
-        joints = result.joints
-        rows.append((method, _percent(result.fit), _percent(result.validation), *_rmse(result.validation, joints)))
-    headings = [("method", ""), ("fit", "%"), ("validation", "%"), *((f"rmse_{name}", "N·m") for name in joints)]
-    return table_of_rows("Methods compared: relative errors, and RMSE of the validation", headings, rows)
-
-
-def _percent(fit: Fit | None) -> float | None:
-    return None if fit is None or fit.relative_error is None else 100.0 * fit.relative_error
-
-
-def _rmse(fit: Fit | None, joints: Sequence[str]) -> list[float | None]:
-    return [None] * len(joints) if fit is None else list(fit.rmse)
 
 
 def result_of(identified: Identified) -> Result:

@@ -22,6 +22,7 @@ ARGUMENTS = {
     "robot new": "arm.urdf -o OUT.yaml",
     "identify": "run.h5 other.h5 --validate val.h5 --robot arm.yaml -o FOLDER",
     "merge": "result.json model --validate val.h5 -o FOLDER",
+    "compare": "run.h5 --validate val.h5 --robot arm.yaml -o FOLDER",
     "payload": "free.h5 loaded.h5 --robot arm.yaml -o FOLDER",
     "gains": "free.h5 loaded.h5 --mass 2 --robot arm.yaml -o FOLDER",
     "info": "run.h5 --robot arm.yaml --page FOLDER",
@@ -44,6 +45,7 @@ def outputs_of(name: str) -> list[str]:
     words = shlex.split(ARGUMENTS[name])
     if "FOLDER" in words:
         kinds = {
+            "compare": ("comparison.json", "report.html"),
             "payload": ("payload.json", "report.html"),
             "gains": ("gains.json", "report.html"),
             "info": ("info.json", "info.html"),

@@ -101,17 +101,6 @@ def test_merge_halves_the_variance(result, other, run):
         dynid.merge([result, result])
 
 
-def test_compare_is_a_row_a_method(run, other):
-    table = dynid.compare(run, methods=("ols", "wls"), validation=other)
-    assert table.names == ("ols", "wls")
-    assert table["validation"].max() < 10
-    assert len(table.columns) == 3 + 6
-    with pytest.raises(dynid.UsageError, match="no method is called 'magic'"):
-        dynid.compare(run, methods=("magic",))
-    with pytest.raises(dynid.UsageError, match="must be a list"):
-        dynid.compare(run, methods="wls")
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import UsageError
-from ident.commands.options import delay_option, joints_option
+from ident.commands.options import delay_option, names_option
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
@@ -38,10 +38,10 @@ def test_what_is_no_delay_is_refused(text):
     ("text", "names"), [(None, None), ("a", ("a",)), ("a,b", ("a", "b")), (" a , b c ,", ("a", "b c"))]
 )
 def test_commas_separate_names(text, names):
-    assert joints_option(text, "--joints") == names
+    assert names_option(text, "--joints") == names
 
 
 @pytest.mark.parametrize("text", ["", ",", " , "])
 def test_an_option_without_a_name_is_refused(text):
-    with pytest.raises(UsageError, match=r"--locked '.*' names no joint"):
-        joints_option(text, "--locked")
+    with pytest.raises(UsageError, match=r"--locked '.*' holds no name"):
+        names_option(text, "--locked")

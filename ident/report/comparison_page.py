@@ -1,0 +1,91 @@
+"""The page of a comparison of methods: one self-contained HTML file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ident.experiments.method_comparison import JointGroup
+from ident.report.figures import MEASURED, PREDICTED, Figure, plain
+from ident.report.html_file import page_templates
+from ident.report.interval_panel import ROW
+from ident.report.panels import Panel, panel_figure
+from ident.result.tables import Table
+
+Errors = tuple[str, Sequence[float]]
+"""A model's label, and its RMSE on each held-out recording [N·m]."""
+
+
+def comparison_page(
+    robot: str,
+    recordings: Sequence[str],
+    groups: Sequence[JointGroup],
+    tables: Sequence[Table],
+    errors: Sequence[Errors],
+    failures: Sequence[str],
+) -> str:
+    """The page.
+
+    Args:
+        robot: its name.
+        recordings: what was held out.
+        groups: of joints.
+        tables: errors, largest errors, differences; the first column of each names the model.
+        errors: what is plotted.
+        failures: methods without a model, and why.
+    """
+    return (
+        page_templates()
+        .get_template("comparison_page.html.j2")
+        .render(
+            robot=robot,
+            recordings=recordings,
+            groups=groups,
+            tables=[table for table in tables if len(table)],
+            figure=_figure(errors),
+            failures=failures,
+        )
+    )
+
+
+def _figure(errors: Sequence[Errors]) -> Figure:
+    """A row per model: its error on every recording, and the mean."""
+    runs: list[tuple[str, float]] = [(plain(label), value) for label, of in errors for value in of]
+    means = [(plain(label), float(np.nanmean(of))) for label, of in errors]
+    panel = Panel(
+        "RMSE",
+        "<b>RMSE of the held-out torque</b>, all joints together",
+        [
+            _points("a recording", runs, {"color": MEASURED, "symbol": "circle-open", "size": 6}),
+            _points("mean", means, {"color": PREDICTED, "symbol": "diamond", "size": 9}),
+        ],
+        x={"title": {"text": "N·m"}, "rangemode": "tozero"},
+        y={
+            "type": "category",
+            "categoryorder": "array",
+            "categoryarray": [label for label, _ in means],
+            "range": [len(means) - 0.4, -0.6],
+            "dtick": 1,
+            "tickfont": {"size": 10},
+            "automargin": True,
+        },
+        height=2 * ROW * len(means) + 16,
+    )
+    caption = "Each circle is one held-out recording. Models that differ less than their circles scatter may still "
+    caption += "differ significantly: compare them recording by recording, as the table of differences does."
+    return panel_figure("rmse-plot", [[panel]], caption)
+
+
+def _points(label: str, points: Sequence[tuple[str, float]], marker: dict[str, Any]) -> dict[str, Any]:
+    finite = [(name, value) for name, value in points if np.isfinite(value)]
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "name": label,
+        "x": [value for _, value in finite],
+        "y": [name for name, _ in finite],
+        "marker": marker,
+        "hovertemplate": f"%{{y}}, {label}: %{{x:.4g}} N·m<extra></extra>",
+    }

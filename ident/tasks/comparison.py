@@ -1,0 +1,304 @@
+"""Several methods on the same recordings in one call."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from daq.commands.console import json_text
+from daq.output_files import REPORT_FILE, write_folder
+from daq.robot.loader import RobotFile, load_robot
+from drivers.errors import IdentificationError, UsageError
+from drivers.streams import FloatArray
+from ident.experiments.method_comparison import (
+    JointGroup,
+    PairedDifference,
+    RunErrors,
+    joint_groups,
+    paired_difference,
+    run_errors,
+)
+from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
+from ident.identify.identify import Progress
+from ident.identify.identify import identify as identify_recordings
+from ident.identify.preparation import compare_run
+from ident.model.regressor import RegressorKernel
+from ident.report.comparison_page import comparison_page
+from ident.result.tables import Cell, Table, table_of_rows
+from ident.signals.options import PreprocessChoices
+from ident.tasks.identification import checked_friction, checked_method
+from ident.tasks.runs import Runs, recordings_of
+
+COMPARISON_FILE = "comparison.json"
+"""Name of the figures in the folder that `save` writes."""
+
+Parameters = Literal["full", "consistent"]
+
+
+@dataclass(frozen=True)
+class ComparedModel:
+    """One method's model with its errors.
+
+    Attributes:
+        method: as given.
+        friction: as given; empty where the robot file says it.
+        parameters: all base parameters as estimated ("full"), or the physically consistent ones.
+        fit: relative error on the identification data, a ratio.
+        runs: errors on each held-out recording.
+        seconds: CPU time of the identification with error bars and checks [s]; of both parameter sets together.
+        failure: why there is no model; empty where there is one.
+    """
+
+    method: str
+    friction: str
+    parameters: Parameters
+    fit: float
+    runs: tuple[RunErrors, ...]
+    seconds: float
+    failure: str = ""
+
+    @property
+    def label(self) -> str:
+        """Method, friction and parameters in a few words."""
+        friction = f", {self.friction}" if self.friction else ""
+        return f"{self.method}{friction}{', consistent' if self.parameters == 'consistent' else ''}"
+
+
+@dataclass(frozen=True)
+class MethodComparison:
+    """Errors of several methods on the same held-out recordings; the first model is what the others are compared with.
+
+    Attributes:
+        robot: its name.
+        recordings: what was held out.
+        groups: joints whose largest errors are taken together.
+        models: in the order of the methods, full before consistent.
+
+    Example:
+        >>> import dynid
+        >>> run, other = (dynid.simulate("ur5e", duration=10.0, seed=seed) for seed in (1, 2))
+        >>> comparison = dynid.compare(run, ("ols", "wls"), validation=other)
+        >>> comparison.errors.names
+        ('ols', 'ols, consistent', 'wls', 'wls, consistent')
+    """
+
+    robot: str
+    recordings: tuple[str, ...]
+    groups: tuple[JointGroup, ...]
+    models: tuple[ComparedModel, ...]
+
+    @property
+    def errors(self) -> Table:
+        """Relative errors [%] and RMSE over all joints [N·m], means over the held-out recordings; CPU time [s]."""
+        headings = [
+            ("model", ""),
+            ("fit", "%"),
+            ("validation", "%"),
+            ("rmse", "N·m"),
+            ("rmse_low_speed", "N·m"),
+            ("rmse_high_speed", "N·m"),
+            ("time", "s"),
+        ]
+        rows: list[tuple[Cell, ...]] = [
+            (
+                model.label,
+                _percent(model.fit),
+                _percent(_mean([run.relative_error for run in model.runs])),
+                _mean([run.rmse for run in model.runs]),
+                _mean([run.low_speed_rmse for run in model.runs]),
+                _mean([run.high_speed_rmse for run in model.runs]),
+                model.seconds,
+            )
+            for model in self.models
+        ]
+        return table_of_rows(f"Methods compared on {self.robot}", headings, rows)
+
+    @property
+    def maxima(self) -> Table:
+        """Largest errors of each group of joints below and above 0.1 rad/s [N·m]: mean and σ over the recordings."""
+        headings = [("model", "")]
+        for group in self.groups:
+            for speed in ("low", "high"):
+                headings += [(f"{group.name} {speed}", "N·m"), (f"{group.name} {speed} std", "N·m")]
+        rows: list[tuple[Cell, ...]] = []
+        for model in self.models:
+            cells: list[Cell] = [model.label]
+            for place in range(len(self.groups)):
+                for of_run in ("low_speed_max", "high_speed_max"):
+                    values = [getattr(run, of_run)[place] for run in model.runs]
+                    cells += [_mean(values), _deviation(values)]
+            rows.append(tuple(cells))
+        return table_of_rows("Largest errors at low and at high speed", headings, rows)
+
+    @property
+    def differences(self) -> Table:
+        """RMSE of each model minus the first one's on the same recordings, with the 95 % interval of the mean [N·m]."""
+        headings = [("model", ""), ("difference", "N·m"), ("interval", "N·m"), ("relative", "%"), ("significant", "")]
+        rows: list[tuple[Cell, ...]] = []
+        for model in self.models[1:]:
+            paired = self.difference(model)
+            base = _mean([run.rmse for run in self.models[0].runs])
+            interval = paired.half_width if np.isfinite(paired.half_width) else None
+            answer = "" if interval is None else "yes" if paired.significant else "no"
+            rows.append((model.label, paired.mean, interval, 100.0 * paired.mean / base if base else None, answer))
+        first = self.models[0].label if self.models else ""
+        return table_of_rows(f"RMSE against {first}", headings, rows)
+
+    def difference(self, model: ComparedModel) -> PairedDifference:
+        """RMSE of a model minus that of the first one, recording by recording [N·m]."""
+        return paired_difference([run.rmse for run in self.models[0].runs], [run.rmse for run in model.runs])
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """Methods without a model, and why."""
+        return tuple(f"{model.label}: {model.failure}" for model in self.models if model.failure)
+
+    def to_json(self) -> str:
+        """Output of `dynid compare --json`."""
+        return json_text(
+            {
+                "robot": self.robot,
+                "recordings": list(self.recordings),
+                "groups": [asdict(group) for group in self.groups],
+                "models": [{"label": model.label, **asdict(model)} for model in self.models],
+                "differences": [dict(row) for row in self.differences],
+            }
+        )
+
+    def save(self, folder: str | PathLike[str]) -> None:
+        """Write `comparison.json` and `report.html` into a folder, as `dynid compare -o` does; replaces those in it.
+
+        Raises:
+            UsageError: it is a file, or cannot be written.
+            DiskError: the disk is full or fails.
+        """
+        page = comparison_page(
+            self.robot,
+            self.recordings,
+            self.groups,
+            (self.errors, self.maxima, self.differences),
+            [(model.label, [run.rmse for run in model.runs]) for model in self.models if model.runs],
+            self.failures,
+        )
+        write_folder(Path(folder), {COMPARISON_FILE: self.to_json() + "\n", REPORT_FILE: page})
+
+    def __str__(self) -> str:
+        tables = [table for table in (self.errors, self.maxima, self.differences) if len(table)]
+        return "\n\n".join([*(str(table) for table in tables), *self.failures])
+
+    def _repr_html_(self) -> str:
+        return "".join(table._repr_html_() for table in (self.errors, self.maxima, self.differences) if len(table))
+
+
+def compare(
+    runs: Runs,
+    methods: Sequence[str] = ("ols", "wls"),
+    *,
+    friction: Sequence[str] = (),
+    validation: Runs = (),
+    robot: str | Path | RobotFile | None = None,
+    delay: float | None = None,
+    split: float | None = None,
+    progress: Progress = lambda step: None,
+) -> MethodComparison:
+    """Identify with several methods and set their errors on held-out recordings side by side.
+
+    Args:
+        runs: a recording, or several of one arm, or their paths.
+        methods: as `identify` takes them.
+        friction: friction models, as `identify` takes them; each method with each of them. The robot file's where none.
+        validation: held-out recordings, each judged apart; the last 30 % of the others without any.
+        robot: in place of the recording's own robot file.
+        delay: of the torque behind the position [s]; searched where None.
+        split: identify on the data before this time, validate on the rest [s].
+        progress: called with the name of each step before it begins.
+
+    Raises:
+        InputError: invalid recordings, methods or friction models.
+        IdentificationError: no method has a solution.
+
+    Example:
+        >>> import dynid
+        >>> run, other = (dynid.simulate("ur5e", duration=10.0, seed=seed) for seed in (1, 2))
+        >>> dynid.compare(run, validation=other).differences.columns[1].heading
+        'difference [N·m]'
+    """
+    for names, option, example in ((methods, "methods", '("ols", "wls")'), (friction, "friction", '("coulomb",)')):
+        if isinstance(names, str):
+            raise UsageError(f"{option} must be a list of names", hint=f"{option}={example}")
+        if len(set(names)) < len(names):
+            raise UsageError(f"a name is given twice: {', '.join(names)}", where=option)
+    if not methods:
+        raise UsageError("no method to compare", hint='methods=("ols", "wls")')
+    cases = [
+        (method, model, _choices(method, model, delay, split)) for method in methods for model in friction or ("",)
+    ]
+    recordings, held_out = recordings_of(runs), recordings_of(validation)
+    robot_file = None if robot is None else load_robot(robot)
+    models: list[ComparedModel] = []
+    groups: tuple[JointGroup, ...] = ()
+    labels: tuple[str, ...] = ()
+    for method, model, choices in cases:
+        progress(f"{method} {model}".strip())
+        start = time.process_time()
+        try:
+            identification = identify_recordings(recordings, held_out, choices, robot_file)
+        except IdentificationError as error:
+            models.append(ComparedModel(method, model, "full", float("nan"), (), float("nan"), str(error)))
+            continue
+        seconds = time.process_time() - start
+        groups = joint_groups(identification.model.joint_names)
+        labels = tuple(run.signals.label for run in identification.validation_runs)
+        models += _models(method, model, identification, groups, seconds)
+    if not labels:
+        raise IdentificationError(f"no method has a solution; {models[0].label}: {models[0].failure}")
+    name = (robot_file or recordings[0].robot()).robot.name
+    return MethodComparison(name, labels, groups, tuple(models))
+
+
+def _choices(method: str, friction: str, delay: float | None, split: float | None) -> IdentifyChoices:
+    return IdentifyChoices(
+        method=checked_method(method),
+        model=ModelChoices(friction=checked_friction(friction or None)),
+        preprocess=PreprocessChoices(delay=delay or 0.0),
+        search_delay=delay is None,
+        split=split,
+    )
+
+
+def _models(
+    method: str, friction: str, identified: Identification, groups: Sequence[JointGroup], seconds: float
+) -> list[ComparedModel]:
+    """The model as estimated, and the physically consistent one where there is one."""
+    kernel = RegressorKernel(identified.model, identified.base.columns)
+    consistent = identified.consistent
+
+    def compared(parameters: Parameters, values: FloatArray, fit: float) -> ComparedModel:
+        series = [compare_run(kernel, values, run) for run in identified.validation_runs]
+        errors = tuple(run_errors(of_run, groups) for of_run in series)
+        return ComparedModel(method, friction, parameters, fit, errors, seconds)
+
+    models = [compared("full", identified.solution.parameters, identified.fit.relative_error)]
+    if consistent is not None:
+        models.append(compared("consistent", consistent.parameters.base, consistent.fit.relative_error))
+    return models
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.mean(known)) if known else None
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None or not np.isfinite(share) else 100.0 * share
+
+
+def _deviation(values: Sequence[float]) -> float | None:
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.std(known, ddof=1)) if len(known) > 1 else None

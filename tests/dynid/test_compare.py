@@ -1,0 +1,101 @@
+"""Methods compared on the same held-out recordings, by the API and by the command."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+import dynid
+from dynid import command
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[dynid.Recording]:
+    """Four recordings of a small arm."""
+    return [dynid.simulate("up6", duration=10.0, seed=seed, rate=100.0) for seed in (1, 2, 3, 4)]
+
+
+@pytest.fixture(scope="module")
+def comparison(runs) -> dynid.MethodComparison:
+    return dynid.compare(runs[0], ("ols", "wls"), friction=("coulomb-viscous", "viscous"), validation=runs[1:])
+
+
+def test_every_method_meets_every_friction_model_on_every_recording(comparison):
+    assert [model.label for model in comparison.models if model.parameters == "full"] == [
+        "ols, coulomb-viscous",
+        "ols, viscous",
+        "wls, coulomb-viscous",
+        "wls, viscous",
+    ]
+    assert all(len(model.runs) == 3 and model.seconds > 0 for model in comparison.models)
+    assert len(comparison.recordings) == 3
+
+
+def test_errors_are_those_of_an_identification(comparison, runs):
+    result = dynid.identify(runs[0], validation=runs[1], method="wls", friction="coulomb-viscous")
+    model = next(one for one in comparison.models if one.label == "wls, coulomb-viscous")
+    assert model.runs[0].relative_error == pytest.approx(result.validation.relative_error, rel=1e-9)
+    assert model.fit == pytest.approx(result.fit.relative_error, rel=1e-9)
+    rmse = np.sqrt(np.mean(np.square(result.validation.rmse)))  # no joint rests: as many samples of each
+    assert model.runs[0].rmse == pytest.approx(rmse, rel=0.05)
+    largest = max(*model.runs[0].low_speed_max, *model.runs[0].high_speed_max)
+    assert largest == pytest.approx(max(result.validation.max_error), rel=1e-9)
+
+
+def test_the_wrong_friction_model_is_significantly_worse(comparison):
+    rows = {row["model"]: row for row in comparison.differences}
+    assert rows["ols, viscous"]["significant"] == "yes"
+    assert rows["ols, viscous"]["difference"] > rows["ols, viscous"]["interval"] > 0
+
+
+def test_one_recording_gives_no_interval(runs):
+    comparison = dynid.compare(runs[0], ("ols", "wls"), friction=["none"])
+    assert all(np.isnan(value) for value in comparison.differences["interval"])
+    assert len(comparison.recordings) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"methods": ("magic",)}, "no method is called 'magic'"),
+        ({"methods": "wls"}, "must be a list"),
+        ({"methods": ()}, "no method to compare"),
+        ({"methods": ("wls", "wls")}, "given twice"),
+        ({"friction": ("sticky",)}, "no friction model is called 'sticky'"),
+        ({"friction": "viscous"}, "must be a list"),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(runs, options, message):
+    with pytest.raises(dynid.UsageError, match=message) as refused:
+        dynid.compare(runs[0], **options)
+    assert "\n" not in str(refused.value)
+
+
+def test_the_command_writes_figures_and_page_and_never_over_its_input(monkeypatch, capsys, tmp_path, runs):
+    monkeypatch.chdir(tmp_path)
+    for number, run in enumerate(runs[:3]):
+        dynid.write_recording(f"run{number}.h5", run)
+
+    def call(*arguments: str) -> tuple[int, str]:
+        monkeypatch.setattr(sys, "argv", ["dynid", "compare", *arguments])
+        with pytest.raises(SystemExit) as stopped:
+            command.main()
+        captured = capsys.readouterr()
+        return int(stopped.value.code or 0), captured.out + captured.err
+
+    files = ("run0.h5", "--validate", "run1.h5", "--validate", "run2.h5")
+    status, out = call(*files, "--methods", "ols,energy", "-o", "out", "--json")
+    assert status == 0
+    printed = json.loads(out)
+    assert printed == json.loads((tmp_path / "out" / "comparison.json").read_text())
+    assert [model["method"] for model in printed["models"]][::2] == ["ols", "energy"]
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Largest errors" in page
+    status, out = call(*files, "-o", "out")
+    assert status == 2
+    assert "--force" in out
+    status, out = call(*files, "--methods", ",")
+    assert (status, "--methods ',' holds no name" in out) == (2, True)
