@@ -16,9 +16,10 @@ from ident.commands import (
     payload,
     predict,
     robot,
+    sweep,
     validate,
 )
 
 app = typer.Typer()
-for command in (robot, check, excite, info, identify, validate, predict, compare, diff, merge, payload, export):
+for command in (robot, check, excite, sweep, info, identify, validate, predict, compare, diff, merge, payload, export):
     app.add_typer(command.app)

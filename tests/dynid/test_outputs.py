@@ -14,6 +14,7 @@ from dynid import command
 
 ARGUMENTS = {
     "excite": "arm.yaml -o OUT --page PAGE --from traj.yaml --prior result.json",
+    "sweep": "arm.yaml -o OUT --page PAGE --prior result.json",
     "record": "arm.yaml --trajectory traj.yaml --prior result.json --yes -o OUT",
     "import": "run.csv --robot arm.yaml -o OUT",
     "recover": "run.h5 -o OUT",
