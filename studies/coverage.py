@@ -32,7 +32,6 @@ from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.regression.least_squares import Method
 from ident.result.model import Model
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
@@ -41,7 +40,7 @@ from sim_drivers.synthetic.random_points import random_points_motion
 Play = Literal["periodic", "points"]
 
 ROBOTS = ("ur5e", "rocr6", "aubo_i5", "panda")
-METHODS: tuple[Method, ...] = ("wls", "ols", "energy", "power")
+METHODS: tuple[str, ...] = ("wls", "ols", "energy", "power")
 DURATION = 20.0
 HELD_OUT = 8.6
 MOVES = 24
@@ -68,7 +67,7 @@ def another_arm(name: str, seed: int) -> RobotFile:
     return parse_robot(yaml.safe_dump(robot), where=name, folder=None, urdf_text=known.urdf_text)
 
 
-def identified(arm: RobotFile, method: Method, play: Play, seed: int) -> tuple[Identification, Recording]:
+def identified(arm: RobotFile, method: str, play: Play, seed: int) -> tuple[Identification, Recording]:
     """The arm's model, from the first part of the motion."""
     if play == "points":
         motion = random_points_motion(arm.robot, seed, MOVES)
@@ -79,7 +78,7 @@ def identified(arm: RobotFile, method: Method, play: Play, seed: int) -> tuple[I
     return identify([recording], [], IdentifyChoices(method, split=DURATION)), recording
 
 
-def deviations(arm: RobotFile, method: Method, play: Play, seed: int) -> tuple[list[FloatArray], float]:
+def deviations(arm: RobotFile, method: str, play: Play, seed: int) -> tuple[list[FloatArray], float]:
     """Errors over standard deviations, an array for each of `COLUMNS`, and the ratio `wide`."""
     found, recording = identified(arm, method, play, seed)
     result = summarise(found, [recording], [])
@@ -110,7 +109,7 @@ def deviations(arm: RobotFile, method: Method, play: Play, seed: int) -> tuple[l
     return [figure.ravel() for figure in figures], float(np.median(essential_std / found.std[kept]))
 
 
-def line(robot: str, seeds: int, method: Method, play: Play) -> str:
+def line(robot: str, seeds: int, method: str, play: Play) -> str:
     """The figures of one arm."""
     columns: list[list[FloatArray]] = [[] for _ in COLUMNS]
     ratios = []
@@ -129,7 +128,7 @@ def line(robot: str, seeds: int, method: Method, play: Play) -> str:
 def main(
     robots: Sequence[str] = ROBOTS,
     seeds: int = 10,
-    methods: Sequence[Method] = METHODS,
+    methods: Sequence[str] = METHODS,
     plays: Sequence[Play] = ("periodic", "points"),
 ) -> None:
     """Print a line for each arm."""

@@ -36,13 +36,12 @@ from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
-from ident.regression.least_squares import Method
 from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 from sim_drivers.synthetic.random_points import random_points_motion
 
-METHODS: tuple[Method, ...] = ("wls", "energy", "power")
+METHODS: tuple[str, ...] = ("wls", "energy", "power")
 NOISE = (0.0, 1e-4, 3e-4, 1e-3, 3e-3)
 WRIST = ("j5", "j6")
 WRIST_MOVES = 40
@@ -63,7 +62,7 @@ def with_encoder_noise(recording: Recording, std: float, seed: int) -> Recording
 
 
 def identified(
-    recording: Recording, held_out: Recording, method: Method, position_cutoff: float | None = None
+    recording: Recording, held_out: Recording, method: str, position_cutoff: float | None = None
 ) -> Identification | None:
     """The model; None where the data do not determine it."""
     filters = PreprocessChoices(position_cutoff=position_cutoff)

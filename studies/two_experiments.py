@@ -32,7 +32,6 @@ from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
-from ident.regression.least_squares import Method
 from ident.regression.observability import ExperimentChoices
 from ident.result.schema import Result
 from sim_drivers.plant.altered_arm import with_load
@@ -72,7 +71,7 @@ def recorded(robot_file: RobotFile, seed: int, moves: int, moving: tuple[str, ..
     return simulate_recording(robot_file, motion, motion.duration, seed)
 
 
-def result_of(recording: Recording, torques_of: tuple[str, ...] = (), method: Method = "wls") -> Result:
+def result_of(recording: Recording, torques_of: tuple[str, ...] = (), method: str = "wls") -> Result:
     experiment = ExperimentChoices(torques_of=torques_of)
     choices = IdentifyChoices(method, experiment=experiment, search_delay=False, reversals=0.0)
     return summarise(identify([recording], [], choices), [recording], [])

@@ -6,7 +6,17 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import ACCEPT, DELAY, FORCE, JSON, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE, SIGNIFICANCE
+from ident.commands.options import (
+    ACCEPT,
+    DELAY,
+    FORCE,
+    JSON,
+    MAX_ERROR,
+    MAX_JOINT_ERROR,
+    MAX_RMSE,
+    METHOD,
+    SIGNIFICANCE,
+)
 
 app = typer.Typer()
 
@@ -15,7 +25,7 @@ app = typer.Typer()
 def identify_recordings(
     recordings: list[Path] = typer.Argument(help="Recordings (.h5) of one arm; several are stacked."),
     out: Path = typer.Option(None, "-o", "--out", help="Folder for result.json and report.html."),
-    method: str = typer.Option("wls", "--method", help="Estimator: ols, wls, energy or power."),
+    method: str = METHOD,
     validate_with: list[Path] = typer.Option([], "--validate", help="Held-out recording; the last 30 % without one."),
     split: float = typer.Option(None, "--split", help="Identify on the first SECONDS, validate on the rest."),
     robot: str = typer.Option(None, "--robot", help="Robot file in place of the recording's own."),
@@ -43,9 +53,6 @@ def identify_recordings(
         None,
         "--leave-out-reversals",
         help="Leave out velocity reversals: motors slower than this share of their RMS velocity; default 0.05.",
-    ),
-    energy_window: float = typer.Option(
-        None, "--energy-window", help="Mean duration of the windows of --method energy [s]."
     ),
     start: float = typer.Option(None, "--start", help="Leave out samples before this time [s from the first stamp]."),
     stop: float = typer.Option(None, "--stop", help="Leave out samples after this time [s from the first stamp]."),
@@ -80,9 +87,9 @@ def identify_recordings(
             recordings,
             validation=validate_with,
             robot=robot,
-            method=method,  # type: ignore[arg-type]  # the task checks it
+            method=method,
             split=split,
-            friction=friction,  # type: ignore[arg-type]
+            friction=friction,  # type: ignore[arg-type]  # the task checks it
             offset=offset,
             motor_inertia=motor_inertia,
             smoothing=smoothing,
@@ -97,7 +104,6 @@ def identify_recordings(
             torques_of=names_option(torques_of, "--torques-of") or (),
             rest_tolerance=rest_tolerance,
             leave_out_reversals=reversals,
-            energy_window=energy_window,
             start=start,
             stop=stop,
             keep_rest=keep_rest,

@@ -14,6 +14,26 @@ from drivers.errors import UsageError
 
 ROBOT = typer.Argument(help="Built-in robot or robot file.")
 SIGNIFICANCE = typer.Option(15.0, "--significance", help="Threshold of the relative standard deviation [%].")
+
+
+def _list_methods(text: str) -> str:
+    """Print the methods and end, where asked for them."""
+    if text == "help":
+        from ident.estimators.method_choice import describe_methods
+
+        print(describe_methods())
+        raise typer.Exit
+    return text
+
+
+METHOD = typer.Option(
+    "wls",
+    "--method",
+    metavar="NAME[:OPTION=VALUE]…",
+    help="Estimator with its options, such as wls or energy:window=0.5; 'help' lists them.",
+    callback=_list_methods,
+    is_eager=True,
+)
 DELAY = typer.Option("auto", "--delay", help="Delay of torque behind position: auto, or SECONDS.")
 
 

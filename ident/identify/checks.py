@@ -24,13 +24,15 @@ from ident.assessment.plausibility import (
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.torque_level import torque_level_checks
 from ident.assessment.validation import overfitting_checks
-from ident.estimators.estimator import estimator_of, fits_energy_better
+from ident.estimators.energy_estimator import fits_energy_better
+from ident.estimators.estimator import Setup
+from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.identification import Identification
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import FEWEST_BLOCKS
-from ident.regression.least_squares import ENERGY_METHODS, ordinary_least_squares
+from ident.regression.least_squares import LeastSquares, ordinary_least_squares, weighted_least_squares
 from ident.regression.observability import experiment_states, moving_motors, whole_arm
-from ident.regression.observation_matrix import only_torques
+from ident.regression.observation_matrix import Reduction
 from ident.regression.pruning import relative_std
 from ident.regression.velocity_reversals import STICKING_SHARE, all_equations, leave_out_reversals
 from ident.verdict.catalogue import raised
@@ -145,8 +147,8 @@ def _few_equations(identification: Identification, advised: int) -> str:
     solution, first = identification.solution, identification.runs[0].prepared
     seconds = sum(int(part.used.sum()) / part.rate for run in identification.runs for part in run.prepared.segments)
     needed = seconds * advised / solution.rows
-    if identification.choices.method == "energy":
-        more = "or take shorter windows (--energy-window)"
+    if identification.choices.estimator.name == "energy":
+        more = "or take shorter windows (--method energy:window=…)"
     elif identification.choices.preprocess.decimate is not None:
         more = f"or decimate by less than {first.parallel_filter.factor} (--decimate)"
     else:
@@ -163,7 +165,7 @@ def _few_equations(identification: Identification, advised: int) -> str:
 def _arrangement_checks(identification: Identification) -> list[Check]:
     """Gravity, signs, exchanged torques, gains and lengths that fit the data better than those believed."""
     checks: list[Check] = []
-    if identification.choices.method not in ENERGY_METHODS:
+    if identification.choices.estimator.equations == "torque":
         checks = arrangement_checks(
             identification.model,
             identification.experiment,
@@ -176,7 +178,7 @@ def _arrangement_checks(identification: Identification) -> list[Check]:
             RegressorKernel(identification.model, identification.base.columns),
             identification.experiment.torques,
             [run.prepared for run in identification.runs],
-            identification.solution,
+            _by_joint(identification, identification.reduction),
             identification.corrected.effective_rows,
         )
     if any(check.severity == "serious" for check in checks) or not np.any(identification.model.gravity):
@@ -216,7 +218,7 @@ def _convergence_checks(identification: Identification) -> list[Check]:
 
 def _excitation_checks(identification: Identification) -> list[Check]:
     """Parameters that the motion or the method does not show."""
-    base, solution, method = identification.base, identification.solution, identification.choices.method
+    base, solution = identification.base, identification.solution
     checks = []
     unexcited = [base.names[i] for i in range(base.count) if i not in solution.active]
     if unexcited:
@@ -236,7 +238,7 @@ def _excitation_checks(identification: Identification) -> list[Check]:
             "record a more exciting motion"
         )
         checks.append(raised("insignificant-parameters", text))
-        if method in ENERGY_METHODS:
+        if identification.choices.estimator.equations == "energy":
             text = (
                 "the energy model has one equation for all joints together: record many different moves rather than a "
                 "periodic motion, or use --method wls"
@@ -271,14 +273,14 @@ def _experiment_checks(identification: Identification) -> list[Check]:
 
 def _reversal_checks(identification: Identification) -> list[Check]:
     """A friction estimate that changes without more of the equations near velocity reversals."""
-    choices, base, before = identification.choices, identification.base, identification.solution
-    if choices.method in ENERGY_METHODS or choices.reversal_share >= STICKING_SHARE:
+    choices, base = identification.choices, identification.base
+    if choices.estimator.equations == "energy" or choices.reversal_share >= STICKING_SHARE:
         return []
+    before = _by_joint(identification, identification.reduction)
     kernel = RegressorKernel(identification.model, base.columns)
     parts = [leave_out_reversals(kernel, run.prepared, STICKING_SHARE) for run in identification.runs]
-    estimator = estimator_of(choices.method, kernel, parts, None)
     try:
-        after = estimator.solve(only_torques(estimator.reduce(parts), identification.experiment.torques), before.active)
+        after = _by_joint(identification, reduce_torques(kernel, parts, identification.experiment.torques))
     except IdentificationError:  # too little is left
         return []
     kinds = [identification.model.parameters[column].kind for column in base.columns]
@@ -301,6 +303,12 @@ def _reversal_checks(identification: Identification) -> list[Check]:
     return [raised("friction-near-reversals", text)]
 
 
+def _by_joint(identification: Identification, reduction: Reduction) -> LeastSquares:
+    """A system's solution with a weight per joint: the method's own for `ols` and `wls`, that of `wls` for others."""
+    solve = ordinary_least_squares if identification.solution.method == "ols" else weighted_least_squares
+    return solve(reduction, identification.solution.active)
+
+
 def _indefinite_share(identification: Identification) -> float:
     """Share of random poses at which the inertia matrix of the joints that moved is not positive definite."""
     model, experiment, parameters = identification.model, identification.experiment, identification.solution.parameters
@@ -319,15 +327,15 @@ def _indefinite_share(identification: Identification) -> float:
 
 def _fits_opposite_gravity(identification: Identification) -> bool:
     """Whether the same equations with gravity of the opposite sign fit clearly better, both by OLS."""
-    active, model, method = identification.solution.active, identification.model, identification.choices.method
+    active, model, method = identification.solution.active, identification.model, identification.choices.estimator
     base = identification.base
     residual_sum = ordinary_least_squares(identification.reduction, active).residual_sum
     data = [run.prepared for run in identification.runs]
-    if method not in ENERGY_METHODS:
+    if method.equations == "torque":
         prepared = [(part.segments, part.parallel_filter) for part in data]
         torques = identification.experiment.torques
         return fits_opposite_gravity(model, base, prepared, active, residual_sum, torques)
     kernel = RegressorKernel(replace(model, gravity=-model.gravity), base.columns)
-    turned = estimator_of(method, kernel, data, identification.choices.energy_window)
+    turned = method.estimator(Setup(kernel, base, identification.experiment, identification.robot_file, tuple(data)))
     independent = identification.corrected.effective_rows * identification.corrected.repetitions
     return fits_energy_better(turned, data, active, residual_sum, independent)

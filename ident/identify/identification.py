@@ -9,17 +9,19 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from drivers.errors import UsageError
-from drivers.ranges import ENERGY_WINDOW, SMOOTHING, check_option
+from drivers.ranges import SMOOTHING, check_option
 from drivers.streams import FloatArray
 from ident.assessment.delay import DelaySearch
 from ident.assessment.validation import FitFigures
+from ident.estimators.estimator import Estimation
 from ident.estimators.feasible.consistent import ConsistentParameters
+from ident.estimators.method_choice import MethodChoice, chosen_method
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.comparison import TorqueSeries
 from ident.regression.estimate import Estimate, estimate_of
 from ident.regression.jackknife import CorrectedCovariance
-from ident.regression.least_squares import ENERGY_METHODS, LeastSquares, Method
+from ident.regression.least_squares import LeastSquares
 from ident.regression.observability import Experiment, ExperimentChoices
 from ident.regression.observation_matrix import Reduction
 from ident.regression.pruning import SIGNIFICANT_RSD, Pruned
@@ -55,52 +57,47 @@ class IdentifyChoices:
     """What a user may choose.
 
     Attributes:
-        method: estimator.
+        method: estimator and its options, NAME[:OPTION=VALUE]….
         model: departures from the robot file's columns.
         preprocess: filters, window, delay; `preprocess.delay` is not used where `search_delay` is set.
         search_delay: find the torque's delay from the data.
         split: end of the identification part of a single recording [s from its first stamp]; None takes the first 70 %.
         significant_rsd: threshold of significance [%].
-        energy_window: mean duration of the energy method's windows [s]; None takes it from the parallel filter.
         experiment: joints that must be locked, and motors whose torques are used.
         reversals: equations of a motor slower than this share of its root mean square are left out; 0 keeps all, None
             is `REVERSAL_SHARE` for methods with an equation per motor.
     """
 
-    method: Method = "wls"
+    method: str = "wls"
     model: ModelChoices = field(default_factory=ModelChoices)
     preprocess: PreprocessChoices = field(default_factory=PreprocessChoices)
     search_delay: bool = True
     split: float | None = None
     significant_rsd: float = SIGNIFICANT_RSD
-    energy_window: float | None = None
     experiment: ExperimentChoices = field(default_factory=ExperimentChoices)
     reversals: float | None = None
 
     def __post_init__(self) -> None:
         check_share(self.reversal_share)
-        if self.method in ENERGY_METHODS and self.reversals:
-            raise UsageError(
-                f"--leave-out-reversals has no meaning for --method {self.method}, whose equation is the whole arm's",
-                hint="use --method wls",
-            )
-        if self.method in ENERGY_METHODS and self.experiment.torques_of:
-            raise UsageError(
-                f"--torques-of has no meaning for --method {self.method}, whose equation is the whole arm's",
-                hint="use --method wls",
-            )
-        if self.energy_window is None:
-            return
-        if self.method != "energy":
-            raise UsageError("energy windows belong to the method energy", where="energy_window")
-        check_option("energy_window", self.energy_window, ENERGY_WINDOW)
+        options = (("--leave-out-reversals", self.reversals), ("--torques-of", self.experiment.torques_of))
+        for option, given in options if self.estimator.equations == "energy" else ():
+            if given:
+                raise UsageError(
+                    f"{option} has no meaning for --method {self.estimator.name}, whose equation is the whole arm's",
+                    hint="use --method wls",
+                )
+
+    @property
+    def estimator(self) -> MethodChoice:
+        """The method with its options."""
+        return chosen_method(self.method)
 
     @property
     def reversal_share(self) -> float:
         """Share of its root mean square below which a motor's equation is left out."""
         if self.reversals is not None:
             return self.reversals
-        return 0.0 if self.method in ENERGY_METHODS else REVERSAL_SHARE
+        return 0.0 if self.estimator.equations == "energy" else REVERSAL_SHARE
 
 
 def apply_model_choices(model: DynamicModel, choices: ModelChoices) -> DynamicModel:
@@ -168,8 +165,8 @@ class Identification:
         choices: as given, with the cut-offs and the delay that were used.
         runs, validation_runs: prepared data.
         delay: the search, where one was made.
-        reduction: the reduced system.
-        solution: full model.
+        reduction: the plain equations, reduced.
+        estimation: the full model.
         corrected: its covariance for autocorrelated residuals.
         pruned: the essential model.
         consistent: the physically consistent model; None where none was found.
@@ -188,7 +185,7 @@ class Identification:
     validation_runs: tuple[PreparedRun, ...]
     delay: DelaySearch | None
     reduction: Reduction
-    solution: LeastSquares
+    estimation: Estimation
     corrected: CorrectedCovariance
     pruned: Pruned
     consistent: ConsistentFit | None
@@ -200,6 +197,11 @@ class Identification:
     essential_validation: FitFigures
     validation_source: str
     checks: tuple[Check, ...]
+
+    @property
+    def solution(self) -> LeastSquares:
+        """The full model's."""
+        return self.estimation.solution
 
     @property
     def warnings(self) -> list[str]:
@@ -216,13 +218,14 @@ class Identification:
     @property
     def estimate(self) -> Estimate:
         """Values and covariance, for merging."""
-        return estimate_of(self.reduction, self.solution, self.corrected.covariance, self.corrected.blocks)
+        return estimate_of(self.estimation.reduction, self.solution, self.corrected.covariance, self.corrected.blocks)
 
     @property
     def joint_std(self) -> FloatArray:
         """Standard deviation (n,) of each joint's filtered torque residual [N·m]; nan where it was not used."""
-        if self.choices.method not in ENERGY_METHODS:
-            return np.where(self.solution.weights > 0, self.solution.joint_std, np.nan)
+        if self.choices.estimator.equations == "torque":
+            rows = np.array([joint.rows for joint in self.reduction.joints])
+            return np.where(rows > 0, self.solution.joint_std, np.nan)
         squares = sum(np.sum(part.residual**2, axis=1) for part in self.fit_series)
         counts = sum(np.sum(part.counted, axis=1) for part in self.fit_series)
         return np.asarray(np.sqrt(squares / np.maximum(1, counts)))

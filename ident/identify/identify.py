@@ -12,7 +12,8 @@ from daq.robot.loader import RobotFile
 from drivers.errors import ModelError, UsageError
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.validation import fit_figures
-from ident.estimators.estimator import Estimator, estimable, estimator_of
+from ident.estimators.energy_estimator import estimable
+from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.identify.checks import identification_checks
 from ident.identify.data_split import split_data
@@ -31,9 +32,8 @@ from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
 from ident.regression.estimate import estimate_of
 from ident.regression.jackknife import FilteredRun
-from ident.regression.least_squares import ENERGY_METHODS
-from ident.regression.observability import Experiment, experiment_base, find_experiment, predictable_torques, whole_arm
-from ident.regression.observation_matrix import Reduction, only_torques
+from ident.regression.observability import experiment_base, find_experiment, predictable_torques, whole_arm
+from ident.regression.observation_matrix import Reduction
 from ident.regression.pruning import prune
 from ident.simulation.tracking import tracking_error
 
@@ -79,26 +79,29 @@ def identify(
     prepared = prepare_data(kernel, data, experiment.torques, predictable, choices, progress)
 
     progress("regression")
-    estimator = estimator_of(choices.method, kernel, [run.prepared for run in prepared.runs], choices.energy_window)
+    setup = Setup(kernel, base, experiment, robot_file, tuple(run.prepared for run in prepared.runs))
+    estimator = choices.estimator.estimator(setup)
     runs = tuple(_with_notes(run, estimator) for run in prepared.runs)
-    reduction, active = _observation(estimator, runs, model, experiment, base, choices)
-    solution = estimator.solve(reduction, active)
+    reduction, active = _observation(estimator, setup, choices)
+    estimation = estimator.estimate(setup.runs, reduction, active)
+    solution, kernel = estimation.solution, estimation.kernel
+    model = kernel.model
     fit = [compare_run(kernel, solution.parameters, run) for run in runs]
 
     progress("error bars")
-    corrected = estimator.covariance(list(_filtered_runs(runs, fit)), solution)
+    corrected = estimator.covariance(list(_filtered_runs(runs, fit)), estimation)
     inflation = np.ones(base.count)
     inflation[list(active)] = np.sqrt(np.diag(corrected.covariance) / np.diag(solution.covariance))
     pruned = prune(
         solution,
         inflation,
         corrected.effective_rows,
-        lambda columns: estimator.solve(reduction, columns),
+        lambda columns: estimator.restricted(estimation, columns),
         choices.significant_rsd,
     )
 
     progress("physical consistency")
-    estimate = estimate_of(reduction, solution, corrected.covariance, corrected.blocks)
+    estimate = estimate_of(estimation.reduction, solution, corrected.covariance, corrected.blocks)
     consistent = _consistent_fit(found_consistent(model, base, estimate, robot_file), kernel, prepared)
     if consistent is not None and experiment == whole_arm(model):
         progress("simulation")
@@ -122,7 +125,7 @@ def identify(
         validation_runs=held_out,
         delay=prepared.delay,
         reduction=reduction,
-        solution=solution,
+        estimation=estimation,
         corrected=corrected,
         pruned=pruned,
         consistent=consistent,
@@ -172,21 +175,13 @@ def _with_notes(run: PreparedRun, estimator: Estimator) -> PreparedRun:
     return replace(run, prepared=replace(run.prepared, steps=steps))
 
 
-def _observation(
-    estimator: Estimator,
-    runs: Sequence[PreparedRun],
-    model: DynamicModel,
-    experiment: Experiment,
-    base: BaseParameters,
-    choices: IdentifyChoices,
-) -> tuple[Reduction, tuple[int, ...]]:
-    """The observation matrix, reduced, and its columns that the data excite and the method can tell apart."""
-    prepared = [run.prepared for run in runs]
-    reduction = estimator.reduce(prepared)
-    if choices.method not in ENERGY_METHODS:
-        reduction = only_torques(reduction, experiment.torques)
-    identifiable = estimable(choices.method, model, base)
-    excited = excited_base_columns(reduction, base, prepared)
+def _observation(estimator: Estimator, setup: Setup, choices: IdentifyChoices) -> tuple[Reduction, tuple[int, ...]]:
+    """The observation matrix, reduced, and its columns that the data excite and the equations can tell apart."""
+    reduction = estimator.reduce(setup.runs)
+    excited = excited_base_columns(reduction, setup.base, setup.runs)
+    if choices.estimator.equations == "torque":
+        return reduction, excited
+    identifiable = estimable(setup.kernel.model, setup.base)
     return reduction, tuple(column for column in excited if column in identifiable)
 
 

@@ -65,7 +65,8 @@ def summarise(
         robot_file=identification.robot_file.text,
         urdf=identification.robot_file.urdf_text or "",
         joints=list(robot.joint_names),
-        method=solution.method,
+        method=identification.choices.estimator.name,
+        method_options=identification.choices.estimator.values,
         options=_options(identification),
         model_options=model_options(model),
         preprocessing=[
@@ -251,7 +252,6 @@ def _options(identification: Identification) -> dict[str, float | int | str | bo
         **asdict(choices.preprocess),
         "split": choices.split,
         "significant_rsd": choices.significant_rsd,
-        "energy_window": choices.energy_window,
         "reversals": choices.reversal_share,
         "rest_tolerance": choices.experiment.rest_tolerance,
     }

@@ -11,7 +11,7 @@ import numpy as np
 from daq.robot.schema import Robot
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
-from ident.regression.least_squares import ENERGY_METHODS, LeastSquares
+from ident.regression.least_squares import LeastSquares
 from ident.regression.observation_matrix import Reduction
 
 
@@ -23,9 +23,9 @@ def gain_sensitivity(reduction: Reduction, solution: LeastSquares) -> FloatArray
         solution: theirs, by `ols` or `wls`; the weights are those of the solution.
 
     Raises:
-        UsageError: the solution is that of the energy or power model, which has no rows of a single joint.
+        UsageError: the solution is of equations without rows of a single joint, as those of the energy.
     """
-    if solution.method in ENERGY_METHODS:
+    if len(solution.weights) != len(reduction.joints):
         raise UsageError(f"the rows of method {solution.method} belong to no single joint", hint="use wls or ols")
     place = {column: position for position, column in enumerate(solution.active)}
     scores = np.zeros((len(solution.active), len(reduction.joints)))

@@ -15,9 +15,6 @@ from ident.linear_algebra.triangular import scaled_condition, triangular
 from ident.regression.observation_matrix import Reduction
 
 LinearMethod = Literal["ols", "wls"]
-Method = Literal["ols", "wls", "energy", "power"]
-ENERGY_METHODS: tuple[Method, ...] = ("energy", "power")
-"""Those that fit one scalar equation of the whole arm instead of one per joint."""
 
 EXCITATION_TOLERANCE = 1e-9
 """A base column with an independent component below this share of its length is not excited, nor one
@@ -40,7 +37,7 @@ class LeastSquares:
         parameters: (b,) base parameters; 0 for those that were not estimated.
         covariance: (a, a) of the active ones, residuals assumed white (SR400 eq. 14).
         inverse: (a, a) inverse of the (weighted) normal matrix.
-        weights: (n,) what each joint's rows were multiplied with, 0 without rows; (1,) for the energy methods.
+        weights: (n,) what each joint's rows were multiplied with, 0 without rows; (1,) where all rows form one factor.
         joint_std: (n,) standard deviation of each joint's residual [N·m], 0 without rows; (1,) of the energy's [J] or
             power's [W].
         rows: r, the number of equations.
@@ -51,7 +48,7 @@ class LeastSquares:
         settled: whether the weights converged; else these are the last iterate's.
     """
 
-    method: Method
+    method: str
     active: tuple[int, ...]
     parameters: FloatArray
     covariance: FloatArray

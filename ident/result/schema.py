@@ -328,6 +328,7 @@ class Result(_Part):
     urdf: str
     joints: list[str]
     method: str
+    method_options: dict[str, float | int | str | bool | None] = Field(default={}, description="of the method")
     options: dict[str, float | int | str | bool | list[float] | None]
     model_options: ModelOptions
     preprocessing: list[ProcessingStep]

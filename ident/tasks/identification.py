@@ -17,7 +17,6 @@ from ident.identify.identify import Progress
 from ident.identify.identify import identify as identify_recordings
 from ident.identify.summary import summarise
 from ident.regression.comparison import TorqueSeries
-from ident.regression.least_squares import Method
 from ident.regression.observability import REST_TOLERANCE, ExperimentChoices
 from ident.regression.pruning import SIGNIFICANT_RSD
 from ident.report import RecordedRuns, ReportData, recorded_runs, write_result_folder
@@ -184,7 +183,7 @@ def identify(
     runs: Runs,
     *,
     validation: Runs = (),
-    method: Method = "wls",
+    method: str = "wls",
     split: float | None = None,
     robot: str | Path | RobotFile | None = None,
     friction: FrictionModel | None = None,
@@ -202,7 +201,6 @@ def identify(
     torques_of: Sequence[str] = (),
     rest_tolerance: float | None = None,
     leave_out_reversals: float | None = None,
-    energy_window: float | None = None,
     start: float | None = None,
     stop: float | None = None,
     keep_rest: bool = False,
@@ -217,7 +215,8 @@ def identify(
     Args:
         runs: a recording, or several of one arm, which stack; each read already or a path.
         validation: held-out recordings; without any, the last 30 % of each of the others.
-        method: estimator: "ols", "wls", "energy" or "power".
+        method: estimator, NAME[:OPTION=VALUE]…, such as "wls" or "energy:window=0.5"; docs/identification.md
+            lists them, and so does `dynid identify --method help`.
         split: identify on the data before this time, validate on the rest [s].
         robot: in place of the recording's own robot file.
         friction: "none", "viscous", "coulomb" or "coulomb-viscous"; the robot file's where None.
@@ -235,8 +234,7 @@ def identify(
         torques_of: names of the joints whose motors' torques are used; all moving motors where empty.
         rest_tolerance: range of positions within which a joint counts as locked [rad or m]; 0.005 where None.
         leave_out_reversals: leave out velocity reversals: motors slower than this share
-            of their RMS velocity; 0 leaves out none, None is 0.05 for the methods "ols" and "wls".
-        energy_window: mean duration of the windows of the method "energy" [s].
+            of their RMS velocity; 0 leaves out none, None is 0.05 for methods with an equation per joint.
         start: leave out samples before this time [s from the first stamp].
         stop: leave out samples after this time [s from the first stamp].
         keep_rest: keep segments in which no joint moves, and torques of motors at rest.
@@ -258,7 +256,7 @@ def identify(
     """
     check_significance(significance)
     choices = IdentifyChoices(
-        method=checked_method(method),
+        method=method,
         model=ModelChoices(checked_friction(friction), offset, motor_inertia, smoothing),
         preprocess=PreprocessChoices(
             position_cutoff=position_cutoff,
@@ -275,7 +273,6 @@ def identify(
         search_delay=delay is None,
         split=split,
         significant_rsd=significance,
-        energy_window=energy_window,
         experiment=ExperimentChoices(
             _names(locked, "locked"),
             _names(torques_of, "torques_of"),
@@ -294,20 +291,6 @@ def identify(
         result = result.model_copy(update={"acceptance": judge_acceptance(limits, result_figures(result))})
     recorded = recorded_runs(identification, recordings, held_out)
     return IdentificationResult(result, identification.fit_series, identification.validation_series, recorded)
-
-
-def checked_method(method: str) -> Method:
-    """A method's name, if there is such a method.
-
-    Raises:
-        UsageError: there is none.
-    """
-    names: tuple[Method, ...] = get_args(Method)
-    for name in names:
-        if method == name:
-            return name
-    *others, last = names
-    raise UsageError(f"no method is called '{method}'", hint=f"{', '.join(others)} or {last}")
 
 
 def checked_friction(friction: str | None) -> FrictionModel | None:

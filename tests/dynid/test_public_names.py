@@ -19,7 +19,7 @@ import dynid
 HEAVY = ("numpy", "scipy", "pinocchio", "h5py", "pydantic", "yaml", "plotly", "rosbags", "pandas", "xarray")
 
 PHYSICAL = {
-    "bandwidth", "com", "current", "ddq", "delay", "dq", "duration", "energy_window", "inertia", "mass", "period",
+    "bandwidth", "com", "current", "ddq", "delay", "dq", "duration", "inertia", "mass", "period",
     "position", "position_cutoff", "q", "ramp", "rate", "smoothing", "split", "start", "stop", "tau", "temperature",
     "time", "torque", "torque_cutoff", "velocity", "voltage", "significance",
 }  # fmt: skip

@@ -59,7 +59,7 @@ OPTIONS = {
     "joint delay": lambda: PreprocessChoices(joint_delays=(0.0, 1e308)),
     "start": lambda: PreprocessChoices(start=1e308),
     "rest velocity": lambda: PreprocessChoices(rest_velocity=1e308),
-    "energy window": lambda: IdentifyChoices(method="energy", energy_window=1e-300),
+    "energy window": lambda: IdentifyChoices(method="energy:window=1e-300"),
     "period": lambda: design(period=1e-300),
     "long period": lambda: design(period=1e308),
     "periods": lambda: design(periods=10**9),

@@ -284,16 +284,16 @@ def test_recordings_stack_with_windows_of_the_same_exchange(three_joint):
 def test_longer_windows_are_fewer(three_joint):
     recording = recorded(three_joint, 1)
     rows = [
-        identify([recording], [], IdentifyChoices("energy", energy_window=seconds, search_delay=False)).solution.rows
+        identify([recording], [], IdentifyChoices(f"energy:window={seconds}", search_delay=False)).solution.rows
         for seconds in (0.05, 0.2)
     ]
     assert rows[0] == pytest.approx(4 * rows[1], rel=0.1)
 
 
 def test_windows_for_other_methods_are_refused():
-    for method, window in (("wls", 0.1), ("power", 0.1), ("energy", 0.0), ("energy", -1.0), ("energy", np.inf)):
+    for method in ("wls:window=0.1", "power:window=0.1", "energy:window=0", "energy:window=-1", "energy:window=inf"):
         with pytest.raises(UsageError, match="window"):
-            IdentifyChoices(method=method, energy_window=window)
+            IdentifyChoices(method=method)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -51,7 +51,7 @@ def test_all_gains_too_high_make_all_parameters_too_high(recording, solve):
 def test_the_energy_has_no_rows_of_a_joint(recording):
     found = identify([recording], [], IdentifyChoices(search_delay=False))
     with pytest.raises(UsageError, match="no single joint"):
-        gain_sensitivity(found.reduction, replace(found.solution, method="energy"))
+        gain_sensitivity(found.reduction, replace(found.solution, weights=np.ones(1)))
 
 
 def test_uncertainty_is_that_of_the_robot_file(three_joint):

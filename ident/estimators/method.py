@@ -1,0 +1,47 @@
+"""A method of `--method`: its options, its equations and how its estimator is built."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from pydantic import AfterValidator
+
+from drivers.ranges import Range
+from ident.estimators.estimator import Equations, Estimator, Setup
+
+Options = TypeVar("Options")
+
+
+@dataclass(frozen=True)
+class NoOptions:
+    """Of a method without any."""
+
+
+@dataclass(frozen=True)
+class Method(Generic[Options]):
+    """A method; every module of `ident.estimators.methods` holds one as METHOD and is named after it.
+
+    Attributes:
+        summary: what it does, in one line.
+        equations: that it solves.
+        options: frozen dataclass; each field has a type that pydantic validates, a description and a default.
+        estimator: builds it for the data.
+    """
+
+    summary: str
+    equations: Equations
+    options: type[Options]
+    estimator: Callable[[Options, Setup], Estimator]
+
+
+def within(allowed: Range) -> AfterValidator:
+    """Validator of an option: refuses numbers out of a range."""
+
+    def check(value: float | None) -> float | None:
+        if value is not None and not allowed.holds(value):
+            raise ValueError(f"{value:g} is not within {allowed}")
+        return value
+
+    return AfterValidator(check)

@@ -1,0 +1,127 @@
+"""The text of `--method`: NAME[:OPTION=VALUE]…, such as `energy:window=0.5`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
+from types import MappingProxyType
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from drivers.errors import UsageError
+from ident.estimators import methods as methods_folder
+from ident.estimators.estimator import Equations, Estimator, Setup
+from ident.estimators.method import Method
+
+OptionValue = float | int | str | bool | None
+
+
+@dataclass(frozen=True)
+class MethodChoice:
+    """A method with its options.
+
+    Attributes:
+        name: of the method.
+        method: what it is.
+        options: an instance of `method.options`.
+    """
+
+    name: str
+    method: Method[Any]
+    options: Any
+
+    @property
+    def equations(self) -> Equations:
+        """One per joint, or one for the whole arm."""
+        return self.method.equations
+
+    @property
+    def values(self) -> dict[str, OptionValue]:
+        """The options by name, defaults included."""
+        return asdict(self.options)
+
+    def estimator(self, setup: Setup) -> Estimator:
+        """The estimator for these data.
+
+        Raises:
+            DynidError: the options do not suit the data.
+        """
+        return self.method.estimator(self.options, setup)
+
+
+@cache
+def all_methods() -> MappingProxyType[str, Method[Any]]:
+    """Every method by its name: one module each of `ident.estimators.methods`."""
+    names = sorted(module.name for module in iter_modules(methods_folder.__path__))
+    return MappingProxyType({name: import_module(f"{methods_folder.__name__}.{name}").METHOD for name in names})
+
+
+@cache
+def chosen_method(text: str) -> MethodChoice:
+    """The method that a text names.
+
+    Args:
+        text: NAME[:OPTION=VALUE]…
+
+    Raises:
+        UsageError: no such method or option, or a value that it cannot have; says what there is.
+    """
+    name, *pairs = text.split(":")
+    method = all_methods().get(name)
+    if method is None:
+        *others, last = all_methods()
+        raise UsageError(f"no method is called '{name}'", hint=f"{', '.join(others)} or {last}")
+    known = [field.name for field in fields(method.options)]
+    given: dict[str, str] = {}
+    for pair in pairs:
+        option, sign, value = pair.partition("=")
+        if option not in known:
+            hint = f"its options: {', '.join(known)}" if known else "it has no options"
+            raise UsageError(f"the method {name} has no option '{option}'", where="--method", hint=hint)
+        if not sign or option in given:
+            wrong = "has no value" if not sign else "is given twice"
+            raise UsageError(f"the option '{option}' {wrong}", where="--method", hint=f"{name}:{option}=VALUE")
+        given[option] = value
+    try:
+        options = TypeAdapter(method.options).validate_strings(given)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        option = ".".join(str(part) for part in first["loc"][:1])
+        described = describe_method(name)
+        hint = next(line.strip() for line in described.splitlines() if line.strip().startswith(f"{option}="))
+        message = first["msg"].removeprefix("Value error, ")
+        raise UsageError(f"{option}={given[option]}: {message}", where=f"--method {name}", hint=hint) from error
+    return MethodChoice(name, method, options)
+
+
+def describe_method(name: str) -> str:
+    """A method's summary and its options, a line each."""
+    method = all_methods()[name]
+    properties = TypeAdapter(method.options).json_schema().get("properties", {})
+    defaults = asdict(method.options())
+    lines = [f"{name}: {method.summary}"]
+    for option, schema in properties.items():
+        default = defaults[option]
+        shown = "" if default is None else f" (default {str(default).lower() if default in (True, False) else default})"
+        lines.append(f"  {option}={_values(schema)}  {schema['description']}{shown}")
+    return "\n".join(lines)
+
+
+def describe_methods() -> str:
+    """All methods with their options."""
+    return "\n".join(describe_method(name) for name in all_methods())
+
+
+def _values(schema: dict[str, Any]) -> str:
+    """What an option can be, in words."""
+    if "enum" in schema:
+        return "|".join(str(value) for value in schema["enum"])
+    kinds = {schema.get("type"), *(other.get("type") for other in schema.get("anyOf", ()))}
+    if "boolean" in kinds:
+        return "true|false"
+    if kinds & {"number", "integer"}:
+        return "NUMBER"
+    return "TEXT"
