@@ -24,7 +24,7 @@ import yaml
 
 from daq.importers import ImportChoices, import_file
 from daq.motion.trajectories import Motion
-from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
+from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from ident.assessment.validation import LOW_SPEED
 from ident.excite.choices import DesignChoices
@@ -39,6 +39,7 @@ from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.signals.options import PreprocessChoices
 from sim_drivers.plant.plant import Plant
+from sim_drivers.synthetic.controlled_run import record_plant
 
 ROBOTS = ("ur5e", "panda")
 MOTIONS = 3
@@ -67,23 +68,8 @@ def with_stribeck(robot_file: RobotFile) -> RobotFile:
 
 def controlled(robot_file: RobotFile, motion: Motion, seed: int) -> Recording:
     """Sensor values of an arm that a controller moves."""
-    count = round(motion.duration * RATE)
-    position, velocity, acceleration = motion.evaluate(np.arange(count) / RATE)
-    plant = Plant(robot_file, seed=seed, position=position[:, 0])
-    samples = []
-    for q, v, a in zip(position.T, velocity.T, acceleration.T, strict=True):
-        plant.set_target(q, v, a)
-        plant.advance(1.0 / RATE)
-        samples.append(plant.measure())
-    stamps = np.array([sample.time for sample in samples])
-    names = robot_file.robot.joint_names
-    (signal,) = {robot_file.robot.drive(name).signal for name in names}
-    unit = {"current": "A", "voltage": "V", "torque": "N*m"}[signal]
-    channels = {
-        "position": Channel("position", np.array([sample.position for sample in samples]), "rad", names),
-        signal: Channel(signal, np.array([sample.current for sample in samples]), unit, names),
-    }
-    return Recording(robot_file.text, {JOINTS_STREAM: Stream(JOINTS_STREAM, stamps, stamps, channels)})
+    start = motion.evaluate(np.zeros(1))[0][:, 0]
+    return record_plant(robot_file, Plant(robot_file, seed=seed, position=start), motion, RATE)
 
 
 def motions(robot_file: RobotFile) -> tuple[list[Motion], Motion]:
