@@ -83,6 +83,11 @@ def identify_drive_gains(
 def print_payload(payload: Payload) -> None:
     """The load as a person reads it at the terminal."""
     from daq.commands.console import print_table
+    from ident.experiments.consistent_load_summary import (
+        consistent_load_result,
+        consistent_load_rows,
+        consistent_load_sentences,
+    )
     from ident.experiments.payload_summary import FRAME_TEXT, base_changes, load_parameters, payload_sentences
     from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
@@ -105,6 +110,15 @@ def print_payload(payload: Payload) -> None:
             print(f"centre of mass [m]: {values}")
         if estimate.columns.no_effect:
             print(f"without effect on this arm: {', '.join(estimate.columns.no_effect)}")
+    if payload.consistent is not None:
+        body = consistent_load_result(payload.pair, payload.consistent)
+        print_table(
+            "\nLoad as a body that can exist: centre of mass, and inertia about it",
+            ("name", "value", "σ", "unit", "from"),
+            consistent_load_rows(body),
+        )
+        for sentence in consistent_load_sentences(body):
+            print(sentence)
     print_table(
         "\nBase parameters that a load changes",
         ("name", "free", "σ", "free plus load", "identified loaded", "σ", "unit"),

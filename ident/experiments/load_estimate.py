@@ -10,6 +10,7 @@ from drivers.errors import DataError
 from drivers.streams import FloatArray
 from ident.experiments.run_pair import FREE, LOADED, BlockGrams, RunPair, block_grams, weighted_blocks, widened
 from ident.model.load import MASS, KnownLoad, LoadColumns, load_columns
+from ident.regression.estimate import Estimate, estimate_of
 from ident.regression.gain_uncertainty import gain_sensitivity, relative_gain_std
 from ident.regression.jackknife import BlockSums, jackknife_covariance, least_squares_moves
 from ident.regression.least_squares import LeastSquares, excited_columns, ordinary_least_squares
@@ -30,6 +31,8 @@ class LoadEstimate:
         known: parameters held fixed.
         standard: (10,) standard parameters in the tool frame; nan for those that only combinations reveal.
         standard_covariance: (10, 10), both causes together; nan where `standard` is.
+        estimate: of the arm's base parameters and these combinations together, from noise alone.
+        estimate_gain_covariance: (a, a) of the same from the drive gains' standard deviations.
     """
 
     columns: LoadColumns
@@ -40,6 +43,8 @@ class LoadEstimate:
     known: KnownLoad | None
     standard: FloatArray
     standard_covariance: FloatArray
+    estimate: Estimate
+    estimate_gain_covariance: FloatArray
 
     @property
     def std(self) -> FloatArray:
@@ -140,24 +145,20 @@ def estimate_load(
     moved_by_gain = free_part + loaded_part  # (n, a)
     relative = relative_gain_std(pair.robot_file.robot)
     gain_covariance = (moved_by_gain * relative[:, None] ** 2).T @ moved_by_gain
-    return _with_standard(columns, known, solution, places, covariance, gain_covariance, count)
+    estimate = estimate_of(system, solution, covariance, grams.count)
+    return _with_standard(columns, known, estimate, gain_covariance, count)
 
 
 def _with_standard(
-    columns: LoadColumns,
-    known: KnownLoad | None,
-    solution: LeastSquares,
-    places: list[int],
-    covariance: FloatArray,
-    gain_covariance: FloatArray,
-    count: int,
+    columns: LoadColumns, known: KnownLoad | None, estimate: Estimate, gain_covariance: FloatArray, count: int
 ) -> LoadEstimate:
     size = len(columns.names)
-    identified = [solution.active[place] - count for place in places]
+    places = [place for place, column in enumerate(estimate.active) if column >= count]
+    identified = [estimate.active[place] - count for place in places]
     values = np.full(size, np.nan)
-    values[identified] = solution.parameters[[solution.active[place] for place in places]]
+    values[identified] = estimate.values[places]
     of_causes = []
-    for of_all in (covariance, gain_covariance):
+    for of_all in (estimate.covariance, gain_covariance):
         of_load = np.full((size, size), np.nan)
         of_load[np.ix_(identified, identified)] = of_all[np.ix_(places, places)]
         of_causes.append(of_load)
@@ -181,7 +182,19 @@ def _with_standard(
         known=known,
         standard=standard,
         standard_covariance=np.where(np.isfinite(spread), spread, 0.0),
+        estimate=estimate,
+        estimate_gain_covariance=gain_covariance,
     )
+
+
+def relative_error(reduction: Reduction, parameters: FloatArray) -> float:
+    """‖τ − W·x‖/‖τ‖ of a run over all of its motors, from their triangular factors; base parameters x (b,)."""
+    left = whole = 0.0
+    for joint in reduction.joints:
+        residual = joint.factor[:, -1] - joint.factor[:, :-1] @ parameters[list(joint.columns)]
+        left += float(residual @ residual)
+        whole += float(joint.factor[:, -1] @ joint.factor[:, -1])
+    return float(np.sqrt(left / whole)) if whole > 0 else float("nan")
 
 
 def _joint_system(

@@ -25,6 +25,7 @@ from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
+from ident.experiments.consistent_load import ConsistentLoad, consistent_load
 from ident.experiments.load_estimate import (
     LoadEstimate,
     SeparateRuns,
@@ -85,6 +86,7 @@ class Payload:
         pair: the runs.
         load: estimate without any knowledge of the load.
         with_mass: estimate with what is known as a constraint; None where nothing is.
+        consistent: the load as a body that can exist, what is known held fixed; None where no minimum was reached.
         mass_test: known against identified mass, noise only; None where it is unknown or not identifiable.
         values_test: all known against identified load parameters, noise only; None where the mass alone is known.
         changes: base parameters without, predicted and identified with the load.
@@ -98,6 +100,7 @@ class Payload:
     pair: RunPair
     load: LoadEstimate
     with_mass: LoadEstimate | None
+    consistent: ConsistentLoad | None
     mass_test: SignificanceTest | None
     values_test: SignificanceTest | None
     changes: BaseChange
@@ -128,6 +131,7 @@ def identify_payload(
     Raises:
         DataError: different arms, no torque, no load column that the motions could show.
         IdentificationError: the system has no solution.
+        RobotFileError: the file's `known` values are impossible, alone or together.
     """
     pair = prepare_pair(free, loaded, read_joint_signals, robot_file, delay)
     effect = load_effect(pair.model, pair.base, pair.robot_file.robot)
@@ -152,6 +156,7 @@ def identify_payload(
         pair=pair,
         load=estimate,
         with_mass=constrained,
+        consistent=consistent_load(pair, estimate, known),
         mass_test=_mass_test(estimate, known),
         values_test=_values_test(estimate, known, blocks),
         changes=BaseChange(
@@ -246,6 +251,17 @@ def _warnings(payload: Payload, recordings: tuple[Recording, Recording]) -> list
         warnings.append(
             "what changed between the runs is not what a load on the last link changes: it slips, drags a hose, "
             "touches something, or the drive gains are wrong"
+        )
+    body = payload.consistent
+    if body is None:
+        warnings.append("no load that can exist was found, on links that can exist: check units, gains and geometry")
+    elif body.test is not None and not body.test.passed:
+        warnings.append(
+            "no load that can exist explains the runs, on links that can exist: check gains, geometry and what is known"
+        )
+    if body is not None and body.rounded:
+        warnings.append(
+            "no body has exactly the known inertia (a rounded table?): that of the consistent load was estimated"
         )
     if payload.rest is not None and not payload.rest.test.passed:
         warnings.append(

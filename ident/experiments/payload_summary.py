@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.streams import FloatArray
+from ident.experiments.consistent_load_summary import consistent_load_result
 from ident.experiments.drive_gains import DriveGains
 from ident.experiments.load_estimate import LoadEstimate
 from ident.experiments.payload import Payload
@@ -149,6 +150,7 @@ def payload_result(payload: Payload) -> PayloadResult:
         frame=FRAME_TEXT,
         load=load_parameters(payload.load),
         load_with_known=None if payload.with_mass is None else load_parameters(payload.with_mass),
+        consistent_load=None if payload.consistent is None else consistent_load_result(pair, payload.consistent),
         centre_of_mass=None if centre is None else CentreOfMass(value=centre[0].tolist(), std=centre[1].tolist()),
         not_identifiable=_regrouped(payload.load.columns),
         unexcited=list(payload.load.unexcited),

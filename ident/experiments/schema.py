@@ -95,6 +95,45 @@ class DelayUsed(_Entry):
     note: str
 
 
+class RunError(_Entry):
+    """Relative error ‖τ − Wx‖/‖τ‖ of the torque in a run."""
+
+    run: str
+    unconstrained: Number
+    consistent: Number
+
+
+class BodyResult(_Entry):
+    """A rigid body."""
+
+    mass: float = Field(description="[kg]")
+    com: list[float] = Field(description="centre of mass [m]")
+    inertia: dict[str, float] = Field(description="about the centre of mass: xx, xy, xz, yy, yz, zz [kg·m²]")
+
+
+class LinkBody(BodyResult):
+    """A link of the arm with the load, in the frame of its joint."""
+
+    link: str
+
+
+class ConsistentLoadResult(BodyResult):
+    """A load that can exist, on an arm whose links can exist, in the tool frame; σ includes noise and gains."""
+
+    mass_std: Number = Field(description="[kg]; 0 where known, null where the data do not determine it")
+    com_std: list[Number] = Field(description="[m]")
+    inertia_std: dict[str, Number] = Field(description="[kg·m²]")
+    determined: dict[str, float] = Field(
+        description="share of each standard parameter that the data determine; the rest comes from the prior"
+    )
+    held: list[str] = Field(description="standard parameters held at known values")
+    on_boundary: bool = Field(description="the condition that it can exist holds it")
+    boundary_links: list[str] = Field(description="links that the condition holds")
+    cost: SignificanceResult | None = Field(description="rise in the sum of squares over the unconstrained estimate")
+    errors: list[RunError]
+    links: list[LinkBody] = Field(description="the arm with the load: its last link carries it")
+
+
 class PayloadResult(_Entry):
     """Results of a free and a loaded run about a load."""
 
@@ -104,6 +143,7 @@ class PayloadResult(_Entry):
     frame: str
     load: list[LoadParameter]
     load_with_known: list[LoadParameter] | None
+    consistent_load: ConsistentLoadResult | None
     centre_of_mass: CentreOfMass | None
     not_identifiable: list[str]
     unexcited: list[str]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from ident.experiments.consistent_load_summary import consistent_load_rows, consistent_load_sentences
 from ident.experiments.schema import (
     BaseParameterChange,
     GainResult,
@@ -30,7 +31,7 @@ Gain = GainResult | SlowGainResult
 
 
 def payload_page(result: PayloadResult) -> str:
-    """The page of a load: the tests in words, its parameters, what it changes."""
+    """The page of a load: the tests in words, its parameters, the body, what it changes."""
     return (
         page_templates()
         .get_template("payload_page.html.j2")
@@ -38,6 +39,8 @@ def payload_page(result: PayloadResult) -> str:
             result=result,
             tiles=_payload_tiles(result),
             load=_load_figure(result),
+            body_rows=() if result.consistent_load is None else consistent_load_rows(result.consistent_load),
+            body_sentences=() if result.consistent_load is None else consistent_load_sentences(result.consistent_load),
             changes=_changes_figure(result.base_parameters),
         )
     )

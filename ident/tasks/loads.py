@@ -14,6 +14,7 @@ from daq.output_files import REPORT_FILE, write_folder
 from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
+from ident.experiments.consistent_load import ConsistentLoad
 from ident.experiments.drive_gains import DriveGains, identify_gains
 from ident.experiments.payload import Payload, identify_payload
 from ident.experiments.payload_summary import (
@@ -79,6 +80,14 @@ class IdentifiedPayload:
         """Its standard deviations σ (3,) [m]."""
         centre = (self.estimate.with_mass or self.estimate.load).centre
         return None if centre is None else centre[1]
+
+    @property
+    def body(self) -> ConsistentLoad | None:
+        """The load as a body that can exist: `.body.mass` [kg], `.body.com` (3,) [m], `.body.inertia` (3, 3) [kg·m²].
+
+        With `.mass_std`, `.com_std`, `.inertia_std` (6,) and what it costs; None where none was found.
+        """
+        return self.estimate.consistent
 
     @property
     def parameters(self) -> Table:

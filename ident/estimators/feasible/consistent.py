@@ -66,6 +66,31 @@ class ConsistentParameters:
     steps: int
 
 
+@dataclass(frozen=True)
+class FeasibleFit:
+    """Minimum of a problem; p parameters, a estimated values.
+
+    Attributes:
+        values: (p,) in column order.
+        spread: (p, a) a root of their covariance: spread @ spread.T.
+        std: (p,) standard deviations of what the data determine; nan for the rest.
+        determined: (p,) share of each that the data determine.
+        misfit: rise of the sum of squared residuals, each of unit variance, over that of the estimate.
+        boundary: indices of the bodies that the conditions hold near the boundary.
+        limits_hit: ranges of the file that are active.
+        steps: Newton steps.
+    """
+
+    values: FloatArray
+    spread: FloatArray
+    std: FloatArray
+    determined: FloatArray
+    misfit: float
+    boundary: tuple[int, ...]
+    limits_hit: tuple[str, ...]
+    steps: int
+
+
 def consistent_parameters(
     model: DynamicModel, base: BaseParameters, estimate: Estimate, robot_file: RobotFile
 ) -> ConsistentParameters:
@@ -84,17 +109,53 @@ def consistent_parameters(
         RobotFileError: the file's `known` values are impossible, alone or together.
         IdentificationError: no minimum was reached.
     """
-    root = estimate.root * min(1.0, PRECISION / max(float(np.linalg.norm(estimate.root @ estimate.values)), 1e-300))
-    estimate = replace(estimate, root=root)
-    system, target = root @ estimate.combinations(base.projection), root @ estimate.values
-    priors = link_priors(model, robot_file, system, target)
+    estimate = bounded_precision(estimate)
+    system = estimate.root @ estimate.combinations(base.projection)
+    priors = link_priors(model, robot_file, system, estimate.root @ estimate.values)
     problem = build_problem(model, robot_file, base, estimate, priors)
+    fit = feasible_fit(problem, estimate, base.projection, robot_file.robot.name)
+    of_base = base.projection @ fit.spread
+    return ConsistentParameters(
+        values=fit.values,
+        std=fit.std,
+        determined=fit.determined,
+        known=~problem.free,
+        base=base.projection @ fit.values,
+        base_covariance=of_base @ of_base.T,
+        sources=priors.sources,
+        misfit=fit.misfit,
+        boundary=fit.boundary,
+        limits_hit=fit.limits_hit,
+        steps=fit.steps,
+    )
+
+
+def bounded_precision(estimate: Estimate) -> Estimate:
+    """The estimate, its torques no more exact than `PRECISION` of their size."""
+    size = float(np.linalg.norm(estimate.root @ estimate.values))
+    return replace(estimate, root=estimate.root * min(1.0, PRECISION / max(size, 1e-300)))
+
+
+def feasible_fit(problem: Problem, estimate: Estimate, projection: FloatArray, where: str) -> FeasibleFit:
+    """Least squares on an estimate's triangular factor under the conditions of a problem.
+
+    Args:
+        problem: with p variables.
+        estimate: of b combinations of them, of `bounded_precision`.
+        projection: (b, p) these combinations.
+        where: the robot's name in messages.
+
+    Raises:
+        RobotFileError: the conditions contradict each other.
+        IdentificationError: no minimum was reached.
+    """
+    system, target = estimate.root @ estimate.combinations(projection), estimate.root @ estimate.values
     start, forces = strictly_inside(problem.conditions, problem.start, problem.free)
     if np.any(forces > 0):
         resisting = [n for n, force in zip(problem.names, forces, strict=True) if force > RESISTING * forces.max()]
         raise RobotFileError(
             f"no body satisfies these at once: {', '.join(dict.fromkeys(resisting))}",
-            where=robot_file.robot.name,
+            where=where,
             hint="widen a range of 'known' or 'prior'",
         )
     scaled = system * problem.scale
@@ -108,16 +169,12 @@ def consistent_parameters(
     values = problem.scale * minimum.y
     spread = problem.scale[:, None] * _spread(minimum, scaled, estimate, problem.free)
     determined = _determined(scaled, problem.free)
-    of_base = base.projection @ spread
     misfit = system @ values - target
-    return ConsistentParameters(
+    return FeasibleFit(
         values=values,
+        spread=spread,
         std=np.where(determined >= DETERMINED, np.linalg.norm(spread, axis=1), np.nan),
         determined=determined,
-        known=~problem.free,
-        base=base.projection @ values,
-        base_covariance=of_base @ of_base.T,
-        sources=priors.sources,
         misfit=float(misfit @ misfit),
         boundary=_boundary(problem, minimum),
         limits_hit=_limits_hit(problem, minimum),

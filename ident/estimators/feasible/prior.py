@@ -91,14 +91,26 @@ def _described(link: FloatArray, known: PriorLink, where: str) -> tuple[FloatArr
         moved = pseudo + known.mass * (np.outer(new, new) - np.outer(old, old))
         return standard_parameters(moved), "robot file (mass, centre of mass)"
     described = link_parameters(known.mass, known.com, known.inertia)
-    xx, xy, xz, yy, yz, zz = known.inertia
-    if not _extended(known.mass, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])):
+    if not can_exist(known.mass, known.inertia):
         raise RobotFileError(
             "no body has this inertia: each principal moment must be below the sum of the other two",
             where=where,
             hint="give it about the centre of mass, in kg·m², in the axes of the joint's frame",
         )
     return described, "robot file"
+
+
+def can_exist(mass: float, inertia: Sequence[float]) -> bool:
+    """Whether a body has this mass [kg] and inertia xx, xy, xz, yy, yz, zz about its centre of mass [kg·m²]."""
+    xx, xy, xz, yy, yz, zz = inertia
+    return _extended(mass, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+
+
+def uniform_ball(mass: float, com: FloatArray) -> FloatArray:
+    """Standard parameters (10,) of a ball of the assumed density, mass [kg] and centre (3,) [m]."""
+    radius = float(np.cbrt(mass / DENSITY * 3 / (4 * np.pi)))
+    moment = 2 / 5 * mass * radius**2
+    return link_parameters(mass, com.tolist(), (moment, 0.0, 0.0, moment, 0.0, moment))
 
 
 def _extended(mass: float, inertia: FloatArray) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.robot.loader import RobotFile
-from daq.robot.prior import TOTAL_MASS
+from daq.robot.prior import TOTAL_MASS, Prior
 from drivers.closest import did_you_mean
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
@@ -154,6 +154,50 @@ def build_problem(
         free=free,
         rows=np.array(equations).reshape(-1, count),
         values=np.array(values),
+    )
+
+
+def with_load(problem: Problem, prior: FloatArray, known: BoolArray, choices: Prior) -> Problem:
+    """The problem with ten further variables, those of a load that is a body itself.
+
+    With the load and the links that carry it, the links plus the load can exist, too.
+
+    Args:
+        problem: of the arm, p variables.
+        prior: (10,) standard parameters of a body, known ones in place.
+        known: (10,) which of them are known.
+        choices: distance from the prior, and its weight.
+    """
+    old, count = problem.conditions, len(problem.start)
+    entropic = choices.distance == "entropic"
+    pseudo = pseudo_inertia(prior)
+    scale = _units(pseudo[None])[0]
+    wide = ((0, 0), (0, LINK_SIZE))
+    rows, values = np.pad(problem.rows, wide), problem.values
+    if not entropic:
+        root = np.sqrt(choices.weight)
+        rows = np.vstack([rows, np.pad(root * np.eye(LINK_SIZE), ((0, 0), (count, 0)))])
+        values = np.concatenate([values, root * prior / scale])
+    links = len(old.least)
+    conditions = Conditions(
+        variables=np.vstack([old.variables, count + np.arange(LINK_SIZE, dtype=np.intp)]),
+        basis=np.concatenate([old.basis, (BASIS * scale[:, None, None])[None]]),
+        least=np.concatenate([old.least, MARGIN * pseudo[None]]),
+        pull=np.concatenate([old.pull, (np.linalg.inv(pseudo) if entropic else np.zeros_like(pseudo))[None]]),
+        rows=np.pad(old.rows, wide),
+        limits=old.limits,
+        row_pull=old.row_pull,
+        weights=np.insert(old.weights, links, choices.weight * (1.0 if entropic else BARRIER)),
+    )
+    return Problem(
+        scale=np.concatenate([problem.scale, scale]),
+        conditions=conditions,
+        names=(*problem.names[:links], "load", *problem.names[links:]),
+        ranges=problem.ranges,
+        start=np.concatenate([problem.start, prior / scale]),
+        free=np.concatenate([problem.free, ~known]),
+        rows=rows,
+        values=values,
     )
 
 

@@ -47,6 +47,7 @@ def payload(**changes: object) -> PayloadResult:
         "frame": "tool frame",
         "load": [parameter("M_L", 2.75, 0.1)],
         "load_with_known": None,
+        "consistent_load": None,
         "centre_of_mass": None,
         "not_identifiable": ["XX_L"],
         "unexcited": [],

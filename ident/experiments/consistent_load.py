@@ -1,0 +1,184 @@
+"""The load as a body that can exist, on an arm whose links can exist.
+
+Least squares over both runs once more, on the triangular factor behind the unconstrained estimate: the pseudo-inertias
+of the arm's links and of the load are positive definite by a margin (`ident.estimators.feasible`). Their sum, the link
+that carries the load, then is so too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.errors import IdentificationError
+from drivers.streams import FloatArray
+from ident.estimators.feasible.consistent import FeasibleFit, bounded_precision, feasible_fit
+from ident.estimators.feasible.interior_point import BoolArray
+from ident.estimators.feasible.prior import can_exist, link_priors, uniform_ball
+from ident.estimators.feasible.problem import build_problem, with_load
+from ident.estimators.feasible.pseudo_inertia import Body, body_of
+from ident.experiments.load_estimate import LoadEstimate, relative_error
+from ident.experiments.merge import variance_ratio
+from ident.experiments.run_pair import FREE, LOADED, RunPair
+from ident.linear_algebra.triangular import triangular
+from ident.model.load import FIRST_MOMENTS, MASS, KnownLoad, load_effect, moved_origin
+from ident.model.parameters import INERTIAL
+from ident.regression.estimate import Estimate
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest
+
+LEAST_MASS = 1e-3
+"""[kg] of the assumed load where no mass was identified."""
+
+LOAD_SIZE = len(INERTIAL)
+
+
+@dataclass(frozen=True)
+class ConsistentLoad:
+    """A load that can exist, in the tool frame.
+
+    Attributes:
+        body: mass, centre of mass and inertia about it.
+        mass_std: [kg]; nan where the data do not determine it, 0 where it is known. So all deviations: noise and gains.
+        com_std: (3,) [m].
+        inertia_std: (6,) of xx, xy, xz, yy, yz, zz [kg·m²].
+        determined: (10,) share of each standard parameter that the data determine; the rest comes from the prior.
+        known: (10,) which were held fixed.
+        rounded: whether the known inertia is not that of a body and was estimated in its place.
+        arm: (p,) standard parameters of the arm without the load.
+        loaded_arm: (10·links,) inertial ones of its links with it.
+        boundary: indices of the links that the conditions hold near the boundary.
+        on_boundary: whether the load lies there.
+        test: whether the rise in the sum of squares is that of noise; None where no deviation is known.
+        errors: relative errors of the torque of (free, loaded) run, unconstrained.
+        consistent_errors: the same of the consistent model.
+    """
+
+    body: Body
+    mass_std: float
+    com_std: FloatArray
+    inertia_std: FloatArray
+    determined: FloatArray
+    known: BoolArray
+    rounded: bool
+    arm: FloatArray
+    loaded_arm: FloatArray
+    boundary: tuple[int, ...]
+    on_boundary: bool
+    test: SignificanceTest | None
+    errors: tuple[float, float]
+    consistent_errors: tuple[float, float]
+
+
+def consistent_load(pair: RunPair, load: LoadEstimate, known: KnownLoad | None) -> ConsistentLoad | None:
+    """The consistent load that belongs to an unconstrained one; None where no minimum is reached.
+
+    Args:
+        pair: the runs.
+        load: estimated without any knowledge of the load.
+        known: what is held fixed; None where nothing is.
+
+    Raises:
+        RobotFileError: the file's `known` values are impossible, alone or together.
+    """
+    from scipy.linalg import block_diag
+
+    base, robot_file = pair.base, pair.robot_file
+    estimate = bounded_precision(load.estimate)
+    of_arm = _of_arm(estimate, base.count)
+    combinations = of_arm.combinations(base.projection)
+    priors = link_priors(pair.model, robot_file, of_arm.root @ combinations, of_arm.root @ of_arm.values)
+    prior, fixed, rounded = _prior(load, known)
+    problem = with_load(
+        build_problem(pair.model, robot_file, base, of_arm, priors), prior, fixed, robot_file.robot.prior
+    )
+    both = replace(estimate, covariance=estimate.covariance + load.estimate_gain_covariance)
+    try:
+        fit = feasible_fit(problem, both, block_diag(base.projection, load.columns.projection), robot_file.robot.name)
+    except IdentificationError:
+        return None
+    arm, own = fit.values[:-LOAD_SIZE], fit.values[-LOAD_SIZE:]
+    links = len(pair.model.joints)
+    loaded_arm = arm[: LOAD_SIZE * links].copy()
+    carrier = slice(LOAD_SIZE * pair.model.tool_link, LOAD_SIZE * (pair.model.tool_link + 1))
+    loaded_arm[carrier] += moved_origin(np.array(robot_file.robot.workspace.tool)) @ own
+    free_values = np.zeros(base.count + len(load.columns.names))
+    free_values[list(estimate.active)] = estimate.values
+    effect = load_effect(pair.model, base, robot_file.robot)
+    deviations = _deviations(fit, body_of(own), fixed)
+    return ConsistentLoad(
+        body=body_of(own),
+        mass_std=float(deviations[MASS]),
+        com_std=deviations[list(FIRST_MOMENTS)] / own[MASS],
+        inertia_std=deviations[:6],
+        determined=fit.determined[-LOAD_SIZE:],
+        known=fixed,
+        rounded=rounded,
+        arm=arm,
+        loaded_arm=loaded_arm,
+        boundary=tuple(link for link in fit.boundary if link < links),
+        on_boundary=links in fit.boundary,
+        test=_cost(estimate, fit.misfit),
+        errors=_errors(pair, free_values[: base.count], load.columns.effect @ free_values[base.count :]),
+        consistent_errors=_errors(pair, base.projection @ arm, effect @ own),
+    )
+
+
+def _of_arm(estimate: Estimate, count: int) -> Estimate:
+    """The estimate of the base parameters alone, that of the load left open."""
+    of_arm = [place for place, column in enumerate(estimate.active) if column < count]
+    of_load = [place for place, column in enumerate(estimate.active) if column >= count]
+    root = triangular(estimate.root[:, [*of_load, *of_arm]])[len(of_load) :, len(of_load) :]
+    active = tuple(estimate.active[place] for place in of_arm)
+    return Estimate(
+        active=active,
+        values=estimate.values[of_arm],
+        root=root,
+        covariance=estimate.covariance[np.ix_(of_arm, of_arm)],
+        taken_up=estimate.taken_up[of_arm, : count - len(active)],
+        blocks=estimate.blocks,
+    )
+
+
+def _prior(load: LoadEstimate, known: KnownLoad | None) -> tuple[FloatArray, BoolArray, bool]:
+    """A ball of uniform density, known parameters in place; which are held fixed; whether an inertia is not used."""
+    fixed = np.zeros(LOAD_SIZE, dtype=np.bool_)
+    if known is None:
+        mass = float(load.standard[MASS])
+        if not mass > 0:
+            mass = WITHIN_95_PERCENT * float(np.sqrt(load.standard_covariance[MASS, MASS]))
+        return uniform_ball(max(mass, LEAST_MASS), np.zeros(3)), fixed, False
+    whole = known.inertia is not None and can_exist(known.mass, known.inertia)
+    if whole:
+        return known.values, ~fixed, False
+    fixed[[i for i in known.known if i == MASS or i in FIRST_MOMENTS]] = True
+    return uniform_ball(known.mass, np.array(known.com or np.zeros(3))), fixed, known.inertia is not None
+
+
+def _deviations(fit: FeasibleFit, body: Body, fixed: BoolArray) -> FloatArray:
+    """Deviations (10,) of inertia and first moments about the body's centre, and of its mass.
+
+    About the centre of mass, to first order, the inertia does not depend on where the centre is.
+    """
+    to_centre = moved_origin(-body.com)
+    open_ones = ~fixed & ~np.isfinite(fit.std[-LOAD_SIZE:])
+    spread = np.linalg.norm(to_centre @ fit.spread[-LOAD_SIZE:], axis=1)
+    return np.where(np.any(to_centre[:, open_ones] != 0, axis=1), np.nan, spread)
+
+
+def _cost(estimate: Estimate, misfit: float) -> SignificanceTest | None:
+    """The rise in the sum of squares against what autocorrelated noise makes of it."""
+    from scipy.stats import chi2
+
+    count = len(estimate.values)
+    inflation = variance_ratio(estimate.root, estimate.covariance)
+    if not (np.isfinite(inflation) and inflation > 0):
+        return None
+    statistic = misfit / inflation
+    return SignificanceTest(statistic, count, float(chi2.sf(statistic, count)))
+
+
+def _errors(pair: RunPair, parameters: FloatArray, change: FloatArray) -> tuple[float, float]:
+    """Relative errors of the torque of both runs; base parameters (b,) of the free arm, and what the load adds."""
+    free = relative_error(pair.runs[FREE].reduction, parameters)
+    return free, relative_error(pair.runs[LOADED].reduction, parameters + change)
