@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from daq.robot.section import Finite, Positive, Section, Vector3
 
 TOTAL_MASS = "total_mass"
 """Name, in `known`, of the mass of all links that move."""
+
+LEAST_POINTS = 4
+"""Corners of the smallest body."""
 
 
 class Known(Section):
@@ -44,6 +47,20 @@ class PriorLink(Section):
     com_box: tuple[Vector3, Vector3] | None = Field(
         default=None, description="two corners of a box that holds the centre of mass [m]"
     )
+
+    com_hull: Literal["urdf"] | tuple[Vector3, ...] | None = Field(
+        default=None,
+        description="points [m] whose convex hull holds the centre of mass, or 'urdf' for the link's shapes there",
+    )
+
+    @field_validator("com_hull", mode="before")
+    @classmethod
+    def _hull(cls, content: Any) -> Any:
+        if isinstance(content, str) and content != "urdf":
+            raise ValueError(f"'{content}': write 'urdf', or a list of points")
+        if isinstance(content, list | tuple) and len(content) < LEAST_POINTS:
+            raise ValueError(f"{len(content)} points enclose nothing: give {LEAST_POINTS} or more")
+        return content
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -11,6 +11,7 @@ from daq.robot.prior import TOTAL_MASS, Prior
 from drivers.closest import did_you_mean
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
+from ident.estimators.feasible.centre_bounds import centre_bounds
 from ident.estimators.feasible.interior_point import BoolArray, Conditions
 from ident.estimators.feasible.prior import LinkPriors
 from ident.estimators.feasible.pseudo_inertia import BASIS, pseudo_inertia
@@ -48,7 +49,7 @@ class Problem:
         scale: (p,).
         conditions: of y.
         names: (k + g,) what each condition is called.
-        ranges: (g,) whether each inequality comes from the file's `known` or `com_box`.
+        ranges: (g,) whether each inequality comes from the file's `known`, `com_box` or `com_hull`.
         start: (p,) of y: the prior, known values in place.
         free: (p,) whether each variable is not known.
         rows, values: (r, p), (r,): equations of unit variance beside the data's: the distance from the prior.
@@ -70,7 +71,7 @@ def build_problem(
     """The problem of an arm.
 
     Raises:
-        RobotFileError: `known` names no parameter of this arm, or a value that none can have.
+        RobotFileError: `known` names no parameter of this arm, or a value that none can have; a shape is not found.
     """
     robot, parameters = robot_file.robot, model.parameters
     links, count = len(priors.links), len(parameters)
@@ -115,18 +116,16 @@ def build_problem(
             if signs[index] * known.value < 0 or (index in masses and known.value <= 0):
                 raise RobotFileError(f"{known.value:g} is no value that a body or a joint can have", where=where)
             start[index], free[index] = known.value / scale[index], False
-    for link, name in enumerate(model.link_names):
-        box = robot.prior.links[name].com_box if name in robot.prior.links else None
-        for axis in range(3) if box is not None else ():
-            assert box is not None
-            for factor, limit in ((1.0, box[0][axis]), (-1.0, box[1][axis])):
-                row = np.zeros(count)
-                row[LINK_SIZE * link + 6 + axis], row[masses[link]] = factor, -factor * limit
-                row *= scale / np.linalg.norm(row * scale)
-                rows.append(row)
-                limits.append(0.0)
-                names.append(f"prior.links.{name}.com_box")
-                ranges.append(True)
+    for bound in centre_bounds(model, robot_file):
+        first = LINK_SIZE * bound.link + INERTIAL.index("MX")
+        for normal, offset in zip(bound.normals, bound.offsets, strict=True):
+            row = np.zeros(count)
+            row[first : first + 3], row[masses[bound.link]] = -normal, offset
+            row *= scale / np.linalg.norm(row * scale)
+            rows.append(row)
+            limits.append(0.0)
+            names.append(bound.name)
+            ranges.append(True)
     kept = [place for place in range(len(rows)) if place >= len(joints) or free[joints[place]]]
     weight, entropic = robot.prior.weight, robot.prior.distance == "entropic"
     shares = np.array([BARRIER if ranges[place] or not entropic else 1.0 for place in kept])

@@ -21,7 +21,7 @@ from daq.robot.workspace import Workspace
 from drivers.streams import FloatArray
 from ident.excite.constraints.capsules import Capsule
 from ident.excite.constraints.placements import IndexArray
-from ident.excite.constraints.urdf_shapes import urdf_capsules
+from ident.excite.constraints.urdf_capsules import urdf_capsules
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import BASE_INDEX, Joint
 

@@ -184,7 +184,7 @@ def test_a_mesh_that_is_found_is_enclosed(tmp_path, monkeypatch, kind):
 )
 def test_a_shape_that_cannot_be_used_leaves_the_tube(shape, monkeypatch):
     # Pinocchio refuses such a URDF in part; here only the reading of the shape is looked at.
-    from ident.excite.constraints import urdf_shapes
+    from ident.model.kinematics import urdf_shapes
 
     good = URDF.format(fore='<sphere radius="0.1"/>')
     robot_file = parse_robot(URDF_ROBOT, where="arm", folder=None, urdf_text=good)
