@@ -1,0 +1,207 @@
+"""One way to run any optimiser that evaluates populations: budget, Ctrl-C, undefined costs, convergence history."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.errors import IdentificationError, UsageError
+from drivers.streams import FloatArray
+from ident.estimators.swarm.box import Box
+
+Cost = Callable[[FloatArray], FloatArray]
+"""Costs (P,) of a population (P, d)."""
+
+Ended = Literal["generations", "time", "interrupted", "optimiser"]
+"""What ended a minimisation: its budget, Ctrl-C, or the optimiser's own criterion."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How long to search.
+
+    Attributes:
+        generations: after the initial population.
+        seconds: after which the best so far is the result; None for no limit.
+
+    Raises:
+        UsageError: a number is not positive.
+    """
+
+    generations: int
+    seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.generations < 1:
+            raise UsageError(f"{self.generations} generations are none", hint="at least 1")
+        if self.seconds is not None and not self.seconds > 0.0:
+            raise UsageError(f"{self.seconds:g} s are no time to search")
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """The best point that a search found.
+
+    Attributes:
+        point: (d,).
+        cost: there.
+        history: (G + 1,) best cost after the initial population and after each generation.
+        evaluations: (G + 1,) costs that had been evaluated by then.
+        undefined: costs that were no number; such points were never the best.
+        ended: what ended the search.
+        remarks: what the optimiser says of its settings.
+    """
+
+    point: FloatArray
+    cost: float
+    history: FloatArray
+    evaluations: FloatArray
+    undefined: int
+    ended: Ended
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def generations(self) -> int:
+        """That were completed."""
+        return max(0, len(self.history) - 1)
+
+    def generations_to(self, cost: float) -> int | None:
+        """The first generation whose best cost is not above `cost`; None where none is."""
+        reached = np.flatnonzero(self.history <= cost)
+        return int(reached[0]) if len(reached) else None
+
+
+class _BudgetSpentError(Exception):
+    def __init__(self, ended: Ended) -> None:
+        super().__init__(ended)
+        self.ended: Ended = ended
+
+
+class Search:
+    """What an optimiser works with.
+
+    Attributes:
+        box: to search.
+        generator: of its random numbers.
+    """
+
+    def __init__(
+        self,
+        cost: Cost,
+        box: Box,
+        budget: Budget,
+        generator: np.random.Generator,
+        first: FloatArray | None,
+        progress: Callable[[float], None],
+        clock: Clock,
+    ) -> None:
+        self.box, self.generator = box, generator
+        self.point: FloatArray | None = None
+        self.lowest = np.inf
+        self.undefined = 0
+        self.history: list[float] = []
+        self.evaluations: list[int] = []
+        self._cost, self._budget, self._progress, self._clock = cost, budget, progress, clock
+        self._first = np.empty((0, box.size)) if first is None else box.clip(np.atleast_2d(first))
+        self.evaluated = 0
+        self._end = np.inf if budget.seconds is None else clock.now() + budget.seconds
+
+    def initial(self, count: int) -> FloatArray:
+        """(count, d) points to begin with: those that were given, then random ones."""
+        given = self._first[:count]
+        return np.concatenate([given, self.box.draw(self.generator, count - len(given))])
+
+    def costs(self, points: FloatArray) -> FloatArray:
+        """Costs (P,) of points (P, d) of the box; inf where they are not defined."""
+        if self._clock.now() >= self._end and self.point is not None:
+            raise _BudgetSpentError("time")
+        if not len(points):
+            return np.empty(0)
+        values = np.array(self._cost(points), dtype=np.float64)
+        if values.shape != (len(points),):
+            raise ValueError(f"the cost of {len(points)} points has the shape {values.shape}")
+        undefined = ~np.isfinite(values)
+        values[undefined] = np.inf
+        self.undefined += int(undefined.sum())
+        self.evaluated += len(points)
+        best = int(np.argmin(values))
+        if values[best] < self.lowest:
+            self.point, self.lowest = points[best].copy(), float(values[best])
+        return values
+
+    def end_generation(self) -> None:
+        """Called by the optimiser after the initial population and after each generation; may end the search."""
+        self.history.append(self.lowest)
+        self.evaluations.append(self.evaluated)
+        self._progress(self.lowest)
+        if len(self.history) > self._budget.generations:
+            raise _BudgetSpentError("generations")
+
+
+class Optimiser(Protocol):
+    """A way to minimise a cost, with its settings."""
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a user should know of the settings; nothing where they are sound."""
+
+    def run(self, search: Search) -> None:
+        """Evaluate generation after generation, until `search` or a criterion of its own ends it."""
+
+
+def minimise(
+    optimiser: Optimiser,
+    cost: Cost,
+    box: Box,
+    budget: Budget,
+    seed: int | Sequence[int] = 0,
+    first: FloatArray | None = None,
+    progress: Callable[[float], None] = lambda lowest: None,
+    clock: Clock = SYSTEM_CLOCK,
+) -> Minimum:
+    """Search a box for the least cost; Ctrl-C and the time limit end it with the best so far.
+
+    Args:
+        optimiser: with its settings.
+        cost: of a whole population; NaN and infinite ones are survived and counted.
+        box: to search.
+        budget: how long.
+        seed: of all random numbers: the same seed gives the same search.
+        first: (k, d) points of the initial population; the others are random.
+        progress: called with the least cost after each generation.
+        clock: the host's.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C before any cost was evaluated.
+        IdentificationError: not one cost was a number.
+    """
+    search = Search(cost, box, budget, np.random.default_rng(seed), first, progress, clock)
+    ended: Ended = "optimiser"
+    try:
+        optimiser.run(search)
+    except _BudgetSpentError as spent:
+        ended = spent.ended
+    except KeyboardInterrupt:
+        if search.point is None:
+            raise
+        ended = "interrupted"
+    if search.point is None:
+        raise IdentificationError(
+            f"none of {search.undefined} costs was a number", hint="narrow the search box or check the cost"
+        )
+    if not search.history or search.history[-1] != search.lowest:
+        search.history.append(search.lowest)
+        search.evaluations.append(search.evaluated)
+    return Minimum(
+        point=search.point,
+        cost=search.lowest,
+        history=np.array(search.history),
+        evaluations=np.array(search.evaluations, dtype=np.float64),
+        undefined=search.undefined,
+        ended=ended,
+        remarks=optimiser.remarks,
+    )
