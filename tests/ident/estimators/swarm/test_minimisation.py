@@ -36,7 +36,8 @@ every = pytest.mark.parametrize(
 def test_the_minimum_of_a_bowl_is_found_in_any_units(optimiser: Optimiser) -> None:
     found = minimise(optimiser, bowl, BOX, Budget(150), seed=1)
     assert np.all(np.abs(found.point - INSIDE) < 0.02 * BOX.width)
-    assert np.all(np.diff(found.history) <= 0.0) and found.history[-1] == found.cost == bowl(found.point[None])[0]
+    assert np.all(np.diff(found.history) <= 0.0)
+    assert found.history[-1] == found.cost == bowl(found.point[None])[0]
     assert np.all(np.diff(found.evaluations) >= 0)
 
 
@@ -53,7 +54,8 @@ def test_a_minimum_outside_the_box_is_found_on_its_face(optimiser: Optimiser) ->
 @every
 def test_a_seed_gives_one_search(optimiser: Optimiser) -> None:
     runs = [minimise(optimiser, bowl, BOX, Budget(5), seed=seed) for seed in (3, 3, 4)]
-    assert np.array_equal(runs[0].point, runs[1].point) and not np.array_equal(runs[0].point, runs[2].point)
+    assert np.array_equal(runs[0].point, runs[1].point)
+    assert not np.array_equal(runs[0].point, runs[2].point)
 
 
 @every
@@ -85,7 +87,8 @@ def test_ctrl_c_gives_the_best_so_far(optimiser: Optimiser) -> None:
         return values
 
     found = minimise(optimiser, cost, BOX, Budget(1000), seed=6)
-    assert found.ended == "interrupted" and found.cost == min(seen)
+    assert found.ended == "interrupted"
+    assert found.cost == min(seen)
 
 
 @every
@@ -95,7 +98,8 @@ def test_the_time_limit_gives_the_best_so_far(optimiser: Optimiser, clock) -> No
         return bowl(points)
 
     found = minimise(optimiser, slow, BOX, Budget(10**6, seconds=4.5), clock=clock)
-    assert found.ended == "time" and np.isfinite(found.cost)
+    assert found.ended == "time"
+    assert np.isfinite(found.cost)
     # One evaluation happens, however short the time is.
     assert np.isfinite(minimise(optimiser, slow, BOX, Budget(9, seconds=1e-9), clock=clock).cost)
 
@@ -115,7 +119,9 @@ def test_costs_that_are_never_numbers_are_an_error() -> None:
 
 def test_given_points_belong_to_the_initial_population() -> None:
     found = minimise(OPTIMISERS[1], bowl, BOX, Budget(1), first=INSIDE)
-    assert found.cost == 0.0 and found.generations_to(0.0) == 0 and found.generations_to(-1.0) is None
+    assert found.cost == 0.0
+    assert found.generations_to(0.0) == 0
+    assert found.generations_to(-1.0) is None
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,10 @@ from ident.estimators.swarm.particle_swarm import ConstantWeight, ParticleSwarm,
 def test_the_variance_is_stable_up_to_polis_bound(weight: float) -> None:
     bound = 24.0 * (1.0 - weight**2) / (7.0 - 5.0 * weight)
     inside, outside = (particle_stability(ConstantWeight(weight), *[0.5 * f * bound] * 2) for f in (0.999, 1.001))
-    assert inside.mean < 1.0 and inside.variance < 1.0 < outside.variance
-    assert not inside.remark and "variance grows" in outside.remark
+    assert inside.mean < 1.0
+    assert inside.variance < 1.0 < outside.variance
+    assert not inside.remark
+    assert "variance grows" in outside.remark
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,167 @@
+"""Physical parameters of links and the torque's cost in them: no regrouping, as the UP6 paper wants it.
+
+A link has a mass m, a centre of mass c and an inertia I about it. The standard parameters of the model follow from
+them: m·c are its first moments, I and m·c² its inertia about the joint's origin. So the torque is quadratic in c, but
+linear in m and I where c is known: then least squares finds them, too, as far as the torque shows them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import UsageError
+from drivers.streams import FloatArray
+from ident.estimators.feasible.pseudo_inertia import body_of
+from ident.estimators.swarm.box import Box
+from ident.estimators.swarm.quadratic_cost import QuadraticCost
+from ident.model.dynamic_model import DynamicModel
+from ident.model.parameters import INERTIAL
+
+BODY = ("m", "cx", "cy", "cz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+"""Symbols of a link's ten physical parameters [kg, m, kg·m²], the inertia about the centre of mass."""
+
+SIZE = len(BODY)
+
+
+def physical_names(model: DynamicModel) -> tuple[str, ...]:
+    """Names (p,): ten for each link, numbered from 1, then the joints' own parameters by their standard names."""
+    links = len(model.joints)
+    bodies = [f"{symbol}{link + 1}" for link in range(links) for symbol in BODY]
+    return (*bodies, *(parameter.name for parameter in model.parameters[SIZE * links :]))
+
+
+def physical_values(model: DynamicModel, standard: FloatArray) -> FloatArray:
+    """Physical parameters (p,) of standard ones (p,); every mass must be positive."""
+    values = standard.copy()
+    for link in range(len(model.joints)):
+        part = slice(SIZE * link, SIZE * (link + 1))
+        body = body_of(standard[part])
+        values[part] = [body.mass, *body.com, *body.inertia[np.triu_indices(3)]]
+    return values
+
+
+@dataclass(frozen=True, eq=False)
+class PhysicalParameters:
+    """The choice of physical parameters that are estimated; the others keep their reference values.
+
+    Attributes:
+        links: number of links.
+        reference: (p,) all physical parameters.
+        names: (d,) of the chosen ones.
+        chosen: (d,) their places.
+    """
+
+    links: int
+    reference: FloatArray
+    names: tuple[str, ...]
+    chosen: tuple[int, ...]
+
+    @classmethod
+    def of(cls, model: DynamicModel, reference: FloatArray, names: Sequence[str]) -> PhysicalParameters:
+        """The parameters of a model with some names, `m1`, `cx1`, `Izz1`, `Fv1`; reference values (p,).
+
+        Raises:
+            UsageError: the model has no such parameter, or a name stands twice.
+        """
+        places = {name: place for place, name in enumerate(physical_names(model))}
+        for name in names:
+            if name not in places:
+                raise UsageError(
+                    f"'{name}' is no physical parameter of {model.name}", hint=f"one of {', '.join(places)}"
+                )
+        if len(set(names)) < len(names):
+            raise UsageError("a physical parameter is named twice")
+        return cls(len(model.joints), reference, tuple(names), tuple(places[name] for name in names))
+
+    def standard(self, points: FloatArray) -> FloatArray:
+        """Standard parameters (P, p) of a population (P, d)."""
+        values = np.tile(self.reference, (len(points), 1))
+        values[:, self.chosen] = points
+        bodies = values[:, : SIZE * self.links].reshape(len(points), self.links, SIZE)
+        mass, com = bodies[..., 0], bodies[..., 1:4]
+        standard = np.empty_like(bodies)
+        standard[..., :6] = bodies[..., 4:] + mass[..., None] * _com_squares(com)
+        standard[..., 6:9] = mass[..., None] * com
+        standard[..., 9] = mass
+        values[:, : SIZE * self.links] = standard.reshape(len(points), -1)
+        return values
+
+    def derivative(self, point: FloatArray) -> FloatArray:
+        """Derivatives (p, d) of the standard parameters by the chosen ones, at a point (d,)."""
+        values = self.reference.copy()
+        values[list(self.chosen)] = point
+        whole = np.eye(len(values))
+        for link in range(self.links):
+            part = slice(SIZE * link, SIZE * (link + 1))
+            whole[part, part] = _body_derivative(values[part])
+        return whole[:, list(self.chosen)]
+
+
+def _com_squares(com: FloatArray) -> FloatArray:
+    """(…, 6) c·cᵀ-terms of the parallel-axis theorem per kg, in the order XX XY XZ YY YZ ZZ."""
+    x, y, z = com[..., 0], com[..., 1], com[..., 2]
+    return np.stack([y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y], axis=-1)
+
+
+def _body_derivative(body: FloatArray) -> FloatArray:
+    """(10, 10) of a link's standard parameters (rows, in the order of `INERTIAL`) by its physical ones."""
+    mass, com = body[0], body[1:4]
+    x, y, z = com
+    derivative = np.zeros((len(INERTIAL), SIZE))
+    derivative[:6, 0] = _com_squares(com)
+    derivative[:6, 1:4] = mass * np.array(
+        [[0, 2 * y, 2 * z], [-y, -x, 0], [-z, 0, -x], [2 * x, 0, 2 * z], [0, -z, -y], [2 * x, 2 * y, 0]]
+    )
+    derivative[:6, 4:] = np.eye(6)
+    derivative[6:9, 0] = com
+    derivative[6:9, 1:4] = mass * np.eye(3)
+    derivative[9, 0] = 1.0
+    return derivative
+
+
+@dataclass(frozen=True, eq=False)
+class PhysicalCost:
+    """‖W·x − τ‖₂ in physical parameters, through the map physical → standard → base.
+
+    Attributes:
+        parameters: that are estimated.
+        quadratic: the cost in the base parameters.
+        projection: (b, p) base = projection · standard.
+    """
+
+    parameters: PhysicalParameters
+    quadratic: QuadraticCost
+    projection: FloatArray
+
+    def base(self, points: FloatArray) -> FloatArray:
+        """Base parameters (P, b) of a population (P, d)."""
+        return np.asarray(self.parameters.standard(points) @ self.projection.T)
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        """Costs (P,) of points (P, d)."""
+        return self.quadratic(self.base(points))
+
+    def derivative(self, point: FloatArray) -> FloatArray:
+        """Derivatives (r, d) of the weighted equations R·x by the physical parameters, at a point (d,)."""
+        return np.asarray(self.quadratic.root @ (self.projection @ self.parameters.derivative(point)))
+
+    def descended(self, point: FloatArray, box: Box) -> FloatArray:
+        """The local optimum (d,) of a box that Gauss-Newton steps reach from a point (d,).
+
+        The exact optimum where the chosen parameters enter linearly (no centre of mass among them).
+        """
+        from scipy.optimize import least_squares
+
+        def residual(scaled: FloatArray) -> FloatArray:
+            base = self.base((box.lower + box.width * scaled)[None, :])[0]
+            return np.asarray(self.quadratic.root @ base - self.quadratic.target)
+
+        def derivative(scaled: FloatArray) -> FloatArray:
+            return self.derivative(box.lower + box.width * scaled) * box.width
+
+        begin = np.clip((point - box.lower) / box.width, 1e-6, 1.0 - 1e-6)
+        found = least_squares(residual, begin, derivative, bounds=(0.0, 1.0), xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        return box.clip(box.lower + box.width * found.x)
