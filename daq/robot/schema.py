@@ -30,7 +30,7 @@ from daq.robot.section import (
     within,
 )
 from daq.robot.workspace import Mounting, Workspace
-from drivers.ranges import JOINTS, NUMBER
+from drivers.ranges import EXPONENT, JOINTS, NUMBER, STRIBECK_VELOCITY
 from drivers.yaml_file import SeveralProblems
 
 ASSUMED_ACCELERATION = 10.0
@@ -160,21 +160,39 @@ class Drive(Section):
         return self
 
 
+Exponent = Annotated[Positive, AfterValidator(within(EXPONENT))] | Literal["estimated"]
+StribeckVelocity = Annotated[Positive, AfterValidator(within(STRIBECK_VELOCITY))] | Literal["estimated"]
+LoadFriction = Literal["none", "linear", "quadratic"]
+TemperatureFriction = Literal["none", "linear", "full"]
+
+
 class JointFriction(Section):
     """Exceptions of one joint from the arm's friction model; absent keys follow the arm's."""
 
     viscous: bool | None = None
     coulomb: bool | None = None
     offset: bool | None = None
+    exponent: Exponent | None = None
+    stribeck: bool | None = None
+    stribeck_velocity: StribeckVelocity | None = None
+    load: LoadFriction | None = None
+    temperature: TemperatureFriction | None = None
     pair: bool | None = Field(default=None, description="of coupled motors: friction of the joint, too (SR400 eq. 8)")
 
 
 class Friction(Section):
-    """The friction columns of every joint (SR400 eq. 7; ROCR6 eq. 3-4; offset as in AUBO eq. 6)."""
+    """The friction columns of every joint (SR400 eq. 7; ROCR6 eq. 3-4; AUBO eq. 3-6)."""
 
     model: Literal["none", "viscous", "coulomb", "coulomb-viscous"] = "coulomb-viscous"
     offset: bool = Field(default=True, description="a constant torque per joint, Fo")
     smoothing: NonNegative = Field(default=0.0, description="ε [rad/s] of tanh(q̇/ε) in place of sign(q̇); 0 means sign")
+    exponent: Exponent = Field(default=1.0, description="α of |q̇|^α in the viscous column, or 'estimated'")
+    stribeck: bool = Field(default=False, description="a column sign(q̇)·exp(−(q̇/stribeck_velocity)²)")
+    stribeck_velocity: StribeckVelocity = Field(default="estimated", description="[rad/s or m/s], or 'estimated'")
+    load: LoadFriction = Field(default="none", description="growth with the load torque")
+    temperature: TemperatureFriction = Field(
+        default="none", description="√|q̇| times a function of the temperature: 'linear', or 'full' as AUBO eq. 5"
+    )
     joints: dict[str, JointFriction] = Field(default_factory=dict)
 
 

@@ -99,7 +99,7 @@ class EnergyWindows:
             inside = slice(start, min(start + CHUNK, count))
             # With the last sample of the chunk before, so that the integral goes on from there.
             around = slice(max(0, start - 1), inside.stop)
-            power = np.vstack([self.kernel.friction_power(segment.velocity[:, around]), work[around]])
+            power = np.vstack([self.kernel.friction_power(*friction_motion(segment, around)), work[around]])
             integral = spent + cumulative_trapezoid(power, dx=1.0 / segment.rate, axis=1, initial=0)
             spent = integral[:, -1:]
             integral = integral[:, inside.start - around.start :]
@@ -109,6 +109,12 @@ class EnergyWindows:
             balance[self.kernel.friction_rows] = integral[:-1]
             yield balance
         yield None
+
+
+def friction_motion(segment: Segment, samples: slice) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    """Velocity, position and, where recorded, temperature of some samples, which the friction's power follows from."""
+    heat = None if segment.temperature is None else segment.temperature[:, samples]
+    return segment.velocity[:, samples], segment.position[:, samples], heat
 
 
 def motor_power(model: DynamicModel, segment: Segment) -> FloatArray:

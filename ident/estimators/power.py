@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.streams import FloatArray
 from ident.estimators.energy_equations import EnergyRows
-from ident.estimators.energy_windows import motor_power
+from ident.estimators.energy_windows import friction_motion, motor_power
 from ident.model.energy import CHUNK, EnergyKernel
 from ident.signals.filters import StreamedFilter, ZeroPhaseFilter
 from ident.signals.prepared import Segment
@@ -61,6 +61,6 @@ class PowerSamples:
             inside = slice(start - around.start, stop - around.start)
             stored = self.kernel.energy(segment.position[:, around], segment.velocity[:, around])
             power = central_difference(stored, segment.rate)[:, inside]
-            power[self.kernel.friction_rows] = self.kernel.friction_power(segment.velocity[:, start:stop])
+            power[self.kernel.friction_rows] = self.kernel.friction_power(*friction_motion(segment, slice(start, stop)))
             yield np.vstack([power, work[start:stop]])
         yield None

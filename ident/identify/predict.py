@@ -10,9 +10,11 @@ import numpy as np
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile
 from drivers.streams import FloatArray
+from drivers.units import ZERO_CELSIUS
 from ident.identify.revalidate import stored_choices
 from ident.result.model import Model
 from ident.signals.joint_signals import JointSignals, joint_positions, read_joint_signals
+from ident.signals.joint_temperature import joint_temperature
 from ident.signals.pipeline import prepare
 from ident.signals.prepared import Prepared, Segment
 
@@ -111,7 +113,15 @@ def _signals(recording: Recording, robot_file: RobotFile) -> JointSignals:
         return read_joint_signals(recording, robot)
     positions = joint_positions(recording, robot)
     nothing = np.zeros_like(positions.position)
-    return JointSignals(positions.label, positions.joint_names, positions.time, positions.position, nothing, "")
+    return JointSignals(
+        positions.label,
+        positions.joint_names,
+        positions.time,
+        positions.position,
+        nothing,
+        "",
+        temperature=joint_temperature(recording, robot.joint_names),
+    )
 
 
 def _predicted(model: Model, prepared: Prepared, segment: Segment, signals: JointSignals) -> SegmentPrediction:
@@ -122,17 +132,20 @@ def _predicted(model: Model, prepared: Prepared, segment: Segment, signals: Join
         return np.ascontiguousarray(values[:, used].T)
 
     q, dq, ddq = rows(segment.position), rows(segment.velocity), rows(segment.acceleration)
-    gravity, coriolis, friction = model.gravity(q), model.coriolis(q, dq), model.friction(dq)
-    torque = model.torque(q, dq, ddq)
+    celsius = None if segment.temperature is None else rows(segment.temperature) - ZERO_CELSIUS
+    gravity, coriolis, friction = model.gravity(q), model.coriolis(q, dq), model.friction(dq, q, celsius)
+    torque = model.torque(q, dq, ddq, celsius)
     measured = residual = None
     if signals.torque_origin:
         at_joints = model.coupling.T @ segment.torque
         measured = rows(at_joints)
-        whole = [
-            np.ascontiguousarray(signal.T) for signal in (segment.position, segment.velocity, segment.acceleration)
-        ]
         every_sample = replace(prepared.parallel_filter, factor=1)
-        residual = rows(every_sample.apply(at_joints - model.torque(*whole).T))
+        heat = None if segment.temperature is None else segment.temperature.T - ZERO_CELSIUS
+        residual = rows(
+            every_sample.apply(
+                at_joints - model.torque(segment.position.T, segment.velocity.T, segment.acceleration.T, heat).T
+            )
+        )
     return SegmentPrediction(
         time=segment.time[used],
         rate=segment.rate,
@@ -145,7 +158,7 @@ def _predicted(model: Model, prepared: Prepared, segment: Segment, signals: Join
             "gravity": gravity,
             "friction": friction,
         },
-        std=model.torque_std(q, dq, ddq),
+        std=model.torque_std(q, dq, ddq, celsius),
         measured=measured,
         residual=residual,
     )

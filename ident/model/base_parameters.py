@@ -16,11 +16,12 @@ import numpy as np
 
 from drivers.errors import IdentificationError
 from drivers.streams import FloatArray
+from drivers.units import ZERO_CELSIUS
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import joint_column
 from ident.model.kinematics.loops import main_chain
-from ident.model.parameters import Kind, StandardParameter
+from ident.model.parameters import FRICTION_KINDS, Kind, StandardParameter
 from ident.model.regressor import RegressorKernel, motion_factor
 
 RANDOM_SEED = 20260101
@@ -87,6 +88,14 @@ def random_states(
     )
 
 
+def random_temperature(model: DynamicModel, count: int, seed: int = RANDOM_SEED) -> FloatArray | None:
+    """Temperatures (n, count) [K] drawn evenly between 0 and 60 °C; None where the friction depends on none."""
+    if not model.needs_temperature:
+        return None
+    low, high = ZERO_CELSIUS, ZERO_CELSIUS + 60.0
+    return np.random.default_rng(seed + 1).uniform(low, high, (model.dof, count))
+
+
 def base_parameters(model: DynamicModel) -> BaseParameters:
     """Base parameters of a model, inertial, motor and friction columns together.
 
@@ -102,7 +111,7 @@ class ModelKey:
     def __init__(self, model: DynamicModel) -> None:
         self.model = model
         self._content = repr((model.joints, model.limits, model.gravity.tolist())) + repr(
-            (model.motor_inertia, model.viscous, model.coulomb, model.offset, model.smoothing)
+            (model.motor_inertia, model.viscous, model.coulomb, model.offset, model.smoothing, model.terms)
         )
         if model.transmission is not None:
             self._content += repr(model.transmission.content())
@@ -174,7 +183,7 @@ def _random_factor(model: DynamicModel) -> FloatArray:
     """Triangular factor (p, p) of the standard regressor at random states."""
     kernel = RegressorKernel(model)
     count = max(100, STATES_PER_PARAMETER * len(kernel.columns))
-    return motion_factor(kernel, *random_states(model, count))
+    return motion_factor(kernel, *random_states(model, count), random_temperature(model, count))
 
 
 def _preference(parameter: StandardParameter, preferred: Sequence[int]) -> tuple[int, bool, int, int]:
@@ -184,6 +193,8 @@ def _preference(parameter: StandardParameter, preferred: Sequence[int]) -> tuple
         return (0, beside, -parameter.joint, _KEEP_FIRST.index(parameter.symbol))
     if parameter.kind in ("viscous", "coulomb", "offset") or parameter.symbol in ("Fv", "Fs"):
         return (1, False, parameter.joint, 0)
+    if parameter.kind in FRICTION_KINDS:
+        return (1, True, parameter.joint, FRICTION_KINDS.index(parameter.kind))
     if parameter.kind in ("motor_inertia", "coupling"):
         return (2, False, -parameter.joint, 0)
     return (3, beside, -parameter.joint, _KEEP_LAST.index(parameter.symbol))

@@ -4,7 +4,8 @@ Column order, everywhere: ten inertial parameters a link, links in the order of 
 
     XX1 XY1 XZ1 YY1 YZ1 ZZ1 MX1 MY1 MZ1 M1  XX2 … M2  …
 
-then motor inertias `Ia`, viscous `Fv`, Coulomb `Fs` and offset `Fo`, each for those joints that have it. Inertias are
+then motor inertias `Ia`, viscous `Fv`, Coulomb `Fs`, offset `Fo` and further friction (`friction_terms`), each for
+those joints that have it. Inertias are
 about the origin of the joint's frame and in its axes, MX MY MZ are the first moments there (SR400 .3.1). A motor that
 several joints move has `Fvm` and `Fsm` in place of `Fv` and `Fs`; the latter two are then the joint's own friction
 (SR400 eq. 8) and come last, after the joint's inertia `Iac` where there is one.
@@ -19,7 +20,9 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from daq.robot.schema import JointLimits, Robot
+from drivers.errors import DataError
 from drivers.streams import FloatArray
+from ident.model.friction_terms import FrictionTerms
 from ident.model.kinematics.joints import Joint
 from ident.model.kinematics.loops import build_transmission, main_chain
 from ident.model.kinematics.mdh import mdh_joints
@@ -47,6 +50,7 @@ class DynamicModel:
         motor_inertia, viscous, coulomb, offset: whether each motor has that column.
         smoothing: ε [rad/s] of tanh(q̇/ε) in the Coulomb column (ROCR6 eq. 4); 0 for sign(q̇) (SR400 eq. 7).
         transmission: between the tree's joints, those with a motor, and the motors; None where all are the same.
+        terms: friction beside viscous, Coulomb and offset; None where there is none.
     """
 
     name: str
@@ -59,6 +63,7 @@ class DynamicModel:
     offset: tuple[bool, ...]
     smoothing: float = 0.0
     transmission: Transmission | None = None
+    terms: FrictionTerms | None = None
 
     @property
     def active(self) -> tuple[int, ...]:
@@ -146,8 +151,38 @@ class DynamicModel:
         """Whether each motor has a column of this kind."""
         if kind == "inertial":
             return (True,) * self.dof
+        if kind not in ("motor_inertia", "viscous", "coulomb", "offset"):
+            return (False,) * self.dof if self.terms is None else self.terms.has(kind)
         present: tuple[bool, ...] = getattr(self, kind)
         return present
+
+    @property
+    def needs_temperature(self) -> bool:
+        """Whether its friction depends on the temperature."""
+        return any(self.has("temperature"))
+
+    @property
+    def needs_load_torque(self) -> bool:
+        """Whether its friction depends on the load, and so on the position."""
+        return any(self.has("load"))
+
+    def require_temperature(self, temperature: FloatArray | None, where: str = "") -> None:
+        """Refuse joint temperatures (n, …) [K] that lack those of joints whose friction depends on them.
+
+        Raises:
+            DataError: names the joints.
+        """
+        lacking = [
+            name
+            for index, (name, needed) in enumerate(zip(self.joint_names, self.has("temperature"), strict=True))
+            if needed and (temperature is None or not np.all(np.isfinite(temperature[index])))
+        ]
+        if lacking:
+            raise DataError(
+                f"the temperature of {', '.join(lacking)} is missing, which the friction depends on",
+                where=where,
+                hint="record it, or identify without the friction term 'temperature'",
+            )
 
     def coulomb_direction(self, velocity: FloatArray) -> FloatArray:
         """The Coulomb column: sign(q̇), or tanh(q̇/ε) where smoothing is set; same shape as `velocity`."""

@@ -25,11 +25,20 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.linear_algebra.triangular import triangular
 from ident.linear_algebra.vectors import cross
-from ident.model.base_parameters import RANDOM_SEED, BaseParameters, ModelKey, base_parameters_of, random_states
+from ident.model.base_parameters import (
+    RANDOM_SEED,
+    BaseParameters,
+    ModelKey,
+    base_parameters_of,
+    random_states,
+    random_temperature,
+)
 from ident.model.dynamic_model import DynamicModel
-from ident.model.joint_columns import JointColumn, combined, joint_column
+from ident.model.friction_terms import FrictionConditions
+from ident.model.joint_columns import JointColumn, column_signal, combined, joint_column
 from ident.model.kinematics.joints import BASE_INDEX, Joint
 from ident.model.newton_euler import rotation_coefficients
+from ident.model.regressor import LoadTorqueKernel
 
 CHUNK = 4096
 """States evaluated at once."""
@@ -75,6 +84,7 @@ class EnergyKernel:
             entries = self._motors if acting.quantity == "motor_inertia" else self._friction
             entries.append((row, acting, _power_sign(model, acting)))
         self.friction_rows = [row for row, _, _ in self._friction]
+        self._load = LoadTorqueKernel(model) if model.needs_load_torque else None
 
     def energy(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """Stored energy (b, N) [J] of unit parameters at states (n, N); zero in the rows of friction.
@@ -89,17 +99,22 @@ class EnergyKernel:
             self._fill(position[:, chunk], velocity[:, chunk], out[:, chunk])
         return out
 
-    def friction_power(self, velocity: FloatArray) -> FloatArray:
-        """Power (f, N) [W] lost to friction of unit coefficients at velocities (n, N), in order of `friction_rows`."""
+    def friction_power(
+        self, velocity: FloatArray, position: FloatArray | None = None, temperature: FloatArray | None = None
+    ) -> FloatArray:
+        """Power (f, N) [W] lost to friction of unit coefficients, in order of `friction_rows`.
+
+        Args:
+            velocity: (n, N) of the joints with a motor [rad/s or m/s].
+            position: (n, N) [rad or m], where friction depends on the load.
+            temperature: (n, N) [K], where friction depends on it.
+        """
+        load = None if self._load is None or position is None else self._load.torque(position)
+        conditions = FrictionConditions(load, temperature)
         out = np.empty((len(self.friction_rows), velocity.shape[1]))
         for (_, column, sign), power in zip(self._friction, out, strict=True):
             rate = combined(column.motion, velocity)
-            if column.quantity == "viscous":
-                np.multiply(rate, sign * rate, out=power)
-            elif column.quantity == "coulomb":
-                np.multiply(rate, sign * self.model.coulomb_direction(rate), out=power)
-            else:
-                np.multiply(rate, sign, out=power)
+            np.multiply(rate, sign * column_signal(self.model, column, velocity, velocity, conditions), out=power)
         return out
 
     def _fill(self, position: FloatArray, velocity: FloatArray, out: FloatArray) -> None:
@@ -205,6 +220,7 @@ def random_windows(model: DynamicModel) -> FloatArray:
     stored = kernel.energy(position, velocity)
     rows = stored[:, count:] - stored[:, :count]
     direct = position[:, count:] - position[:, :count]
+    heat = random_temperature(model, count)
     for rate in (direct + detour, direct - detour):
-        rows[kernel.friction_rows] += 0.5 * kernel.friction_power(rate)
+        rows[kernel.friction_rows] += 0.5 * kernel.friction_power(rate, position[:, :count], heat)
     return rows

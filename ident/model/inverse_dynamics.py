@@ -18,10 +18,11 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
+from ident.model.friction_terms import FrictionConditions
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
 from ident.model.parameters import INERTIAL
 from ident.model.pinocchio_model import pinocchio_model
-from ident.model.regressor import model_torque
+from ident.model.regressor import LoadTorqueKernel, model_torque
 
 LOOP_BELOW = 400
 """Fewer samples than this go through Pinocchio one by one; from there on the vectorised regressor is quicker."""
@@ -56,19 +57,32 @@ class InverseDynamics:
             if standard[column].kind != "inertial"
         ]
         self.rotor_inertia = self._summed_rotors()
+        self._load = LoadTorqueKernel(model) if model.needs_load_torque else None
         inertial, extra = with_masses(model, base, parameters)
         self._arms: list[tuple[Any, Any, float]] = []
         for arm, sign in ((pinocchio_model(model, inertial), 1.0), (_point_masses(model, extra), -1.0)):
             if arm is not None:
                 self._arms.append((arm, arm.createData(), sign))
 
-    def torque(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """Joint torques (n, N) [N·m] of a motion (n, N)."""
+    def torque(
+        self,
+        position: FloatArray,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+        temperature: FloatArray | None = None,
+    ) -> FloatArray:
+        """Joint torques (n, N) [N·m] of a motion (n, N) at joint temperatures (n, N) [K], where they matter.
+
+        Raises:
+            ModelError: the friction depends on a temperature, and none is given.
+        """
         if position.shape[1] >= LOOP_BELOW:
-            motors = model_torque(self.model, self.base.columns, self.parameters, position, velocity, acceleration)
+            motors = model_torque(
+                self.model, self.base.columns, self.parameters, position, velocity, acceleration, temperature
+            )
             return self._to_joints(motors)
         total = self.links(position, velocity, acceleration) + self.rotor_inertia @ acceleration
-        return total + self.friction(velocity)
+        return total + self.friction(velocity, position, temperature)
 
     def links(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Joint torques (n, N) [N·m] of the links alone: no motor inertia, no friction."""
@@ -84,12 +98,29 @@ class InverseDynamics:
                 tree[:, sample] += sign * inverse(arm, data, q, rate, change)
         return tree if self.model.transmission is None else _from_tree(motion.follow, tree)
 
-    def friction(self, velocity: FloatArray) -> FloatArray:
-        """Friction and offsets (n, N) [N·m] at joint velocities (n, N)."""
+    def conditions(self, position: FloatArray | None, temperature: FloatArray | None) -> FrictionConditions:
+        """What friction depends on beside the velocity, at positions (n, N) and temperatures (n, N) [K]."""
+        load = None if self._load is None or position is None else self._load.torque(position)
+        return FrictionConditions(load, temperature)
+
+    def friction(
+        self, velocity: FloatArray, position: FloatArray | None = None, temperature: FloatArray | None = None
+    ) -> FloatArray:
+        """Friction and offsets (n, N) [N·m] at joint velocities (n, N).
+
+        Args:
+            velocity: (n, N) [rad/s or m/s].
+            position: (n, N), where friction depends on the load.
+            temperature: (n, N) [K], where friction depends on it.
+
+        Raises:
+            ModelError: the friction depends on what is not given.
+        """
+        conditions = self.conditions(position, temperature)
         motors = np.zeros_like(velocity)
         for column, value in self.joint_columns:
             if column.quantity != "motor_inertia":
-                signal = column_signal(self.model, column, velocity, velocity)
+                signal = column_signal(self.model, column, velocity, velocity, conditions)
                 for motor, factor in column.rows:
                     motors[motor] += factor * value * signal
         return self._to_joints(motors)

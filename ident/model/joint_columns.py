@@ -1,7 +1,8 @@
-"""Columns of the regressor that are no link's: motor inertia, friction and offset (SR400 eq. 6-8).
+"""Columns of the regressor that are no link's: motor inertia, friction and offset (SR400 eq. 6-8; AUBO eq. 3-6).
 
 Each is one signal of the motion, put into one motor's row, or into several for the friction of a coupled pair. For a
-motor that several joints move, inertia and friction follow the motor: Ia on q̈m, Fvm on q̇m, Fsm on sign(q̇m), q̇m = R·q̇.
+motor that several joints move, inertia and friction follow the motor: Ia on q̈m, Fvm on q̇m, Fsm on sign(q̇m), q̇m = R·q̇,
+and so do the further terms of `friction_terms`, with the motor's load torque and temperature.
 The joint's own friction beside it follows eq. 8 as printed: of joint j, the torque Fs·sign(q̇_j) + Fv·q̇_j counts
 negative at the motor of that joint and positive at the one that it turns with (rows −R⁻ᵀ·e_j). With these signs
 friction that brakes has negative values, as Fs6 in Table 4.
@@ -14,9 +15,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.errors import ModelError
 from drivers.streams import FloatArray
 from ident.model.dynamic_model import DynamicModel
-from ident.model.parameters import PAIR_SYMBOLS, Quantity, StandardParameter
+from ident.model.friction_terms import (
+    LOAD_POWERS,
+    SLOWEST,
+    FrictionConditions,
+    power_law,
+    stribeck_share,
+    temperature_factor,
+)
+from ident.model.parameters import PAIR_SYMBOLS, Kind, Quantity, StandardParameter
+
+NO_CONDITIONS = FrictionConditions()
+"""Of friction that depends on the velocity alone."""
 
 
 @dataclass(frozen=True)
@@ -24,14 +37,16 @@ class JointColumn:
     """One column beside the links'.
 
     Attributes:
-        quantity: its signal: acceleration, velocity, its sign, or 1.
+        quantity: its signal: acceleration, velocity, its sign, 1, or a further friction term.
         motion: (joint, factor) of the active joints whose motion it follows; Σ factor · q̇.
         rows: (motor, factor) of the rows that it acts on.
+        shape: of the signal: exponent of |q̇| or of the load torque, or the Stribeck velocity [rad/s or m/s].
     """
 
     quantity: Quantity
     motion: tuple[tuple[int, float], ...]
     rows: tuple[tuple[int, float], ...]
+    shape: float = 1.0
 
 
 def joint_column(model: DynamicModel, parameter: StandardParameter) -> JointColumn:
@@ -39,10 +54,11 @@ def joint_column(model: DynamicModel, parameter: StandardParameter) -> JointColu
     transmission = model.transmission
     if transmission is None:
         own = ((parameter.joint, 1.0),)
-        return JointColumn(_quantity(parameter), own, own)
+        return JointColumn(_quantity(parameter), own, own, _shape(model, parameter.kind, parameter.joint))
     motor = transmission.active.index(parameter.joint)
     if parameter.kind != "coupling":
-        return JointColumn(_quantity(parameter), _entries(transmission.coupling[motor]), ((motor, 1.0),))
+        motion, shape = _entries(transmission.coupling[motor]), _shape(model, parameter.kind, motor)
+        return JointColumn(_quantity(parameter), motion, ((motor, 1.0),), shape)
     shares = transmission.joint_to_motor[:, motor]
     sign = 1.0 if parameter.symbol == "Iac" else -1.0
     return JointColumn(_quantity(parameter), ((motor, 1.0),), _entries(sign * shares))
@@ -58,16 +74,102 @@ def combined(motion: Sequence[tuple[int, float]], signal: FloatArray) -> FloatAr
 
 
 def column_signal(
-    model: DynamicModel, column: JointColumn, velocity: FloatArray, acceleration: FloatArray
+    model: DynamicModel,
+    column: JointColumn,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    conditions: FrictionConditions = NO_CONDITIONS,
 ) -> FloatArray | float:
-    """The column's signal (m,) for active velocities and accelerations (a, m); a number where it is constant."""
+    """The column's signal (m,) for active velocities and accelerations (a, m); a number where it is constant.
+
+    Raises:
+        ModelError: the signal depends on a load torque or a temperature that `conditions` lacks.
+    """
     if column.quantity == "motor_inertia":
         return combined(column.motion, acceleration)
+    if column.quantity == "offset":
+        return 1.0
+    rate = combined(column.motion, velocity)
     if column.quantity == "viscous":
-        return combined(column.motion, velocity)
+        return power_law(rate, column.shape)
     if column.quantity == "coulomb":
-        return model.coulomb_direction(combined(column.motion, velocity))
-    return 1.0
+        return model.coulomb_direction(rate)
+    return _further_signal(model, column, rate, conditions)
+
+
+def _further_signal(
+    model: DynamicModel, column: JointColumn, rate: FloatArray, conditions: FrictionConditions
+) -> FloatArray:
+    """Signal (m,) of a further friction term at motor velocities (m,)."""
+    motor = column.rows[0][0]
+    if column.quantity == "exponent":  # ∂/∂α of sign(q̇)·|q̇|^α
+        speed = np.maximum(np.abs(rate), np.finfo(np.float64).tiny)
+        return np.asarray(np.sign(rate) * speed**column.shape * np.log(speed))
+    if column.quantity in ("stribeck", "stribeck_velocity"):
+        signal = model.coulomb_direction(rate) * stribeck_share(rate, column.shape)
+        # ∂/∂v_s of exp(−(q̇/v_s)²)
+        return signal if column.quantity == "stribeck" else signal * 2.0 * np.square(rate) / column.shape**3
+    if column.quantity == "load":
+        if conditions.load_torque is None:
+            raise _lacking(model, motor, "the position, which its load-dependent friction follows")
+        return np.asarray(model.coulomb_direction(rate) * np.abs(conditions.load_torque[motor]) ** column.shape)
+    if conditions.temperature is None:
+        raise _lacking(model, motor, "its temperature, which its friction depends on")
+    factor = temperature_factor(column.quantity, conditions.temperature[motor])
+    return np.asarray(power_law(rate, 0.5) * factor)
+
+
+def _lacking(model: DynamicModel, motor: int, what: str) -> ModelError:
+    return ModelError(f"{model.joint_names[motor]} lacks {what}", where=model.name, hint="give it with the motion")
+
+
+def column_slope(
+    model: DynamicModel, column: JointColumn, velocity: FloatArray, conditions: FrictionConditions = NO_CONDITIONS
+) -> FloatArray | float:
+    """Derivative (m,) of a friction column's signal by the velocity that it follows; sign(q̇) counts as constant.
+
+    Below `SLOWEST`, the unbounded slopes of |q̇|^α and √|q̇| are those at that speed.
+    """
+    if column.quantity == "viscous" and column.shape == 1.0:
+        return 1.0
+    if column.quantity in ("motor_inertia", "offset"):
+        return 0.0
+    rate = combined(column.motion, velocity)
+    speed = np.maximum(np.abs(rate), SLOWEST)
+    direction_slope: FloatArray | float = 0.0
+    if model.smoothing > 0:
+        direction_slope = (1.0 - np.tanh(rate / model.smoothing) ** 2) / model.smoothing
+    if column.quantity == "viscous":
+        return np.asarray(column.shape * speed ** (column.shape - 1.0))
+    if column.quantity == "exponent":
+        return np.asarray(speed ** (column.shape - 1.0) * (column.shape * np.log(speed) + 1.0))
+    if column.quantity == "coulomb":
+        return direction_slope
+    if column.quantity == "load":
+        assert conditions.load_torque is not None
+        return np.asarray(direction_slope * np.abs(conditions.load_torque[column.rows[0][0]]) ** column.shape)
+    if column.quantity in ("stribeck", "stribeck_velocity"):
+        share, direction = stribeck_share(rate, column.shape), model.coulomb_direction(rate)
+        slope = share * (direction_slope - 2.0 * direction * rate / column.shape**2)
+        if column.quantity == "stribeck":
+            return np.asarray(slope)
+        return np.asarray((slope * np.square(rate) + 2.0 * rate * direction * share) * 2.0 / column.shape**3)
+    factor: FloatArray | float = 1.0
+    if column.quantity != "temperature":
+        assert conditions.temperature is not None
+        factor = temperature_factor(column.quantity, conditions.temperature[column.rows[0][0]])
+    return np.asarray(0.5 * speed**-0.5 * factor)
+
+
+def _shape(model: DynamicModel, kind: Kind, motor: int) -> float:
+    terms = model.terms
+    if terms is None:
+        return 1.0
+    if kind in ("viscous", "exponent"):
+        return terms.exponent[motor]
+    if kind in ("stribeck", "stribeck_velocity"):
+        return terms.stribeck_velocity[motor]
+    return LOAD_POWERS[terms.load[motor]] if kind == "load" else 1.0
 
 
 def _quantity(parameter: StandardParameter) -> Quantity:

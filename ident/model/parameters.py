@@ -13,15 +13,46 @@ from drivers.streams import FloatArray
 INERTIAL = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
 """The ten standard inertial parameters of a link, in column order [kg·m², kg·m, kg] (SR400 .3.1)."""
 
-Kind = Literal["inertial", "motor_inertia", "viscous", "coulomb", "offset", "coupling"]
-KIND_SYMBOLS: dict[Kind, str] = {"motor_inertia": "Ia", "viscous": "Fv", "coulomb": "Fs", "offset": "Fo"}
+Quantity = Literal[
+    "motor_inertia",
+    "viscous",
+    "coulomb",
+    "offset",
+    "stribeck",
+    "load",
+    "temperature",
+    "temperature_slope",
+    "temperature_curvature",
+    "exponent",
+    "stribeck_velocity",
+]
+"""Signal that a joint parameter multiplies: the acceleration, the velocity, its sign, 1, or one of the further friction
+terms (`ident.model.friction_terms`), the last two of which are derivatives by a shape."""
+
+Kind = Literal["inertial", "coupling"] | Quantity
+KIND_SYMBOLS: dict[Quantity, str] = {
+    "motor_inertia": "Ia",
+    "viscous": "Fv",
+    "coulomb": "Fs",
+    "offset": "Fo",
+    "stribeck": "Fb",
+    "load": "Fl",
+    "temperature": "Ft",
+    "temperature_slope": "Fts",
+    "temperature_curvature": "Ftc",
+    "exponent": "Fve",
+    "stribeck_velocity": "Fbv",
+}
 """Symbols of the joint parameters, in column order (SR400 eq. 6-7; Fo as f_o in AUBO eq. 6)."""
+
+FRICTION_KINDS: tuple[Quantity, ...] = tuple(kind for kind in KIND_SYMBOLS if kind != "motor_inertia")
+"""Kinds of the columns of a motor's own friction, offset included."""
+
+DISSIPATIVE_KINDS: tuple[Quantity, ...] = ("viscous", "coulomb", "stribeck", "load")
+"""Those whose coefficient is not negative on any arm."""
 
 PAIR_FIELDS = {"Iac": "pair_inertia", "Fv": "pair_viscous", "Fs": "pair_coulomb"}
 """Keys of a coupled joint's own true parameters in the robot file, by symbol."""
-
-Quantity = Literal["motor_inertia", "viscous", "coulomb", "offset"]
-"""Signal that a joint parameter multiplies: the acceleration, the velocity, its sign, or 1."""
 
 PAIR_SYMBOLS: dict[str, Quantity] = {"Iac": "motor_inertia", "Fv": "viscous", "Fs": "coulomb"}
 """What the columns of kind "coupling" are like, by symbol."""

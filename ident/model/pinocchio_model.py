@@ -8,7 +8,8 @@ import numpy as np
 
 from drivers.streams import FloatArray
 from ident.model.dynamic_model import DynamicModel
-from ident.model.joint_columns import column_signal, joint_column
+from ident.model.friction_terms import FrictionConditions
+from ident.model.joint_columns import NO_CONDITIONS, column_signal, joint_column
 from ident.model.kinematics.joints import BASE_INDEX
 from ident.model.parameters import INERTIAL
 
@@ -40,7 +41,11 @@ def pinocchio_model(model: DynamicModel, inertial: FloatArray | None = None) -> 
 
 
 def pinocchio_regressor(
-    model: DynamicModel, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    model: DynamicModel,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    conditions: FrictionConditions = NO_CONDITIONS,
 ) -> FloatArray:
     """Standard regressor (n, p, N) for (n, N) motions, by `pin.computeJointTorqueRegressor` sample by sample."""
     import pinocchio as pin
@@ -64,7 +69,7 @@ def pinocchio_regressor(
     for index, parameter in enumerate(parameters):
         if parameter.kind != "inertial":
             column = joint_column(model, parameter)
-            signal = column_signal(model, column, velocity, acceleration)
+            signal = column_signal(model, column, velocity, acceleration, conditions)
             for motor, factor in column.rows:
                 dense[motor, index] = factor * signal
     return dense

@@ -20,7 +20,7 @@ factors of the combination vary with the position.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.linear_algebra.triangular import QrAccumulator
 from ident.model.dynamic_model import DynamicModel
+from ident.model.friction_terms import FrictionConditions
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
 from ident.model.kinematics.joints import ancestors
 from ident.model.kinematics.transmission import TreeMotion
@@ -218,13 +219,22 @@ class RegressorKernel:
         self._axis = np.empty((6, chunk))
         self._part = np.empty(chunk)
         self.shares = np.empty((0, 0, 0))
+        loads = model.terms is not None and any(row.column.quantity == "load" for row in self.joint_parameter_rows)
+        self._load = LoadTorqueKernel(model, chunk) if loads else None
 
     @property
     def frames(self) -> list[FrameMotion]:
         """Every link's motion as of the last `evaluate`; arrays (3, chunk), the first m samples of which are filled."""
         return self._recursion.frames
 
-    def evaluate(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray, out: FloatArray) -> None:
+    def evaluate(
+        self,
+        position: FloatArray,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+        out: FloatArray,
+        temperature: FloatArray | None = None,
+    ) -> None:
         """Write the packed regressor of m ≤ `chunk` samples into `out` (row_count, m).
 
         Args:
@@ -232,6 +242,10 @@ class RegressorKernel:
             velocity: (n, m) [rad/s or m/s].
             acceleration: (n, m) [rad/s² or m/s²].
             out: (row_count, m), written in full.
+            temperature: (n, m) [K] of the joints, where the friction depends on it.
+
+        Raises:
+            ModelError: the friction depends on a temperature, and none is given.
         """
         count = position.shape[1]
         model = self.model
@@ -242,8 +256,9 @@ class RegressorKernel:
         for block in self._blocks:
             if block.targets:
                 self._fill_link(block, count, out)
+        conditions = FrictionConditions(None if self._load is None else self._load.torque(position), temperature)
         for entry in self.joint_parameter_rows:
-            signal = column_signal(model, entry.column, velocity, acceleration)
+            signal = column_signal(model, entry.column, velocity, acceleration, conditions)
             out[entry.row] = signal if entry.factor == 1.0 else entry.factor * signal
 
     def _fill_link(self, block: _LinkBlock, count: int, out: FloatArray) -> None:
@@ -322,14 +337,35 @@ class RegressorKernel:
                 out[slot] -= term
 
 
+class LoadTorqueKernel:
+    """Gravity torque of a model's `terms.load_torque` at the motors (AUBO eq. 18)."""
+
+    def __init__(self, model: DynamicModel, chunk: int = CHUNK) -> None:
+        """For a model with load-dependent friction, evaluated `chunk` samples at once."""
+        if model.terms is None or model.terms.load_torque is None:
+            raise ValueError("the model has no load torque")
+        load = model.terms.load_torque
+        self._kernel = RegressorKernel(replace(model, terms=None), load.columns, chunk)
+        self._values = np.array(load.values)
+
+    def torque(self, position: FloatArray) -> FloatArray:
+        """Load torque (n, N) [N·m or N] at positions (n, N)."""
+        still, torque = np.zeros_like(position), np.empty_like(position)
+        for chunk, packed in evaluate_in_chunks(self._kernel, position, still, still):
+            for motor, rows in enumerate(self._kernel.joint_rows):
+                torque[motor, chunk] = self._values[list(rows.columns)] @ packed[rows.rows]
+        return torque
+
+
 def regressor(
     model: DynamicModel,
     position: FloatArray,
     velocity: FloatArray,
     acceleration: FloatArray,
     columns: Sequence[int] | None = None,
+    temperature: FloatArray | None = None,
 ) -> FloatArray:
-    """Regressor (n, p, N) for (n, N) joint motions, p the chosen standard columns (all where None).
+    """Regressor (n, p, N) for (n, N) joint motions and temperatures [K], p the chosen columns (all where None).
 
     Fewer than `PINOCCHIO_BELOW` samples go through Pinocchio one by one, more through the kernel; the two agree to
     1e-10 of the regressor's scale.
@@ -338,11 +374,13 @@ def regressor(
     if count < PINOCCHIO_BELOW:
         from ident.model.pinocchio_model import pinocchio_regressor
 
-        full = pinocchio_regressor(model, position, velocity, acceleration)
+        load = LoadTorqueKernel(model, max(1, count)).torque(position) if model.needs_load_torque else None
+        conditions = FrictionConditions(load, temperature)
+        full = pinocchio_regressor(model, position, velocity, acceleration, conditions)
         return full if columns is None else full[:, list(columns)]
     kernel = RegressorKernel(model, columns)
     dense = np.zeros((model.dof, len(kernel.columns), count))
-    for chunk, packed in evaluate_in_chunks(kernel, position, velocity, acceleration):
+    for chunk, packed in evaluate_in_chunks(kernel, position, velocity, acceleration, temperature):
         for joint, rows in enumerate(kernel.joint_rows):
             dense[joint, list(rows.columns), chunk] = packed[rows.rows]
     return dense
@@ -355,22 +393,27 @@ def model_torque(
     position: FloatArray,
     velocity: FloatArray,
     acceleration: FloatArray,
+    temperature: FloatArray | None = None,
 ) -> FloatArray:
     """Torque (n, N) [N·m] of parameters (p,) on the standard `columns` (all where None) along a motion (n, N)."""
     kernel = RegressorKernel(model, columns)
     torque = np.empty_like(position)
-    for chunk, packed in evaluate_in_chunks(kernel, position, velocity, acceleration):
+    for chunk, packed in evaluate_in_chunks(kernel, position, velocity, acceleration, temperature):
         for joint, rows in enumerate(kernel.joint_rows):
             torque[joint, chunk] = parameters[list(rows.columns)] @ packed[rows.rows]
     return torque
 
 
 def motion_factor(
-    kernel: RegressorKernel, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    kernel: RegressorKernel,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    temperature: FloatArray | None = None,
 ) -> FloatArray:
     """Triangular factor (b, b) of the kernel's columns, all joints' rows stacked, along a motion (n, N)."""
     accumulator = QrAccumulator(len(kernel.columns))
-    for _, packed in evaluate_in_chunks(kernel, position, velocity, acceleration):
+    for _, packed in evaluate_in_chunks(kernel, position, velocity, acceleration, temperature):
         for rows in kernel.joint_rows:
             wide = np.zeros((len(kernel.columns), packed.shape[1]))
             wide[list(rows.columns)] = packed[rows.rows]
@@ -379,7 +422,11 @@ def motion_factor(
 
 
 def evaluate_in_chunks(
-    kernel: RegressorKernel, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    kernel: RegressorKernel,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    temperature: FloatArray | None = None,
 ) -> Iterator[tuple[slice, FloatArray]]:
     """Slices of the samples with their packed regressor (row_count, m), valid until the next one is requested."""
     count = position.shape[1]
@@ -387,5 +434,6 @@ def evaluate_in_chunks(
     for start in range(0, count, kernel.chunk):
         chunk = slice(start, min(start + kernel.chunk, count))
         packed = buffer[:, : chunk.stop - chunk.start]
-        kernel.evaluate(position[:, chunk], velocity[:, chunk], acceleration[:, chunk], packed)
+        heat = None if temperature is None else temperature[:, chunk]
+        kernel.evaluate(position[:, chunk], velocity[:, chunk], acceleration[:, chunk], packed, heat)
         yield chunk, packed

@@ -23,7 +23,7 @@ import numpy as np
 
 from drivers.streams import FloatArray
 from ident.linear_algebra.vectors import cross
-from ident.model.joint_columns import combined
+from ident.model.joint_columns import column_slope
 from ident.model.newton_euler import AxisMotion
 from ident.model.regressor import RegressorKernel
 
@@ -110,19 +110,16 @@ def pull_back_regressor(
                 by_share[share] += _row_value(kernel, link, index, rows.kinds, of_motor)
     if model.transmission is not None:
         gradient = model.transmission.pull_back(velocity, acceleration, tree, gradient, by_share)
-    smoothing = model.smoothing
     for entry in kernel.joint_parameter_rows:
         column = entry.column
         weight = weights[entry.row] if entry.factor == 1.0 else entry.factor * weights[entry.row]
         if column.quantity == "motor_inertia":
             derivative, by = 2, weight
-        elif column.quantity == "viscous":
-            derivative, by = 1, weight
-        elif column.quantity == "coulomb" and smoothing > 0:
-            slope = (1.0 - np.tanh(combined(column.motion, velocity) / smoothing) ** 2) / smoothing
-            derivative, by = 1, weight * slope
         else:
-            continue
+            slope = column_slope(model, column, velocity)
+            if isinstance(slope, float) and slope == 0.0:
+                continue
+            derivative, by = 1, weight if isinstance(slope, float) else weight * slope
         for joint, factor in column.motion:
             gradient[derivative, joint] += by if factor == 1.0 else factor * by
     return gradient

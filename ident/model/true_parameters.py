@@ -2,23 +2,53 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from daq.robot.loader import RobotFile
+from daq.robot.schema import TruthJoint
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
-from ident.model.dynamic_model import build_model
+from ident.model.dynamic_model import DynamicModel, build_model
+from ident.model.friction_terms import TEMPERATURE_KINDS, LoadTorque, friction_terms, root_coefficients
 from ident.model.parameters import INERTIAL, PAIR_FIELDS, link_parameters
 
 
-def truth_vector(robot_file: RobotFile) -> FloatArray:
-    """True standard parameters (p,) of a simulated arm, in column order.
+def true_model(robot_file: RobotFile) -> DynamicModel:
+    """The model of a simulated arm with the friction terms that its file asks for, in their true shapes.
+
+    Raises:
+        RobotFileError: the file's truth names no link for some joint.
+    """
+    model, robot = build_model(robot_file), robot_file.robot
+    terms = friction_terms(robot)
+    if terms is None:
+        return model
+    joints = [robot.truth.joints.get(name, TruthJoint()) for name in robot.joint_names]
+    inertial = truth_vector(robot_file)[: len(INERTIAL) * len(model.joints)]
+    return replace(
+        model,
+        terms=replace(
+            terms,
+            exponent=tuple(
+                joint.alpha if free or exponent != 1.0 else 1.0
+                for joint, free, exponent in zip(joints, terms.free_exponent, terms.exponent, strict=True)
+            ),
+            stribeck_velocity=tuple(joint.stribeck_velocity for joint in joints),
+            load_torque=LoadTorque(tuple(range(len(inertial))), tuple(inertial.tolist())) if terms.loaded else None,
+        ),
+    )
+
+
+def truth_vector(robot_file: RobotFile, model: DynamicModel | None = None) -> FloatArray:
+    """True standard parameters (p,) of a simulated arm, in the column order of `model` (of `build_model` where None).
 
     Raises:
         RobotFileError: the file's truth names no link for some joint.
     """
     robot = robot_file.robot
-    model = build_model(robot_file)
+    model = build_model(robot_file) if model is None else model
     missing = [name for name in model.link_names if name not in robot.truth.links]
     if missing:
         where = f"{robot_file.where}: truth.links"
@@ -29,12 +59,16 @@ def truth_vector(robot_file: RobotFile) -> FloatArray:
         for symbol, value in zip(INERTIAL, link_parameters(link.mass, link.com, link.inertia), strict=True):
             values[f"{symbol}{index + 1}"] = value
     for parameter in model.parameters:
-        joint = robot.truth.joints.get(model.link_names[parameter.joint])
-        if parameter.kind == "coupling":
-            field = PAIR_FIELDS[parameter.symbol]
-        elif parameter.kind != "inertial":
-            field = parameter.kind
-        else:
+        if parameter.kind == "inertial":
             continue
-        values[parameter.name] = getattr(joint, field) if joint is not None else 0.0
+        joint = robot.truth.joints.get(model.link_names[parameter.joint], TruthJoint())
+        if parameter.kind == "coupling":
+            values[parameter.name] = getattr(joint, PAIR_FIELDS[parameter.symbol])
+        elif parameter.kind in TEMPERATURE_KINDS:
+            roots = root_coefficients(*joint.temperature)
+            values[parameter.name] = roots[TEMPERATURE_KINDS.index(parameter.kind)]
+        elif parameter.kind in ("exponent", "stribeck_velocity"):
+            values[parameter.name] = 0.0
+        else:
+            values[parameter.name] = getattr(joint, parameter.kind)
     return np.array([values[parameter.name] for parameter in model.parameters])

@@ -58,7 +58,8 @@ def compare_torques(
     series = []
     for segment in segments:
         every = slice(None, None, parallel_filter.factor)
-        predicted = model_torque(model, columns, parameters, segment.position, segment.velocity, segment.acceleration)
+        motion = (segment.position, segment.velocity, segment.acceleration)
+        predicted = model_torque(model, columns, parameters, *motion, segment.temperature)
         series.append(
             TorqueSeries(
                 time=segment.time[every],

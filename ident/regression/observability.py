@@ -26,6 +26,7 @@ from ident.model.base_parameters import (
     base_parameters,
     base_parameters_of,
     random_states,
+    random_temperature,
 )
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel, evaluate_in_chunks
@@ -188,7 +189,8 @@ def _cached(key: ModelKey, experiments: tuple[Experiment, ...]) -> BaseParameter
     accumulator = QrAccumulator(len(kernel.columns))
     for experiment_index, experiment in enumerate(experiments):
         for state in experiment_states(model, experiment, experiment_index):
-            for _, packed in evaluate_in_chunks(kernel, *state):
+            heat = random_temperature(model, state[0].shape[1])
+            for _, packed in evaluate_in_chunks(kernel, *state, heat):
                 for motor in experiment.torques:
                     rows = kernel.joint_rows[motor]
                     wide = np.zeros((len(kernel.columns), packed.shape[1]))

@@ -173,7 +173,7 @@ def filtered_samples(
             torque[motor :: kernel.model.dof, left_out] = 0.0
         return FilteredSamples(regressor, torque, used[chunk], reversing[:, chunk])
 
-    chunks = evaluate_in_chunks(kernel, segment.position, segment.velocity, segment.acceleration)
+    chunks = evaluate_in_chunks(kernel, segment.position, segment.velocity, segment.acceleration, segment.temperature)
     if parallel_filter.factor == 1 and len(parallel_filter.sos) == 0:
         for chunk, packed in chunks:
             yield samples(packed, torques[:, chunk], chunk)
@@ -280,9 +280,16 @@ def _stride(segments: Sequence[Segment]) -> int:
     return max(1, _sample_count(segments) // CONDITION_SAMPLES)
 
 
-def _spread_motion(segments: Sequence[Segment]) -> list[FloatArray]:
-    """Position, velocity, acceleration (n, about CONDITION_SAMPLES)."""
-    return [
-        np.concatenate([getattr(segment, name)[:, :: _stride(segments)] for segment in segments], axis=1)
-        for name in ("position", "velocity", "acceleration")
-    ]
+def _spread_motion(segments: Sequence[Segment]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
+    """Position, velocity, acceleration, and temperature where all segments have one (n, about CONDITION_SAMPLES)."""
+
+    def spread(rows: Sequence[FloatArray]) -> FloatArray:
+        return np.concatenate([values[:, :: _stride(segments)] for values in rows], axis=1)
+
+    temperatures = [segment.temperature for segment in segments if segment.temperature is not None]
+    return (
+        spread([segment.position for segment in segments]),
+        spread([segment.velocity for segment in segments]),
+        spread([segment.acceleration for segment in segments]),
+        spread(temperatures) if len(temperatures) == len(segments) else None,
+    )

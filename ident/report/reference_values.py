@@ -33,7 +33,7 @@ def reference_values(data: ReportData) -> ReferenceValues | None:
         return ReferenceValues("True value", dict(zip(data.truth.names, map(float, data.truth.values), strict=True)))
     try:
         stored = stored_model(data.result)
-        values = stored.base.projection @ truth_vector(stored.robot_file)
+        values = stored.base.projection @ truth_vector(stored.robot_file, stored.model)
     except DynidError:  # the robot file names no links, or not these base parameters
         return None
     inertial = {

@@ -14,11 +14,14 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from drivers.errors import ModelError, UsageError
+from drivers.errors import DataError, ModelError, UsageError
 from drivers.streams import FloatArray
+from drivers.units import ZERO_CELSIUS
 from ident.estimators.feasible.consistent import ConsistentParameters, consistent_parameters
 from ident.model.base_parameters import base_parameters
+from ident.model.friction_terms import REFERENCE_TEMPERATURE
 from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.parameters import FRICTION_KINDS
 from ident.model.regressor import CHUNK, regressor
 from ident.regression.observability import describe
 from ident.regression.pruning import pruned_covariance
@@ -40,6 +43,9 @@ KINDS: dict[Parameters, str] = {
     "essential": "the significant base parameters, the others 0",
 }
 """What the models hold, for comments in what they write."""
+
+HOTTEST = 250.0
+"""[°C] No joint of an arm is warmer, or as cold; a larger number is in another unit."""
 
 ROUNDING = 1e-9
 """Entries of a regressor below this are rounding: sines of 180° and the like."""
@@ -175,22 +181,27 @@ class Model:
             stored.model, self._base, stored_estimate(self.result, self._base), stored.robot_file
         )
 
-    def torque(self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike) -> FloatArray:
+    def torque(
+        self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike, temperature: npt.ArrayLike | None = None
+    ) -> FloatArray:
         """Joint torque τ [N·m] of a motion, friction and motor inertia included; shape of `q`.
 
         Args:
             q: (N, n) or (n,) positions [rad].
             dq: the same of velocities [rad/s].
             ddq: the same of accelerations [rad/s²].
+            temperature: (N, n) or (n,) of the joints [°C], where the friction depends on it.
 
         Raises:
-            DataError: shapes differ, or a value is not finite.
+            DataError: shapes differ, a value is not finite, or a temperature is missing.
             ModelError: a parameter without a value acts on this motion.
         """
-        motion, single = samples(self.joint_names, q=q, dq=dq, ddq=ddq)
+        (position, velocity, acceleration), single = samples(self.joint_names, q=q, dq=dq, ddq=ddq)
+        motion = position, velocity, acceleration
+        kelvin = self._kelvin(temperature, position.shape[1])
         if self._missing:
-            self._require(self._columns(*motion))
-        return outward(self._dynamics.torque(*motion), single=single)
+            self._require(self._columns(*motion, kelvin))
+        return outward(self._dynamics.torque(*motion, kelvin), single=single)
 
     def gravity(self, q: npt.ArrayLike) -> FloatArray:
         """Gravity's part g(q) of the torque [N·m]; shape of `q`.
@@ -205,24 +216,33 @@ class Model:
         (position,), single = samples(self.joint_names, q=q)
         return outward(self._gravity(position), single=single)
 
-    def friction(self, dq: npt.ArrayLike) -> FloatArray:
+    def friction(
+        self, dq: npt.ArrayLike, q: npt.ArrayLike | None = None, temperature: npt.ArrayLike | None = None
+    ) -> FloatArray:
         """Friction's part of the torque [N·m], constant offsets included; shape of `dq`.
 
-        Viscous and Coulomb friction of motors and coupled joints; joints without a motor are taken as free of it, so
-        that friction does not depend on the position, also where the arm has loops.
+        Friction of motors and coupled joints; joints without a motor are taken as free of it, so that friction depends
+        on the position only through the load torque, and only where the model has load-dependent friction.
 
         Args:
             dq: (N, n) or (n,) velocities [rad/s].
+            q: the same of positions [rad], where the friction depends on the load.
+            temperature: (N, n) or (n,) of the joints [°C], where the friction depends on it.
 
         Raises:
-            DataError: a wrong shape, or a value is not finite.
+            DataError: a wrong shape, a value is not finite, or positions or a temperature are missing.
             ModelError: the friction of a joint that moves has no value.
         """
-        (velocity,), single = samples(self.joint_names, dq=dq)
+        if q is None and self._stored.model.needs_load_torque:
+            raise DataError("positions are missing: the friction depends on the load", where="q", hint="give q=")
+        given = {"dq": dq} if q is None else {"dq": dq, "q": q}
+        (velocity, *others), single = samples(self.joint_names, **given)
+        position = others[0] if others else np.zeros_like(velocity)
+        kelvin = self._kelvin(temperature, velocity.shape[1])
         if self._missing:
-            still = np.zeros_like(velocity)
-            self._require(self._columns(still, velocity, still), kinds=("viscous", "coulomb", "offset", "coupling"))
-        return outward(self._dynamics.friction(velocity), single=single)
+            columns = self._columns(position, velocity, np.zeros_like(velocity), kelvin)
+            self._require(columns, kinds=(*FRICTION_KINDS, "coupling"))
+        return outward(self._dynamics.friction(velocity, position, kelvin), single=single)
 
     def coriolis(self, q: npt.ArrayLike, dq: npt.ArrayLike) -> FloatArray:
         """The vector C(q, q̇)·q̇ of Coriolis and centrifugal torques [N·m], not the matrix C; shape of `q`.
@@ -254,25 +274,29 @@ class Model:
         matrices = self._inertia(position)
         return matrices[0] if single else matrices
 
-    def forward_dynamics(self, q: npt.ArrayLike, dq: npt.ArrayLike, tau: npt.ArrayLike) -> FloatArray:
+    def forward_dynamics(
+        self, q: npt.ArrayLike, dq: npt.ArrayLike, tau: npt.ArrayLike, temperature: npt.ArrayLike | None = None
+    ) -> FloatArray:
         """Accelerations q̈ [rad/s²] that joint torques cause; inverts `torque`; shape of `q`.
 
         Args:
             q: (N, n) or (n,) positions [rad].
             dq: the same of velocities [rad/s].
             tau: the same of joint torques [N·m].
+            temperature: (N, n) or (n,) of the joints [°C], where the friction depends on it.
 
         Raises:
-            DataError: shapes differ, or a value is not finite.
+            DataError: shapes differ, a value is not finite, or a temperature is missing.
             ModelError: the inertia matrix is not positive definite there, which leaves accelerations undefined; or a
                 parameter without a value acts on this motion.
         """
         (position, velocity, torque), single = samples(self.joint_names, q=q, dq=dq, tau=tau)
+        kelvin = self._kelvin(temperature, position.shape[1])
         matrices = self._inertia(position)
         self._check_positive(matrices)
         if self._missing:
-            self._require(self._columns(position, velocity, np.zeros_like(velocity)))
-        driving = torque - self._dynamics.torque(position, velocity, np.zeros_like(velocity))
+            self._require(self._columns(position, velocity, np.zeros_like(velocity), kelvin))
+        driving = torque - self._dynamics.torque(position, velocity, np.zeros_like(velocity), kelvin)
         acceleration = np.asarray(np.linalg.solve(matrices, driving.T[..., None])[..., 0].T, dtype=np.float64)
         return outward(acceleration, single=single)
 
@@ -284,6 +308,7 @@ class Model:
         duration: float,
         *,
         step: float = STEP,
+        temperature: npt.ArrayLike | None = None,
     ) -> SimulatedMotion:
         """Simulate the arm forward in time, with friction, closed loops and coupled motors.
 
@@ -298,9 +323,10 @@ class Model:
                 controller (t, q, dq) → (n,), asked once per step; None for no torque.
             duration: [s].
             step: [s]; the error grows with its square, at reversals and stops in proportion to it.
+            temperature: (n,) constant, of the joints [°C], where the friction depends on it.
 
         Raises:
-            DataError: a wrong shape, or a value is not finite.
+            DataError: a wrong shape, a value is not finite, or a temperature is missing.
             UsageError: duration or step is not positive.
             ModelError: the model cannot be simulated (negative Coulomb friction, a parameter without a value, an
                 inertia matrix that is not positive definite), a loop does not close, or the motion diverges.
@@ -319,9 +345,14 @@ class Model:
                 where=self.name,
                 hint='simulate the physically consistent model (parameters="consistent", the default)',
             )
-        return simulated_motion(self._dynamics, q0, dq0, torque, duration, step)
+        kelvin = self._kelvin(temperature, 1)
+        return simulated_motion(
+            self._dynamics, q0, dq0, torque, duration, step, None if kelvin is None else kelvin[:, 0]
+        )
 
-    def regressor(self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike) -> FloatArray:
+    def regressor(
+        self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike, temperature: npt.ArrayLike | None = None
+    ) -> FloatArray:
         """Regressor Y(q, q̇, q̈), (N, n, b) or (n, b): torque = Y @ parameters["value"].
 
         A column has the unit of N·m over that of its parameter; columns are in the order of `parameters`.
@@ -330,15 +361,20 @@ class Model:
             q: (N, n) or (n,) positions [rad].
             dq: the same of velocities [rad/s].
             ddq: the same of accelerations [rad/s²].
+            temperature: (N, n) or (n,) of the joints [°C], where the friction depends on it.
 
         Raises:
-            DataError: shapes differ, or a value is not finite.
+            DataError: shapes differ, a value is not finite, or a temperature is missing.
         """
-        motion, single = samples(self.joint_names, q=q, dq=dq, ddq=ddq)
-        rows = np.ascontiguousarray(np.moveaxis(self._columns(*motion), -1, 0))
+        (position, velocity, acceleration), single = samples(self.joint_names, q=q, dq=dq, ddq=ddq)
+        motion = position, velocity, acceleration
+        kelvin = self._kelvin(temperature, position.shape[1])
+        rows = np.ascontiguousarray(np.moveaxis(self._columns(*motion, kelvin), -1, 0))
         return rows[0] if single else rows
 
-    def torque_std(self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike) -> FloatArray:
+    def torque_std(
+        self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike, temperature: npt.ArrayLike | None = None
+    ) -> FloatArray:
         """Standard deviation σ [N·m] of `torque` from that of the parameters, √diag(Y·Σ·Yᵀ); shape of `q`.
 
         Σ is the stored covariance, corrected for autocorrelated residuals. That of the essential model is the full
@@ -350,18 +386,21 @@ class Model:
             q: (N, n) or (n,) positions [rad].
             dq: the same of velocities [rad/s].
             ddq: the same of accelerations [rad/s²].
+            temperature: (N, n) or (n,) of the joints [°C], where the friction depends on it.
 
         Raises:
-            DataError: shapes differ, or a value is not finite.
+            DataError: shapes differ, a value is not finite, or a temperature is missing.
             ModelError: a parameter without a value acts on this motion.
             ResultFileError: the result holds no covariance.
         """
-        motion, single = samples(self.joint_names, q=q, dq=dq, ddq=ddq)
+        (position, velocity, acceleration), single = samples(self.joint_names, q=q, dq=dq, ddq=ddq)
+        kelvin = self._kelvin(temperature, position.shape[1])
         sure, root, unsure = self._deviations
-        deviations = np.empty_like(motion[0])
+        deviations = np.empty_like(position)
         for start in range(0, deviations.shape[1], CHUNK):
             chunk = slice(start, start + CHUNK)
-            columns = self._columns(*(signal[:, chunk] for signal in motion))
+            heat = None if kelvin is None else kelvin[:, chunk]
+            columns = self._columns(position[:, chunk], velocity[:, chunk], acceleration[:, chunk], heat)
             self._require(columns)
             deviations[:, chunk] = np.linalg.norm(np.swapaxes(columns[:, sure], 1, 2) @ root, axis=-1)
             if len(unsure):
@@ -473,9 +512,32 @@ class Model:
     def __repr__(self) -> str:
         return f"<dynid.Model {self.name}, {self.dof} joints, {self._base.count} base parameters, {self.kind}>"
 
-    def _columns(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """Joint regressor (n, b, N); the kernel's rows are the motors'."""
-        rows = regressor(self._stored.model, position, velocity, acceleration, self._base.columns)
+    def _kelvin(self, temperature: npt.ArrayLike | None, count: int) -> FloatArray | None:
+        """Temperatures (n, N) [K] of `count` samples, as given in °C; None where none are given nor needed."""
+        model, kelvin = self._stored.model, None
+        if temperature is not None:
+            try:
+                celsius = np.broadcast_to(np.asarray(temperature, dtype=np.float64), (count, self.dof))
+            except (TypeError, ValueError) as error:
+                raise DataError(
+                    f"is not ({self.dof},) or ({count}, {self.dof}) numbers", where="temperature", hint="in °C"
+                ) from error
+            if np.any(np.abs(celsius) > HOTTEST):
+                raise DataError(f"is not within ±{HOTTEST:g} °C", where="temperature")
+            kelvin = celsius.T + ZERO_CELSIUS
+        model.require_temperature(kelvin, self.name)
+        return kelvin
+
+    def _columns(
+        self,
+        position: FloatArray,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+        kelvin: FloatArray | None = None,
+    ) -> FloatArray:
+        """Joint regressor (n, b, N); the kernel's rows are the motors'. At rest no temperature is needed."""
+        heat = np.full_like(position, REFERENCE_TEMPERATURE) if kelvin is None else kelvin
+        rows = regressor(self._stored.model, position, velocity, acceleration, self._base.columns, heat)
         if self._stored.model.transmission is None:
             return rows
         return np.asarray(np.einsum("mn,mbN->nbN", self._dynamics.coupling, rows))

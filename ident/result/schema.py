@@ -24,7 +24,8 @@ from daq.output_files import replace_files
 from daq.robot.section import within
 from drivers.errors import ResultFileError
 from drivers.input_files import RESULT_FILE, read_text
-from drivers.ranges import RESULT_VALUE, SMOOTHING
+from drivers.ranges import EXPONENT, RESULT_VALUE, SMOOTHING, STRIBECK_VELOCITY
+from ident.model.friction_terms import FrictionTerms
 from ident.model.parameters import Kind
 from ident.verdict.acceptance import Acceptance
 from ident.verdict.check import PURPOSES, texts
@@ -38,8 +39,13 @@ UNITS: dict[str, str] = {
     **dict.fromkeys(("Fv", "Fvm"), "N·m·s/rad"),
     **dict.fromkeys(("Fs", "Fsm"), "N·m"),
     "Fo": "N·m",
+    "Fb": "N·m",
+    "Fl": "(N·m)^(1-k)",
+    "Ft": "N·m·(s/rad)^½",
+    "Fts": "N·m·(s/rad)^½/K",
+    "Ftc": "N·m·(s/rad)^½",
 }
-"""Units by symbol, for revolute joints."""
+"""Units by symbol, for revolute joints; of Fv where the exponent α is 1, of Fl for the power k of the load torque."""
 
 
 _NUMBERS = re.compile(r"\[\n[-+.0-9eEnul,\s]+\]")
@@ -300,6 +306,31 @@ class ModelOptions(_Part):
     coulomb: list[bool]
     offset: list[bool]
     smoothing: Annotated[float, AfterValidator(within(SMOOTHING))]
+    terms: FrictionTerms | None = Field(default=None, description="further friction, its shapes and its load torque")
+
+    @model_validator(mode="after")
+    def _possible_terms(self) -> Self:
+        """Refuse shapes that no friction has, and lists whose length is not the number of joints."""
+        terms = self.terms
+        if terms is None:
+            return self
+        for name, values, allowed in (
+            ("exponent", terms.exponent, EXPONENT),
+            ("stribeck_velocity", terms.stribeck_velocity, STRIBECK_VELOCITY),
+            ("load_torque", () if terms.load_torque is None else terms.load_torque.values, RESULT_VALUE),
+        ):
+            for value in values:
+                if not allowed.holds(value):
+                    raise ValueError(f"terms.{name}: {value:g} is not within {allowed}")
+        if terms.load_torque is not None and len(terms.load_torque.columns) != len(terms.load_torque.values):
+            raise ValueError("terms.load_torque: columns and values differ in number")
+        per_joint = ("exponent", "stribeck", "stribeck_velocity", "load", "temperature")
+        for name in (*per_joint, "free_exponent", "free_stribeck_velocity"):
+            if len(getattr(terms, name)) != len(self.viscous):
+                raise ValueError(f"terms.{name} has {len(getattr(terms, name))} entries for {len(self.viscous)} joints")
+        if terms.sensitivities:
+            raise ValueError("terms.sensitivities belongs to a regression, not to a result")
+        return self
 
 
 _LISTS_OF_JOINTS = (

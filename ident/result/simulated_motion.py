@@ -51,15 +51,21 @@ def simulated_motion(
     torque: npt.ArrayLike | Controller | None,
     duration: float,
     step: float,
+    kelvin: FloatArray | None = None,
 ) -> SimulatedMotion:
-    """Simulate; arguments and errors as of `Model.simulate`."""
+    """Simulate; arguments and errors as of `Model.simulate`, `kelvin` (n,) the joints' temperatures [K]."""
     names = inverse.model.joint_names
     start, single = samples(names, q0=q0, dq0=dq0)
     if not single:
         raise DataError(f"has {start[0].shape[1]} rows; one state ({len(names)},) is needed", where="q0")
     steps = _steps(duration, step)
     motion = integrate(
-        ForwardArm(inverse), start[0][:, 0], start[1][:, 0], _drive(names, torque, duration, steps), duration, steps
+        ForwardArm(inverse, kelvin),
+        start[0][:, 0],
+        start[1][:, 0],
+        _drive(names, torque, duration, steps),
+        duration,
+        steps,
     )
     return SimulatedMotion(names, motion.time, motion.position, motion.velocity, motion.torque)
 

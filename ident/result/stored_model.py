@@ -10,6 +10,7 @@ from daq.robot.loader import RobotFile, parse_robot
 from drivers.errors import ResultFileError
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel, build_model
+from ident.model.parameters import INERTIAL
 from ident.regression.estimate import Estimate
 from ident.regression.observability import Experiment, experiment_base, whole_arm
 from ident.result.schema import ExperimentResult, Result
@@ -58,7 +59,11 @@ def stored_model(result: Result) -> StoredModel:
         coulomb=tuple(options.coulomb),
         offset=tuple(options.offset),
         smoothing=options.smoothing,
+        terms=options.terms,
     )
+    load = None if options.terms is None else options.terms.load_torque
+    if load is not None and not all(0 <= column < len(INERTIAL) * len(model.joints) for column in load.columns):
+        raise ResultFileError("names columns that are no link's", where="model_options.terms.load_torque", hint=AGAIN)
     experiments = tuple(_experiment(model, stored, index) for index, stored in enumerate(result.experiments))
     experiments = experiments or (whole_arm(model),)
     base = experiment_base(model, experiments)

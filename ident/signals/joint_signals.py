@@ -15,6 +15,7 @@ from drivers.errors import DataError
 from drivers.gains import DriveGain, joint_torque
 from drivers.ranges import RECORDED_POSITION, RECORDED_TORQUE, RECORDED_VELOCITY
 from drivers.streams import FloatArray
+from ident.signals.joint_temperature import joint_temperature
 
 JOINT_QUANTITIES = ("position", "velocity", "current", "voltage", "torque")
 
@@ -71,6 +72,7 @@ class JointSignals:
         gains_used: names of the joints whose drive gain made the torque out of what was recorded.
         velocity: (N, n) [rad/s or m/s]; None where it was not recorded.
         replaced: outliers in place of which stands what their neighbours say.
+        temperature: (N, n) of the joints [K], nan for joints without a sensor; None where none was recorded.
 
     Raises:
         DataError: a value is not finite; names the first such sample and its joint.
@@ -85,6 +87,7 @@ class JointSignals:
     velocity: FloatArray | None = None
     gains_used: tuple[str, ...] = ()
     replaced: tuple[ReplacedSamples, ...] = ()
+    temperature: FloatArray | None = None
 
     def __post_init__(self) -> None:
         optional = {} if self.velocity is None else {"velocity": self.velocity}
@@ -141,6 +144,7 @@ def read_joint_signals(recording: Recording, robot: Robot) -> JointSignals:
         velocity,
         gains_used,
         replaced,
+        joint_temperature(recording, tuple(robot.joint_names)),
     )
 
 

@@ -84,6 +84,7 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
     velocities, velocity_step = _velocities(smooth, signals.joint_names, measured=choices.measured_velocity)
     moving, rest_velocity, motion_step = differentiate(smooth, velocities, choices)
     segments, ends_step = without_ends(moving, cutoffs)
+    segments = _with_temperature(segments, signals)
     parallel = parallel_filter(cutoffs, choices.filter_kind, rate)
     parallel_step = Step(
         "parallel filter",
@@ -101,6 +102,17 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
         cutoffs=cutoffs,
         irregularity=irregularity,
         choices=resolve(choices, cutoffs, rest_velocity),
+    )
+
+
+def _with_temperature(segments: tuple[Segment, ...], signals: JointSignals) -> tuple[Segment, ...]:
+    """The segments with the joints' temperatures, where they were recorded."""
+    if signals.temperature is None:
+        return segments
+    columns = signals.temperature.T
+    return tuple(
+        replace(segment, temperature=np.array([np.interp(segment.time, signals.time, column) for column in columns]))
+        for segment in segments
     )
 
 

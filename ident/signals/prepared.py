@@ -45,6 +45,7 @@ class Segment:
             None where all equations are used.
         resting: (n, N) motors at rest, among those of `reversing`; their torque is not compared with a prediction
             either (see `velocity_reversals`). None where not determined.
+        temperature: (n, N) of the joints [K], nan for joints without a sensor; None where none was recorded.
     """
 
     time: FloatArray
@@ -56,6 +57,7 @@ class Segment:
     used: npt.NDArray[np.bool_]
     reversing: npt.NDArray[np.bool_] | None = None
     resting: npt.NDArray[np.bool_] | None = None
+    temperature: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,21 +3,34 @@
 At the n joints with a motor, as `ident.model.inverse_dynamics` has it:
 
     M(q)·q̈ + b(q, q̇) + V·q̇ + Dᵀ·λ = τ        λᵢ = fᵢ·sign(Dᵢ·q̇), anything between −fᵢ and fᵢ where Dᵢ·q̇ = 0
+
+Dry friction is Coulomb's, with what depends on load and speed (Stribeck) where the model has it: fᵢ then changes from
+step to step. What vanishes at rest without being linear, |q̇|^α and √|q̇|, is viscous friction whose coefficient changes.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drivers.errors import ModelError
 from drivers.streams import FloatArray
 from ident.model.dynamic_model import DynamicModel
+from ident.model.friction_terms import SLOWEST, TEMPERATURE_KINDS, FrictionConditions
 from ident.model.inverse_dynamics import InverseDynamics, with_masses
-from ident.model.joint_columns import combined
+from ident.model.joint_columns import JointColumn, column_signal, combined
 from ident.model.parameters import INERTIAL
 from ident.model.rigid_arm import RigidArm, rigid_arm
+
+
+@dataclass(frozen=True, eq=False)
+class _Term:
+    """A friction column with its coefficient: torques (n,) at the joints per unit of signal, and the motion (n,)."""
+
+    column: JointColumn
+    at_joints: FloatArray
+    motion: FloatArray
 
 
 class ForwardArm:
@@ -25,19 +38,23 @@ class ForwardArm:
 
     Attributes:
         dof: number n of joints with a motor.
-        viscous: (n, n) V [N·m·s/rad].
+        viscous: (n, n) V [N·m·s/rad] of linear viscous friction.
         offset: (n,) constant torque, part of the bias [N·m].
         directions: (m, n) D, the joint motions that dry friction acts on.
-        dry: (m,) f, dry friction in each of them [N·m].
+        dry: (m,) f, Coulomb friction in each of them [N·m].
     """
 
-    def __init__(self, inverse: InverseDynamics) -> None:
-        """Take over parameters.
+    def __init__(self, inverse: InverseDynamics, kelvin: FloatArray | None = None) -> None:
+        """Take over parameters, and temperatures (n,) [K] of the joints where friction depends on them.
 
         Raises:
             ModelError: a dry friction below 0, which would drive the arm.
         """
         model = inverse.model
+        self._inverse = inverse
+        self._kelvin = None if kelvin is None else kelvin[:, None]
+        self._smooth: list[_Term] = []
+        self._further_dry: list[tuple[int, _Term]] = []
         self.dof = model.dof
         self.viscous = np.zeros((self.dof, self.dof))
         self.offset = np.zeros(self.dof)
@@ -49,13 +66,22 @@ class ForwardArm:
                 at_motors[motor] += factor * value
             at_joints = inverse.coupling.T @ at_motors
             motion = np.array(combined(column.motion, identity), dtype=np.float64)
-            if column.quantity == "viscous":
+            if column.quantity == "viscous" and column.shape == 1.0:
                 self.viscous += np.outer(at_joints, motion)
+            elif column.quantity == "viscous" or column.quantity in TEMPERATURE_KINDS:
+                self._smooth.append(_Term(column, at_joints, motion))
             elif column.quantity == "offset":
                 self.offset += at_joints
             elif column.quantity == "coulomb":
                 directions.append(motion)
                 dry.append(float(at_joints @ motion / (motion @ motion)))
+            elif column.quantity in ("stribeck", "load"):
+                same = [place for place, other in enumerate(directions) if np.array_equal(other, motion)]
+                if not same:
+                    same = [len(directions)]
+                    directions.append(motion)
+                    dry.append(0.0)
+                self._further_dry.append((same[0], _Term(column, at_joints, motion)))
         self.directions, self.dry = np.array(directions).reshape(-1, self.dof), np.array(dry)
         _check_dissipative(model, self.directions, self.dry)
         self._rotors = inverse.rotor_inertia
@@ -67,6 +93,43 @@ class ForwardArm:
         for arm, sign in self._arms:
             total += sign * arm.inertia(position)
         return total
+
+    def viscous_at(self, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """V (n, n) [N·m·s/rad] of all friction that vanishes at rest, and a torque (n,) [N·m], at a velocity (n,).
+
+        What grows with the velocity is in V. What falls, a term with a negative coefficient, is the torque: as a
+        viscous coefficient it would be unstable.
+        """
+        if not self._smooth:
+            return self.viscous, np.zeros(self.dof)
+        matrix, torque = self.viscous.copy(), np.zeros(self.dof)
+        conditions = FrictionConditions(temperature=self._kelvin)
+        for term in self._smooth:
+            speed = np.array([max(abs(float(term.motion @ velocity)), SLOWEST)])
+            slope = float(self._signal(term, speed, conditions)[0] / speed[0])
+            part = slope * np.outer(term.at_joints, term.motion)
+            if term.at_joints @ term.motion * slope >= 0.0:
+                matrix += part
+            else:
+                torque += part @ velocity
+        return matrix, torque
+
+    def dry_at(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
+        """F (m,) [N·m] at a state (n,)."""
+        if not self._further_dry:
+            return self.dry
+        limits, conditions = self.dry.copy(), self._inverse.conditions(position[:, None], self._kelvin)
+        for place, term in self._further_dry:
+            speed = np.array([max(abs(float(term.motion @ velocity)), SLOWEST)])
+            share = float(term.at_joints @ term.motion / (term.motion @ term.motion))
+            limits[place] += share * float(self._signal(term, speed, conditions)[0])
+        return np.asarray(np.maximum(limits, 0.0))
+
+    def _signal(self, term: _Term, speed: FloatArray, conditions: FrictionConditions) -> FloatArray:
+        """The term's signal (1,) at a positive speed (1,) along its motion."""
+        along = replace(term.column, motion=((0, 1.0),))
+        model = replace(self._inverse.model, smoothing=0.0)
+        return np.asarray(column_signal(model, along, speed[None], speed[None], conditions), dtype=np.float64)
 
     def bias(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """B (n,) [N·m]: gravity, Coriolis and centrifugal torque, and offsets."""

@@ -9,10 +9,11 @@ From (q, v), with the step h and the torque τ of the step,
 λ is the dry friction that belongs to the velocity v⁺ after the step, a set-valued force: at rest it takes any value up
 to the limit (`dry_friction`). So a joint at rest stays there (to rounding) until the torque breaks it away. Nothing
 creeps or chatters, there is no smoothing velocity to choose and no stiff slope to integrate, and reversals need no
-event search. Without dry friction the rule is symmetric in time and of second order: the energy error is bounded (∝ h²)
-and does not drift. A reversal or a stop is placed within the step, first order in h. Viscous friction is implicit, and
-never unstable. (J. J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, 1988; V. Acary and
-B. Brogliato, Numerical methods for nonsmooth dynamical systems, 2008, ch. 10.)
+event search. Friction that depends on speed or load (Stribeck, |q̇|^α, load) is that at the beginning of each step,
+first order in h. Without dry friction the rule is symmetric in time and of second order: the energy error is bounded
+(∝ h²) and does not drift. A reversal or a stop is placed within the step, first order in h. Viscous friction is
+implicit, and never unstable. (J. J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, 1988;
+V. Acary and B. Brogliato, Numerical methods for nonsmooth dynamical systems, 2008, ch. 10.)
 """
 
 from __future__ import annotations
@@ -117,9 +118,11 @@ class _Stepping:
         middle = position + 0.5 * step * velocity
         inertia = arm.inertia(middle)
         np.linalg.cholesky(inertia)
-        inverse = np.linalg.inv(inertia + 0.5 * step * arm.viscous)
-        free = inertia @ velocity + step * (torque - 0.5 * (arm.viscous @ velocity))
-        sliding = arm.dry > 0.0
+        viscous, driving = arm.viscous_at(velocity + 0.5 * self._change)
+        limits = arm.dry_at(middle, velocity)
+        inverse = np.linalg.inv(inertia + 0.5 * step * viscous)
+        free = inertia @ velocity + step * (torque - driving - 0.5 * (viscous @ velocity))
+        sliding = limits > 0.0
         directions = arm.directions[sliding]
         to_velocity = inverse @ directions.T
         matrix = step * (directions @ to_velocity)
@@ -129,7 +132,7 @@ class _Stepping:
             guess = after
             after = inverse @ (free - step * arm.bias(middle, 0.5 * (velocity + guess)))
             if len(dry):
-                dry = dry_friction(matrix, directions @ after, arm.dry[sliding], dry)
+                dry = dry_friction(matrix, directions @ after, limits[sliding], dry)
                 after = after - step * (to_velocity @ dry)
             if np.abs(after - guess).max() <= PRECISION * max(1.0, float(np.abs(after).max())):
                 break

@@ -59,7 +59,8 @@ def tracking_error(inverse: InverseDynamics, segment: Segment) -> TrackingError:
     Raises:
         ModelError: the model cannot be simulated, or the motion diverges.
     """
-    arm = ForwardArm(inverse)
+    heat = None if segment.temperature is None else np.mean(segment.temperature, axis=1)
+    arm = ForwardArm(inverse, heat)
     duration = min(float(segment.time[-1] - segment.time[0]), LONGEST)
     steps = max(1, round(duration / STEP))
     time = np.linspace(0.0, duration, steps + 1)

@@ -11,31 +11,40 @@ from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream, s
 from daq.robot.loader import RobotFile
 from daq.robot.loops import coupling_matrix
 from drivers.streams import UNITS, FloatArray
-from ident.model.dynamic_model import build_model
+from drivers.units import ZERO_CELSIUS
 from ident.model.regressor import model_torque
-from ident.model.true_parameters import truth_vector
+from ident.model.true_parameters import true_model, truth_vector
 
 
 def simulate_recording(
-    robot_file: RobotFile, motion: Motion, duration: float, seed: int, rate: float | None = None
+    robot_file: RobotFile,
+    motion: Motion,
+    duration: float,
+    seed: int,
+    rate: float | None = None,
+    celsius: FloatArray | None = None,
 ) -> Recording:
     """Record `duration` seconds of a motion that the arm follows exactly.
 
-    Positions are quantised by the encoder; torques carry white noise and a ripple that depends on the position
-    (`truth.noise` of the robot file). Where the drive's gain is known the raw signal is recorded, else the torque.
+    Friction has the terms that the file's `friction` names, with the values and shapes of its truth. Where it depends
+    on the temperature, that is `celsius` (N, n) [°C], or the truth's ambient one, and is recorded too. Positions are
+    quantised by the encoder; torques carry white noise and a ripple that depends on the position (`truth.noise` of the
+    robot file). Where the drive's gain is known the raw signal is recorded, else the torque.
 
     Raises:
         RobotFileError: the robot file has no truth.
     """
     robot = robot_file.robot
     noise = robot.truth.noise
-    model = build_model(robot_file)
-    truth = truth_vector(robot_file)
+    model = true_model(robot_file)
+    truth = truth_vector(robot_file, model)
     generator = np.random.default_rng(seed)
     frequency = noise.rate if rate is None else rate
     time = np.arange(round(duration * frequency)) / frequency
     position, velocity, acceleration = motion.evaluate(time)
-    torque = model_torque(model, None, truth, position, velocity, acceleration)
+    if celsius is None:
+        celsius = np.full(position.T.shape, robot.truth.thermal.ambient)
+    torque = model_torque(model, None, truth, position, velocity, acceleration, celsius.T + ZERO_CELSIUS)
     for joint, name in enumerate(robot.joint_names):
         ripple = noise.ripple_amplitude.get(name, 0.0)
         phase = generator.uniform(0.0, 2.0 * np.pi)
@@ -45,6 +54,9 @@ def simulate_recording(
         position = np.round(position / noise.encoder_resolution) * noise.encoder_resolution
     channels = {"position": Channel("position", position.T, "rad", robot.joint_names, "simulated encoder")}
     channels |= _drive_channels(robot_file, torque)
+    if model.needs_temperature:
+        unit = UNITS["temperature"]
+        channels["temperature"] = Channel("temperature", celsius, unit, robot.joint_names, "simulated sensor")
     return Recording(
         robot_text=robot_file.text,
         urdf_text=robot_file.urdf_text or "",
