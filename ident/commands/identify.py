@@ -29,7 +29,7 @@ def identify_recordings(
     validate_with: list[Path] = typer.Option([], "--validate", help="Held-out recording; the last 30 % without one."),
     split: float = typer.Option(None, "--split", help="Identify on the first SECONDS, validate on the rest."),
     robot: str = typer.Option(None, "--robot", help="Robot file in place of the recording's own."),
-    friction: str = typer.Option(None, "--friction", help="none, viscous, coulomb or coulomb-viscous."),
+    friction: str = typer.Option(None, "--friction", help="coulomb-viscous+stribeck+load, …, or auto; see docs."),
     offset: bool = typer.Option(None, "--offset/--no-offset", help="A constant torque per joint."),
     motor_inertia: bool = typer.Option(None, "--motor-inertia/--no-motor-inertia", help="Columns for motor inertia."),
     smoothing: float = typer.Option(None, "--smoothing", help="ε [rad/s] of tanh(q̇/ε) in place of sign(q̇)."),
@@ -89,7 +89,7 @@ def identify_recordings(
             robot=robot,
             method=method,
             split=split,
-            friction=friction,  # type: ignore[arg-type]  # the task checks it
+            friction=friction,
             offset=offset,
             motor_inertia=motor_inertia,
             smoothing=smoothing,

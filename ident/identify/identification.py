@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
 from daq.robot.loader import RobotFile
+from daq.robot.schema import Friction
 from drivers.errors import UsageError
 from drivers.ranges import SMOOTHING, check_option
 from drivers.streams import FloatArray
@@ -16,8 +16,11 @@ from ident.assessment.validation import FitFigures
 from ident.estimators.estimator import Estimation
 from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.estimators.method_choice import MethodChoice, chosen_method
+from ident.identify.friction_choice import check_friction, chosen_friction, friction_columns
+from ident.identify.friction_selection import FrictionStep
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
+from ident.model.friction_terms import friction_terms
 from ident.regression.comparison import TorqueSeries
 from ident.regression.estimate import Estimate, estimate_of
 from ident.regression.jackknife import CorrectedCovariance
@@ -32,24 +35,26 @@ from ident.signals.prepared import Prepared
 from ident.simulation.tracking import TrackingError
 from ident.verdict.check import Check, texts
 
-FrictionModel = Literal["none", "viscous", "coulomb", "coulomb-viscous"]
-
 
 @dataclass(frozen=True)
 class ModelChoices:
     """Departures from the robot file's columns; None follows the file.
 
     Attributes:
-        friction: which friction columns every joint has.
+        friction: which friction columns every joint has (`ident.identify.friction_choice`).
         offset: whether every joint has an offset torque.
         motor_inertia: whether every joint has a motor inertia.
         smoothing: ε [rad/s] of tanh(q̇/ε); 0 for sign(q̇).
     """
 
-    friction: FrictionModel | None = None
+    friction: str | None = None
     offset: bool | None = None
     motor_inertia: bool | None = None
     smoothing: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.friction is not None:
+            check_friction(self.friction)
 
 
 @dataclass(frozen=True)
@@ -100,13 +105,17 @@ class IdentifyChoices:
         return 0.0 if self.estimator.equations == "energy" else REVERSAL_SHARE
 
 
-def apply_model_choices(model: DynamicModel, choices: ModelChoices) -> DynamicModel:
-    """The model with the user's columns."""
+def apply_model_choices(model: DynamicModel, choices: ModelChoices, friction: Friction | None = None) -> DynamicModel:
+    """The model with the user's columns, and the further friction terms of the user or of the robot file's section."""
+    section = Friction() if friction is None else friction
+    if choices.friction is not None:
+        section = chosen_friction(section, choices.friction)
+    model = replace(model, terms=friction_terms(section, model.joint_names))
     everywhere, nowhere = (True,) * model.dof, (False,) * model.dof
     changes: dict[str, tuple[bool, ...]] = {}
     if choices.friction is not None:
         for column in ("viscous", "coulomb"):
-            changes[column] = everywhere if column in choices.friction.split("-") else nowhere
+            changes[column] = everywhere if column in friction_columns(choices.friction) else nowhere
     if choices.offset is not None:
         changes["offset"] = everywhere if choices.offset else nowhere
     if choices.motor_inertia is not None:
@@ -154,6 +163,23 @@ class ConsistentFit:
 
 
 @dataclass(frozen=True)
+class FrictionFit:
+    """What was found of the friction before the regression.
+
+    Attributes:
+        model: with all shapes and the load torque.
+        steps: of complexity that were tried; empty without `--friction auto`.
+        rounds: that load torque and shapes took.
+        settled: whether they converged.
+    """
+
+    model: DynamicModel
+    steps: tuple[FrictionStep, ...] = ()
+    rounds: int = 0
+    settled: bool = True
+
+
+@dataclass(frozen=True)
 class Identification:
     """Everything that an identification holds; `ident.identify.summary` turns it into a Result.
 
@@ -174,6 +200,8 @@ class Identification:
         fit, validation, essential_fit, essential_validation: errors; validation is None where nothing was held out.
         validation_source: what was held out, in words.
         checks: that were raised.
+        friction: what was found of the friction before the regression.
+        shape_std: σ of the friction's free shapes, by kind of their sensitivity and motor.
     """
 
     robot_file: RobotFile
@@ -197,6 +225,8 @@ class Identification:
     essential_validation: FitFigures
     validation_source: str
     checks: tuple[Check, ...]
+    friction: FrictionFit
+    shape_std: dict[tuple[str, int], float]
 
     @property
     def solution(self) -> LeastSquares:

@@ -17,6 +17,8 @@ from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.identify.checks import identification_checks
 from ident.identify.data_split import split_data
+from ident.identify.friction_fit import fit_friction
+from ident.identify.friction_shapes import with_free_shapes
 from ident.identify.identification import (
     ConsistentFit,
     Identification,
@@ -62,7 +64,7 @@ def identify(
     if not recordings:
         raise UsageError("no recording to identify from")
     robot_file = recordings[0].robot() if robot_file is None else robot_file
-    model = apply_model_choices(build_model(robot_file), choices.model)
+    model = apply_model_choices(build_model(robot_file), choices.model, robot_file.robot.friction)
     data = split_data(recordings, validation, robot_file.robot, choices.preprocess, choices.split)
 
     progress("base parameters")
@@ -72,6 +74,8 @@ def identify(
     predictable = [
         predictable_torques(model, [experiment], run.signals.label, run.position, tolerance) for run in data.held_out
     ]
+    friction = fit_friction(model, data, experiment, choices, progress)
+    model = friction.model
     base = experiment_base(model, [experiment])
     kernel = RegressorKernel(model, base.columns)
 
@@ -89,7 +93,10 @@ def identify(
     fit = [compare_run(kernel, solution.parameters, run) for run in runs]
 
     progress("error bars")
-    corrected = estimator.covariance(list(_filtered_runs(runs, fit)), estimation)
+    filtered = list(_filtered_runs(runs, fit))
+    corrected, shape_std = with_free_shapes(
+        model, experiment, filtered, solution, estimator.covariance(filtered, estimation)
+    )
     inflation = np.ones(base.count)
     inflation[list(active)] = np.sqrt(np.diag(corrected.covariance) / np.diag(solution.covariance))
     pruned = prune(
@@ -137,6 +144,8 @@ def identify(
         essential_validation=fit_figures(_flat(compare_run(kernel, essential, run) for run in held_out)),
         validation_source=data.validation_source,
         checks=(),
+        friction=friction,
+        shape_std=shape_std,
     )
 
     progress("plausibility")

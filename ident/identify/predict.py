@@ -86,6 +86,7 @@ def predict_recording(model: Model, robot_file: RobotFile, recording: Recording)
         ResultFileError: the result holds no covariance.
     """
     signals = _signals(recording, robot_file)
+    model.require_temperature(signals.temperature, signals.label)
     choices = replace(stored_choices(model.result), keep_rest=True)
     prepared = prepare(signals, choices)
     segments = tuple(_predicted(model, prepared, segment, signals) for segment in prepared.segments)

@@ -78,6 +78,8 @@ def _prepare_run(
     kernel: RegressorKernel, run: RunWindow, resolved: PreprocessChoices, torques: Sequence[int]
 ) -> PreparedRun:
     choices = replace(resolved, start=run.start, stop=run.stop)
+    temperature = run.signals.temperature
+    kernel.model.require_temperature(None if temperature is None else temperature.T, run.signals.label)
     prepared = leave_out_rest(kernel, prepare(run.signals, choices))
     if run.played:
         steps = (_played(step) if step.name == "window" else step for step in prepared.steps)

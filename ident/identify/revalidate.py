@@ -72,6 +72,7 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
     full = np.array([stored[name].value or 0.0 for name in base.names])
     essential = np.array([stored[name].essential_value or 0.0 for name in base.names])
     motion = read_joint_signals(recording, stored_parts.robot_file.robot)
+    model.require_temperature(None if motion.temperature is None else motion.temperature.T, motion.label)
     start, stop = played_window(recording)
     choices = replace(stored_choices(result), start=start, stop=stop)
     prepared = leave_out_rest(RegressorKernel(model, base.columns), prepare(motion, choices))

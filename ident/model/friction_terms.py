@@ -15,14 +15,15 @@ and `temperature_coefficients` gives the paper's β.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 
-from daq.robot.schema import LoadFriction, Robot, TemperatureFriction
+from daq.robot.schema import Friction, LoadFriction, TemperatureFriction
 from drivers.streams import FloatArray
-from ident.model.parameters import Kind
+from ident.model.parameters import Kind, Quantity
 
 REFERENCE_TEMPERATURE = 298.15
 """T0 [K]."""
@@ -30,7 +31,7 @@ REFERENCE_TEMPERATURE = 298.15
 SLOWEST = 1e-3
 """Speed [rad/s or m/s] below which the slopes of |q̇|^α and √|q̇|, unbounded at rest, are those at this speed."""
 
-TEMPERATURE_KINDS: tuple[Kind, ...] = ("temperature", "temperature_slope", "temperature_curvature")
+TEMPERATURE_KINDS: tuple[Quantity, ...] = ("temperature", "temperature_slope", "temperature_curvature")
 """Kinds of the columns with Ft, Fts and Ftc, in this order."""
 
 FIRST_EXPONENT = 0.7
@@ -117,10 +118,9 @@ class FrictionConditions:
     temperature: FloatArray | None = None
 
 
-def friction_terms(robot: Robot) -> FrictionTerms | None:
-    """The further friction that a robot file asks for; None where it asks for none."""
-    friction = robot.friction
-    joints = [friction.joints.get(name) for name in robot.joint_names]
+def friction_terms(friction: Friction, joint_names: Sequence[str]) -> FrictionTerms | None:
+    """The further friction that a robot file's section asks for; None where it asks for none."""
+    joints = [friction.joints.get(name) for name in joint_names]
 
     def chosen(key: str) -> list[Any]:
         of_joints = [None if joint is None else getattr(joint, key) for joint in joints]

@@ -22,7 +22,7 @@ def true_model(robot_file: RobotFile) -> DynamicModel:
         RobotFileError: the file's truth names no link for some joint.
     """
     model, robot = build_model(robot_file), robot_file.robot
-    terms = friction_terms(robot)
+    terms = friction_terms(robot.friction, robot.joint_names)
     if terms is None:
         return model
     joints = [robot.truth.joints.get(name, TruthJoint()) for name in robot.joint_names]

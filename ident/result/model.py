@@ -140,6 +140,14 @@ class Model:
         """Number n of joints with a motor."""
         return self._stored.model.dof
 
+    def require_temperature(self, kelvin: FloatArray | None, where: str) -> None:
+        """Refuse joint temperatures (N, n) [K] that lack those of joints whose friction depends on them.
+
+        Raises:
+            DataError: names the joints.
+        """
+        self._stored.model.require_temperature(None if kelvin is None else kelvin.T, where)
+
     @property
     def coupling(self) -> FloatArray:
         """(n, n) R of q_motor = R·q_joint; motor torques are R⁻ᵀ times joint torques. The identity in most arms."""

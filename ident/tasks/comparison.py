@@ -32,7 +32,6 @@ from ident.model.regressor import RegressorKernel
 from ident.report.comparison_page import comparison_page
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.signals.options import PreprocessChoices
-from ident.tasks.identification import checked_friction
 from ident.tasks.runs import Runs, recordings_of
 
 COMPARISON_FILE = "comparison.json"
@@ -265,7 +264,7 @@ def compare(
 def _choices(method: str, friction: str, delay: float | None, split: float | None) -> IdentifyChoices:
     return IdentifyChoices(
         method=method,
-        model=ModelChoices(friction=checked_friction(friction or None)),
+        model=ModelChoices(friction=friction or None),
         preprocess=PreprocessChoices(delay=delay or 0.0),
         search_delay=delay is None,
         split=split,

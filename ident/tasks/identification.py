@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import get_args
 
 from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import UsageError
 from drivers.ranges import PERCENT, check_option
 from ident.identify.acceptance import result_figures
-from ident.identify.identification import FrictionModel, IdentifyChoices, ModelChoices
+from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import Progress
 from ident.identify.identify import identify as identify_recordings
 from ident.identify.summary import summarise
@@ -186,7 +185,7 @@ def identify(
     method: str = "wls",
     split: float | None = None,
     robot: str | Path | RobotFile | None = None,
-    friction: FrictionModel | None = None,
+    friction: str | None = None,
     offset: bool | None = None,
     motor_inertia: bool | None = None,
     smoothing: float | None = None,
@@ -219,7 +218,9 @@ def identify(
             lists them, and so does `dynid identify --method help`.
         split: identify on the data before this time, validate on the rest [s].
         robot: in place of the recording's own robot file.
-        friction: "none", "viscous", "coulomb" or "coulomb-viscous"; the robot file's where None.
+        friction: "none", "viscous", "coulomb" or "coulomb-viscous", and further terms with plus signs, as in
+            "coulomb-viscous+stribeck+load" (power, stribeck, load, load-linear, temperature, temperature-linear); or
+            "auto", which chooses the terms of each joint by held-out error; the robot file's where None.
         offset: a constant torque per joint [N·m].
         motor_inertia: columns for motor inertia.
         smoothing: ε of tanh(q̇/ε) in place of sign(q̇) [rad/s].
@@ -257,7 +258,7 @@ def identify(
     check_significance(significance)
     choices = IdentifyChoices(
         method=method,
-        model=ModelChoices(checked_friction(friction), offset, motor_inertia, smoothing),
+        model=ModelChoices(friction, offset, motor_inertia, smoothing),
         preprocess=PreprocessChoices(
             position_cutoff=position_cutoff,
             torque_cutoff=torque_cutoff,
@@ -291,19 +292,6 @@ def identify(
         result = result.model_copy(update={"acceptance": judge_acceptance(limits, result_figures(result))})
     recorded = recorded_runs(identification, recordings, held_out)
     return IdentificationResult(result, identification.fit_series, identification.validation_series, recorded)
-
-
-def checked_friction(friction: str | None) -> FrictionModel | None:
-    """A friction model's name, if there is such a model; None follows the robot file.
-
-    Raises:
-        UsageError: there is none.
-    """
-    known: tuple[FrictionModel | None, ...] = (None, *get_args(FrictionModel))
-    for model in known:
-        if friction == model:
-            return model
-    raise UsageError(f"no friction model is called '{friction}'", hint="none, viscous, coulomb or coulomb-viscous")
 
 
 def check_significance(percent: float) -> None:

@@ -36,6 +36,8 @@ def folder(tmp_path_factory) -> Path:
     content = (folder / "run.h5").read_bytes()
     (folder / "cut.h5").write_bytes(content[: len(content) // 3])
     (folder / "text.h5").write_text("not hdf5")
+    (folder / "old").mkdir()
+    (folder / "old" / "result.json").write_text("{}")
     (folder / "empty.h5").write_bytes(b"")
     for name, change in (
         ("newer", {"dynid_schema": 99}),
@@ -347,7 +349,7 @@ def test_two_experiments_are_identified_and_merged(monkeypatch, capsys, parts):
         (["merge", "other.json", "bad.json"], "is not a result"),
         (["merge", "other.json", "bad.json", "--significance", "0"], "not within"),
         (["merge", "other.json", "bad.json", "-o", "other.json"], "is a file"),
-        (["merge", "model/result.json", "bad.json", "-o", "model"], "model/result.json: is an input of this command"),
+        (["merge", "old/result.json", "bad.json", "-o", "old"], "old/result.json: is an input of this command"),
     ],
 )
 def test_wrong_experiments_and_merges_are_refused_in_one_line(monkeypatch, capsys, folder, arguments, words):

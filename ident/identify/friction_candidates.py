@@ -1,0 +1,204 @@
+"""Sums of squares of every friction model that could be chosen, from one pass over the data.
+
+Each motor's equations get the columns of all candidates beside those of the base parameters: |q̇|^α and Stribeck terms
+on grids of their shapes, load and temperature terms. Their Gram matrices, block by block of the data, answer for any
+choice of columns what fits best and how well it predicts the blocks that it was not fitted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.streams import FloatArray
+from ident.model.dynamic_model import DynamicModel
+from ident.model.friction_terms import TEMPERATURE_KINDS, FrictionConditions
+from ident.model.joint_columns import JointColumn, column_signal, combined, joint_column
+from ident.model.parameters import Quantity, StandardParameter
+from ident.model.regressor import LoadTorqueKernel, RegressorKernel
+from ident.regression.observation_matrix import filtered_samples
+from ident.signals.prepared import Prepared, Segment
+
+EXPONENTS = (0.2, 0.35, 0.5, 0.65, 0.8, 1.25, 1.6)
+STRIBECK_SHARES = (0.02, 0.04, 0.08, 0.15, 0.25, 0.4, 0.6)
+"""Grid of v_s over a motor's greatest speed."""
+
+FOLDS = 6
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A column that a motor's friction could have: its signal, and the signal's shape."""
+
+    quantity: Quantity
+    shape: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateGrams:
+    """Gram matrices of all columns, by motor and fold of the data.
+
+    Attributes:
+        candidates: of each motor, e of them.
+        columns: of each motor, the base columns in its equations.
+        grams: of each motor (FOLDS, k + e + 1, k + e + 1): its k base columns, its candidates, its torque.
+        rows: (FOLDS, n) equations.
+        base_count: number b of base columns.
+    """
+
+    candidates: tuple[tuple[Candidate, ...], ...]
+    columns: tuple[tuple[int, ...], ...]
+    grams: tuple[FloatArray, ...]
+    rows: FloatArray
+    base_count: int
+
+    @property
+    def width(self) -> int:
+        """Number of candidates per motor."""
+        return len(self.candidates[0])
+
+    def index(self, motor: int, candidate: int) -> int:
+        """Place of a motor's candidate among all columns."""
+        return self.base_count + motor * self.width + candidate
+
+    def places(self, motor: int) -> list[int]:
+        """Places of the motor's own columns and of the torque among all columns."""
+        last = self.base_count + len(self.grams) * self.width
+        return [*self.columns[motor], *(self.index(motor, extra) for extra in range(self.width)), last]
+
+    def weighted(self, weights: FloatArray) -> FloatArray:
+        """(FOLDS, d, d) of all motors' equations times their weights (n,); the torque is the last column."""
+        size = self.base_count + len(self.grams) * self.width + 1
+        total = np.zeros((FOLDS, size, size))
+        for motor, gram in enumerate(self.grams):
+            places = np.array(self.places(motor))
+            total[:, places[:, None], places] += weights[motor] ** 2 * gram
+        return total
+
+    def residual_sums(self, parameters: FloatArray) -> FloatArray:
+        """Sum of squared residuals (n,) for values (d − 1,) of all columns."""
+        values = np.append(parameters, -1.0)
+        sums = [
+            values[self.places(motor)] @ gram.sum(axis=0) @ values[self.places(motor)]
+            for motor, gram in enumerate(self.grams)
+        ]
+        return np.asarray(np.maximum(np.array(sums), 0.0))
+
+
+def solve_columns(gram: FloatArray, chosen: Sequence[int]) -> FloatArray | None:
+    """Values (d − 1,) of all columns that fit the last one best with the chosen ones; None where they depend."""
+    picked = np.array(chosen)
+    scale = np.sqrt(np.diag(gram)[picked])
+    if not np.all(scale > 0.0):
+        return None
+    try:
+        values = np.linalg.solve(gram[np.ix_(picked, picked)] / np.outer(scale, scale), gram[picked, -1] / scale)
+    except np.linalg.LinAlgError:
+        return None
+    parameters = np.zeros(len(gram) - 1)
+    parameters[picked] = values / scale
+    return parameters
+
+
+def squared_error(gram: FloatArray, parameters: FloatArray) -> float:
+    """Sum of squared residuals of values (d − 1,)."""
+    values = np.append(parameters, -1.0)
+    return max(float(values @ gram @ values), 0.0)
+
+
+def candidates_of(model: DynamicModel, speeds: FloatArray, *, temperature: bool) -> tuple[tuple[Candidate, ...], ...]:
+    """All candidates of each motor, of motors with these greatest speeds (n,); loads where the model has a load torque.
+
+    Args:
+        model: whose friction is asked for.
+        speeds: (n,) [rad/s or m/s].
+        temperature: whether the data hold temperatures of all joints.
+    """
+    loads = model.terms is not None and model.terms.load_torque is not None
+    return tuple(
+        (
+            *(Candidate("viscous", exponent) for exponent in EXPONENTS),
+            *(Candidate("stribeck", share * speed) for share in STRIBECK_SHARES),
+            *((Candidate("load", 1.0), Candidate("load", 2.0)) if loads else ()),
+            *((Candidate(kind) for kind in TEMPERATURE_KINDS) if temperature else ()),
+        )
+        for speed in speeds.tolist()
+    )
+
+
+def motor_motion(model: DynamicModel, motor: int) -> JointColumn:
+    """The column of a motor's Coulomb friction, whether the model has it or not."""
+    joint = model.active[motor]
+    return joint_column(model, StandardParameter(f"Fs{joint + 1}", "coulomb", joint, "Fs"))
+
+
+def greatest_speeds(model: DynamicModel, runs: Sequence[Prepared]) -> FloatArray:
+    """Greatest speed (n,) of each motor [rad/s or m/s]."""
+    motions = [motor_motion(model, motor).motion for motor in range(model.dof)]
+    return np.array(
+        [
+            max(float(np.max(np.abs(combined(motion, part.velocity)))) for run in runs for part in run.segments)
+            for motion in motions
+        ]
+    )
+
+
+def candidate_grams(
+    kernel: RegressorKernel,
+    runs: Sequence[Prepared],
+    folds: Sequence[npt.NDArray[np.int64]],
+    candidates: tuple[tuple[Candidate, ...], ...],
+) -> CandidateGrams:
+    """Gram matrices of the kernel's columns and all candidates.
+
+    Args:
+        kernel: of the base columns; its model has the load torque, where there are load candidates.
+        runs: the data.
+        folds: fold (M,) of each filtered sample, an array per segment of all runs.
+        candidates: of each motor.
+    """
+    dof, width = kernel.model.dof, len(candidates[0])
+    grams = [np.zeros((FOLDS, size, size)) for size in (len(rows.columns) + width + 1 for rows in kernel.joint_rows)]
+    rows = np.zeros((FOLDS, dof))
+    fold_of = iter(folds)
+    for run in runs:
+        for segment in run.segments:
+            fold, position = next(fold_of), 0
+            signals = np.concatenate([_signals(kernel.model, segment, candidates), segment.torque])
+            for filtered in filtered_samples(kernel, segment, run.parallel_filter, signals):
+                here = fold[position : position + len(filtered.used)]
+                position += len(filtered.used)
+                for motor, gram in enumerate(grams):
+                    packed = filtered.regressor[kernel.joint_rows[motor].rows]
+                    stacked = np.concatenate([packed, filtered.torque[motor::dof]])
+                    counts = filtered.counts(motor)
+                    for part in np.unique(here[counts]):
+                        inside = stacked[:, counts & (here == part)]
+                        gram[part] += inside @ inside.T
+                        rows[part, motor] += inside.shape[1]
+    columns = tuple(joint.columns for joint in kernel.joint_rows)
+    return CandidateGrams(candidates, columns, tuple(grams), rows, len(kernel.columns))
+
+
+def _signals(model: DynamicModel, segment: Segment, candidates: tuple[tuple[Candidate, ...], ...]) -> FloatArray:
+    """(e·n, N) the candidates' signals, the first of all motors first."""
+    loads = any(candidate.quantity == "load" for candidate in candidates[0])
+    load = LoadTorqueKernel(model).torque(segment.position) if loads else None
+    conditions = FrictionConditions(load, segment.temperature)
+    motions = [motor_motion(model, motor) for motor in range(model.dof)]
+    return np.array(
+        [
+            column_signal(
+                model,
+                replace(motions[motor], quantity=of_motor[place].quantity, shape=of_motor[place].shape),
+                segment.velocity,
+                segment.acceleration,
+                conditions,
+            )
+            for place in range(len(candidates[0]))
+            for motor, of_motor in enumerate(candidates)
+        ]
+    )

@@ -1,0 +1,286 @@
+"""Friction with unknown shapes, load torque or terms, settled before the regression, which is then linear.
+
+The load torque comes from the gravity parameters of the estimate before (AUBO eq. 18), until it does not change. The
+shapes, exponent α and Stribeck velocity v_s, are found by variable projection: Gauss-Newton on the shapes, all linear
+parameters estimated anew at each of them, with exact derivatives ∂τ/∂α and ∂τ/∂v_s as columns of the regression
+(Golub and Pereyra, Inverse Problems 19, 2003). The search begins at the best shapes of a grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.ranges import EXPONENT, STRIBECK_VELOCITY
+from ident.assessment.excitation import excited_base_columns
+from ident.estimators.torque_estimator import reduce_torques
+from ident.identify.data_split import DataSplit
+from ident.identify.friction_candidates import FOLDS, candidate_grams, candidates_of, greatest_speeds
+from ident.identify.friction_choice import AUTO
+from ident.identify.friction_selection import FrictionSearch, FrictionStep
+from ident.identify.identification import FrictionFit, IdentifyChoices
+from ident.identify.preparation import Progress, prepare_data
+from ident.model.base_parameters import BaseParameters
+from ident.model.dynamic_model import DynamicModel
+from ident.model.friction_terms import FrictionTerms, LoadTorque, no_terms
+from ident.model.regressor import LoadTorqueKernel, RegressorKernel
+from ident.regression.autocorrelation import independent_share, residual_autocorrelation
+from ident.regression.comparison import compare_torques
+from ident.regression.jackknife import distinct_samples
+from ident.regression.least_squares import (
+    LeastSquares,
+    LinearMethod,
+    ordinary_least_squares,
+    weighted_least_squares,
+)
+from ident.regression.observability import Experiment, experiment_base
+from ident.signals.prepared import Prepared
+
+ROUNDS = 20
+"""Of Gauss-Newton steps and new load torques."""
+
+LOAD_TOLERANCE = 1e-3
+SHAPE_TOLERANCE = 1e-4
+"""Relative changes below which load torque and shapes count as settled."""
+
+LARGEST_FACTOR = 2.0
+"""By which a shape may change in one step."""
+
+
+def fit_friction(
+    model: DynamicModel, data: DataSplit, experiment: Experiment, choices: IdentifyChoices, progress: Progress
+) -> FrictionFit:
+    """The model with its friction settled on the identification data.
+
+    Args:
+        model: with the terms that are asked for; as it is where nothing is unknown of them.
+        data: held-out parts take no part.
+        experiment: locked joints, and motors whose torques are used.
+        choices: the user's.
+        progress: called before each step.
+
+    Raises:
+        DataError: the friction depends on a temperature that was not recorded.
+    """
+    automatic = choices.model.friction == AUTO
+    terms = no_terms(model.dof) if model.terms is None else model.terms
+    if not automatic and not terms.shaped and not terms.loaded:
+        return FrictionFit(model)
+    progress("friction")
+    plain = replace(model, terms=None)
+    kernel = RegressorKernel(plain, experiment_base(plain, [experiment]).columns)
+    prepared = prepare_data(kernel, replace(data, held_out=()), experiment.torques, (), choices, progress)
+    fit = _Fit([run.prepared for run in prepared.runs], experiment, "ols" if choices.estimator.name == "ols" else "wls")
+    steps: tuple[FrictionStep, ...] = ()
+    if automatic:
+        terms, steps = fit.chosen(plain)
+    elif terms.shaped:
+        terms = fit.started(plain, terms)
+    progress("friction shapes" if terms.shaped else "load torque")
+    settled = fit.settled(replace(model, terms=terms))
+    return replace(settled, steps=steps)
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """A model's least-squares solution."""
+
+    model: DynamicModel
+    base: BaseParameters
+    solution: LeastSquares
+
+    @property
+    def misfit(self) -> float:
+        """What falls as the fit improves: Σ log σ of all motors' residuals, or the squared residuals of OLS."""
+        spread = self.solution.joint_std
+        if self.solution.method == "ols":
+            return self.solution.residual_sum
+        return float(np.sum(np.log(spread[spread > 0.0])))
+
+    def value(self, kind: str, motor: int) -> float | None:
+        """Of a motor's own parameter of a kind; None where it was not estimated."""
+        joint = self.model.active[motor]
+        for column, (kept, at) in enumerate(zip(self.base.kinds, self.base.joints, strict=True)):
+            if kept == kind and at == joint:
+                return float(self.solution.parameters[column]) if column in self.solution.active else None
+        return None
+
+    @property
+    def load_torque(self) -> LoadTorque:
+        """What the links' parameters say of gravity."""
+        links = [column for column, kind in enumerate(self.base.kinds) if kind == "inertial"]
+        return LoadTorque(
+            tuple(self.base.columns[column] for column in links), tuple(self.solution.parameters[links].tolist())
+        )
+
+
+class _Fit:
+    """Solutions on the identification data."""
+
+    def __init__(self, runs: Sequence[Prepared], experiment: Experiment, method: LinearMethod) -> None:
+        self._runs, self._experiment, self._method = runs, experiment, method
+
+    def solve(self, model: DynamicModel) -> _Solved:
+        base = experiment_base(model, [self._experiment])
+        reduction = reduce_torques(RegressorKernel(model, base.columns), self._runs, self._experiment.torques)
+        solve = ordinary_least_squares if self._method == "ols" else weighted_least_squares
+        return _Solved(model, base, solve(reduction, excited_base_columns(reduction, base, self._runs)))
+
+    def chosen(self, plain: DynamicModel) -> tuple[FrictionTerms, tuple[FrictionStep, ...]]:
+        """Terms and shapes chosen for each motor, and the steps that were tried."""
+        solved = self.solve(plain)
+        start = replace(no_terms(plain.dof), load_torque=solved.load_torque)
+        search = self._search(replace(plain, terms=start), solved)
+        names = plain.joint_names
+        steps = [step for motor in self._experiment.torques for step in search.choose(motor, names[motor])]
+        return search.terms(start), tuple(steps)
+
+    def started(self, plain: DynamicModel, terms: FrictionTerms) -> FrictionTerms:
+        """The terms with free shapes from the best of a grid."""
+        without = replace(
+            terms,
+            exponent=tuple(
+                1.0 if free else value for free, value in zip(terms.free_exponent, terms.exponent, strict=True)
+            ),
+            stribeck=tuple(
+                wanted and not free for wanted, free in zip(terms.stribeck, terms.free_stribeck_velocity, strict=True)
+            ),
+        )
+        model = replace(plain, terms=replace(without, load_torque=None))
+        search = self._search(model, self.solve(model))
+        for motor in self._experiment.torques:
+            search.start_shapes(motor, terms.free_exponent[motor], terms.free_stribeck_velocity[motor])
+        return search.terms(without)
+
+    def _search(self, model: DynamicModel, solved: _Solved) -> FrictionSearch:
+        """Choices among all candidates on these data."""
+        kernel = RegressorKernel(model, solved.base.columns)
+        series = [
+            part
+            for run in self._runs
+            for part in compare_torques(
+                model, solved.base.columns, solved.solution.parameters, run.segments, run.parallel_filter
+            )
+        ]
+        samples = distinct_samples(series)
+        folds = [_folds(indices, samples.count) for indices in samples.indices]
+        heat = [segment.temperature for run in self._runs for segment in run.segments]
+        known = all(values is not None and bool(np.all(np.isfinite(values))) for values in heat)
+        candidates = candidates_of(model, greatest_speeds(model, self._runs), temperature=known)
+        shares = np.array([independent_share(one[None]) for one in residual_autocorrelation(series)]) * samples.share
+        viscous = [
+            next(
+                (
+                    column
+                    for column, (kind, joint) in enumerate(zip(solved.base.kinds, solved.base.joints, strict=True))
+                    if kind == "viscous" and joint == at and column in solved.solution.active
+                ),
+                None,
+            )
+            for at in model.active
+        ]
+        return FrictionSearch(
+            candidate_grams(kernel, self._runs, folds, candidates),
+            solved.solution.active,
+            viscous,
+            self._experiment.torques,
+            shares,
+        )
+
+    def settled(self, model: DynamicModel) -> FrictionFit:
+        """The model with load torque and shapes iterated until they do not change."""
+        terms = model.terms
+        assert terms is not None
+        solved = self.solve(replace(model, terms=replace(terms, load_torque=None)))
+        for rounds in range(1, ROUNDS + 1):
+            load_change = shape_change = 0.0
+            if terms.loaded:
+                loaded = replace(terms, load_torque=solved.load_torque)
+                load_change = self._load_change(model, terms, loaded)
+                terms = loaded
+                solved = self.solve(replace(model, terms=terms))
+            if terms.shaped:
+                solved, shape_change = self._step(solved)
+                assert solved.model.terms is not None
+                terms = solved.model.terms
+            if load_change < LOAD_TOLERANCE and shape_change < SHAPE_TOLERANCE:
+                return FrictionFit(solved.model, rounds=rounds)
+        return FrictionFit(solved.model, rounds=ROUNDS, settled=False)
+
+    def _load_change(self, model: DynamicModel, before: FrictionTerms, after: FrictionTerms) -> float:
+        """Largest change of a motor's load torque over the data's largest one of any motor."""
+        if before.load_torque is None:
+            return float("inf")
+        old, new = (LoadTorqueKernel(replace(model, terms=terms)) for terms in (before, after))
+        change, size = 0.0, float(np.finfo(np.float64).tiny)
+        for run in self._runs:
+            for segment in run.segments:
+                position = segment.position[:, :: run.parallel_filter.factor]
+                torque = new.torque(position)
+                change = max(change, float(np.max(np.abs(torque - old.torque(position)))))
+                size = max(size, float(np.max(np.abs(torque))))
+        return change / size
+
+    def _step(self, solved: _Solved) -> tuple[_Solved, float]:
+        """One Gauss-Newton step of the shapes, shortened until it improves the fit; largest relative change."""
+        terms = solved.model.terms
+        assert terms is not None
+        linear = self.solve(replace(solved.model, terms=replace(terms, sensitivities=True)))
+        share = 1.0
+        for _ in range(4):
+            moved = _moved(terms, linear, share)
+            change = max(
+                _change(terms.exponent, moved.exponent), _change(terms.stribeck_velocity, moved.stribeck_velocity)
+            )
+            if change < SHAPE_TOLERANCE:
+                return solved, change
+            candidate = self.solve(replace(solved.model, terms=moved))
+            if candidate.misfit <= solved.misfit:
+                return candidate, change
+            share *= 0.3
+        return solved, 0.0
+
+
+def _moved(terms: FrictionTerms, linear: _Solved, share: float) -> FrictionTerms:
+    """The terms with every free shape changed by a share of its Gauss-Newton step."""
+
+    def moved(shape: float, free: bool, kind: str, term: str, motor: int, low: float, high: float) -> float:
+        slope, coefficient = linear.value(kind, motor), linear.value(term, motor)
+        if not free or slope is None or coefficient is None or coefficient == 0.0:
+            return shape
+        wanted = shape + share * slope / coefficient
+        return float(np.clip(np.clip(wanted, shape / LARGEST_FACTOR, shape * LARGEST_FACTOR), low, high))
+
+    motors = range(len(terms.exponent))
+    return replace(
+        terms,
+        exponent=tuple(
+            moved(terms.exponent[m], terms.free_exponent[m], "exponent", "viscous", m, EXPONENT.least, EXPONENT.most)
+            for m in motors
+        ),
+        stribeck_velocity=tuple(
+            moved(
+                terms.stribeck_velocity[m],
+                terms.free_stribeck_velocity[m],
+                "stribeck_velocity",
+                "stribeck",
+                m,
+                STRIBECK_VELOCITY.least,
+                STRIBECK_VELOCITY.most,
+            )
+            for m in motors
+        ),
+    )
+
+
+def _change(before: Sequence[float], after: Sequence[float]) -> float:
+    old, new = np.array(before), np.array(after)
+    return float(np.max(np.abs(new - old) / old))
+
+
+def _folds(indices: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.int64]:
+    """Fold of each filtered sample: consecutive samples, repeated phases of a motion in the same one."""
+    return np.minimum(indices * FOLDS // max(count, 1), FOLDS - 1)

@@ -1,0 +1,234 @@
+"""Which friction terms each joint gets (`--friction auto`), and where the search of their shapes begins.
+
+Joint by joint, one term is added at a time: that which most lowers the error on blocks held out of the identification
+data, all columns fitted to the others, shapes included. A step counts if the held-out error falls and the partial
+F-test, with as many equations as the autocorrelated residuals are worth, rejects chance at `LEVEL`. Validation data
+take no part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.identify.friction_candidates import CandidateGrams, solve_columns, squared_error
+from ident.model.friction_terms import FrictionTerms
+from ident.model.parameters import Quantity
+from ident.regression.hypothesis_tests import LEVEL
+
+GROUPS: dict[str, str] = {
+    "power": "exponent",
+    "stribeck": "stribeck",
+    "load-linear": "load",
+    "load": "load",
+    "temperature-linear": "temperature",
+    "temperature": "temperature",
+}
+"""Terms that can be added; of a group a joint has one."""
+
+
+@dataclass(frozen=True)
+class FrictionStep:
+    """One step of complexity that was tried for a joint: the best one at that point.
+
+    Attributes:
+        joint: name.
+        term: as `--friction` calls it.
+        shape: α or v_s on the grid where the term has one.
+        f_value: partial F statistic.
+        freedom: further parameters, shapes included.
+        p_value: probability of a larger F by chance.
+        error_before, error_after: root mean square error on held-out blocks, each motor's torque over its residual's
+            standard deviation.
+        accepted: whether the term was added.
+    """
+
+    joint: str
+    term: str
+    shape: float | None
+    f_value: float
+    freedom: int
+    p_value: float
+    error_before: float
+    error_after: float
+    accepted: bool
+
+
+@dataclass(frozen=True)
+class _Addition:
+    """One way to add a term: the candidates it brings, and the base column that it replaces."""
+
+    candidates: tuple[int, ...]
+    dropped: int | None = None
+    shape: float | None = None
+
+
+class FrictionSearch:
+    """Choices of columns on candidate Gram matrices.
+
+    Args:
+        grams: of the data.
+        active: base columns that the data identify.
+        viscous: of each motor its viscous base column; None where it has none.
+        used: motors whose torque is used.
+        shares: (n,) of each motor's equations, how many independent ones they are worth.
+    """
+
+    def __init__(
+        self,
+        grams: CandidateGrams,
+        active: Sequence[int],
+        viscous: Sequence[int | None],
+        used: Sequence[int],
+        shares: FloatArray,
+    ) -> None:
+        self._grams, self._active, self._viscous, self._used, self._shares = grams, active, viscous, used, shares
+        self._added: dict[tuple[int, str], _Addition] = {}
+        self._reweight(np.isin(np.arange(len(grams.grams)), used).astype(np.float64))
+
+    def _reweight(self, weights: FloatArray) -> None:
+        """Weights (n,) from the residuals of the present choice, starting from some."""
+        rows = self._grams.rows.sum(axis=0)
+        for _ in range(3):
+            self._weighted = self._grams.weighted(weights)
+            self._total = self._weighted.sum(axis=0)
+            parameters = solve_columns(self._total, self._columns())
+            if parameters is None:
+                return
+            spread = np.sqrt(self._grams.residual_sums(parameters) / np.maximum(rows, 1.0))
+            weights = np.where(weights > 0.0, 1.0 / np.maximum(spread, np.finfo(np.float64).tiny), 0.0)
+        self._weighted = self._grams.weighted(weights)
+        self._total = self._weighted.sum(axis=0)
+
+    def _columns(self, motor: int | None = None, further: _Addition | None = None) -> list[int]:
+        """Places of the chosen columns, with a further addition for a motor."""
+        additions = [(at, addition) for (at, _), addition in self._added.items()]
+        if motor is not None and further is not None:
+            additions.append((motor, further))
+        dropped = {addition.dropped for _, addition in additions}
+        extra = [self._grams.index(at, place) for at, addition in additions for place in addition.candidates]
+        return [column for column in self._active if column not in dropped] + extra
+
+    def ways(self, motor: int, term: str) -> list[_Addition]:
+        """The ways to add a term to a motor: one, or one per shape on the grid; none where it is not to be had."""
+        of = self._grams.candidates[motor]
+
+        def places(quantity: Quantity) -> list[int]:
+            return [place for place, candidate in enumerate(of) if candidate.quantity == quantity]
+
+        if term == "power":
+            viscous = self._viscous[motor]
+            if viscous is None:
+                return []
+            return [_Addition((place,), viscous, of[place].shape) for place in places("viscous")]
+        if term == "stribeck":
+            return [_Addition((place,), None, of[place].shape) for place in places("stribeck")]
+        if term in ("load", "load-linear"):
+            power = 2.0 if term == "load" else 1.0
+            return [_Addition((place,)) for place in places("load") if of[place].shape == power]
+        kinds: tuple[Quantity, ...] = ("temperature", "temperature_slope")
+        kinds = (*kinds, "temperature_curvature") if term == "temperature" else kinds
+        found = [place for kind in kinds for place in places(kind)]
+        return [_Addition(tuple(found))] if found else []
+
+    def best(
+        self, motor: int, ways: Sequence[_Addition], gram: FloatArray
+    ) -> tuple[float, _Addition | None, FloatArray]:
+        """Smallest squared error of a Gram matrix (d, d), the addition behind it, and the values (d − 1,)."""
+        found: tuple[float, _Addition | None, FloatArray] = (float("inf"), None, np.zeros(len(gram) - 1))
+        for way in ways:
+            parameters = solve_columns(gram, self._columns(motor, way))
+            if parameters is not None and (error := squared_error(gram, parameters)) < found[0]:
+                found = (error, way, parameters)
+        return found
+
+    def held_out(self, motor: int, ways: Sequence[_Addition]) -> float:
+        """Squared error on each fold of what fits the other folds best, summed."""
+        total = 0.0
+        for fold in self._weighted:
+            _, way, parameters = self.best(motor, ways, self._total - fold)
+            total += float("inf") if way is None else squared_error(fold, parameters)
+        return total
+
+    def add(self, motor: int, term: str, addition: _Addition) -> None:
+        """Keep an addition."""
+        self._added[motor, GROUPS[term]] = addition
+
+    def choose(self, motor: int, name: str) -> list[FrictionStep]:
+        """Add terms to a motor as long as one counts."""
+        steps: list[FrictionStep] = []
+        rows = float(self._grams.rows[:, list(self._used)].sum())
+        nothing = [_Addition(())]
+        while True:
+            before, plain = self.held_out(motor, nothing), self.best(motor, nothing, self._total)[0]
+            options = [
+                (self.held_out(motor, ways), term, ways)
+                for term in GROUPS
+                if (motor, GROUPS[term]) not in self._added and (ways := self.ways(motor, term))
+            ]
+            if not options:
+                return steps
+            after, term, ways = min(options, key=lambda option: option[0])
+            fitted, way, _ = self.best(motor, ways, self._total)
+            if way is None:
+                return steps
+            freedom = len(way.candidates) - (way.dropped is not None) + (way.shape is not None)
+            independent = max(1.0, float(self._shares[motor]) * rows - len(self._columns(motor, way)))
+            variance = max(fitted, np.finfo(np.float64).tiny) / max(1.0, rows - len(self._columns(motor, way)))
+            f_value = float(self._shares[motor]) * max(plain - fitted, 0.0) / (freedom * variance)
+            p_value = _f_tail(f_value, freedom, independent)
+            accepted = after < before and p_value < LEVEL
+            errors = (float(np.sqrt(before / rows)), float(np.sqrt(after / rows)))
+            steps.append(FrictionStep(name, term, way.shape, f_value, freedom, p_value, *errors, accepted))
+            if not accepted:
+                return steps
+            self.add(motor, term, way)
+            self._reweight(np.where(np.isin(np.arange(len(self._shares)), self._used), 1.0, 0.0))
+
+    def terms(self, start: FrictionTerms) -> FrictionTerms:
+        """The chosen terms, shapes from the grid marked as free, beside those of `start`."""
+        for (motor, group), addition in self._added.items():
+            kept = [self._grams.candidates[motor][place] for place in addition.candidates]
+            if group == "exponent":
+                start = _set(_set(start, "exponent", motor, addition.shape), "free_exponent", motor, True)
+            elif group == "stribeck":
+                start = _set(_set(start, "stribeck", motor, True), "stribeck_velocity", motor, addition.shape)
+                start = _set(start, "free_stribeck_velocity", motor, True)
+            elif group == "load":
+                start = _set(start, "load", motor, "quadratic" if kept[0].shape == 2.0 else "linear")
+            else:
+                start = _set(start, "temperature", motor, "full" if len(kept) == 3 else "linear")
+        return start
+
+    def start_shapes(self, motor: int, free_exponent: bool, free_velocity: bool) -> None:
+        """Add the power law and the Stribeck term of a motor with the shapes on the grids that fit best."""
+        powers: list[_Addition | None] = [*self.ways(motor, "power")] if free_exponent else []
+        falls: list[_Addition | None] = [*self.ways(motor, "stribeck")] if free_velocity else []
+        found: tuple[float, _Addition | None, _Addition | None] = (float("inf"), None, None)
+        for power in powers or [None]:
+            for fall in falls or [None]:
+                both = [way for way in (power, fall) if way is not None]
+                merged = _Addition(
+                    tuple(place for way in both for place in way.candidates), power.dropped if power else None
+                )
+                error = self.best(motor, [merged], self._total)[0]
+                if error < found[0]:
+                    found = (error, power, fall)
+        for term, way in (("power", found[1]), ("stribeck", found[2])):
+            if way is not None:
+                self.add(motor, term, way)
+
+
+def _set(terms: FrictionTerms, field: str, motor: int, value: object) -> FrictionTerms:
+    values = list(getattr(terms, field))
+    values[motor] = value
+    return replace(terms, **{field: tuple(values)})  # type: ignore[arg-type]
+
+
+def _f_tail(f_value: float, freedom: int, independent: float) -> float:
+    from scipy.stats import f as f_distribution
+
+    return float(f_distribution.sf(f_value, freedom, independent))
