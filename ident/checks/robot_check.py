@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 
@@ -17,11 +18,15 @@ from drivers.bus_budget import TIGHT_SHARE, Budget
 from drivers.errors import InputError
 from drivers.percentage import percent_text
 from ident.checks.tool_pose import ToolPose, tool_poses
+from ident.estimators.feasible.centre_bounds import CentreBound, centre_bounds
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 
 QUICKEST = 300.0
 """[rad/s² or m/s²] beyond what joints of arms can do; typical limits in °/s² are larger."""
+
+LONGEST_LINK = 10.0
+"""[m] beyond what links of arms measure; a mesh in mm is longer."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,10 @@ def check_robot(robot_file: RobotFile) -> RobotCheck:
             for pose in poses
             if pose.beyond and pose.name in robot_file.robot.poses
         ]
+        try:
+            warnings += _bound_warnings(centre_bounds(model, robot_file))
+        except InputError as error:
+            problems.append(error)
     budgets: dict[str, Budget] = {}
     installed = {entry.name for entry in entry_points(group=DRIVERS_GROUP)}
     for name, connection in robot_file.robot.connections.items():
@@ -98,6 +107,15 @@ def _limit_warnings(robot_file: RobotFile) -> list[str]:
     if quick:
         warnings.append(f"the acceleration limit of {', '.join(quick)} is above {QUICKEST:g}: is it in °/s² or mm/s²?")
     return warnings
+
+
+def _bound_warnings(bounds: Iterable[CentreBound]) -> list[str]:
+    lengths = {bound.name: float(np.max(bound.offsets[:3] + bound.offsets[3:6])) for bound in bounds}
+    return [
+        f"{name} is {length:.3g} m long: are its points in mm? A mesh of a URDF has a 'scale'"
+        for name, length in lengths.items()
+        if length > LONGEST_LINK
+    ]
 
 
 def _gain_warnings(robot_file: RobotFile) -> list[str]:

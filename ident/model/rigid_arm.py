@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from drivers.streams import FloatArray
 from ident.model.dynamic_model import DynamicModel
-from ident.model.kinematics.transmission import LinearTransmission, Transmission, TreeMotion
+from ident.model.kinematics.transmission import LinearTransmission, Transmission
 from ident.model.pinocchio_model import pinocchio_model
 
 if TYPE_CHECKING:
-    from ident.model.kinematics.linkages.closed_loops import ClosedLoops
+    from ident.model.kinematics.linkages.closed_loops import ClosedLoops, Pose
 
 
 class RigidArm(Protocol):
@@ -157,6 +157,10 @@ class _Constrained(ABC):
         self.armature = np.array(armature)
 
     @abstractmethod
+    def _placed(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """T (n, a) and position (n,) of the tree for that (a,) of the motors."""
+
+    @abstractmethod
     def _motion(
         self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -177,14 +181,11 @@ class _Constrained(ABC):
         return np.asarray(follow.T @ self._tree.inverse(*tree))
 
     def gravity(self, position: FloatArray) -> FloatArray:
-        still = np.zeros_like(position)
-        follow, tree, *_ = self._motion(position, still, still)
+        follow, tree = self._placed(position)
         return np.asarray(follow.T @ self._tree.gravity(tree))
 
     def inertia(self, position: FloatArray) -> FloatArray:
-        still = np.zeros_like(position)
-        follow, tree, *_ = self._motion(position, still, still)
-        return self._inertia(follow, tree)
+        return self._inertia(*self._placed(position))
 
     def _inertia(self, follow: FloatArray, tree: FloatArray) -> FloatArray:
         return np.asarray(follow.T @ self._tree.inertia(tree) @ follow + self._pair + np.diag(self.armature))
@@ -204,6 +205,9 @@ class _Linear(_Constrained):
         super().__init__(model, transmission, inertial, armature, pair_inertia)
         self._follow = transmission.follow @ self._to_joints
         self._offset = transmission.offset
+
+    def _placed(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return self._follow, self._follow @ position + self._offset
 
     def _motion(
         self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
@@ -225,16 +229,24 @@ class _Closed(_Constrained):
     ) -> None:
         super().__init__(model, transmission, inertial, armature, pair_inertia)
         self._loops = transmission
-        self._last: TreeMotion | None = None
+        self._pose: Pose | None = None
+        self._position = np.full(model.dof, np.nan)
+
+    def _pose_at(self, position: FloatArray) -> Pose:
+        # A step of a simulation asks for the inertia and for several biases at one position.
+        if self._pose is None or not np.array_equal(position, self._position):
+            self._pose = self._loops.pose((self._to_joints @ position)[:, None], self._pose)
+            self._position = position.copy()
+        return self._pose
+
+    def _placed(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+        pose = self._pose_at(position)
+        return np.asarray(pose.follow[..., 0] @ self._to_joints), pose.tree[:, 0]
 
     def _motion(
         self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        joints = [(self._to_joints @ values)[:, None] for values in (position, velocity, acceleration)]
-        if self._last is None:
-            motion = self._loops.tree_motion(*joints)
-        else:
-            motion = self._loops.next_motion(self._last, *joints)
-        self._last = motion
-        follow = np.asarray(motion.follow[..., 0] @ self._to_joints)
-        return follow, motion.position[:, 0], motion.velocity[:, 0], motion.acceleration[:, 0]
+        follow, tree = self._placed(position)
+        joints = [(self._to_joints @ values)[:, None] for values in (velocity, acceleration)]
+        motion = self._loops.motion_at(self._pose_at(position), *joints)
+        return follow, tree, motion.velocity[:, 0], motion.acceleration[:, 0]

@@ -48,7 +48,7 @@ class CentreBound:
     Attributes:
         link: its index.
         name: the key of the robot file.
-        normals: (f, 3) of length 1.
+        normals: (f, 3) of length 1; the first six are those of a box, −x, −y, −z, x, y, z.
         offsets: (f,) [m].
     """
 
@@ -86,7 +86,7 @@ def half_spaces(points: FloatArray, where: str) -> tuple[FloatArray, FloatArray]
     farthest outside of.
 
     Returns:
-        Normals (f, 3) of length 1 and offsets (f,): normals @ point ≤ offsets.
+        Normals (f, 3) of length 1, those of a box first, and offsets (f,): normals @ point ≤ offsets.
 
     Raises:
         RobotFileError: the points lie in a plane; `where` names the key.

@@ -19,6 +19,21 @@ from ident.model.kinematics.transmission import Transmission, TreeMotion
 
 
 @dataclass(frozen=True)
+class Pose:
+    """N closed tree positions.
+
+    Attributes:
+        tree: (n, N) [rad or m].
+        closing: the equations there.
+        follow: (n, a, N) G.
+    """
+
+    tree: FloatArray
+    closing: Closing
+    follow: FloatArray
+
+
+@dataclass(frozen=True)
 class ClosedLoops(Transmission):
     """Joints that follow by closing equations.
 
@@ -63,16 +78,32 @@ class ClosedLoops(Transmission):
 
     def tree_motion(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> TreeMotion:
         """As in `Transmission`."""
-        return self._motion(self._solved(position), velocity, acceleration)
+        return self.motion_at(self.pose(position), velocity, acceleration)
 
-    def next_motion(
-        self, last: TreeMotion, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
-    ) -> TreeMotion:
-        """The same shortly after another motion of as many samples, which saves looking for a start."""
+    def pose(self, position: FloatArray, last: Pose | None = None) -> Pose:
+        """The closed tree for active positions (a, N).
+
+        Args:
+            position: [rad or m].
+            last: one shortly before, of as many samples, which saves looking for a start.
+
+        Raises:
+            DataError: a loop does not close there.
+        """
+        if last is None:
+            return self._posed(self._solved(position))
         passive = list(self.equations.passive)
-        moved = _applied(last.follow, position - last.position[list(self.active)])[passive]
-        tree, closes = self.equations.newton(position, last.position[passive] + moved)
-        return self._motion(tree if np.all(closes) else self._solved(position), velocity, acceleration)
+        moved = _applied(last.follow, position - last.tree[list(self.active)])[passive]
+        tree, closes = self.equations.newton(position, last.tree[passive] + moved)
+        return self._posed(tree if np.all(closes) else self._solved(position))
+
+    def motion_at(self, pose: Pose, velocity: FloatArray, acceleration: FloatArray) -> TreeMotion:
+        """The tree's motion in a pose for velocities and accelerations (a, N) of the active joints."""
+        rate = _applied(pose.follow, velocity)
+        change = np.einsum("pnN,nN->pN", pose.closing.second(rate), rate)
+        accelerated = _applied(pose.follow, acceleration)
+        accelerated[list(self.equations.passive)] -= pose.closing.solved(change[:, None])[:, 0]
+        return TreeMotion(pose.tree, rate, accelerated, pose.follow)
 
     def active_gradient(self, position: FloatArray, gradient: FloatArray) -> FloatArray:
         """As in `Transmission`."""
@@ -130,14 +161,9 @@ class ClosedLoops(Transmission):
         linear = equations.linear.tolist(), equations.right.tolist()
         return (self.active, self.start.tolist(), loops, *linear, *self._motor_content())
 
-    def _motion(self, tree: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> TreeMotion:
+    def _posed(self, tree: FloatArray) -> Pose:
         closing = self.equations.at(tree)
-        follow = self._follow(closing)
-        rate = _applied(follow, velocity)
-        change = np.einsum("pnN,nN->pN", closing.second(rate), rate)
-        accelerated = _applied(follow, acceleration)
-        accelerated[list(self.equations.passive)] -= closing.solved(change[:, None])[:, 0]
-        return TreeMotion(tree, rate, accelerated, follow)
+        return Pose(tree, closing, self._follow(closing))
 
     def _solved(self, position: FloatArray) -> FloatArray:
         """Tree positions (n, N) for active ones (a, N)."""

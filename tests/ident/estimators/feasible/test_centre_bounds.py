@@ -7,6 +7,7 @@ import pytest
 
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.errors import RobotFileError
+from ident.checks.robot_check import check_robot
 from ident.estimators.feasible.centre_bounds import CLOSE, centre_bounds, half_spaces
 from ident.estimators.feasible.consistent import consistent_parameters
 from ident.model.base_parameters import base_parameters, random_states
@@ -204,3 +205,11 @@ def test_the_centre_of_mass_stays_within_the_hull():
     assert not inside(bound, outside)
     assert held.limits_hit == ("prior.links.j2.com_hull",)
     assert held.misfit > loose.misfit
+
+
+def test_check_reads_the_shapes():
+    found = check_robot(robot(shape='<mesh filename="nowhere.stl"/>'))
+    assert any("no such file: nowhere.stl" in problem.message for problem in found.problems)
+    large = check_robot(robot("com_hull: [[0, 0, 0], [100, 0, 0], [0, 100, 0], [0, 0, 300]]"))
+    assert any("300 m long: are its points in mm" in warning for warning in large.warnings)
+    assert not any("com_hull" in warning for warning in check_robot(robot()).warnings)
