@@ -27,6 +27,7 @@ from benchmarks import (
     plant,
     recorder,
     regressor,
+    simulation,
     startup,
 )
 
@@ -65,6 +66,7 @@ RUNS = (
     pipeline.run,
     consistency.run,
     model.run,
+    simulation.run,
     c_code.run,
     plant.run,
     recorder.run,
@@ -81,6 +83,7 @@ MODULES = (
     pipeline,
     consistency,
     model,
+    simulation,
     c_code,
     plant,
     recorder,

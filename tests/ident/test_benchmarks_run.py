@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, c_code, decimation, parameters, regressor
+from benchmarks import accuracy, c_code, decimation, parameters, regressor, simulation
 from benchmarks.agreement import DisagreementError, check
 from benchmarks.timing import medians
 
@@ -38,6 +38,12 @@ def test_sides_that_differ_are_not_compared():
 def test_both_sides_agree_on_few_samples(run, name):
     results = run(600, 1)
     assert results[name] > 0
+    assert all(np.isfinite(list(results.values())))
+
+
+def test_simulations_of_three_makers_end_at_the_same_place():
+    results = simulation.run(0.5, 1)
+    assert results["simulate_vs_pin_aba_loop_ur5e"] > 0
     assert all(np.isfinite(list(results.values())))
 
 
