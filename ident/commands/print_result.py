@@ -55,6 +55,8 @@ def _print_simulation(result: Result) -> None:
     """Motion error of the simulated consistent model beside its torque error."""
     consistent = result.consistent
     if consistent is None or consistent.simulation is None or consistent.validation is None:
+        if consistent is not None and consistent.not_simulated:
+            print(f"\nconsistent model not simulated on held-out motion: {consistent.not_simulated}")
         return
     motion = consistent.simulation
     print_table(

@@ -12,9 +12,10 @@ from daq.recording.recording import Recording, software_versions
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.plausibility import indefinite_share, sign_checks
-from ident.estimators.feasible.consistent import found_consistent
+from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.experiments.merge import CONTRADICTING, MergedEstimate, identifiable_columns, merge
 from ident.experiments.merge_input import MergeInput, merge_inputs, used_recordings
+from ident.identify.checks import consistency_checks
 from ident.identify.revalidate import Revalidation, revalidate
 from ident.identify.summary import (
     estimate_result,
@@ -26,9 +27,10 @@ from ident.identify.summary import (
 )
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel
+from ident.model.inverse_dynamics import InverseDynamics
 from ident.regression.estimate import Estimate
 from ident.regression.pruning import SIGNIFICANT_RSD, Pruned, prune
-from ident.result.consistent_model import consistent_model, fit_result, link_results
+from ident.result.consistent_model import consistent_model, fit_result, link_results, simulated_motion_error
 from ident.result.schema import (
     Consistency,
     Contradiction,
@@ -40,6 +42,7 @@ from ident.result.schema import (
     Residuals,
     Result,
 )
+from ident.simulation.tracking import track_longest
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 from ident.verdict.verdict import Verdict, judge
@@ -47,7 +50,7 @@ from ident.verdict.verdict import Verdict, judge
 MOST_CONTRADICTIONS = 10
 """So many are named."""
 
-CHECKED_AGAIN = ("indefinite-inertia",)
+CHECKED_AGAIN = ("indefinite-inertia", "no-consistent-model", "simulation-failed")
 """Checks of the merged model itself, independent of those of its inputs."""
 
 
@@ -78,11 +81,14 @@ def merge_results(
     inflation = np.divide(std, merged.solution.std, out=np.ones(base.count), where=np.isfinite(std))
     rows = sum(source.result.residuals.effective_rows or 0.0 for source in inputs)
     pruned = prune(merged.solution, inflation, rows, lambda columns: merge(informations, columns).solution, threshold)
-    result = _result(model, base, inputs, merged, std, pruned, threshold)
+    result, consistent = _result(model, base, inputs, merged, std, pruned, threshold)
     if held_out is None:
-        return _judged(result), None
+        return _judged(result, consistency_checks(model.link_names, consistent, None, None, "")), None
     validated = revalidate(result, held_out)
-    return _judged(_with_validation(result, validated, held_out.label)), validated
+    result, failure = _with_validation(result, validated, held_out.label, model, base)
+    bound = None if validated.consistent is None else validated.consistent.relative_error
+    checks = consistency_checks(model.link_names, consistent, validated.full.relative_error, bound, failure)
+    return _judged(result, checks), validated
 
 
 def _result(
@@ -93,7 +99,7 @@ def _result(
     std: FloatArray,
     pruned: Pruned,
     threshold: float,
-) -> Result:
+) -> tuple[Result, ConsistentParameters | None]:
     first, solution = inputs[0].result, merged.solution
     unexcited = [base.names[i] for i in range(base.count) if i not in solution.active]
     consistency = _consistency(inputs, merged)
@@ -110,7 +116,7 @@ def _result(
     residuals = _residuals(inputs)
     robot_file = inputs[0].stored.robot_file
     consistent = found_consistent(model, base, estimate, robot_file)
-    return Result(
+    result = Result(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         robot=first.robot,
         robot_file=first.robot_file,
@@ -130,7 +136,15 @@ def _result(
         standard_parameters=None if consistent is None else link_results(model, consistent),
         consistent=None
         if consistent is None
-        else consistent_model(model, base, robot_file, estimate, residuals.effective_rows or 0.0, consistent),
+        else consistent_model(
+            model,
+            base,
+            robot_file,
+            estimate,
+            residuals.effective_rows or 0.0,
+            consistent,
+            not_simulated="nothing was held out",
+        ),
         drive_gains=gain_results(
             robot_file.robot, {gain.joint for source in inputs for gain in source.result.drive_gains}
         ),
@@ -174,6 +188,7 @@ def _result(
         ),
         estimate=estimate_result(estimate, base.names),
     )
+    return result, consistent
 
 
 def _residuals(inputs: Sequence[MergeInput]) -> Residuals:
@@ -283,12 +298,12 @@ def _checks_of_part(source: MergeInput) -> list[Check]:
     return checks
 
 
-def _judged(result: Result) -> Result:
-    """The result with the verdict that follows from its checks and its held-out errors."""
+def _judged(result: Result, consistency: Sequence[Check]) -> Result:
+    """The result with the verdict that follows from its checks, those of consistency, and its held-out errors."""
     significant = sum(parameter.significant for parameter in result.base_parameters)
     agreement = result.merge.consistency.text if result.merge and result.merge.consistency else ""
     text = f"{agreement} " if agreement else "The models share nothing that could be compared. "
-    validation, checks = result.validation, list(result.verdict.checks)
+    validation, checks = result.validation, [*result.verdict.checks, *consistency]
     if validation is None or validation.relative_error is None:
         missing = "nothing was held out to validate the merged model with (--validate)"
         checks.append(raised("not-validated", missing))
@@ -308,8 +323,25 @@ def _judged(result: Result) -> Result:
     return result.model_copy(update={"verdict": verdict})
 
 
-def _with_validation(result: Result, validated: Revalidation, source: str) -> Result:
+def _with_validation(
+    result: Result, validated: Revalidation, source: str, model: DynamicModel, base: BaseParameters
+) -> tuple[Result, str]:
+    """The result with its held-out errors, and why the simulation of that motion failed."""
     essential = result.essential.model_copy(update={"validation": fit_result(validated.essential)})
-    return result.model_copy(
-        update={"validation": fit_result(validated.full), "validation_source": source, "essential": essential}
-    )
+    changes = {"validation": fit_result(validated.full), "validation_source": source, "essential": essential}
+    consistent, failure = result.consistent, ""
+    if consistent is not None and validated.consistent is not None:
+        tracking = None
+        missing = "together the experiments do not show the whole arm"
+        if base.count == base_parameters(model).count:
+            values = np.array([consistent.base_values[name] for name in base.names])
+            tracking, failure = track_longest(InverseDynamics(model, base, values), validated.segments)
+            missing = failure
+        changes["consistent"] = consistent.model_copy(
+            update={
+                "validation": fit_result(validated.consistent),
+                "simulation": None if tracking is None else simulated_motion_error(tracking),
+                "not_simulated": missing,
+            }
+        )
+    return result.model_copy(update=changes), failure

@@ -26,6 +26,7 @@ from ident.assessment.torque_level import torque_level_checks
 from ident.assessment.validation import overfitting_checks
 from ident.estimators.energy_estimator import fits_energy_better
 from ident.estimators.estimator import Setup
+from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.identification import Identification
 from ident.model.regressor import RegressorKernel
@@ -86,32 +87,51 @@ def identification_checks(identification: Identification, recordings: Sequence[R
             "of random poses; that of the physically consistent ones is everywhere"
         )
         checks.append(raised("indefinite-inertia", text))
-    checks += _consistency_checks(identification)
+    consistent = identification.consistent
+    checks += consistency_checks(
+        identification.model.link_names,
+        None if consistent is None else consistent.parameters,
+        identification.validation.relative_error,
+        None if consistent is None else consistent.validation.relative_error,
+        "" if consistent is None else consistent.tracking_failure,
+    )
     return checks + overfitting_checks(identification.fit, identification.validation)
 
 
-def _consistency_checks(identification: Identification) -> list[Check]:
-    """What physical consistency costs, and where it decides."""
-    consistent = identification.consistent
+def consistency_checks(
+    link_names: Sequence[str],
+    consistent: ConsistentParameters | None,
+    free: float | None,
+    bound: float | None,
+    failure: str,
+) -> list[Check]:
+    """What physical consistency costs, and where it decides.
+
+    Args:
+        link_names: of the arm.
+        consistent: the physically consistent parameters; None where none were found.
+        free: held-out error of the unconstrained model; None where nothing was held out.
+        bound: the same of the consistent one.
+        failure: why the simulation of the held-out motion failed; empty where it did not.
+    """
     if consistent is None:
         return [raised("no-consistent-model", "no physically consistent parameters were found for this estimate")]
     checks = []
-    free, bound = identification.validation.relative_error, consistent.validation.relative_error
-    if bound > CONSISTENCY_COST * free:
+    if free is not None and bound is not None and bound > CONSISTENCY_COST * free:
         text = (
             f"the physically consistent model is off by {percent_text(bound)} on held-out data, the unconstrained one "
             f"by {percent_text(free)}: check the geometry, the drive gains and the signs of the torques"
         )
         checks.append(raised("consistency-costs", text))
-    if consistent.tracking_failure:
-        text = f"the physically consistent model could not be simulated on held-out data: {consistent.tracking_failure}"
+    if failure:
+        text = f"the physically consistent model could not be simulated on held-out data: {failure}"
         checks.append(raised("simulation-failed", text))
-    if consistent.parameters.boundary:
-        names = [identification.model.link_names[link] for link in consistent.parameters.boundary]
+    if consistent.boundary:
+        names = [link_names[link] for link in consistent.boundary]
         text = f"the links of {', '.join(names)} lie at the boundary of what can exist"
         checks.append(raised("links-on-boundary", text))
-    if consistent.parameters.limits_hit:
-        text = f"{', '.join(consistent.parameters.limits_hit)} of the robot file hold a parameter at their limit"
+    if consistent.limits_hit:
+        text = f"{', '.join(consistent.limits_hit)} of the robot file hold a parameter at their limit"
         checks.append(raised("range-hit", text))
     return checks
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
-from drivers.errors import ModelError, UsageError
+from drivers.errors import UsageError
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.validation import fit_figures
 from ident.estimators.energy_estimator import estimable
@@ -37,7 +37,7 @@ from ident.regression.jackknife import FilteredRun
 from ident.regression.observability import experiment_base, find_experiment, predictable_torques, whole_arm
 from ident.regression.observation_matrix import Reduction
 from ident.regression.pruning import prune
-from ident.simulation.tracking import tracking_error
+from ident.simulation.tracking import track_longest
 
 __all__ = ["Progress", "apply_model_choices", "identify"]
 
@@ -170,12 +170,8 @@ def _simulated(
 ) -> ConsistentFit:
     """The fit with what the simulated arm makes of the longest held-out segment."""
     segments = [segment for run in data.validation_runs for segment in run.prepared.segments]
-    longest = max(segments, key=lambda segment: len(segment.time))
-    try:
-        tracking = tracking_error(InverseDynamics(model, base, consistent.parameters.base), longest)
-    except ModelError as error:
-        return replace(consistent, tracking_failure=str(error))
-    return replace(consistent, tracking=tracking)
+    tracking, failure = track_longest(InverseDynamics(model, base, consistent.parameters.base), segments)
+    return replace(consistent, tracking=tracking, tracking_failure=failure)
 
 
 def _with_notes(run: PreparedRun, estimator: Estimator) -> PreparedRun:

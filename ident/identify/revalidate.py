@@ -24,6 +24,7 @@ from ident.signals.joint_signals import read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
 from ident.signals.played_motion import played_window
+from ident.signals.prepared import Segment
 from ident.verdict.verdict import Verdict, judge
 
 CHECKS_OF_VALIDATION = ("overfitting", "errors-near-standstill", "not-validated")
@@ -37,11 +38,13 @@ class Revalidation:
     Attributes:
         series, essential_series: of the full and of the essential model.
         consistent_series: of the physically consistent one; None where the result holds none.
+        segments: the recorded motion behind them, with all motors' torques.
     """
 
     series: tuple[TorqueSeries, ...]
     essential_series: tuple[TorqueSeries, ...]
     consistent_series: tuple[TorqueSeries, ...] | None
+    segments: tuple[Segment, ...]
 
     @property
     def full(self) -> FitFigures:
@@ -92,6 +95,7 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
         None
         if consistent is None
         else compared(np.array([consistent.base_values.get(name, 0.0) for name in base.names])),
+        tuple(prepared.segments),
     )
 
 

@@ -16,7 +16,7 @@ from daq.robot.schema import Robot
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.delay import DelaySearch
-from ident.identify.identification import Identification, PreparedRun
+from ident.identify.identification import ConsistentFit, Identification, PreparedRun
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import Kind
@@ -97,6 +97,7 @@ def summarise(
             identification.consistent.fit,
             identification.consistent.validation,
             identification.consistent.tracking,
+            _not_simulated(identification.consistent),
         ),
         drive_gains=gain_results(
             robot,
@@ -141,6 +142,12 @@ def summarise(
         experiments=[experiment_result(model, identification.experiment)],
         estimate=estimate_result(identification.estimate, base.names),
     )
+
+
+def _not_simulated(consistent: ConsistentFit) -> str:
+    if consistent.tracking is not None:
+        return ""
+    return consistent.tracking_failure or "not all joints moved, or not all torques were used"
 
 
 def delay_figures(used: float, search: DelaySearch | None) -> DelayFigures:

@@ -55,6 +55,7 @@ def consistent_model(
     fit: FitFigures | None = None,
     validation: FitFigures | None = None,
     tracking: TrackingError | None = None,
+    not_simulated: str = "",
 ) -> ConsistentModel:
     """The consistent model with what it costs.
 
@@ -68,6 +69,7 @@ def consistent_model(
         fit: its error on the identification data, where there are any.
         validation: on held-out data.
         tracking: of the simulated arm on a held-out motion.
+        not_simulated: why there is none.
     """
     prior = robot_file.robot.prior
     return ConsistentModel(
@@ -98,11 +100,13 @@ def consistent_model(
         limits_hit=list(consistent.limits_hit),
         fit=None if fit is None else fit_result(fit),
         validation=None if validation is None else fit_result(validation),
-        simulation=None if tracking is None else _simulated(tracking),
+        simulation=None if tracking is None else simulated_motion_error(tracking),
+        not_simulated=not_simulated,
     )
 
 
-def _simulated(tracking: TrackingError) -> SimulatedMotionError:
+def simulated_motion_error(tracking: TrackingError) -> SimulatedMotionError:
+    """How far the simulated arm departs from the motion, as it is stored."""
     return SimulatedMotionError(
         duration=tracking.duration,
         natural_frequency=NATURAL_FREQUENCY,

@@ -209,9 +209,8 @@ class ConsistentModel(_Part):
     limits_hit: list[str] = Field(description="ranges of the robot file that hold a parameter")
     fit: Fit | None
     validation: Fit | None
-    simulation: SimulatedMotionError | None = Field(
-        default=None, description="null where nothing was held out, not all joints moved, or the simulation failed"
-    )
+    simulation: SimulatedMotionError | None = None
+    not_simulated: str = Field(default="", description="why `simulation` is null; empty in results of earlier versions")
 
 
 class EstimateResult(_Part):

@@ -12,10 +12,12 @@ each other with so little inertia that an explicit one would be unstable.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.errors import ModelError
 from drivers.streams import FloatArray
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.signals.prepared import Segment
@@ -83,6 +85,14 @@ def tracking_error(inverse: InverseDynamics, segment: Segment) -> TrackingError:
         velocity_rmse=np.sqrt(np.mean((motion.velocity - velocity) ** 2, axis=0)),
         max_position_error=np.max(np.abs(departed), axis=0),
     )
+
+
+def track_longest(inverse: InverseDynamics, segments: Iterable[Segment]) -> tuple[TrackingError | None, str]:
+    """The error along the longest segment; None and the reason where the simulation fails."""
+    try:
+        return tracking_error(inverse, max(segments, key=lambda segment: len(segment.time))), ""
+    except ModelError as error:
+        return None, str(error)
 
 
 def _at(time: FloatArray, segment: Segment, signal: FloatArray) -> FloatArray:

@@ -95,6 +95,19 @@ def test_two_experiments_make_the_whole_model(merged, results, three_joint):
     assert result.verdict.purposes["torque_prediction"].grade == "good"
 
 
+def test_the_merged_model_is_simulated_on_held_out_data(merged, results):
+    result, _ = merged
+    consistent = result.consistent
+    assert consistent.validation.relative_error == pytest.approx(result.validation.relative_error, rel=0.2)
+    assert consistent.not_simulated == ""
+    assert max(consistent.simulation.position_rmse) < 0.02
+    alone, _ = merge_results([("arm", results[0]), ("wrist", results[1])])
+    assert alone.consistent.simulation is None
+    assert alone.consistent.not_simulated == "nothing was held out"
+    assert results[0].consistent.not_simulated == "not all joints moved, or not all torques were used"
+    assert "Not simulated on the held-out motion: nothing was held out" in render_report(ReportData(alone, (), ()))
+
+
 def test_the_merged_model_is_a_result_like_others(merged, recorded, tmp_path):
     result, validated = merged
     write_result(tmp_path / "result.json", result)
@@ -158,6 +171,13 @@ def test_parts_of_an_arm_stay_parts(results, recorded):
         revalidate(result, recorded(6, still=(2,), at=0.9))
     elsewhere, _ = merge_results([("a", results[0]), ("c", result_of(recorded(6, still=(2,), at=0.9)))])
     assert len(elsewhere.base_parameters) > len(result.base_parameters)
+
+
+def test_parts_are_not_simulated(results, recorded):
+    part = result_of(recorded(5, still=(2,)), locked=("j3",))
+    merged, _ = merge_results([("arm", results[0]), ("again", part)], recorded(6, still=(2,)))
+    assert merged.consistent.simulation is None
+    assert merged.consistent.not_simulated == "together the experiments do not show the whole arm"
 
 
 def test_a_parameter_that_was_not_excited_comes_from_the_other_experiment(recorded, three_joint):

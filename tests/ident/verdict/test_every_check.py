@@ -170,7 +170,7 @@ class Bench:
     def diverging(self) -> Names:
         """A model whose simulated motion diverges."""
         error = ModelError("the simulated motion diverges at 1.2 s")
-        with patch("ident.identify.identify.tracking_error", side_effect=error):
+        with patch("ident.simulation.tracking.tracking_error", side_effect=error):
             return self.found()
 
     def sticking(self, *recorded: object) -> Recording:
