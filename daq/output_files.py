@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import errno
+import glob
 import os
+import re
 import secrets
+import shutil
 import stat
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from drivers.errors import DiskError, DynidError, UsageError
@@ -18,6 +22,9 @@ REPORT_FILE = "report.html"
 
 DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 """What a disk that is full, or fails, answers to a write that nothing else is wrong with."""
+
+_UNFINISHED = ".unfinished-"
+_LONGEST_STEM = 48  # characters, so that the name is not too long for any file system
 
 
 def check_outputs(files: Iterable[Path | None], inputs: Iterable[Path | None] = (), *, overwrite: bool) -> None:
@@ -107,54 +114,151 @@ def _check_folder(folder: Path, where: str) -> None:
 
 
 def unfinished_name(path: Path) -> Path:
-    """A name beside a file that is not foreseeable: create it exclusively, then rename it."""
-    return path.with_name(f".dynid-{secrets.token_hex(8)}")
+    """A name beside a file that is not foreseeable, and says whose it is: `run.unfinished-0f3a….h5` for `run.h5`.
+
+    Create it exclusively, and let it take the file's place when it is whole.
+    """
+    return path.with_name(f"{_beginning(path)}{secrets.token_hex(8)}{path.suffix}")
+
+
+def unfinished_files(path: Path) -> list[Path]:
+    """What was to take a file's place and lies beside it: it is being written, or whoever wrote it was killed."""
+    token = "[0-9a-f]" * 16
+    return sorted(path.parent.glob(f"{glob.escape(_beginning(path))}{token}{glob.escape(path.suffix)}"))
+
+
+def intended_name(path: Path) -> Path:
+    """The file whose place an unfinished one was to take; any other file itself."""
+    stem, mark, token = path.stem.rpartition(_UNFINISHED)
+    return path.with_name(stem + path.suffix) if mark and re.fullmatch("[0-9a-f]{16}", token) else path
+
+
+def _beginning(path: Path) -> str:
+    return path.stem[:_LONGEST_STEM] + _UNFINISHED
+
+
+def take_place(unfinished: Path, path: Path, *, overwrite: bool) -> None:
+    """Give a file that is whole and on the disk its name; at every moment there is the old one or the new one.
+
+    Raises:
+        FileExistsError: there is one of that name by now, and it may not be overwritten.
+        OSError: the system refuses; the file keeps its unfinished name.
+    """
+    if overwrite:
+        unfinished.replace(path)
+        return
+    try:
+        os.link(unfinished, path, follow_symlinks=False)  # unlike a renaming, it never replaces anything
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without hard links
+        if os.path.lexists(path):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from None
+        unfinished.rename(path)
+    else:
+        unfinished.unlink()
 
 
 def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
-    """Write text files by their names into a folder, which is made where it does not exist; see `replace_files`.
+    """Write text files by their names into a folder, which is made where it does not exist; all of them or none.
+
+    A new folder appears with all its files at once, even where the writer is killed; in one that exists already the
+    files are replaced as by `replace_files`.
 
     Raises:
         UsageError: it is a file, or cannot be written.
         DiskError: the disk is full or fails.
     """
+    if folder.is_dir():
+        replace_files({folder / name: text for name, text in texts.items()})
+        return
+    beside = unfinished_name(folder)
+    path = folder
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        beside.mkdir()
+        try:
+            for name, text in texts.items():
+                path = folder / name
+                _write_new(beside / name, text)
+            beside.rename(folder)
+        except BaseException:
+            shutil.rmtree(beside, ignore_errors=True)
+            raise
     except (FileExistsError, NotADirectoryError) as error:
-        raise UsageError("is a file; a folder is needed", where=str(error.filename)) from error
+        raise UsageError("is a file; a folder is needed", where=str(error.filename2 or error.filename)) from error
     except OSError as error:
-        raise _refused(error, folder) from error
-    replace_files({folder / name: text for name, text in texts.items()})
+        raise _refused(error, path) from error
 
 
 def replace_files(texts: Mapping[Path, str]) -> None:
-    """Write text files as UTF-8, all of them or none: an error or a crash before the end leaves the old ones.
+    """Write text files as UTF-8, all of them or none: an error before the end leaves the old ones.
 
-    They are written beside their places and renamed when all are on the disk; a link is replaced, not followed.
+    They are written beside their places and renamed when all are on the disk, the first one last; a link is replaced,
+    not followed. Whoever is killed between two renamings leaves the last files new and the first ones old.
 
     Raises:
         UsageError: one cannot be written.
         DiskError: the disk is full or fails.
     """
     for path in texts:
-        if path.is_dir():  # or the files before it would be renamed already
+        if path.is_dir():
             raise UsageError("cannot be written: it is a folder", where=str(path))
     unfinished: dict[Path, Path] = {}
+    path = next(iter(texts))
     try:
         for path, text in texts.items():
             beside = unfinished_name(path)
-            with beside.open("x", encoding="utf-8") as file:
-                unfinished[beside] = path
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-        for beside, path in unfinished.items():
-            beside.replace(path)
+            unfinished[path] = beside
+            _write_new(beside, text)
+        with _old_files_kept(list(texts)[1:]):  # the one that is renamed last needs no way back
+            for path in reversed(list(texts)):
+                unfinished[path].replace(path)
     except OSError as error:
         raise _refused(error, path) from error
     finally:
-        for beside in unfinished:
+        for beside in unfinished.values():
             beside.unlink(missing_ok=True)
+
+
+def _write_new(path: Path, text: str) -> None:
+    with path.open("x", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+@contextmanager
+def _old_files_kept(paths: Sequence[Path]) -> Iterator[None]:
+    """Put files back where the context fails: the old ones, or none where there was none.
+
+    Raises:
+        OSError: an old one cannot be kept for that.
+    """
+    kept: dict[Path, Path | None] = {}
+    try:
+        for path in paths:
+            kept[path] = None
+            if os.path.lexists(path):
+                beside = unfinished_name(path)
+                kept[path] = beside
+                try:
+                    os.link(path, beside, follow_symlinks=False)
+                except OSError:  # a file system without hard links
+                    shutil.copy2(path, beside, follow_symlinks=False)
+        try:
+            yield
+        except BaseException:
+            for path, old in kept.items():
+                if old is None:
+                    path.unlink(missing_ok=True)
+                else:
+                    old.replace(path)
+            raise
+    finally:
+        for old in kept.values():
+            if old is not None:
+                old.unlink(missing_ok=True)
 
 
 def _refused(error: OSError, path: Path) -> DynidError:

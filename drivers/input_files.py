@@ -46,7 +46,7 @@ BAG_FILE = InputKind("a bag", 2 * GB)
 BAG_METADATA = InputKind("a bag's metadata.yaml", MB)
 
 MOST_VALUES = 64_000_000
-"""Numbers of one recording or foreign file, 512 MB of them: 90 min of six joints at 500 Hz with four quantities."""
+"""Numbers of one foreign file, and those of any HDF5 file that it declares without holding them: 512 MB."""
 
 
 def check_input(path: Path, kind: InputKind, refusal: type[InputError], hint: str = "") -> int:

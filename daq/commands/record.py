@@ -65,7 +65,7 @@ def record_command(
     from daq.session.session import INTERRUPTED, TERMINATED, Play, load_driver, record
     from daq.session.supervisor import Limits, Supervisor
     from drivers.clock import SYSTEM_CLOCK
-    from drivers.errors import INTERRUPTED_STATUS, MotionRefusedError, UsageError
+    from drivers.errors import INTERRUPTED_STATUS, UsageError
 
     if (trajectory is None) == (duration is None):
         raise UsageError("give either --trajectory or --duration")
@@ -115,6 +115,8 @@ def record_command(
             overwrite=force,
             clock=clock,
         )
+        if screen is not None:
+            print(f"recording into {recorder.file}, which becomes {out} when it is closed", file=screen, flush=True)
         for warning in warnings:
             recorder.event(math.nan, "warning", "session", warning)
         if speed_scale != 1.0:
@@ -127,12 +129,12 @@ def record_command(
             report = record(driver, recorder, supervisor, play, duration, view, clock)
     finally:
         driver.close()
-    never_moved = play is not None and report.punctuality is None
-    if never_moved and (isinstance(report.error, MotionRefusedError) or report.stopped_by == INTERRUPTED):
-        out.unlink(missing_ok=True)  # it shows an arm at rest, and would be in the way of the next attempt
+    if report.file is None:
         raise report.error or KeyboardInterrupt
     approach = confirmation.figures if confirmation is not None else None
-    _report_session(out, report, as_json, {"motion": figures, "approach": approach} if figures is not None else {})
+    _report_session(
+        report.file, report, as_json, {"motion": figures, "approach": approach} if figures is not None else {}
+    )
     status = 1 if report.heavy_loss else 0
     if report.error is not None:
         print(f"dynid: {report.error}", file=sys.stderr)

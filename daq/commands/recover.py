@@ -13,7 +13,10 @@ app = typer.Typer()
 
 @app.command("recover")
 def recover_command(
-    file: Path = typer.Argument(help="Recording whose writer died."),
+    file: Path = typer.Argument(
+        help="Recording whose writer died, or the name that it was to have: `dynid record` writes into "
+        "FILE.unfinished-….h5 until it closes the recording."
+    ),
     out: Path = typer.Option(None, "-o", "--out", help="Recording to write; FILE-recovered.h5 if absent."),
     force: bool = FORCE,
     as_json: bool = JSON,
@@ -22,14 +25,21 @@ def recover_command(
 
     Example: dynid recover run.h5
     """
+    import sys
     from dataclasses import asdict
 
     from daq.commands.console import print_json
-    from daq.recording.recover import recover
+    from daq.output_files import intended_name, unfinished_files
+    from daq.recording.recover import half_written, recover
     from daq.recording.stream_quality import stream_quality
 
-    target = out if out is not None else file.with_name(f"{file.stem}-recovered.h5")
-    rescued = recover(file, target, overwrite=force)
+    intended = intended_name(file)
+    target = out if out is not None else intended.with_name(f"{intended.stem}-recovered.h5")
+    source = half_written(file)
+    if source == file:
+        for other in unfinished_files(file):
+            print(f"dynid: warning: {other} is unfinished, too (dynid recover {other})", file=sys.stderr)
+    rescued = recover(source, target, overwrite=force)
     qualities = {name: stream_quality(stream.time) for name, stream in rescued.recording.streams.items()}
     if as_json:
         streams = {name: asdict(quality) for name, quality in qualities.items()}

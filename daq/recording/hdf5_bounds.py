@@ -84,13 +84,15 @@ class Hdf5Bounds:
             raise self._refused(dataset, "its values stand in another file, which is not read")
         self.check_attributes(dataset)
         count = math.prod(dataset.shape or ())
-        self._values += count
+        stored = dataset.id.get_storage_size()
+        self._values += max(0, count - stored // np.dtype(np.float64).itemsize)
         if self._values > MOST_VALUES:
             raise self._refused(
-                dataset, f"declares {_count(self._values)} numbers; at most {_count(MOST_VALUES)} are read of one file"
+                dataset,
+                f"declares {_count(self._values)} numbers beyond those that the file's size allows for; at most "
+                f"{_count(MOST_VALUES)} are read",
             )
         size = count * dataset.dtype.itemsize
-        stored = dataset.id.get_storage_size()
         if size > SPARSE and size > MOST_COMPRESSION * stored:
             raise self._refused(
                 dataset, f"declares {size / MB:.0f} MB, of which {stored / MB:.3g} MB are in the file; it is damaged"
@@ -140,6 +142,11 @@ class Hdf5Bounds:
 
     def _refused(self, place: Any, message: str) -> InputError:
         return self._refusal(message, where=f"{self._path}: {place.name}")
+
+
+def text_length(level: str, source: str, message: str) -> int:
+    """Characters of an event as `Hdf5Bounds.rows` counts them, at most."""
+    return sum(len(repr(text.encode())) for text in (level, source, message)) + 64
 
 
 def _count(values: int) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from daq.output_files import unfinished_files
 from daq.recording.hdf5_bounds import Hdf5Bounds
 from daq.recording.hdf5_reason import hdf5_reason
 from daq.recording.recording import SCHEMA_VERSION, Channel, Event, Recording, Stream
@@ -34,7 +35,10 @@ def read_recording(path: str | Path) -> Recording:
     """
     path = Path(path)
     where = str(path)
-    if check_input(path, RECORDING_FILE, RecordingError) == 0:
+    hint = (
+        f"one of this name was not closed: dynid recover {path}" if not path.exists() and unfinished_files(path) else ""
+    )
+    if check_input(path, RECORDING_FILE, RecordingError, hint) == 0:
         raise RecordingError("is empty (0 bytes)", where=where, hint="copy it again from its source")
     if not _has_hdf5_signature(path):
         raise RecordingError(

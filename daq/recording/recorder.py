@@ -13,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.recording.growing_file import SPARE
+from daq.recording.hdf5_bounds import MOST_ROWS, MOST_TEXT, text_length
 from daq.recording.recording import Level
 from daq.recording.writer import CHUNK_SECONDS, RecordingWriter, chunk_rows
 from daq.robot.loader import RobotFile
@@ -23,7 +25,9 @@ from drivers.streams import Batch, StreamLayout
 MEMORY_LIMIT = 64 * 2**20
 """Bytes of samples that may wait for the disk before batches are dropped, and counted."""
 RESERVE = 16 * 2**20
-"""Bytes of free disk space [B] at which a recording is ended: on a full disk HDF5 cannot close a file."""
+"""Free disk space [B] at which a recording is ended: other programs need the disk, too."""
+MOST_EVENTS = MOST_ROWS - 1000
+"""Events at which a recording is ended; the rest of what is read of one is for its end."""
 _WAIT = 0.1
 
 
@@ -43,6 +47,9 @@ def require_room(path: Path) -> None:
 class Recorder:
     """Writes the acquisition's batches to disk without ever making it wait.
 
+    The recording takes its place when it is closed; until then it grows beside it, under the name `file`. What had
+    that place before stays until then, and stays altogether where the disk refused to write.
+
     Args:
         path: of the new recording.
         robot: its robot file.
@@ -57,6 +64,7 @@ class Recorder:
     Raises:
         UsageError: the file exists already, is no regular file, or its folder cannot be written.
         RecordingError: it cannot be created.
+        DiskError: the disk is full or fails.
     """
 
     def __init__(
@@ -85,7 +93,11 @@ class Recorder:
             overwrite=overwrite,
         )
         self._writer.allow_readers()
-        self._rows = {layout.name: chunk_rows(layout.rate) for layout in layouts}
+        self.file = self._writer.unfinished
+        """Where the recording is by now; it is its path once it was closed in order."""
+        self._overwrite = overwrite
+        self._events = self._text = 0
+        self._chunk_rows = {layout.name: chunk_rows(layout.rate) for layout in layouts}
         self._pending: dict[str, list[Batch]] = {layout.name: [] for layout in layouts}
         self._since = dict.fromkeys(self._pending, 0.0)
         self._queue: deque[Batch | tuple[float, Level, str, str]] = deque()
@@ -132,28 +144,41 @@ class Recorder:
             self._changed.notify()
 
     def close(self, *, complete: bool) -> None:
-        """Write what is queued and close the file; safe to call twice.
+        """Write what is queued, close the file and give it its name; safe to call twice.
 
         Raises:
-            DiskError: it could not be written completely; flushed data are kept.
+            DiskError: it could not be written completely, or not be given its name; `file` has what was written.
         """
+        self._end_thread()
+        if self._broken:
+            self._writer.abandon()
+        elif self.file != self.path:
+            try:
+                if self.overflow and self._failure is None:
+                    self._writer.event(
+                        float("nan"), "error", "recorder", f"{self.overflow} samples dropped: the disk did not keep up"
+                    )
+                self._writer.finish(complete=complete and not self.overflow and self._failure is None)
+                # An older recording is not given up for one that the disk cut short.
+                self._writer.take_place(overwrite=self._overwrite and self._failure is None)
+                self.file = self.path
+            except RecordingError as error:
+                self._failure = self._failure or self._disk_error(error)
+            except DiskError as error:
+                self._failure = self._failure or error
+        if self._failure is not None:
+            raise self._failure
+
+    def discard(self) -> None:
+        """Close the file and remove it; what had its place stays."""
+        self._end_thread()
+        self._writer.discard()
+
+    def _end_thread(self) -> None:
         with self._changed:
             self._closing = True
             self._changed.notify()
         self._thread.join()
-        if self._broken:
-            self._writer.abandon()
-        try:
-            if self.overflow and self._failure is None:
-                self._writer.event(
-                    float("nan"), "error", "recorder", f"{self.overflow} samples dropped: the disk did not keep up"
-                )
-            self._writer.close(complete=complete and not self.overflow and self._failure is None)
-        except RecordingError as error:
-            self._writer.abandon()
-            self._failure = self._failure or _disk_error(error, self.path)
-        if self._failure is not None:
-            raise self._failure
 
     def _run(self) -> None:
         try:
@@ -164,13 +189,17 @@ class Recorder:
                     items = list(self._queue)
                     self._queue.clear()
                     closing = self._closing
+                for item in items:  # samples first: they are kept where there is no space for an event
+                    if isinstance(item, Batch):
+                        self._hold(item)
                 for item in items:
-                    self._take(item)
+                    if not isinstance(item, Batch):
+                        self._write_event(*item)
                 self._write(everything=closing)
                 if closing:
                     return
         except RecordingError as error:
-            self._fail(_disk_error(error, self.path), broken=True)
+            self._fail(self._disk_error(error), broken=True)
         except DiskError as error:
             self._fail(error, broken=False)
 
@@ -181,52 +210,67 @@ class Recorder:
             self._queue.clear()
         if broken:  # left alone until `close`, when the arm stands: what HDF5 does next is not for this moment
             return
-        try:  # there is still some room: say why it ends here
+        try:  # the file owns some space still: for what is there already, and why it ends here
+            for stream, batches in self._pending.items():
+                if batches and self._writer.bytes_of({stream: _rows(batches)}) < SPARE // 4:
+                    self._append(stream, _join(batches))
             self._writer.event(float("nan"), "error", "recorder", error.message)
             self._writer.flush()
         except RecordingError:
             self._broken = True
 
-    def _take(self, item: Batch | tuple[float, Level, str, str]) -> None:
-        if isinstance(item, Batch):
-            if not self._pending[item.stream]:
-                self._since[item.stream] = self._clock.now()
-            self._pending[item.stream].append(item)
-        else:
-            self._writer.event(*item)
-            self._writer.flush()
+    def _hold(self, batch: Batch) -> None:
+        if not self._pending[batch.stream]:
+            self._since[batch.stream] = self._clock.now()
+        self._pending[batch.stream].append(batch)
+
+    def _write_event(self, time: float, level: Level, source: str, message: str) -> None:
+        size = text_length(level, source, message)
+        self._events, self._text = self._events + 1, self._text + size
+        if self._events > MOST_EVENTS or self._text > MOST_TEXT // 2:
+            raise DiskError(f"has {self._events} events, as many as are read of one recording", where=str(self.path))
+        self._writer.reserve({}, texts=size)
+        self._writer.event(time, level, source, message)
+        self._writer.flush()
 
     def _write(self, *, everything: bool) -> None:
         """Whole chunks; the remainder only at the end, or where a source is much slower than its nominal rate."""
-        wrote = False
+        counts = {}
         for stream, batches in self._pending.items():
-            waiting = sum(len(batch.time) for batch in batches)
-            whole = waiting - waiting % self._rows[stream]
+            waiting = _rows(batches)
             late = bool(batches) and self._clock.now() - self._since[stream] > 2.0 * CHUNK_SECONDS
-            count = waiting if everything or late else whole
-            if count == 0:
-                continue
-            require_room(self.path)
-            joined = _join(batches)
-            self._writer.append(
-                stream,
-                joined.time[:count],
-                joined.host_time[:count],
-                {name: values[:count] for name, values in joined.values.items()},
-            )
-            rest = Batch(
-                stream,
-                joined.time[count:],
-                joined.host_time[count:],
-                {name: values[count:] for name, values in joined.values.items()},
-            )
+            count = waiting if everything or late else waiting - waiting % self._chunk_rows[stream]
+            if count:
+                counts[stream] = count
+        if not counts:
+            return
+        require_room(self.path)
+        self._writer.reserve(counts)
+        for stream, count in counts.items():
+            joined = _join(self._pending[stream])
+            rest = _rows_of(joined, slice(count, None))
+            self._append(stream, _rows_of(joined, slice(count)))
             self._pending[stream] = [rest] if len(rest.time) else []
             self._since[stream] = self._clock.now()
             with self._changed:
                 self._waiting -= _size(joined) - _size(rest)
-            wrote = True
-        if wrote:
-            self._writer.flush()
+        self._writer.flush()
+
+    def _append(self, stream: str, batch: Batch) -> None:
+        self._writer.append(stream, batch.time, batch.host_time, batch.values)
+
+    def _disk_error(self, error: RecordingError) -> DiskError:
+        rescue = f"rescue what was written: dynid recover {self.file}"
+        return DiskError(error.message, where=str(self.path), hint=rescue)
+
+
+def _rows(batches: Sequence[Batch]) -> int:
+    return sum(len(batch.time) for batch in batches)
+
+
+def _rows_of(batch: Batch, rows: slice) -> Batch:
+    values = {name: values[rows] for name, values in batch.values.items()}
+    return Batch(batch.stream, batch.time[rows], batch.host_time[rows], values)
 
 
 def _join(batches: Sequence[Batch]) -> Batch:
@@ -242,7 +286,3 @@ def _join(batches: Sequence[Batch]) -> Batch:
 
 def _size(batch: Batch) -> int:
     return batch.time.nbytes + batch.host_time.nbytes + sum(values.nbytes for values in batch.values.values())
-
-
-def _disk_error(error: RecordingError, path: Path) -> DiskError:
-    return DiskError(error.message, where=str(path), hint=f"rescue what was written: dynid recover {path}")

@@ -11,12 +11,12 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from daq.output_files import check_outputs
+from daq.output_files import check_outputs, unfinished_files
 from daq.recording.hdf5_reason import hdf5_reason
 from daq.recording.reader import read_open_recording
 from daq.recording.recording import Channel, Event, Recording, Stream
 from daq.recording.writer import write_recording
-from drivers.errors import RecordingError
+from drivers.errors import RecordingError, UsageError
 from drivers.input_files import RECORDING_FILE, check_input
 
 READ_LIMIT = 20.0
@@ -58,6 +58,21 @@ def follow_recording(path: Path) -> Recording:
             return read_open_recording(file, path)
     except (OSError, RuntimeError) as error:
         raise RecordingError(f"nothing can be rescued: {hdf5_reason(error)}", where=str(path)) from error
+
+
+def half_written(path: Path) -> Path:
+    """The file to rescue: this one, or where there is none of that name, the one that was to take its place.
+
+    Raises:
+        UsageError: there are several of these.
+    """
+    found = [] if path.exists() else unfinished_files(path)
+    if len(found) > 1:
+        names = ", ".join(str(file) for file in found)
+        raise UsageError(
+            f"no such file, but {len(found)} that are unfinished", where=str(path), hint=f"name one: {names}"
+        )
+    return found[0] if found else path
 
 
 def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
-import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -16,20 +14,20 @@ from typing import Any, Self
 import h5py
 import numpy as np
 
-from daq.output_files import DISK_ERRORS, check_outputs, unfinished_name
+from daq.output_files import DISK_ERRORS, check_outputs, take_place, unfinished_name
 from daq.recording.failsafe_file import FailsafeFile
+from daq.recording.growing_file import SPARE, GrowingFile
 from daq.recording.hdf5_reason import hdf5_reason
 from daq.recording.recording import SCHEMA_VERSION, Level, Recording, software_versions
 from daq.robot.loader import RobotFile
 from drivers.errors import DiskError, DynidError, RecordingError
+from drivers.input_files import RECORDING_FILE, size_text
 from drivers.streams import ChannelLayout, FloatArray, StreamLayout
 
 CHUNK_SECONDS = 0.5
 """Duration of a chunk [s], and so the most that a crash can cost a recorder that flushes whole chunks."""
 MAX_CHUNK_ROWS = 20_000  # a nominal rate that came out of nearly equal stamps must not size a chunk
 EVENT_CHUNK_ROWS = 64
-CREATION_ROOM = 64 * 1024
-"""Bytes that a recording surely fits into, beside its texts and the first chunk of each stream."""
 
 _EVENT_TYPE = np.dtype(
     [
@@ -46,46 +44,23 @@ def chunk_rows(rate: float) -> int:
     return round(min(max(rate * CHUNK_SECONDS, 1.0), MAX_CHUNK_ROWS)) if rate > 0 else 1000
 
 
-def _try_bytes(path: Path, count: int) -> None:
-    """Write so many bytes beside a recording and forget them.
-
-    Where the header or a stream's first chunk are refused, HDF5 (2.0) crashes; where later ones are, it does not.
-
-    Raises:
-        DiskError: the disk is full, or fails.
-        RecordingError: the system refuses them.
-    """
-    try:
-        with tempfile.TemporaryFile(dir=path.parent, buffering=0) as trial:
-            written = trial.write(bytes(count))
-            if written < count:
-                trial.write(bytes(count - written))  # says why
-    except OSError as error:
-        raise _refused(error, path) from error
-
-
-def _chunk_bytes(layout: StreamLayout) -> int:
+def _bytes_of(layout: StreamLayout, rows: int) -> int:
     columns = 2 + sum(len(channel.columns) for channel in layout.channels)
-    return chunk_rows(layout.rate) * columns * np.dtype(np.float64).itemsize
-
-
-def _null_device() -> int:
-    return os.open(os.devnull, os.O_RDWR)
-
-
-def _memory_file() -> int:
-    return os.memfd_create("abandoned") if hasattr(os, "memfd_create") else _null_device()
+    whole = rows + 2 * chunk_rows(layout.rate)  # chunks are whole, the first and the last one, too
+    return whole * columns * np.dtype(np.float64).itemsize
 
 
 class RecordingWriter:
     """Appends blocks of samples and events to a new recording; a context manager.
 
-    Leaving the `with` block in order marks the recording complete; leaving it by an exception closes the file with
-    `complete` false and the exception as an event.
+    It is written under an unfinished name beside its place, which it takes when it is closed. Leaving the `with` block
+    in order marks it complete; leaving it by an exception closes it with `complete` false and the exception as an
+    event. Its creation, and all of a recording that is not read while it grows, go through a `FailsafeFile`.
 
     Raises:
         UsageError: the file exists already, is no regular file, or its folder cannot be written.
         RecordingError: it cannot be created.
+        DiskError: the disk is full or fails.
     """
 
     def __init__(
@@ -98,25 +73,22 @@ class RecordingWriter:
         speed_scale: float = 1.0,
         comment: str = "",
         overwrite: bool = False,
-        through: FailsafeFile | None = None,
     ) -> None:
-        if through is None:
-            check_outputs([path], overwrite=overwrite)
-        self._through = through
-        texts = robot.text + (robot.urdf_text or "") + trajectory + comment
-        if through is None:
-            _try_bytes(path, CREATION_ROOM + len(texts.encode()) + sum(_chunk_bytes(layout) for layout in streams))
-        try:
-            if overwrite:
-                path.unlink(missing_ok=True)  # not truncated: it may be known by another name too
-            mode = "x" if through is None else "w"
-            self._file = h5py.File(path if through is None else through, mode, libver="latest")
-        except OSError as error:
-            raise RecordingError(f"cannot be created: {hdf5_reason(error)}", where=str(path)) from error
+        check_outputs([path], overwrite=overwrite)
         self.path = path
+        """Of the recording once it is closed."""
+        self.unfinished = unfinished_name(path)
+        """Of the recording until then, and where it could not be closed."""
+        self._overwrite = overwrite
         self._layouts = {layout.name: layout for layout in streams}
-        # Kept open: closing a dataset that a full disk refuses leaves HDF5 in a state in which it crashes at exit.
+        self._growing: GrowingFile | None = None
+        try:
+            self._through = FailsafeFile(self.unfinished)
+        except OSError as error:
+            raise _refused(error, path) from error
+        # Datasets are kept open: closing one that a full disk refuses leaves HDF5 in a state in which it crashes.
         self._datasets: dict[str, dict[str, Any]] = {layout.name: {} for layout in streams}
+        self._file = h5py.File(self._through, "w", libver="latest")
         try:
             self._write_attributes(robot, trajectory, speed_scale, comment)
             group = self._file.create_group("streams")
@@ -125,8 +97,12 @@ class RecordingWriter:
             self._events = self._file.create_dataset(
                 "events", (0,), maxshape=(None,), dtype=_EVENT_TYPE, chunks=(EVENT_CHUNK_ROWS,)
             )
-        except (OSError, RuntimeError) as error:
-            raise self._creation_error(error) from error
+            self._check_disk()
+        except BaseException as error:
+            self.discard()
+            if isinstance(error, (OSError, RuntimeError)):
+                raise self._write_error(error) from error
+            raise
 
     def _write_attributes(self, robot: RobotFile, trajectory: str, speed_scale: float, comment: str) -> None:
         attributes = self._file.attrs
@@ -204,26 +180,52 @@ class RecordingWriter:
         """Allow readers while the file grows (HDF5's SWMR mode); only once, before the first rows.
 
         Raises:
-            RecordingError: the file cannot be written; it is removed.
+            DiskError: there is no space for it to grow; it is removed.
+            RecordingError: HDF5 refuses; it is removed.
         """
         try:
-            self._file.swmr_mode = True
+            self._file.close()
+            self._through.close()
+            self._check_disk()
+            self._growing = GrowingFile(self.unfinished)
+            self._file = self._growing.file
+            for stream, datasets in self._datasets.items():
+                for name in datasets:
+                    datasets[name] = self._file[f"streams/{stream}/{name}"]
+            self._events = self._file["events"]
+            self._growing.allow_readers()
         except (OSError, RuntimeError) as error:
-            raise self._creation_error(error) from error
+            self.discard()
+            raise self._write_error(error) from error
+        except DiskError as error:
+            self.discard()
+            raise DiskError(error.message, where=str(self.path), hint=error.hint) from error
 
-    def _creation_error(self, error: BaseException) -> RecordingError:
-        """Close a file that holds nothing yet, and remove it."""
-        self.abandon()
-        with suppress(OSError):
-            self.path.unlink()
-        return RecordingError(f"cannot be created: {hdf5_reason(error)}", where=str(self.path))
+    def reserve(self, rows: Mapping[str, int], texts: int = 0) -> None:
+        """See to it that there is space for rows of streams, and for texts of so many bytes, before they are appended.
+
+        Raises:
+            DiskError: the disk is full, or the recording would be larger than what is read; it can still be closed.
+        """
+        if self._growing is not None:
+            try:
+                self._growing.reserve(self.bytes_of(rows) + texts)
+            except DiskError as error:
+                raise DiskError(error.message, where=str(self.path), hint=error.hint) from error
+
+    def bytes_of(self, rows: Mapping[str, int]) -> int:
+        """What rows of streams need on the disk at most [B]."""
+        return sum(_bytes_of(self._layouts[stream], count) for stream, count in rows.items())
 
     def _check_disk(self) -> None:
         """Raise what the disk refused, which was kept from HDF5."""
-        if self._through is not None and self._through.failure is not None:
+        if self._growing is None and self._through.failure is not None:
             raise self._through.failure
 
-    def _write_error(self, error: BaseException) -> RecordingError:
+    def _write_error(self, error: BaseException) -> DynidError:
+        refusal = self._through.failure if self._growing is None else None
+        if refusal is not None:
+            return _refused(refusal, self.path)
         return RecordingError(f"cannot be written: {hdf5_reason(error)}", where=str(self.path))
 
     def event(self, time: float, level: Level, source: str, message: str) -> None:
@@ -254,42 +256,71 @@ class RecordingWriter:
         except (OSError, RuntimeError) as error:
             raise self._write_error(error) from error
 
-    def close(self, *, complete: bool) -> None:
-        """Close the file and store whether the recording is complete.
+    def finish(self, *, complete: bool) -> None:
+        """Close the file, which keeps its unfinished name, and store whether the recording is complete.
 
         Raises:
-            RecordingError: the file cannot be written any more (full disk); what was flushed can be recovered.
+            RecordingError, DiskError: the file cannot be written any more. One that others may read remains, and what
+                was flushed of it can be recovered.
         """
         if not self._file.id.valid:
             return
         try:
             self._file.attrs["complete"] = complete
-            self._file.close()
+            if self._growing is not None:
+                self._growing.close()
+            else:
+                self._file.close()
+                self._through.close()
+            self._check_disk()
         except (OSError, RuntimeError) as error:
-            self.abandon()
+            if self._growing is not None:
+                self.abandon()
+            else:
+                self.discard()
             raise self._write_error(error) from error
 
-    def abandon(self) -> None:
-        """Close a file that cannot be written any more; flushed data remain.
+    def take_place(self, *, overwrite: bool) -> None:
+        """Give the recording its name, once it is finished.
 
-        HDF5 keeps a file open whose close failed, tries again at the interpreter's exit and crashes there (seen with
-        HDF5 2.0, on a full disk and at a file size limit). So what it still wants to write goes nowhere.
+        Raises:
+            DiskError: a file of that name exists by now, or the system refuses; the unfinished name remains.
         """
-        if self._through is not None:  # which takes all that HDF5 still wants to write
-            self._file.close()
-            return
-        # The null device takes every byte, but refuses to be given a length, as a close may want. Memory takes a
-        # length, but is bound by a file size limit. What one refused is not tried with the next.
-        for make_sink in (_null_device, _memory_file, _null_device):
-            if not self._file.id.valid:
-                return
-            nowhere = make_sink()
-            try:
-                os.dup2(nowhere, self._file.id.get_vfd_handle())
-            finally:
-                os.close(nowhere)
-            with suppress(OSError, RuntimeError):
-                self._file.close()
+        try:
+            take_place(self.unfinished, self.path, overwrite=overwrite)
+        except FileExistsError as error:
+            raise DiskError(
+                "exists by now, and stays as it is", where=str(self.path), hint=f"the recording is {self.unfinished}"
+            ) from error
+        except OSError as error:
+            raise DiskError(
+                f"cannot be written: {error.strerror}", where=str(self.path), hint=f"the recording is {self.unfinished}"
+            ) from error
+
+    def close(self, *, complete: bool) -> None:
+        """Finish the file and give it its name; safe to call twice.
+
+        Raises:
+            RecordingError, DiskError: as `finish` and `take_place`.
+        """
+        if self._file.id.valid:
+            self.finish(complete=complete)
+            self.take_place(overwrite=self._overwrite)
+
+    def abandon(self) -> None:
+        """Close a file that cannot be written any more; flushed data remain, under the unfinished name."""
+        if self._growing is not None:
+            self._growing.abandon()
+        elif self._file.id.valid:
+            self._file.close()  # what it still writes is kept from the disk
+            self._through.close()
+
+    def discard(self) -> None:
+        """Close the file and remove it."""
+        self.abandon()
+        self._through.close()
+        with suppress(OSError):
+            self.unfinished.unlink()
 
     def __enter__(self) -> Self:
         return self
@@ -301,7 +332,7 @@ class RecordingWriter:
             try:
                 self.event(float("nan"), "error", "recorder", str(error) or type(error).__name__)
                 self.close(complete=False)
-            except RecordingError:  # the error on its way is the one to tell
+            except DynidError:  # the error on its way is the one to tell
                 self.abandon()
             return
         self.close(complete=error is None)
@@ -317,7 +348,7 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
 
     Raises:
         UsageError: the file exists already, is no regular file, or its folder cannot be written.
-        RecordingError: the recording carries no robot file.
+        RecordingError: the recording carries no robot file, or is larger than what is read.
         DiskError: the disk is full or fails; a file that existed is as it was.
 
     Example:
@@ -340,42 +371,30 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
         )
         for stream in recording.streams.values()
     ]
-    check_outputs([path], overwrite=overwrite)
-    unfinished = unfinished_name(path)
+    size = sum(_bytes_of(layout, len(recording.streams[layout.name].time)) for layout in layouts)
+    if size + SPARE > RECORDING_FILE.largest:
+        largest = size_text(RECORDING_FILE.largest)
+        raise RecordingError(f"would be larger than {largest}, the largest that is read", where=str(path))
+    writer = RecordingWriter(
+        path,
+        recording.robot(),
+        layouts,
+        trajectory=recording.trajectory,
+        speed_scale=recording.speed_scale,
+        comment=recording.comment,
+        overwrite=overwrite,
+    )
     try:
-        file = FailsafeFile(unfinished)
-    except OSError as error:
-        raise _refused(error, path) from error
-    try:
-        with RecordingWriter(
-            unfinished,
-            recording.robot(),
-            layouts,
-            trajectory=recording.trajectory,
-            speed_scale=recording.speed_scale,
-            comment=recording.comment,
-            through=file,
-        ) as writer:
-            for stream in recording.streams.values():
-                blocks = {quantity: channel.values for quantity, channel in stream.channels.items()}
-                writer.append(stream.name, stream.time, stream.host_time, blocks)
-            for event in recording.events:
-                writer.event(event.time, event.level, event.source, event.message)
-            writer.keep_origin(recording)
-            writer.close(complete=recording.complete)
-        file.close()
-        if file.failure is not None:
-            raise file.failure
-        unfinished.replace(path)
-    except OSError as error:
-        raise _refused(error, path) from error
-    except RecordingError as error:
-        if file.failure is not None:
-            raise _refused(file.failure, path) from error
-        raise RecordingError(error.message, where=str(path), hint=error.hint) from error
+        for stream in recording.streams.values():
+            blocks = {quantity: channel.values for quantity, channel in stream.channels.items()}
+            writer.append(stream.name, stream.time, stream.host_time, blocks)
+        for event in recording.events:
+            writer.event(event.time, event.level, event.source, event.message)
+        writer.keep_origin(recording)
+        writer.finish(complete=recording.complete)
+        writer.take_place(overwrite=overwrite)
     finally:
-        file.close()
-        unfinished.unlink(missing_ok=True)
+        writer.discard()
 
 
 def _refused(error: OSError, path: Path) -> DynidError:

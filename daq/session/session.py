@@ -62,6 +62,7 @@ class SessionReport:
         punctuality: of the motion; None without one.
         error: that ended it, for the exit status; None where it ran to its end or was interrupted.
         heavy_loss: which streams lost more than `LOSS_LIMIT` of their samples, and why, in words; empty where none did.
+        file: the recording; None where the motion was refused or interrupted before it began: there is none then.
     """
 
     samples: Mapping[str, int]
@@ -71,6 +72,7 @@ class SessionReport:
     punctuality: Punctuality | None
     error: DynidError | None = None
     heavy_loss: str = ""
+    file: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -266,12 +268,26 @@ def record(
         heavy_loss = _heavy_loss(driver, course)
         if heavy_loss:
             recorder.event(course.source_time(), "warning", "session", heavy_loss)
+        # It would show an arm at rest, and be in the way of the next attempt.
+        unwanted = play is not None and player is None
+        unwanted = unwanted and (isinstance(error, MotionRefusedError) or stopped_by == INTERRUPTED)
         try:
-            recorder.close(complete=stopped_by is None)
+            if unwanted:
+                recorder.discard()
+            else:
+                recorder.close(complete=stopped_by is None)
         except DynidError as caught:
             error, stopped_by = error or caught, stopped_by or str(caught)
-    punctuality = player.punctuality() if player else None
-    return SessionReport(course.samples, course.lost, recorder.overflow, stopped_by, punctuality, error, heavy_loss)
+    return SessionReport(
+        course.samples,
+        course.lost,
+        recorder.overflow,
+        stopped_by,
+        player.punctuality() if player else None,
+        error,
+        heavy_loss,
+        None if unwanted else recorder.file,
+    )
 
 
 def _heavy_loss(driver: Driver, course: _Course) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import subprocess
 import sys
 import textwrap
@@ -12,10 +14,14 @@ import pytest
 from kinematic_arm import NAMES, ROBOT_FILE
 from simulated_clock import SimulatedClock
 
+from daq.output_files import unfinished_files
+from daq.recording.growing_file import SPARE
 from daq.recording.reader import read_recording
 from daq.recording.recorder import Recorder
 from daq.recording.recover import recover
 from daq.recording.writer import CHUNK_SECONDS
+from drivers.errors import DiskError, UsageError
+from drivers.input_files import InputKind
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 ROOT = Path(__file__).parents[3]
@@ -63,7 +69,7 @@ FULL_DISK = """
 
     os.memfd_create = memory_file
     with simulated_time() as clock:
-        recorder = Recorder(Path({path!r}), ROBOT_FILE, (layout,), clock=clock)
+        recorder = Recorder(Path({path!r}), ROBOT_FILE, (layout,), overwrite=True, clock=clock)
         resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, unlimited[1]))
         for start in range(0, 10_000, 50):
             time_ = (start + np.arange(50.0)) / 100.0
@@ -75,7 +81,8 @@ FULL_DISK = """
             recorder.close(complete=True)
         except DiskError as error:
             print(start)
-            print(error.message)
+            print(error)
+            print(recorder.file)
 """
 
 
@@ -129,7 +136,7 @@ def test_another_process_follows_the_file_while_it_grows(tmp_path: Path, clock: 
     recorder = Recorder(path, ROBOT_FILE, LAYOUTS, clock=clock)
     recorder.event(0.0, "info", "test", "begin")
     # In the writer's own process HDF5 would hand out the open file: only another one shows what is on disk.
-    script = textwrap.dedent(FOLLOWER).format(root=str(ROOT), path=str(path))
+    script = textwrap.dedent(FOLLOWER).format(root=str(ROOT), path=str(recorder.file))
     with subprocess.Popen(
         [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as follower:
@@ -171,13 +178,111 @@ def test_what_does_not_fit_into_memory_is_counted(tmp_path: Path, clock: Simulat
     np.testing.assert_array_equal(recording.streams["joints"].time, expected)
 
 
-def test_a_disk_that_refuses_is_an_error_and_the_file_is_recovered(tmp_path: Path) -> None:
+def test_a_disk_that_refuses_what_it_granted_is_an_error_and_the_file_is_recovered(tmp_path: Path) -> None:
+    """As one that fails does: the recorder owned the space that it was not allowed to write into."""
     path = tmp_path / "run.h5"
+    path.write_text("old")
     script = textwrap.dedent(FULL_DISK).format(root=str(ROOT), support=str(ROOT / "tests" / "support"), path=str(path))
     ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr[-3000:]  # HDF5 crashes at exit where a broken file is left to it
-    refused, message = ended.stdout.splitlines()
-    assert "cannot be written" in message
-    rescued = recover(path, tmp_path / "rescued.h5").recording
+    refused, message, file = ended.stdout.splitlines()
+    assert message.startswith(f"{path}: cannot be written")
+    assert message.endswith(f"(rescue what was written: dynid recover {file})")
+    assert path.read_text() == "old"
+    assert unfinished_files(path) == [Path(file)]
+    rescued = recover(Path(file), tmp_path / "rescued.h5").recording
     np.testing.assert_array_equal(rescued.streams["joints"].time, np.arange(int(refused)) / RATE)
     assert int(refused) >= 50
+
+
+def space_for(granted: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk that grants a file so many bytes, and not one more."""
+
+    def allocate(descriptor: int, offset: int, length: int) -> None:
+        if offset + length > granted:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", allocate)
+
+
+@pytest.mark.parametrize("old", [False, True])
+def test_a_disk_that_fills_ends_the_recording_in_order(tmp_path, clock, monkeypatch, old: bool) -> None:
+    """All that had come is in a file that opens without a rescue: in its place, or beside an older recording."""
+    path = tmp_path / "run.h5"
+    if old:
+        path.write_text("old")
+    space_for(SPARE + 100_000, monkeypatch)
+    recorder = Recorder(path, ROBOT_FILE, LAYOUTS, overwrite=True, clock=clock)
+    put = 0
+    while recorder.failure is None:
+        recorder.put(block(put, 30))
+        put += 30
+        clock.sleep(0.3)
+    recorder.put(block(put, 30))  # too late
+    with pytest.raises(DiskError, match="No space left on device") as refused:
+        recorder.close(complete=True)
+    assert str(refused.value) == f"{path}: cannot be written: No space left on device (make room on the disk)"
+    assert recorder.file == (unfinished_files(path)[0] if old else path)
+    if old:
+        assert path.read_text() == "old"
+    recording = read_recording(recorder.file)
+    assert not recording.complete
+    assert recording.events[-1].message == "cannot be written: No space left on device"
+    np.testing.assert_array_equal(recording.streams["joints"].time, np.arange(put) / RATE)
+    assert put > 1000
+    assert recorder.file.stat().st_size < 200_000  # what it owned beyond its end was given back
+
+
+def test_an_older_recording_stays_until_the_new_one_is_whole(tmp_path: Path, clock: SimulatedClock) -> None:
+    path = tmp_path / "run.h5"
+    path.write_text("old")
+    with pytest.raises(UsageError, match="exists already"):
+        Recorder(path, ROBOT_FILE, LAYOUTS, clock=clock)
+    recorder = Recorder(path, ROBOT_FILE, LAYOUTS, overwrite=True, clock=clock)
+    recorder.put(block(0, 100))
+    clock.sleep(1.0)
+    assert path.read_text() == "old"
+    assert unfinished_files(path) == [recorder.file]
+    recorder.close(complete=True)
+    assert len(read_recording(path).streams["joints"].time) == 100
+    assert list(tmp_path.iterdir()) == [path]
+    discarded = Recorder(path, ROBOT_FILE, LAYOUTS, overwrite=True, clock=clock)
+    discarded.discard()
+    assert len(read_recording(path).streams["joints"].time) == 100
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_of_two_recordings_of_one_name_the_second_keeps_its_unfinished_one(tmp_path, clock) -> None:
+    path = tmp_path / "run.h5"
+    first, second = (Recorder(path, ROBOT_FILE, LAYOUTS, clock=clock) for _ in range(2))
+    first.put(block(0, 10))
+    second.put(block(0, 20))
+    first.close(complete=True)
+    with pytest.raises(DiskError, match=rf"exists by now, and stays as it is \(the recording is {second.file}\)"):
+        second.close(complete=True)
+    assert len(read_recording(path).streams["joints"].time) == 10
+    assert len(read_recording(second.file).streams["joints"].time) == 20
+
+
+def test_what_a_reader_would_refuse_is_not_recorded(tmp_path, clock, monkeypatch) -> None:
+    """A recording ends in order before it has more bytes, or events, than are read of one."""
+    monkeypatch.setattr("daq.recording.growing_file.RECORDING_FILE", InputKind("a recording", SPARE + 60_000))
+    recorder = Recorder(tmp_path / "long.h5", ROBOT_FILE, LAYOUTS, clock=clock)
+    recorder.put(block(0, 100))
+    clock.sleep(1.0)
+    recorder.put(block(100, 1500))
+    clock.sleep(1.0)
+    with pytest.raises(DiskError, match=r"has reached .*, the largest recording that is read"):
+        recorder.close(complete=True)
+    assert len(read_recording(tmp_path / "long.h5").streams["joints"].time) == 1600
+    monkeypatch.setattr("daq.recording.recorder.MOST_EVENTS", 3)
+    recorder = Recorder(tmp_path / "talkative.h5", ROBOT_FILE, LAYOUTS, clock=clock)
+    recorder.put(block(0, 10))
+    for number in range(5):
+        recorder.event(0.0, "info", "test", str(number))
+    clock.sleep(1.0)
+    with pytest.raises(DiskError, match="has 4 events, as many as are read"):
+        recorder.close(complete=True)
+    recording = read_recording(tmp_path / "talkative.h5")
+    assert len(recording.streams["joints"].time) == 10
+    assert [event.message for event in recording.events[:3]] == ["0", "1", "2"]

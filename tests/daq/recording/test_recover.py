@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,9 +16,10 @@ import pytest
 from kinematic_arm import NAMES, ROBOT_FILE
 
 from daq.commands.recover import recover_command
+from daq.output_files import unfinished_files, unfinished_name
 from daq.recording import recover as recover_module
 from daq.recording.reader import read_recording
-from daq.recording.recover import follow_recording, recover
+from daq.recording.recover import follow_recording, half_written, recover
 from daq.recording.writer import CHUNK_SECONDS, RecordingWriter
 from drivers.errors import RecordingError, UsageError
 from drivers.streams import ChannelLayout, StreamLayout
@@ -92,7 +94,10 @@ def killed(tmp_path_factory: pytest.TempPathFactory):
             process.stdin.write(f"{path} {kind} {value}\n")
             process.stdin.flush()
             assert os.WTERMSIG(int(process.stdout.readline())) == signal.SIGKILL
-            return path
+            assert not path.exists()  # it was to take this place when it was closed
+            with pytest.raises(RecordingError, match=r"no such file \(one of this name was not closed: dynid recover"):
+                read_recording(path)
+            return half_written(path)
 
         yield kill
         process.stdin.close()
@@ -177,3 +182,23 @@ def test_the_command_says_what_was_rescued(tmp_path, capsys):
     assert told["file"] == str(tmp_path / "run-recovered.h5")
     assert told["streams"]["joints"]["samples"] == 100
     assert told["cut"] == {"joints": 0}
+
+
+def test_the_command_finds_what_was_to_take_a_files_place(killed, tmp_path, capsys):
+    unfinished = killed("time", 0.9)
+    folder = tmp_path / "run"
+    folder.mkdir()
+    path = folder / "run.h5"
+    shutil.copy(unfinished, unfinished_name(path))
+    recover_command(path, None, False, True)
+    assert json.loads(capsys.readouterr().out)["file"] == str(folder / "run-recovered.h5")
+    shutil.copy(unfinished, unfinished_name(path))
+    first, second = unfinished_files(path)
+    with pytest.raises(UsageError, match=rf"no such file, but 2 that are unfinished \(name one: {first}, {second}\)"):
+        recover_command(path, None, True, True)
+    recover_command(second, None, True, True)
+    told = capsys.readouterr()
+    assert (json.loads(told.out)["file"], told.err) == (str(folder / "run-recovered.h5"), "")
+    shutil.copy(unfinished, path)  # a name is meant where it exists
+    recover_command(path, None, True, True)
+    assert [line.split()[2] for line in capsys.readouterr().err.splitlines()] == [str(first), str(second)]

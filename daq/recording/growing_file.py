@@ -1,0 +1,112 @@
+"""A recording's HDF5 file while it grows: others read it, and it owns disk space ahead of its end.
+
+HDF5 crashes at its exit where a write of its own is refused. So a refusal comes when space is asked for, ahead of any
+write, and what the file owns by then suffices to close it in order.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from drivers.errors import DiskError
+from drivers.input_files import RECORDING_FILE, size_text
+
+SPARE = 2**20
+"""Space [B] that the file always owns beyond its end: for the last chunks, the last events and its closing."""
+EXTENT = 8 * 2**20
+"""Space [B] that is asked for at once; where that is refused, what is needed."""
+_END_OF_FILE = slice(28, 36)  # in a superblock of version 2 or 3: HDF5 File Format Specification 3.0, II.A
+
+
+class GrowingFile:
+    """A file without samples, opened for appending while others read it (HDF5's SWMR mode).
+
+    Raises:
+        OSError, RuntimeError: HDF5 refuses it.
+        DiskError: there is no space for it to grow.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._reserved = 0
+        self.file: Any = h5py.File(path, "r+", libver="latest")
+        """The HDF5 file; its datasets are to be opened before `allow_readers`."""
+        try:
+            self.reserve(0)
+        except DiskError:
+            self.file.close()
+            raise
+
+    def allow_readers(self) -> None:
+        """Switch SWMR mode on."""
+        self.file.swmr_mode = True
+
+    def reserve(self, size: int) -> None:
+        """Own the space for so many bytes more, and `SPARE`.
+
+        Raises:
+            DiskError: the system refuses it, or the file would be too large for a reader; it can still be closed.
+        """
+        end = self.file.id.get_filesize() + size + SPARE
+        if end > RECORDING_FILE.largest:
+            raise DiskError(
+                f"has reached {size_text(RECORDING_FILE.largest)}, the largest recording that is read",
+                hint="record in parts",
+            )
+        if end <= self._reserved or not hasattr(os, "posix_fallocate"):
+            return
+        descriptor = self.file.id.get_vfd_handle()
+        try:
+            with suppress(OSError):
+                os.posix_fallocate(descriptor, 0, end + EXTENT)
+                self._reserved = end + EXTENT
+                return
+            os.posix_fallocate(descriptor, 0, end)
+            self._reserved = end
+        except OSError as error:
+            raise DiskError(f"cannot be written: {error.strerror}", hint="make room on the disk") from error
+
+    def close(self) -> None:
+        """Close the file, give back the space that it did not need, and have the disk confirm what was written.
+
+        Raises:
+            OSError, RuntimeError: the disk refuses it; `abandon` the file then.
+        """
+        if not self.file.id.valid:
+            return
+        self.file.close()
+        with self._path.open("r+b") as file:
+            file.truncate(int.from_bytes(file.read(_END_OF_FILE.stop)[_END_OF_FILE], "little"))
+            os.fsync(file.fileno())
+
+    def abandon(self) -> None:
+        """Close a file that cannot be written any more, as on a disk that fails; flushed data remain.
+
+        HDF5 keeps a file open whose close failed, tries again at the interpreter's exit and crashes there (seen with
+        HDF5 2.0). So what it still wants to write goes nowhere.
+        """
+        # The null device takes every byte, but refuses to be given a length, as a close may want. Memory takes a
+        # length, but is bound by a file size limit. What one refused is not tried with the next.
+        for make_sink in (_null_device, _memory_file, _null_device):
+            if not self.file.id.valid:
+                return
+            nowhere = make_sink()
+            try:
+                os.dup2(nowhere, self.file.id.get_vfd_handle())
+            finally:
+                os.close(nowhere)
+            with suppress(OSError, RuntimeError):
+                self.file.close()
+
+
+def _null_device() -> int:
+    return os.open(os.devnull, os.O_RDWR)
+
+
+def _memory_file() -> int:
+    return os.memfd_create("abandoned") if hasattr(os, "memfd_create") else _null_device()
