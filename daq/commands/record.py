@@ -138,6 +138,8 @@ def record_command(
     status = 1 if report.heavy_loss else 0
     if report.error is not None:
         print(f"dynid: {report.error}", file=sys.stderr)
+        if report.file != out and out.exists():
+            print(f"dynid: {out} is as it was; what was recorded is {report.file}", file=sys.stderr)
         status = report.error.exit_status
     elif report.stopped_by == INTERRUPTED:
         status = INTERRUPTED_STATUS

@@ -69,7 +69,9 @@ class GrowingFile:
             os.posix_fallocate(descriptor, 0, end)
             self._reserved = end
         except OSError as error:
-            raise DiskError(f"cannot be written: {error.strerror}", hint="make room on the disk") from error
+            raise DiskError(
+                f"cannot be written: {error.strerror}", hint="make room on the disk, or choose another place"
+            ) from error
 
     def close(self) -> None:
         """Close the file, give back the space that it did not need, and have the disk confirm what was written.

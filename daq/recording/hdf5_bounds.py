@@ -89,8 +89,8 @@ class Hdf5Bounds:
         if self._values > MOST_VALUES:
             raise self._refused(
                 dataset,
-                f"declares {_count(self._values)} numbers beyond those that the file's size allows for; at most "
-                f"{_count(MOST_VALUES)} are read",
+                f"declares {_count(self._values)} numbers that are not in the file; at most {_count(MOST_VALUES)} are "
+                "read",
             )
         size = count * dataset.dtype.itemsize
         if size > SPARSE and size > MOST_COMPRESSION * stored:

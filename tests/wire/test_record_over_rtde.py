@@ -26,7 +26,7 @@ from daq.motion.trajectory_file import load_trajectory
 from daq.recording.reader import read_recording
 from daq.recording.recorder import Recorder
 from daq.recording.recording import Recording
-from daq.recording.recover import recover
+from daq.recording.recover import half_written, recover
 from daq.robot.loader import RobotFile, load_robot
 from daq.session.connections import driver_settings
 from daq.session.session import READ_TIMEOUT, SessionReport, record
@@ -452,5 +452,5 @@ def test_the_controllers_watchdog_ends_the_program_when_all_of_dynid_is_killed(t
         os.killpg(process.pid, signal.SIGKILL)  # the motion process, too
         process.wait(LIMIT)
         wait_for_rest(host)
-    rescued = recover(out, tmp_path / "rescued.h5").recording.streams["joints"]
+    rescued = recover(half_written(out), tmp_path / "rescued.h5").recording.streams["joints"]
     assert_no_sample_is_missing(rescued.time)

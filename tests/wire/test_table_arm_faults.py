@@ -36,6 +36,7 @@ from table_arm_bench import (
 from unchecked import unchecked_play
 
 from daq.motion.trajectories import slow_move
+from daq.output_files import unfinished_files
 from daq.recording.reader import read_recording
 from daq.recording.recording import Event, Recording
 from daq.session.session import READ_TIMEOUT, SessionReport
@@ -248,7 +249,7 @@ def test_a_recording_of_an_arm_in_another_process_ends_by_its_fault(tmp_path: Pa
         assert simulator.stdout is not None
         assert '"ready": true' in simulator.stdout.readline()
         with program("record", str(arm), "--wire", "can", "--duration", "50", "-o", str(out)) as recorder:
-            while not out.exists() and recorder.poll() is None:
+            while not unfinished_files(out) and recorder.poll() is None:
                 time.sleep(0.01)
             while bus.recv(0.0) is not None:
                 pass

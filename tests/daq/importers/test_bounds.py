@@ -124,7 +124,7 @@ def write_hdf5(path: Path, what: str) -> None:
         ("raw", "its values stand in another file"),
         ("link", "'t' is a link into another file"),
         ("virtual", "its values stand in another file"),
-        ("large", "declares 1e+05 million numbers; at most 64 million"),
+        ("large", "declares 1e+05 million numbers that are not in the file; at most 64 million"),
         ("sparse", "declares 400 MB, of which 0 MB are in the file"),
         ("attribute", "its attribute 'joints' has 2000 entries"),
         ("texts", "has 200000 texts; at most 100000"),

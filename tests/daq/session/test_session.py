@@ -318,14 +318,14 @@ def test_a_recorder_that_breaks_ends_the_motion(
     tmp_path: Path, clock: SimulatedClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arm, path = KinematicArm(clock=clock), tmp_path / "run.h5"
-    take = Recorder._take
+    hold = Recorder._hold
 
-    def broken(self: Recorder, item: object) -> None:
+    def broken(self: Recorder, batch: Batch) -> None:
         if clock.now() - arm.begun > AFTER:
             raise ZeroDivisionError("a bug")
-        take(self, item)  # type: ignore[arg-type]
+        hold(self, batch)
 
-    monkeypatch.setattr(Recorder, "_take", broken)
+    monkeypatch.setattr(Recorder, "_hold", broken)
     report = run(path, arm, PLAY)
     assert "recorder run.h5' broke: ZeroDivisionError: a bug" in str(report.stopped_by)
     assert stopped(arm) < AFTER + 1.0
@@ -472,11 +472,11 @@ def test_a_full_disk_stops_the_arm(tmp_path: Path, clock: SimulatedClock, monkey
     report = run(path, arm, PLAY)
     assert "disk is full" in (report.stopped_by or "")
     assert arm.commands_after_stop == 0
-    # The first chunk of half a second is written; the second one is refused.
+    # The first chunk of half a second is written; for the second one there is the space that the file owns.
     assert stopped(arm) == pytest.approx(1.0, abs=2.01 * PERIOD)
     recording = read_recording(path)
     np.testing.assert_array_equal(
-        recording.streams["joints"].time, np.concatenate([block.time for block in arm.samples])[:100]
+        recording.streams["joints"].time, np.concatenate([block.time for block in arm.samples])[:200]
     )
     assert not recording.complete
     assert "disk is full" in recording.events[-1].message
@@ -540,8 +540,8 @@ def test_a_no_moves_nothing(tmp_path: Path, clock: SimulatedClock) -> None:
     path, arm = tmp_path / "run.h5", KinematicArm(clock=clock)
     report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, RATE, Hesitates(False)))
     assert isinstance(report.error, MotionRefusedError)
-    assert (arm.commands, report.punctuality) == ([], None)
-    assert_closed(path, arm, report)
+    assert (arm.commands, report.punctuality, report.file) == ([], None, None)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(("way", "refused"), [(0.015, False), (0.03, True)])
@@ -570,7 +570,8 @@ def test_ctrl_c_while_the_answer_is_awaited_moves_nothing(tmp_path: Path, clock:
     permission = Hesitates(True, meanwhile=lambda look: signal.raise_signal(signal.SIGINT) if look == 5 else None)
     report = run(path, arm, Play(MOTION, ROBOT_FILE.robot, RATE, permission))
     assert (report.stopped_by, arm.commands, permission.looked) == (INTERRUPTED, [], 5)
-    assert_closed(path, arm, report)
+    assert report.file is None
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_arm_that_reports_an_error_meanwhile_is_not_moved(tmp_path: Path, clock: SimulatedClock) -> None:
