@@ -129,8 +129,8 @@ def unfinished_files(path: Path) -> list[Path]:
 
 def intended_name(path: Path) -> Path:
     """The file whose place an unfinished one was to take; any other file itself."""
-    stem, mark, token = path.stem.rpartition(_UNFINISHED)
-    return path.with_name(stem + path.suffix) if mark and re.fullmatch("[0-9a-f]{16}", token) else path
+    parts = re.fullmatch(rf"(.+){re.escape(_UNFINISHED)}[0-9a-f]{{16}}(\.[^.]+)?", path.name)
+    return path.with_name(parts[1] + (parts[2] or "")) if parts else path
 
 
 def _beginning(path: Path) -> str:

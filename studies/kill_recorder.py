@@ -18,6 +18,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from daq.output_files import unfinished_files
 from daq.robot.loader import load_robot
 from daq.session.session import load_driver
 from drivers.base import Driver
@@ -48,10 +49,10 @@ def kill_one(driver: Driver, out: Path, delay: float) -> dict[str, float]:
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         limit = time.monotonic() + 20.0
-        while not out.exists() and time.monotonic() < limit:
+        while not unfinished_files(out) and time.monotonic() < limit:
             watch(driver, time.monotonic() + 0.01)
         killed_at = watch(driver, time.monotonic() + delay)
-        if process.poll() is not None or not out.exists():
+        if process.poll() is not None or not unfinished_files(out):
             raise RuntimeError("dynid record ended before it was killed")
     finally:
         process.kill()

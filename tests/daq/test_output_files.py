@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from file_faults import deaths, fault_at
 
-from daq.output_files import check_output_folder, check_outputs, replace_files, write_folder
+from daq.output_files import (
+    check_output_folder,
+    check_outputs,
+    intended_name,
+    replace_files,
+    take_place,
+    unfinished_files,
+    unfinished_name,
+    write_folder,
+)
 from drivers.errors import DiskError, UsageError
 
 
@@ -138,3 +150,105 @@ def test_neither_a_link_nor_a_second_name_is_written_through(tmp_path: Path):
     assert mine.read_text() == "mine"
     assert link.read_text() == second.read_text() == "new"
     assert not link.is_symlink()
+
+
+def contents(folder: Path) -> dict[str, str]:
+    return {path.name: path.read_text() for path in folder.iterdir()} if folder.is_dir() else {}
+
+
+TEXTS = {"result.json": "new result", "report.html": "new report"}
+STATES = [{}, {"result.json": "old result"}, {"report.html": "old report"}, {name: f"old {name}" for name in TEXTS}]
+
+
+@pytest.mark.parametrize("fault", [OSError(errno.EIO, os.strerror(errno.EIO)), KeyboardInterrupt()])
+@pytest.mark.parametrize("state", [None, *STATES])
+def test_files_of_a_folder_appear_together_or_not_at_all(
+    tmp_path: Path, state: dict[str, str] | None, fault: BaseException
+):
+    """Whatever step fails; an error of the system that is no refusal of the user's."""
+
+    def fail() -> None:
+        raise fault
+
+    ends = set()
+    for number in itertools.count():
+        folder = tmp_path / str(number) / "run"
+        if state is not None:
+            folder.mkdir(parents=True)
+            replace_files({folder / name: text for name, text in state.items()} | {folder / "mine": "my own"})
+        before = contents(folder)
+        with fault_at(number, fail, ("mkdir", "fsync", "link", "replace", "rename")) as steps:
+            try:
+                write_folder(folder, TEXTS)
+            except (DiskError, KeyboardInterrupt):
+                assert contents(folder) == before
+                ends.add("old")
+            else:
+                assert contents(folder) == before | TEXTS
+                ends.add("new")
+        assert [path for path in tmp_path.rglob("*") if ".unfinished-" in path.name] == []
+        if len(steps) <= number:
+            break
+    assert ends == {"old", "new"}
+
+
+@pytest.mark.parametrize("state", [None, *STATES])
+def test_a_death_leaves_whole_files_and_others_that_say_what_they_are(tmp_path: Path, state: dict[str, str] | None):
+    folder = tmp_path / "run"
+    before = {} if state is None else state
+
+    def prepare() -> None:
+        for other in tmp_path.iterdir():
+            assert other == folder or ".unfinished-" in other.name
+            shutil.rmtree(other)
+        if state is not None:
+            folder.mkdir()
+            for name, text in state.items():
+                (folder / name).write_text(text)
+
+    prepare()
+    ends = set()
+    for _ in deaths(lambda: write_folder(folder, TEXTS)):
+        found = {name: text for name, text in contents(folder).items() if ".unfinished-" not in name}
+        assert found in (before, before | {"report.html": "new report"}, before | TEXTS)
+        if state is None:  # a new folder appears with all its files
+            assert found in ({}, TEXTS)
+        ends.add(tuple(sorted(found.values())))
+        prepare()
+    assert len(ends) > (state is not None)
+    assert contents(folder) == before | TEXTS
+
+
+def test_a_file_takes_its_place_without_replacing_one_that_came_meanwhile(tmp_path: Path, monkeypatch):
+    def unsupported(*_: object, **__: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    path = tmp_path / "run.h5"
+    for _ in range(2):  # with hard links, and on a file system without them
+        beside = unfinished_name(path)
+        beside.write_text("new")
+        take_place(beside, path, overwrite=False)
+        assert contents(tmp_path) == {"run.h5": "new"}
+        later = unfinished_name(path)
+        later.write_text("later")
+        with pytest.raises(FileExistsError):
+            take_place(later, path, overwrite=False)
+        assert contents(tmp_path) == {"run.h5": "new", later.name: "later"}
+        take_place(later, path, overwrite=True)
+        assert contents(tmp_path) == {"run.h5": "later"}
+        path.unlink()
+        monkeypatch.setattr(os, "link", unsupported)
+
+
+@pytest.mark.parametrize("name", ["run.h5", "run", "a.b.h5", "[x]*?.h5", "ü" * 120 + ".h5", ".h5"])
+def test_an_unfinished_file_says_whose_place_it_was_to_take(tmp_path: Path, name: str):
+    path = tmp_path / name
+    found = [unfinished_name(path) for _ in range(2)]
+    for beside in found:
+        beside.touch()
+    (tmp_path / f"other{path.suffix}").touch()
+    unfinished_name(tmp_path / f"other{path.suffix}").touch()
+    assert unfinished_files(path) == sorted(found)
+    assert intended_name(path) == path
+    if len(name) < 48:
+        assert {intended_name(beside) for beside in found} == {path}

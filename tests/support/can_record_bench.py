@@ -23,6 +23,7 @@ import yaml
 from rtde_bench import ENVIRONMENT, ROOT, served
 
 from daq.recording.recording import Recording
+from daq.recording.recover import half_written
 from daq.robot.loader import load_robot
 from drivers.can.bus import close_bus, open_bus
 from drivers.errors import ConnectionFailedError
@@ -243,7 +244,10 @@ def type_fault(simulator: subprocess.Popen[str], line: str, recording: subproces
         assert recording.poll() is None, recording.communicate()
         assert time.monotonic() < end
         time.sleep(0.05)
-        with contextlib.suppress(OSError, KeyError), h5py.File(out, "r", libver="latest", swmr=True) as file:
+        with (
+            contextlib.suppress(OSError, KeyError),
+            h5py.File(half_written(out), "r", libver="latest", swmr=True) as file,
+        ):
             rows = len(file["streams/joints/time"])
     assert simulator.stdin is not None
     print(line, file=simulator.stdin, flush=True)
