@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 from importlib.resources import files
@@ -120,3 +121,6 @@ def test_an_output_is_neither_an_input_nor_a_file_that_exists(folder, monkeypatc
     path.unlink()
     path.symlink_to("nothing")
     assert f"{output}: is a link" in refused(name, monkeypatch, capsys, "--force")
+    path.unlink()
+    os.mkfifo(path)  # as a device is
+    assert f"{output}: is not a regular file" in refused(name, monkeypatch, capsys, "--force")
