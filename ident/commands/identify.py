@@ -39,6 +39,9 @@ def identify_recordings(
     decimate: int = typer.Option(None, "--decimate", help="Keep every N-th filtered sample."),
     position_decimate: int = typer.Option(1, "--position-decimate", help="Decimate the positions first (Chebyshev)."),
     filter_kind: str = typer.Option("butterworth", "--filter", help="Parallel filter: butterworth or chebyshev."),
+    differentiation: str = typer.Option(
+        "butterworth", "--differentiation", help="q̇ and q̈ by butterworth, kalman, five-point or savitzky-golay."
+    ),
     measured_velocity: bool = typer.Option(False, "--measured-velocity", help="Use the recorded velocity."),
     locked: str = typer.Option(None, "--locked", help="Joints that must not move, separated by commas."),
     torques_of: str = typer.Option(
@@ -99,6 +102,7 @@ def identify_recordings(
             decimate=decimate,
             position_decimate=position_decimate,
             filter=filter_kind,  # type: ignore[arg-type]
+            differentiation=differentiation,  # type: ignore[arg-type]
             measured_velocity=measured_velocity,
             locked=names_option(locked, "--locked") or (),
             torques_of=names_option(torques_of, "--torques-of") or (),

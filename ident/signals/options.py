@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
-from typing import Literal
+from typing import Literal, get_args
 
 from drivers.errors import UsageError
 from drivers.ranges import CUTOFF, DECIMATION, DELAY, VELOCITY_LIMIT, WINDOW_TIME, check_option
 from ident.signals.filters import ZeroPhaseFilter, butterworth, chebyshev_decimation
 
 FilterKind = Literal["butterworth", "chebyshev"]
+
+Differentiation = Literal["butterworth", "kalman", "five-point", "savitzky-golay"]
+"""How positions become q, q̇ and q̈; the parallel filter is another choice (`FilterKind`)."""
 
 TORQUE_CUTOFF_PER_BAND = 10.0
 TORQUE_CUTOFF_LEAST_HZ = 2.0
@@ -27,7 +30,7 @@ class PreprocessChoices:
     """The user's choices; None is chosen from the data (see `choose_cutoffs`, `default_rest_velocity`).
 
     Attributes:
-        position_cutoff: of the positions' zero-phase Butterworth [Hz].
+        position_cutoff: of the positions [Hz]: where the gain of their low-pass or smoother is one half.
         torque_cutoff: of the parallel filter over τ and W [Hz].
         decimate: factor of the parallel filter.
         position_decimate: factor of a Chebyshev decimation of all signals before anything else is filtered (SR400);
@@ -35,6 +38,8 @@ class PreprocessChoices:
         filter_kind: of the parallel filter.
         delay: τ(t + delay) is compared with q(t) [s]; positive where the torque lags.
         joint_delays: (n,) the same for each joint, in place of `delay`, where joints differ.
+        differentiation: how q, q̇ and q̈ follow from the positions (see `ident.signals.derivatives`).
+        joint_cutoffs: (n,) of each joint's Kalman smoother [Hz]; from its noise levels where None.
         measured_velocity: use the recorded velocity for q̇ instead of the positions' derivative.
         start: of the window, from the recording's first stamp [s].
         stop: of the window, from the recording's first stamp [s].
@@ -49,6 +54,8 @@ class PreprocessChoices:
     filter_kind: FilterKind = "butterworth"
     delay: float = 0.0
     joint_delays: tuple[float, ...] | None = None
+    differentiation: Differentiation = "butterworth"
+    joint_cutoffs: tuple[float, ...] | None = None
     measured_velocity: bool = False
     start: float | None = None
     stop: float | None = None
@@ -62,8 +69,8 @@ class PreprocessChoices:
                 raise UsageError(f"{value} is not a finite number", where=field.name)
         if not all(math.isfinite(delay) for delay in self.joint_delays or ()):
             raise UsageError("a joint's delay is not a finite number", where="joint_delays")
-        for name in ("position_cutoff", "torque_cutoff"):
-            value = getattr(self, name)
+        given = (("position_cutoff", self.position_cutoff), ("torque_cutoff", self.torque_cutoff))
+        for name, value in (*given, *(("joint_cutoffs", cutoff) for cutoff in self.joint_cutoffs or ())):
             if value is not None and value <= 0:
                 raise UsageError(
                     f"a cut-off of {value:g} Hz removes the whole signal", where=name, hint="give more than 0 Hz"
@@ -84,6 +91,11 @@ class PreprocessChoices:
                 check_option(name, value, allowed)
         if self.filter_kind not in ("butterworth", "chebyshev"):
             raise UsageError(f"there is no filter '{self.filter_kind}'", hint="butterworth or chebyshev")
+        if self.differentiation not in get_args(Differentiation):
+            *others, last = get_args(Differentiation)
+            raise UsageError(
+                f"no differentiation is called '{self.differentiation}'", hint=f"{', '.join(others)} or {last}"
+            )
         if self.filter_kind == "chebyshev" and self.torque_cutoff is not None and self.decimate is not None:
             raise UsageError(
                 "the decimation factor of a Chebyshev filter fixes its cut-off, give one of the two",
@@ -96,6 +108,11 @@ class PreprocessChoices:
         if self.stop is not None and self.stop <= (self.start or 0.0):
             raise UsageError(f"the window from {self.start or 0:g} s to {self.stop:g} s is empty", where="start, stop")
 
+    @property
+    def without_low_pass(self) -> bool:
+        """Whether the Chebyshev decimation is all that filters the positions."""
+        return self.differentiation == "butterworth" and self.position_decimate > 1 and self.position_cutoff is None
+
 
 @dataclass(frozen=True)
 class Cutoffs:
@@ -103,7 +120,7 @@ class Cutoffs:
 
     Attributes:
         band: of the motion [Hz].
-        position: cut-off of the positions [Hz].
+        position: cut-off of the positions [Hz]; the lowest where joints have their own.
         torque: cut-off of the parallel filter [Hz].
         decimate: factor of the parallel filter.
     """
@@ -166,16 +183,18 @@ def choose_cutoffs(band: float, rate: float, choices: PreprocessChoices) -> Cuto
     return Cutoffs(band, position, torque, decimate)
 
 
-def resolve(choices: PreprocessChoices, cutoffs: Cutoffs, rest_velocity: float) -> PreprocessChoices:
+def resolve(
+    choices: PreprocessChoices, cutoffs: Cutoffs, joint_cutoffs: tuple[float, ...] | None, rest_velocity: float
+) -> PreprocessChoices:
     """The choices with the cut-offs chosen from the data, so that other data get the same filters.
 
     The factor of a Butterworth's decimation stays open: it follows from the cut-off and the rate of the other data.
     """
     chebyshev = choices.filter_kind == "chebyshev"
-    unfiltered = choices.position_decimate > 1 and choices.position_cutoff is None
     return replace(
         choices,
-        position_cutoff=None if unfiltered else cutoffs.position,
+        position_cutoff=None if choices.without_low_pass else cutoffs.position,
+        joint_cutoffs=joint_cutoffs,
         torque_cutoff=None if chebyshev else cutoffs.torque,
         decimate=cutoffs.decimate if chebyshev else choices.decimate,
         rest_velocity=rest_velocity,

@@ -15,14 +15,13 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.errors import DataError, DynidError, UsageError
-from drivers.percentage import percent_text
 from drivers.streams import FloatArray
-from ident.signals.filters import ZeroPhaseFilter, butterworth, chebyshev_decimation, unit_gain
+from ident.signals.derivatives import choose_smoother, smooth_motion
+from ident.signals.filters import ZeroPhaseFilter, chebyshev_decimation, unit_gain
 from ident.signals.joint_signals import JointSignals
-from ident.signals.motion_masks import BAND_POWER, motion_band
+from ident.signals.motion_masks import motion_band
 from ident.signals.options import (
     CHEBYSHEV_PASSBAND,
-    Cutoffs,
     PreprocessChoices,
     choose_cutoffs,
     parallel_filter,
@@ -42,8 +41,7 @@ from ident.signals.resampling import (
 from ident.signals.segments import (
     SHORTEST_SEGMENT,
     UniformSegment,
-    central_difference,
-    differentiate,
+    moving_segments,
     without_ends,
 )
 
@@ -80,9 +78,11 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
     decimated, decimation_step = _decimated(aligned, band, choices.position_decimate)
     rate = decimated[0].rate
     cutoffs = choose_cutoffs(band, rate, choices)
-    smooth, low_pass_step = _low_passed(decimated, cutoffs, choices)
-    velocities, velocity_step = _velocities(smooth, signals.joint_names, measured=choices.measured_velocity)
-    moving, rest_velocity, motion_step = differentiate(smooth, velocities, choices)
+    smoother, cutoffs, low_pass_step = choose_smoother(decimated, signals.joint_names, cutoffs, choices)
+    motions, derivatives_step = smooth_motion(
+        decimated, smoother, signals.joint_names, measured=choices.measured_velocity
+    )
+    moving, rest_velocity, motion_step = moving_segments(decimated, motions, choices)
     segments, ends_step = without_ends(moving, cutoffs)
     segments = _with_temperature(segments, signals)
     parallel = parallel_filter(cutoffs, choices.filter_kind, rate)
@@ -93,7 +93,7 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
     )
     steps = (
         *(_outlier_step(signals), window_step, resample_step, delay_step, decimation_step, low_pass_step),
-        *(velocity_step, motion_step, ends_step, parallel_step),
+        *(derivatives_step, motion_step, ends_step, parallel_step),
     )
     return Prepared(
         segments=segments,
@@ -101,7 +101,7 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
         parallel_filter=parallel,
         cutoffs=cutoffs,
         irregularity=irregularity,
-        choices=resolve(choices, cutoffs, rest_velocity),
+        choices=resolve(choices, cutoffs, smoother.joint_cutoffs, rest_velocity),
     )
 
 
@@ -296,7 +296,7 @@ def _decimated(
             hint=f"give {max(1, int(CHEBYSHEV_PASSBAND * rate / (2 * band)))} or less",
         )
     chebyshev = unit_gain(chebyshev_decimation(factor))
-    filtered = [_filtered(segment, chebyshev, with_torque=True) for segment in segments]
+    filtered = [_filtered(segment, chebyshev) for segment in segments]
     decimated = tuple(segment for segment in filtered if len(segment.time) >= SHORTEST_SEGMENT)
     if not decimated:
         raise UsageError(
@@ -307,53 +307,11 @@ def _decimated(
     return decimated, Step("decimation", {"factor": factor, "rate_hz": rate}, text)
 
 
-def _low_passed(
-    segments: tuple[UniformSegment, ...], cutoffs: Cutoffs, choices: PreprocessChoices
-) -> tuple[tuple[UniformSegment, ...], Step | None]:
-    """Step 'low-pass' of the positions; a recorded velocity gets the same filter."""
-    if choices.position_decimate > 1 and choices.position_cutoff is None:
-        return segments, None
-    zero_phase = butterworth(cutoffs.position, segments[0].rate)
-    band = cutoffs.band
-    power = f"{percent_text(BAND_POWER)} of the motion's power lies below {band:.3g} Hz"
-    text = f"positions: {zero_phase.description}; {power}"
-    if cutoffs.position < 2 * band:
-        text += "; so low a cut-off distorts the derivatives"
-    settings = {"position_cutoff_hz": cutoffs.position, "motion_band_hz": band, "order": 4}
-    filtered = tuple(_filtered(segment, zero_phase, with_torque=False) for segment in segments)
-    return filtered, Step("low-pass", settings, text)
-
-
-def _filtered(segment: UniformSegment, zero_phase: ZeroPhaseFilter, *, with_torque: bool) -> UniformSegment:
+def _filtered(segment: UniformSegment, zero_phase: ZeroPhaseFilter) -> UniformSegment:
     return UniformSegment(
         segment.time[:: zero_phase.factor],
         zero_phase.apply(segment.position),
-        zero_phase.apply(segment.torque) if with_torque else segment.torque,
+        zero_phase.apply(segment.torque),
         None if segment.velocity is None else zero_phase.apply(segment.velocity),
         segment.rate / zero_phase.factor,
     )
-
-
-def _velocities(
-    segments: Sequence[UniformSegment], joint_names: Sequence[str], *, measured: bool
-) -> tuple[list[FloatArray], Step]:
-    """Step 'derivatives': q̇ (n, N) of each segment, recorded velocities compared with derived ones."""
-    derived = [central_difference(segment.position, segment.rate) for segment in segments]
-    recorded = [segment.velocity for segment in segments if segment.velocity is not None]
-    if not recorded:
-        text = "q̇ and q̈ by central differences of the filtered positions"
-        return derived, Step("derivatives", {"velocity": "derived"}, text)
-    squares = np.concatenate([(a - b) ** 2 for a, b in zip(recorded, derived, strict=True)], axis=1)
-    difference = np.sqrt(squares.mean(axis=1))
-    worst = int(np.argmax(difference))
-    text = (
-        "q̇ as recorded, filtered like the positions; q̈ by central differences of it"
-        if measured
-        else "q̇ and q̈ by central differences of the filtered positions"
-    )
-    text += f"; recorded and derived velocity differ by up to {difference[worst]:.3g} (RMS, {joint_names[worst]})"
-    settings: dict[str, float | int | str] = {"velocity": "measured" if measured else "derived"}
-    settings |= {
-        f"velocity_difference_rms_{name}": float(value) for name, value in zip(joint_names, difference, strict=True)
-    }
-    return (recorded if measured else derived), Step("derivatives", settings, text)

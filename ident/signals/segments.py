@@ -1,4 +1,4 @@
-"""The last steps from uniform signals to segments: derivatives, motion windows, and ends that do not count."""
+"""The last steps from uniform signals to segments: motion windows, and ends that do not count."""
 
 from __future__ import annotations
 
@@ -38,6 +38,15 @@ class UniformSegment:
     rate: float
 
 
+@dataclass(frozen=True, eq=False)
+class SmoothMotion:
+    """The smoothed positions of a segment (n, N) with their derivatives: [rad, rad/s, rad/s² or m…]."""
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+
+
 def central_difference(rows: FloatArray, rate: float) -> FloatArray:
     """Derivative by central differences of `rows` (n, N) at `rate` [Hz] → (n, N) (SR400 .4.3 points 2 and 3).
 
@@ -46,14 +55,14 @@ def central_difference(rows: FloatArray, rate: float) -> FloatArray:
     return np.asarray(np.gradient(rows, 1 / rate, axis=1, edge_order=2))
 
 
-def differentiate(
-    segments: Sequence[UniformSegment], velocities: Sequence[FloatArray], choices: PreprocessChoices
+def moving_segments(
+    segments: Sequence[UniformSegment], motions: Sequence[SmoothMotion], choices: PreprocessChoices
 ) -> tuple[tuple[Segment, ...], float, Step]:
-    """Step 'motion windows': segments with acceleration, those without any motion left out.
+    """Step 'motion windows': segments with their smooth motion, those without any motion left out.
 
     Args:
-        segments: filtered.
-        velocities: (n, N) of each [rad/s or m/s].
+        segments: times and torques.
+        motions: of each.
         choices: rest velocity, and whether samples at rest are kept.
 
     Returns:
@@ -64,21 +73,21 @@ def differentiate(
     """
     threshold = choices.rest_velocity
     if threshold is None:
-        threshold = max(default_rest_velocity(velocity) for velocity in velocities)
+        threshold = max(default_rest_velocity(motion.velocity) for motion in motions)
     masks = [
-        moving_mask(velocity, segment.rate, threshold) for segment, velocity in zip(segments, velocities, strict=True)
+        moving_mask(motion.velocity, segment.rate, threshold) for segment, motion in zip(segments, motions, strict=True)
     ]
     complete = [
         Segment(
             time=segment.time,
-            position=segment.position,
-            velocity=velocity,
-            acceleration=central_difference(velocity, segment.rate),
+            position=motion.position,
+            velocity=motion.velocity,
+            acceleration=motion.acceleration,
             torque=segment.torque,
             rate=segment.rate,
             used=np.ones_like(moving) if choices.keep_rest else moving,
         )
-        for segment, velocity, moving in zip(segments, velocities, masks, strict=True)
+        for segment, motion, moving in zip(segments, motions, masks, strict=True)
     ]
     seconds = sum(len(segment.time) for segment in complete) / segments[0].rate
     at_rest = sum(int((~segment.used).sum()) for segment in complete) / segments[0].rate

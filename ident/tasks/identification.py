@@ -22,7 +22,7 @@ from ident.report import RecordedRuns, ReportData, recorded_runs, write_result_f
 from ident.result.model import Model, result_path
 from ident.result.schema import Fit, Result, read_result, result_json
 from ident.result.tables import Cell, Table, table_of_rows
-from ident.signals.options import FilterKind
+from ident.signals.options import Differentiation, FilterKind
 from ident.signals.pipeline import PreprocessChoices
 from ident.tasks.acceptance import Limits, limits_of
 from ident.tasks.runs import Runs, recordings_of
@@ -195,6 +195,7 @@ def identify(
     decimate: int | None = None,
     position_decimate: int = 1,
     filter: FilterKind = "butterworth",
+    differentiation: Differentiation = "butterworth",
     measured_velocity: bool = False,
     locked: Sequence[str] = (),
     torques_of: Sequence[str] = (),
@@ -230,6 +231,8 @@ def identify(
         decimate: keep every N-th filtered sample.
         position_decimate: decimate the positions first (Chebyshev).
         filter: of the parallel filter: "butterworth" or "chebyshev".
+        differentiation: how q, q̇ and q̈ follow from the positions: "butterworth" (and central differences), "kalman",
+            "five-point" or "savitzky-golay".
         measured_velocity: use the recorded velocity.
         locked: names of joints that must not move.
         torques_of: names of the joints whose motors' torques are used; all moving motors where empty.
@@ -266,6 +269,7 @@ def identify(
             position_decimate=position_decimate,
             filter_kind=filter,
             delay=delay or 0.0,
+            differentiation=differentiation,
             measured_velocity=measured_velocity,
             start=start,
             stop=stop,

@@ -244,6 +244,7 @@ BAD = [
     (["identify", "run.h5", "--position-cutoff", "0"], ["cut-off of 0 Hz"]),
     (["identify", "run.h5", "--decimate", "0"], ["decimation by 0"]),
     (["identify", "run.h5", "--filter", "boxcar"], ["'boxcar'", "butterworth or chebyshev"]),
+    (["identify", "run.h5", "--differentiation", "spline"], ["'spline'", "five-point or savitzky-golay"]),
     (["identify", "run.h5", "--start", "9", "--stop", "3"], ["window", "empty"]),
     (["identify", "run.h5", "--start", "100"], ["run.h5", "no samples", "lasts 13.992 s"]),
     (["identify", "run.h5", "--smoothing=-1"], ["--smoothing -1"]),

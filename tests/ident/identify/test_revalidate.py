@@ -35,6 +35,7 @@ CHOICES = {
         method="ols", model=ModelChoices("coulomb", offset=False, motor_inertia=False, smoothing=0.1)
     ),
     "chebyshev": IdentifyChoices(preprocess=PreprocessChoices(filter_kind="chebyshev", position_decimate=2)),
+    "kalman": IdentifyChoices(preprocess=PreprocessChoices(differentiation="kalman")),
     "given": IdentifyChoices(
         preprocess=PreprocessChoices(
             position_cutoff=15.0, torque_cutoff=6.0, decimate=7, delay=2e-3, start=1.0, stop=13.0
@@ -95,7 +96,14 @@ def test_parameters_that_do_not_belong_to_the_robot_are_refused(result, recordin
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("torque_cutoff", "high"), ("decimate", 2.5), ("filter_kind", "box"), ("keep_rest", "perhaps")]
+    ("key", "value"),
+    [
+        ("torque_cutoff", "high"),
+        ("decimate", 2.5),
+        ("filter_kind", "box"),
+        ("differentiation", "spline"),
+        ("keep_rest", "perhaps"),
+    ],
 )
 def test_options_of_the_wrong_type_are_named(result, recordings, key, value):
     with pytest.raises(ResultFileError, match=rf"options\.{key}"):

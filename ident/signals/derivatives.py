@@ -1,0 +1,213 @@
+"""q, q̇ and q̈ from sampled positions: a low-pass and central differences, or a smoother that gives all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.errors import UsageError
+from drivers.percentage import percent_text
+from drivers.streams import FloatArray
+from ident.signals.filters import butterworth as butterworth_filter
+from ident.signals.filters import no_filter
+from ident.signals.motion_masks import BAND_POWER
+from ident.signals.options import Cutoffs, PreprocessChoices
+from ident.signals.prepared import Step
+from ident.signals.segments import SmoothMotion, UniformSegment, central_difference
+from ident.signals.smoothing.five_point import five_point_cubic, half_gain_frequency, passes_for
+from ident.signals.smoothing.kalman import WHITE_SNAP, kalman_smoother
+from ident.signals.smoothing.noise_levels import noise_levels
+from ident.signals.smoothing.savitzky_golay import half_width_for, savitzky_golay
+
+LOWEST_CUTOFF_PER_BAND = 2.0
+"""Of a Kalman smoother with noise levels from the data: its gain within the motion's band is 1 − (1/2)⁸ or more."""
+
+LEAST_BAND_HZ = 0.1
+"""Taken for the band where next to nothing moves."""
+
+
+@dataclass(frozen=True)
+class Smoother:
+    """How rows become smooth.
+
+    Attributes:
+        apply: rows (n, N) and a number k of derivatives → the smooth rows and their first k derivatives, each (n, N).
+        derivatives: in words, how they come about.
+        joint_cutoffs: (n,) of the joints [Hz] where each has its own; None otherwise.
+    """
+
+    apply: Callable[[FloatArray, int], tuple[FloatArray, ...]]
+    derivatives: str
+    joint_cutoffs: tuple[float, ...] | None = None
+
+
+def choose_smoother(
+    segments: Sequence[UniformSegment], joint_names: Sequence[str], cutoffs: Cutoffs, choices: PreprocessChoices
+) -> tuple[Smoother, Cutoffs, Step | None]:
+    """Step 'low-pass' or 'smoothing': the smoother of the positions, and the cut-offs with its own.
+
+    Args:
+        segments: at one rate.
+        joint_names: (n,).
+        cutoffs: chosen for a low-pass.
+        choices: the user's.
+
+    Raises:
+        UsageError: cut-offs that do not fit the joints or the rate.
+    """
+    rate = segments[0].rate
+    if choices.differentiation == "kalman":
+        return _kalman(segments, joint_names, cutoffs, choices)
+    if choices.differentiation == "savitzky-golay":
+        return _savitzky_golay(cutoffs, rate, min(len(segment.time) for segment in segments))
+    if choices.differentiation == "five-point":
+        return _five_point(cutoffs, rate)
+    return _butterworth(cutoffs, rate, choices)
+
+
+def smooth_motion(
+    segments: Sequence[UniformSegment], smoother: Smoother, joint_names: Sequence[str], *, measured: bool
+) -> tuple[list[SmoothMotion], Step]:
+    """Step 'derivatives': the motion of each segment, recorded velocities compared with derived ones.
+
+    Args:
+        segments: at one rate.
+        smoother: of positions and of recorded velocities.
+        joint_names: (n,).
+        measured: take the recorded velocities, and accelerations from them.
+    """
+    derived = [SmoothMotion(*smoother.apply(segment.position, 2)) for segment in segments]
+    if any(segment.velocity is None for segment in segments):
+        return derived, Step(
+            "derivatives", {"velocity": "derived"}, f"q̇ and q̈ {smoother.derivatives} of the filtered positions"
+        )
+    velocities = [
+        smoother.apply(segment.velocity, int(measured)) for segment in segments if segment.velocity is not None
+    ]
+    squares = [(recorded[0] - motion.velocity) ** 2 for recorded, motion in zip(velocities, derived, strict=True)]
+    difference = np.sqrt(np.concatenate(squares, axis=1).mean(axis=1))
+    worst = int(np.argmax(difference))
+    how = f"q̈ {smoother.derivatives}"
+    text = (
+        f"q̇ as recorded, filtered like the positions; {how} of it"
+        if measured
+        else f"q̇ and {how} of the filtered positions"
+    )
+    text += f"; recorded and derived velocity differ by up to {difference[worst]:.3g} (RMS, {joint_names[worst]})"
+    settings: dict[str, float | int | str] = {"velocity": "measured" if measured else "derived"}
+    settings |= {
+        f"velocity_difference_rms_{name}": float(value) for name, value in zip(joint_names, difference, strict=True)
+    }
+    if measured:
+        derived = [
+            replace(motion, velocity=recorded[0], acceleration=recorded[1])
+            for motion, recorded in zip(derived, velocities, strict=True)
+        ]
+    return derived, Step("derivatives", settings, text)
+
+
+def _band_text(cutoffs: Cutoffs) -> str:
+    return f"{percent_text(BAND_POWER)} of the motion's power lies below {cutoffs.band:.3g} Hz"
+
+
+def _differenced(smooth: FloatArray, rate: float, derivatives: int) -> tuple[FloatArray, ...]:
+    """Smooth rows with their derivatives by central differences."""
+    rows = [smooth]
+    for _ in range(derivatives):
+        rows.append(central_difference(rows[-1], rate))
+    return tuple(rows)
+
+
+def _butterworth(cutoffs: Cutoffs, rate: float, choices: PreprocessChoices) -> tuple[Smoother, Cutoffs, Step | None]:
+    zero_phase = no_filter() if choices.without_low_pass else butterworth_filter(cutoffs.position, rate)
+
+    def apply(rows: FloatArray, derivatives: int) -> tuple[FloatArray, ...]:
+        return _differenced(zero_phase.apply(rows), rate, derivatives)
+
+    smoother = Smoother(apply, "by central differences")
+    if choices.without_low_pass:
+        return smoother, cutoffs, None
+    text = f"positions: {zero_phase.description}; {_band_text(cutoffs)}"
+    if cutoffs.position < 2 * cutoffs.band:
+        text += "; so low a cut-off distorts the derivatives"
+    settings = {"position_cutoff_hz": cutoffs.position, "motion_band_hz": cutoffs.band, "order": 4}
+    return smoother, cutoffs, Step("low-pass", settings, text)
+
+
+def _kalman(
+    segments: Sequence[UniformSegment], joint_names: Sequence[str], cutoffs: Cutoffs, choices: PreprocessChoices
+) -> tuple[Smoother, Cutoffs, Step]:
+    rate = segments[0].rate
+    joint_cutoffs = choices.joint_cutoffs
+    settings: dict[str, float | int | str] = {"motion_band_hz": cutoffs.band, "order": WHITE_SNAP}
+    if joint_cutoffs is None and choices.position_cutoff is not None:
+        joint_cutoffs = (choices.position_cutoff,) * len(joint_names)
+    if joint_cutoffs is None:
+        longest = max(segments, key=lambda segment: len(segment.time))
+        lowest = LOWEST_CUTOFF_PER_BAND * max(cutoffs.band, LEAST_BAND_HZ)
+        levels = [noise_levels(row, rate, WHITE_SNAP, lowest) for row in longest.position]
+        joint_cutoffs = tuple(level.cutoff for level in levels)
+        settings |= {f"noise_std_{name}": level.sample_std for name, level in zip(joint_names, levels, strict=True)}
+        noise = ", ".join(f"{name} {level.sample_std:.2g}" for name, level in zip(joint_names, levels, strict=True))
+        reason = f"noise of a sample by the likelihood of the innovations (σ): {noise}"
+    else:
+        reason = "as given"
+    if len(joint_cutoffs) != len(joint_names):
+        raise UsageError(f"{len(joint_cutoffs)} cut-offs for {len(joint_names)} joints", where="joint_cutoffs")
+    if max(joint_cutoffs) >= rate / 2:
+        raise UsageError(
+            f"a cut-off of {max(joint_cutoffs):.4g} Hz is not below half the sampling rate, {rate / 2:.4g} Hz",
+            where="joint_cutoffs",
+        )
+    each = joint_cutoffs
+
+    def apply(rows: FloatArray, derivatives: int) -> tuple[FloatArray, ...]:
+        smooth = np.stack(
+            [kalman_smoother(row, rate, cutoff)[: derivatives + 1] for row, cutoff in zip(rows, each, strict=True)],
+            axis=1,
+        )
+        return tuple(smooth)
+
+    of_joints = ", ".join(f"{name} {cutoff:.3g}" for name, cutoff in zip(joint_names, each, strict=True))
+    text = (
+        f"positions: Kalman filter and RTS smoother, white snap; cut-off [Hz]: {of_joints}; {reason}; "
+        f"{_band_text(cutoffs)}"
+    )
+    settings |= {f"cutoff_hz_{name}": cutoff for name, cutoff in zip(joint_names, each, strict=True)}
+    smoother = Smoother(apply, "by the Kalman smoother", each)
+    return smoother, replace(cutoffs, position=min(each)), Step("smoothing", settings, text)
+
+
+def _savitzky_golay(cutoffs: Cutoffs, rate: float, samples: int) -> tuple[Smoother, Cutoffs, Step]:
+    half_width = half_width_for(cutoffs.position, rate, samples)
+
+    def apply(rows: FloatArray, derivatives: int) -> tuple[FloatArray, ...]:
+        return savitzky_golay(rows, rate, half_width)[: derivatives + 1]
+
+    window = 2 * half_width + 1
+    text = (
+        f"positions: Savitzky-Golay, degree 4 over {window} samples; the gain is one half at "
+        f"{cutoffs.position:.4g} Hz; {_band_text(cutoffs)}"
+    )
+    settings = {"position_cutoff_hz": cutoffs.position, "motion_band_hz": cutoffs.band, "window": window}
+    return Smoother(apply, "by the polynomials"), cutoffs, Step("smoothing", settings, text)
+
+
+def _five_point(cutoffs: Cutoffs, rate: float) -> tuple[Smoother, Cutoffs, Step]:
+    passes = passes_for(cutoffs.position, rate)
+    reached = half_gain_frequency(passes, rate)
+
+    def apply(rows: FloatArray, derivatives: int) -> tuple[FloatArray, ...]:
+        return _differenced(five_point_cubic(rows, passes), rate, derivatives)
+
+    text = (
+        f"positions: five-point cubic, {passes} passes; the gain is one half at {reached:.4g} Hz; {_band_text(cutoffs)}"
+    )
+    settings = {"position_cutoff_hz": reached, "motion_band_hz": cutoffs.band, "passes": passes}
+    return (
+        Smoother(apply, "by central differences"),
+        cutoffs,
+        Step("smoothing", settings, text),
+    )

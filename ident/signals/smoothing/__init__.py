@@ -1,0 +1,1 @@
+"""Smoothing of sampled signals, with their derivatives: Kalman, Savitzky-Golay, five-point cubic."""

@@ -1,0 +1,102 @@
+"""The Kalman smoother against filterpy's own loops, and what it is as a low-pass."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from ident.signals.smoothing.kalman import (
+    WHITE_CURVATURE,
+    WHITE_SNAP,
+    innovations,
+    kalman_filter,
+    kalman_smoother,
+    stationary_filter,
+)
+
+RATE = 200.0
+
+
+def signal(samples: int) -> np.ndarray:
+    time = np.arange(samples) / RATE
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(samples)
+    return np.sin(2 * np.pi * 0.4 * time) + 0.3 * np.cos(2 * np.pi * time) + noise
+
+
+def by_filterpy(samples: np.ndarray, cutoff: float, order: int) -> tuple[np.ndarray, np.ndarray]:
+    stationary = stationary_filter(2 * np.pi * cutoff / RATE, order)
+    kalman = KalmanFilter(order, 1)
+    kalman.F, kalman.Q, kalman.H = stationary.transition, stationary.process, np.eye(1, order)
+    kalman.x, kalman.P = np.zeros((order, 1)), 1e8 * np.eye(order)
+    kalman.x[0] = samples[0]
+    means, covariances, _, _ = kalman.batch_filter(samples)
+    smoothed, _, _, _ = kalman.rts_smoother(means, covariances)
+    seconds = (2 * np.pi * cutoff) ** np.arange(order)[:, None]
+    return means[:, :, 0].T * seconds, smoothed[:, :, 0].T * seconds
+
+
+@pytest.mark.parametrize("samples", [16, 1500])
+@pytest.mark.parametrize(
+    ("cutoff", "order"), [(2.0, WHITE_SNAP), (20.0, WHITE_SNAP), (60.0, 3), (8.0, WHITE_CURVATURE)]
+)
+def test_equal_to_filterpy_sample_by_sample(samples: int, cutoff: float, order: int) -> None:
+    rows = signal(samples)
+    filtered, smoothed = by_filterpy(rows, cutoff, order)
+    for ours, theirs in (
+        (kalman_filter(rows, RATE, cutoff, order), filtered),
+        (kalman_smoother(rows, RATE, cutoff, order), smoothed),
+    ):
+        assert ours.shape == (order, samples)
+        assert np.all(np.abs(ours - theirs).max(axis=1) < 1e-9 * np.abs(theirs).max(axis=1))
+
+
+@pytest.mark.parametrize("order", [WHITE_CURVATURE, WHITE_SNAP])
+@pytest.mark.parametrize("frequency", [1.0, 4.0, 6.0])
+def test_the_smoother_is_a_zero_phase_butterworth(order: int, frequency: float) -> None:
+    cutoff = 4.0
+    time = np.arange(4000) / RATE
+    wave = np.exp(2j * np.pi * frequency * time)
+    inner = slice(1000, 3000)
+    for derivative, row in enumerate(kalman_smoother(wave.imag, RATE, cutoff, order)[:2]):
+        ratio = 2 * np.mean(row[inner] * wave[inner].conj()) * 1j / (2j * np.pi * frequency) ** derivative
+        assert ratio == pytest.approx(1 / (1 + (frequency / cutoff) ** (2 * order)), abs=2e-3)
+
+
+def test_only_the_forward_filter_lags() -> None:
+    time = np.arange(4000) / RATE
+    speed = 2 * np.pi * 3.0 * np.cos(2 * np.pi * 3.0 * time)
+    inner = slice(1000, 3000)
+
+    def lag(row: np.ndarray) -> int:
+        """Samples by which the row is best moved."""
+        shifted = [np.abs(np.roll(row, -shift) - speed)[inner].max() for shift in range(-10, 40)]
+        return int(np.argmin(shifted)) - 10
+
+    wave = np.sin(2 * np.pi * 3.0 * time)
+    assert lag(kalman_smoother(wave, RATE, 4.0, WHITE_CURVATURE)[1]) == 0
+    assert lag(kalman_filter(wave, RATE, 4.0, WHITE_CURVATURE)[1]) >= 3
+
+
+def test_a_polynomial_of_the_model_passes_unchanged() -> None:
+    time = np.arange(600) / RATE
+    cubic = 1 - time + 0.5 * time**2 - 0.2 * time**3
+    position, velocity, acceleration, _ = kalman_smoother(cubic, RATE, 5.0)
+    np.testing.assert_allclose(position, cubic, atol=1e-6)
+    np.testing.assert_allclose(velocity, -1 + time - 0.6 * time**2, atol=1e-4)
+    np.testing.assert_allclose(acceleration, 1 - 1.2 * time, atol=1e-2)
+
+
+def test_innovations_of_the_model_are_white() -> None:
+    step, order, samples = 0.3, WHITE_CURVATURE, 20_000
+    stationary = stationary_filter(step, order)
+    generator = np.random.default_rng(1)
+    driving = np.linalg.cholesky(stationary.process) @ generator.standard_normal((order, samples))
+    state, measured = np.zeros(order), np.empty(samples)
+    for index in range(samples):
+        state = stationary.transition @ state + driving[:, index]
+        measured[index] = state[0] + generator.standard_normal()
+    errors = innovations(measured, step, order)[200:]
+    assert errors.var() == pytest.approx(stationary.innovation, rel=0.05)
+    correlation = [np.mean(errors[lag:] * errors[: len(errors) - lag]) / errors.var() for lag in range(1, 6)]
+    assert np.abs(correlation).max() < 4 / np.sqrt(samples)
