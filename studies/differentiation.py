@@ -23,6 +23,7 @@ from typing import get_args
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from mistaken_recordings import arms
 
 from daq.importers import ImportChoices, import_file
 from daq.recording.recording import JOINTS_STREAM
@@ -42,7 +43,6 @@ from ident.signals.smoothing.noise_levels import noise_levels
 from ident.signals.smoothing.savitzky_golay import half_width_for, savitzky_golay
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
-from studies.mistaken_recordings import arms
 
 WAYS: tuple[Differentiation, ...] = get_args(Differentiation)
 SEEDS = (1, 2, 3)
