@@ -22,6 +22,7 @@ from ident.assessment.plausibility import (
     sign_checks,
 )
 from ident.assessment.recording_checks import recording_checks
+from ident.assessment.residual_tests import residual_checks
 from ident.assessment.torque_level import torque_level_checks
 from ident.assessment.validation import overfitting_checks
 from ident.estimators.energy_estimator import fits_energy_better
@@ -95,6 +96,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         None if consistent is None else consistent.validation.relative_error,
         "" if consistent is None else consistent.tracking_failure,
     )
+    checks += residual_checks(identification.residual_tests, identification.model.joint_names)
     return checks + overfitting_checks(identification.fit, identification.validation)
 
 

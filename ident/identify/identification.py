@@ -12,6 +12,7 @@ from drivers.errors import UsageError
 from drivers.ranges import SMOOTHING, check_option
 from drivers.streams import FloatArray
 from ident.assessment.delay import DelaySearch
+from ident.assessment.residual_tests import ResidualTests, filter_memory, residual_tests
 from ident.assessment.validation import FitFigures
 from ident.estimators.estimator import Estimation
 from ident.estimators.feasible.consistent import ConsistentParameters
@@ -249,6 +250,22 @@ class Identification:
     def estimate(self) -> Estimate:
         """Values and covariance, for merging."""
         return estimate_of(self.estimation.reduction, self.solution, self.corrected.covariance, self.corrected.blocks)
+
+    @property
+    def residual_tests(self) -> list[ResidualTests]:
+        """The assumptions of least squares, tested per joint; none for a method that fits no torques."""
+        if self.choices.method in ENERGY_METHODS:
+            return []
+        series = iter(self.fit_series)
+        equations = []
+        for run in self.runs:
+            factor = run.prepared.parallel_filter.factor
+            for segment in run.prepared.segments:
+                counted = next(series).counted
+                reversing = segment.reversing
+                equations.append(counted if reversing is None else counted & ~reversing[:, ::factor])
+        memory = filter_memory(self.runs[0].prepared.parallel_filter)
+        return residual_tests(self.fit_series, equations, memory, self.experiment.torques)
 
     @property
     def joint_std(self) -> FloatArray:

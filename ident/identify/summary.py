@@ -35,6 +35,7 @@ from ident.result.schema import (
     Excitation,
     ExperimentResult,
     Fit,
+    JointAssumptions,
     JointDelayFigures,
     JointFrictionResult,
     ModelOptions,
@@ -131,6 +132,10 @@ def summarise(
             joint_std=identification.joint_std.tolist(),
             correction=f"delete-block jackknife, {corrected.blocks} blocks of {corrected.block_length} samples, "
             "repetitions of a motion in the same block",
+            assumptions=[
+                JointAssumptions.model_validate(asdict(test) | {"joint": model.joint_names[test.joint]})
+                for test in identification.residual_tests
+            ],
         ),
         rank_margin=base.margin,
         recordings=[

@@ -14,6 +14,9 @@ from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 HISTOGRAM_EDGES = np.linspace(-5.0, 5.0, 51)
 """In standard deviations; what lies beyond counts for the first and the last bin."""
 
+PROBABILITIES = np.concatenate([[0.0005, 0.001, 0.002], np.linspace(0.005, 0.995, 100), [0.998, 0.999, 0.9995]])
+"""Of the quantiles that are compared with those of a normal distribution."""
+
 ROUNDING = 1e-9
 """A mean of fewer standard deviations is what rounding left of 0: an offset column takes it out exactly."""
 
@@ -23,17 +26,19 @@ class JointResidual:
     """Residuals of one joint, over the samples used.
 
     Attributes:
-        velocity, residual: (N,) [rad/s or m/s], [N·m], segments one after the other.
+        velocity, predicted, residual: (N,) [rad/s or m/s], [N·m], [N·m], segments one after the other.
         mean, std: [N·m]; nan without samples.
         autocorrelation: (L,) at lags 0 … L − 1.
         band: half width of the 95 % band of white residuals.
         outside: share of the autocorrelations from lag 1 on outside the band.
         density: (50,) histogram of residual / std, as a density.
+        quantiles: (Q,) of residual / std, at the probabilities `PROBABILITIES`; empty without samples.
         beyond_three: share of the samples further than 3 std from the mean (0.27 % of a normal distribution).
         excess_kurtosis: 0 for a normal distribution.
     """
 
     velocity: FloatArray
+    predicted: FloatArray
     residual: FloatArray
     mean: float
     std: float
@@ -41,6 +46,7 @@ class JointResidual:
     band: float
     outside: float
     density: FloatArray
+    quantiles: FloatArray
     beyond_three: float
     excess_kurtosis: float
 
@@ -64,6 +70,7 @@ def joint_residual(series: Sequence[TorqueSeries], joint: int, lags: int) -> Joi
     nothing = float("nan")
     return JointResidual(
         velocity=velocity,
+        predicted=_joined([segment.predicted[joint, mask] for segment, mask in zip(series, used, strict=True)]),
         residual=residual,
         mean=mean,
         std=std,
@@ -71,6 +78,7 @@ def joint_residual(series: Sequence[TorqueSeries], joint: int, lags: int) -> Joi
         band=band,
         outside=float(np.mean(np.abs(correlation[1:]) > band)) if len(correlation) > 1 else nothing,
         density=counts / (max(1, len(scaled)) * np.diff(HISTOGRAM_EDGES)),
+        quantiles=np.quantile(scaled, PROBABILITIES) if len(scaled) else np.empty(0),
         beyond_three=float(np.mean(np.abs(scaled) > 3.0)) if len(scaled) else nothing,
         excess_kurtosis=float(np.mean(scaled**4)) - 3.0 if len(scaled) else nothing,
     )

@@ -127,6 +127,31 @@ class Essential(_Part):
     validation: Fit | None
 
 
+class AssumptionResult(_Part):
+    """One assumption of least squares, tested; see ident.assessment.residual_tests."""
+
+    statistic: Number = Field(description="χ² or F")
+    p_value: Number = Field(description="probability of a larger one if the assumption holds")
+    effect: Number = Field(description="how far the residuals are from it, in the assumption's own measure")
+    violated: bool = Field(description="the test rejects it, and the effect is large")
+
+
+class JointAssumptions(_Part):
+    """What least squares assumes of one joint's residuals."""
+
+    joint: str
+    residuals: int = Field(description="that the fit uses")
+    independent: int = Field(description="that lie far enough apart to be independent; the tests look at these")
+    independence: AssumptionResult = Field(description="effect: largest autocorrelation")
+    linearity: AssumptionResult | None = Field(
+        description="effect: share of variance that curves explain; null, as the next two, where few are independent"
+    )
+    constant_variance: AssumptionResult | None = Field(description="effect: ratio of standard deviations")
+    normality: AssumptionResult | None = Field(
+        description="effect: larger of |skewness| and half the |excess kurtosis|"
+    )
+
+
 class Residuals(_Part):
     """Statistics of the residuals."""
 
@@ -138,6 +163,9 @@ class Residuals(_Part):
     blocks: int = Field(description="number of its blocks")
     repetitions: float = Field(description="how often the motion was repeated, on average")
     correction: str = Field(description="how the standard deviations were corrected")
+    assumptions: list[JointAssumptions] = Field(
+        default_factory=list, description="tested per joint; joints with few independent residuals are left out"
+    )
 
 
 class Excitation(_Part):

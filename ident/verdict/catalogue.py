@@ -304,6 +304,29 @@ _MODEL = (
     ),
 )
 
+_RESIDUALS = (
+    _note(
+        "residuals-curved",
+        "the residuals bend with torque or velocity: the model lacks a nonlinear term",
+        "See the residuals and the friction in the report: Stribeck, or friction that grows less than velocity.",
+    ),
+    _note(
+        "residuals-autocorrelated",
+        "the residuals remember more than the parallel filter does: the model lacks something",
+        "The error bars take it into account; look for what repeats with position, such as ripple of the gears.",
+    ),
+    _note(
+        "residuals-uneven",
+        "the residuals grow with torque or velocity",
+        "Parameters that show at low torque could be had more precisely than WLS weights them.",
+    ),
+    _note(
+        "residuals-not-normal",
+        "the residuals have other tails than a normal distribution",
+        "The 95 % intervals are approximate; outliers and velocity reversals make heavy tails.",
+    ),
+)
+
 _VALIDATION = (
     _note(
         "errors-near-standstill",
@@ -376,7 +399,7 @@ _EXPORT = (
 )
 
 CATALOGUE: dict[str, CheckKind] = {
-    kind.name: kind for kind in (*_RECORDING, *_EXCITATION, *_MODEL, *_VALIDATION, *_MERGE, *_EXPORT)
+    kind.name: kind for kind in (*_RECORDING, *_EXCITATION, *_MODEL, *_RESIDUALS, *_VALIDATION, *_MERGE, *_EXPORT)
 }
 """Every check by its name."""
 

@@ -7,10 +7,18 @@ from typing import Any
 
 import numpy as np
 
+from drivers.streams import FloatArray
+from ident.assessment.residual_tests import (
+    LARGEST_AUTOCORRELATION,
+    LARGEST_CURVATURE,
+    LARGEST_SHAPE,
+    LARGEST_SPREAD,
+)
+from ident.regression.hypothesis_tests import p_text
 from ident.report.figures import ACCENT, REFERENCE, Figure, plain, shortened
 from ident.report.number_text import number, whole
 from ident.report.panels import Panel, panel_figure
-from ident.report.residual_statistics import HISTOGRAM_EDGES, JointResidual, joint_residual
+from ident.report.residual_statistics import HISTOGRAM_EDGES, PROBABILITIES, JointResidual, joint_residual
 from ident.report.section import ReportData, ReportSection
 from ident.report.traces import packed
 
@@ -20,18 +28,29 @@ FEWEST_LAGS, MOST_LAGS = 60, 400
 
 
 def section(data: ReportData) -> ReportSection:
-    """Residual against velocity, autocorrelation and histogram of each joint."""
+    """Residual against torque and velocity, autocorrelation, histogram and quantiles of each joint, with tests."""
     result = data.result
     lags = int(np.clip(1.3 * result.residuals.block_length, FEWEST_LAGS, MOST_LAGS)) + 1
     residuals = {joint: joint_residual(data.fit, joint, lags) for joint in data.worst_first}
     shown = any(len(joint.residual) for joint in residuals.values())
+    order = [result.joints[joint] for joint in data.worst_first]
     context = {
+        "scatter": _scatter_figure(result.joints, residuals) if shown else None,
         "figure": _figure(result.joints, residuals, _step(data)) if shown else None,
         "rows": [
             {"joint": result.joints[joint], "residual": one, "lag_one": next(iter(one.autocorrelation[1:2]), None)}
             for joint, one in residuals.items()
         ],
         "residuals": result.residuals,
+        "assumptions": sorted(result.residuals.assumptions, key=lambda one: order.index(one.joint)),
+        "p_text": lambda value: "–" if value is None else p_text(value),
+        "limits": {
+            "curvature": LARGEST_CURVATURE,
+            "autocorrelation": LARGEST_AUTOCORRELATION,
+            "spread": LARGEST_SPREAD,
+            "shape": LARGEST_SHAPE,
+        },
+        "settled": not any(check.name == "weights-not-settled" for check in result.verdict.checks),
         "block_seconds": result.residuals.block_length * _step(data),
     }
     return ReportSection("Residuals", "residuals", "residuals.html.j2", context)
@@ -43,41 +62,61 @@ def _step(data: ReportData) -> float:
     return float(np.median(np.concatenate(steps))) if steps else 1.0
 
 
-def _figure(joints: Sequence[str], residuals: Mapping[int, JointResidual], step: float) -> Figure:
+def _scatter_figure(joints: Sequence[str], residuals: Mapping[int, JointResidual]) -> Figure:
+    """Residual against predicted torque and velocity."""
     points = min(SCATTER_POINTS, PAGE_SCATTER_POINTS // len(joints))
-    rows = [_row(joints[joint], residual, step, points) for joint, residual in residuals.items()]
     largest = max(len(joint.residual) for joint in residuals.values())
     sampled = f" (a random {whole(points)} of {whole(largest)} samples)" if largest > points else ""
+    caption = f"Residual against predicted torque and against the joint's velocity{sampled}."
+    rows = []
+    for index, joint in residuals.items():
+        name = joints[index]
+        bold = f"<b>{plain(shortened(name, 24))}</b>: residual"
+        rows.append(
+            [
+                Panel(
+                    name,
+                    bold,
+                    _scatter(joint, values, points, unit),
+                    x={"title": {"text": f"{quantity} [{unit}]"}},
+                    y={"title": {"text": "N·m"}},
+                )
+                for quantity, values, unit in (
+                    ("predicted torque", joint.predicted, "N·m"),
+                    ("velocity", joint.velocity, "rad/s"),
+                )
+            ]
+        )
+    return panel_figure("residual-scatter-plot", rows, caption, showlegend=False)
+
+
+def _figure(joints: Sequence[str], residuals: Mapping[int, JointResidual], step: float) -> Figure:
+    rows = [_row(joints[joint], residual, step) for joint, residual in residuals.items()]
     caption = (
-        f"First: residual against the joint's velocity{sampled}. Second: autocorrelation; the dashed band, ±1.96/√N, "
-        f"contains 95 % of the values if the residuals are white; the first lag is one filtered sample, "
-        f"{number(1e3 * step, 3)} ms. Third: histogram of residual / σ and the normal distribution."
+        f"First: autocorrelation; the dashed band, ±1.96/√N, contains 95 % of the values if the residuals are white, "
+        f"the dotted one is ±{LARGEST_AUTOCORRELATION:g}; the first lag is one filtered sample, "
+        f"{number(1e3 * step, 3)} ms. Second: histogram of residual / σ and the normal distribution. Third: quantiles "
+        "of residual / σ against those of the normal distribution, on the line if the residuals are normal."
     )
     return panel_figure("residuals-plot", rows, caption, showlegend=False)
 
 
-def _row(name: str, joint: JointResidual, step: float, points: int) -> list[Panel]:
+def _row(name: str, joint: JointResidual, step: float) -> list[Panel]:
     bold = f"<b>{plain(shortened(name, 24))}</b>"
     return [
-        Panel(
-            name,
-            f"{bold}: residual",
-            _scatter(joint, points),
-            x={"title": {"text": "velocity [rad/s]"}},
-            y={"title": {"text": "N·m"}},
-        ),
-        Panel(
-            name,
-            "autocorrelation",
-            _correlogram(joint, step),
-            f"{bold}: autocorrelation",
-            x={"title": {"text": "lag [s]"}},
-        ),
+        Panel(name, f"{bold}: autocorrelation", _correlogram(joint, step), x={"title": {"text": "lag [s]"}}),
         Panel(name, "density", _histogram(joint), f"{bold}: density", x={"title": {"text": "residual / σ"}}),
+        Panel(
+            name,
+            "quantiles",
+            _quantiles(joint),
+            f"{bold}: quantiles",
+            x={"title": {"text": "of a normal distribution"}},
+        ),
     ]
 
 
-def _scatter(joint: JointResidual, points: int) -> list[dict[str, Any]]:
+def _scatter(joint: JointResidual, values: FloatArray, points: int, unit: str) -> list[dict[str, Any]]:
     kept = np.arange(len(joint.residual))
     if len(kept) > points:
         # Random, not every n-th: a stride could fall in step with a periodic motion.
@@ -87,10 +126,10 @@ def _scatter(joint: JointResidual, points: int) -> list[dict[str, Any]]:
             "type": "scatter",
             "mode": "markers",
             "name": "residual",
-            "x": packed(joint.velocity[kept]),
+            "x": packed(values[kept]),
             "y": packed(joint.residual[kept]),
             "marker": {"size": 3, "color": ACCENT, "opacity": 0.45},
-            "hovertemplate": "%{x:.3g} rad/s<br>%{y:.3g} N·m<extra></extra>",
+            "hovertemplate": f"%{{x:.3g}} {unit}<br>%{{y:.3g}} N·m<extra></extra>",
         }
     ]
 
@@ -104,11 +143,12 @@ def _correlogram(joint: JointResidual, step: float) -> list[dict[str, Any]]:
             "type": "scatter",
             "mode": "lines",
             "x": [float(lag[0]), float(lag[-1])],
-            "y": [sign * joint.band, sign * joint.band],
-            "line": {"color": REFERENCE, "width": 1, "dash": "dash"},
+            "y": [height, height],
+            "line": {"color": REFERENCE, "width": 1, "dash": dash},
             "hoverinfo": "skip",
         }
-        for sign in (1.0, -1.0)
+        for bound, dash in ((joint.band, "dash"), (LARGEST_AUTOCORRELATION, "dot"))
+        for height in (bound, -bound)
     ]
     line = {
         "type": "scatter",
@@ -141,6 +181,33 @@ def _histogram(joint: JointResidual) -> list[dict[str, Any]]:
             "mode": "lines",
             "x": packed(grid),
             "y": packed(np.exp(-0.5 * grid**2) / np.sqrt(2.0 * np.pi)),
+            "line": {"color": REFERENCE, "width": 1.5},
+            "hoverinfo": "skip",
+        },
+    ]
+
+
+def _quantiles(joint: JointResidual) -> list[dict[str, Any]]:
+    if not len(joint.quantiles):
+        return []
+    from scipy.special import ndtri
+
+    normal = ndtri(PROBABILITIES)
+    return [
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": "quantile",
+            "x": packed(normal),
+            "y": packed(joint.quantiles),
+            "marker": {"size": 4, "color": ACCENT},
+            "hovertemplate": "normal %{x:.2f}<br>residual / σ %{y:.2f}<extra></extra>",
+        },
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "x": [float(normal[0]), float(normal[-1])],
+            "y": [float(normal[0]), float(normal[-1])],
             "line": {"color": REFERENCE, "width": 1.5},
             "hoverinfo": "skip",
         },

@@ -193,6 +193,22 @@ class Bench:
         acceleration[:100] = acceleration[-100:] = 0.0
         return changed(recording, lambda i: i - 2.5 * acceleration / np.array([10.0, -8.0, 4.0]))
 
+    def with_stribeck(self) -> Recording:
+        """Friction that grows towards standstill, as no column of the model does."""
+        return changed(
+            self.recorded(), lambda i: i + 0.3 * np.sign(self.speed()) * np.exp(-((self.speed() / 0.3) ** 2))
+        )
+
+    def with_uneven_noise(self) -> Recording:
+        """Noise that grows with velocity."""
+        noise = np.random.default_rng(3).standard_normal(self.speed().shape)
+        return changed(self.recorded(), lambda i: i + 0.5 * np.abs(self.speed()) * noise)
+
+    def speed(self) -> np.ndarray:
+        """(N, n) of the recorded motion [rad/s]."""
+        stream = self.recorded().streams[JOINTS_STREAM]
+        return np.gradient(stream.channels["position"].values, stream.time, axis=0)
+
 
 def glitches(share: float) -> Callable[[np.ndarray], np.ndarray]:
     """Encoder glitches of 0.05 rad, spread over some of the samples."""
@@ -217,6 +233,13 @@ def noisy(values: np.ndarray) -> np.ndarray:
 def drifting(values: np.ndarray) -> np.ndarray:
     """A current that drifts slowly, as no model does."""
     return values + 3.0 * np.sin(np.linspace(0.0, 7.0, len(values)))[:, None]
+
+
+def bursts(values: np.ndarray) -> np.ndarray:
+    """A current that is now and then off for 0.1 s."""
+    generator = np.random.default_rng(4)
+    size = 1.5 * generator.standard_normal((300, 3)) * (generator.random((300, 3)) < 0.02)
+    return values + np.repeat(size, 20, axis=0)
 
 
 def spoilt_end(values: np.ndarray) -> np.ndarray:
@@ -375,6 +398,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     ),
     "friction-near-reversals": (lambda b: b.found(b.sticking()), lambda b: b.found(b.sticking(), reversals=0.2)),
     "indefinite-inertia": (lambda b: b.found(changed(b.recorded(), lambda i: i * [-1, 1, 1])), lambda b: b.clean()),
+    "residuals-curved": (lambda b: b.found(b.with_stribeck()), lambda b: b.clean()),
+    "residuals-autocorrelated": (lambda b: b.found(changed(b.recorded(), drifting)), lambda b: b.clean()),
+    "residuals-uneven": (lambda b: b.found(b.with_uneven_noise()), lambda b: b.clean()),
+    "residuals-not-normal": (lambda b: b.found(changed(b.recorded(), bursts)), lambda b: b.clean()),
     "overfitting": (lambda b: b.found(changed(b.recorded(), spoilt_end)), lambda b: b.clean()),
     "not-validated": (
         lambda b: b.clean_merge(),
