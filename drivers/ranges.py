@@ -87,6 +87,16 @@ SEARCH_TIME = Range(1e-3, 604_800.0, "s")
 STARTS = Range(1, 100_000)
 SEED = Range(0, 2**63 - 1)
 
+POPULATION = Range(1, 100_000)
+"""Of a swarm, and its memeplexes."""
+GENERATIONS = Range(1, 1_000_000)
+LEARNING_FACTOR = Range(0.0, 100.0)
+"""Of a swarm's moves towards good points."""
+WEIGHT = Range(0.0, 100.0)
+"""Of inertia in a swarm."""
+BOX_SHARE = Range(1e-6, 1e3)
+"""Half of a search range over the size of its middle."""
+
 RESULT_VALUE = Range(-1e100, 1e100)
 """Any number of a result: a parameter that is hardly excited may be huge, but not so that squares overflow."""
 

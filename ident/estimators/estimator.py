@@ -75,6 +75,8 @@ class Estimation:
         weights: for each segment of all runs, in order, (n, M) by how much each filtered equation counts, 0 to 1; nan
             where it takes no part. Empty where all that take part count alike.
         passes: over the data, the plain reduction's included.
+        steps: what the estimate itself did, for the list of steps.
+        optimum: exact optimum of the same cost, where the estimate is the result of a search.
     """
 
     kernel: RegressorKernel
@@ -83,6 +85,8 @@ class Estimation:
     loops: tuple[Loop, ...] = ()
     weights: tuple[FloatArray, ...] = ()
     passes: int = 1
+    steps: tuple[Step, ...] = ()
+    optimum: LeastSquares | None = None
 
 
 class Estimator(Protocol):

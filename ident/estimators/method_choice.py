@@ -55,8 +55,10 @@ class MethodChoice:
 @cache
 def all_methods() -> MappingProxyType[str, Method[Any]]:
     """Every method by its name: one module each of `ident.estimators.methods`."""
-    names = sorted(module.name for module in iter_modules(methods_folder.__path__))
-    return MappingProxyType({name: import_module(f"{methods_folder.__name__}.{name}").METHOD for name in names})
+    modules = sorted(module.name for module in iter_modules(methods_folder.__path__))
+    return MappingProxyType(
+        {name.replace("_", "-"): import_module(f"{methods_folder.__name__}.{name}").METHOD for name in modules}
+    )
 
 
 @cache

@@ -12,6 +12,9 @@ from ident.regression.least_squares import LeastSquares
 from ident.regression.observation_matrix import Reduction, only_torques, reduce_segments, stack_reductions
 from ident.signals.prepared import Prepared, Step
 
+Solve = Callable[[Reduction, Sequence[int]], LeastSquares]
+"""The fit of some base columns of a reduced system."""
+
 
 @dataclass(frozen=True)
 class TorqueEstimator:
@@ -23,7 +26,7 @@ class TorqueEstimator:
     """
 
     setup: Setup
-    solve: Callable[[Reduction, Sequence[int]], LeastSquares]
+    solve: Solve
 
     def notes(self, run: Prepared) -> tuple[Step, ...]:
         """Nothing that is not in the list."""

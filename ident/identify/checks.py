@@ -31,6 +31,7 @@ from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.identification import Identification
 from ident.model.regressor import RegressorKernel
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import FEWEST_BLOCKS
 from ident.regression.least_squares import LeastSquares, ordinary_least_squares, weighted_least_squares
 from ident.regression.observability import experiment_states, moving_motors, whole_arm
@@ -227,8 +228,21 @@ def _idle_joint_checks(identification: Identification) -> list[Check]:
 
 
 def _convergence_checks(identification: Identification) -> list[Check]:
-    """Weights of the joints that do not settle."""
-    solution = identification.solution
+    """A search that did not reach its optimum; weights of the joints that do not settle."""
+    solution, optimum = identification.solution, identification.estimation.optimum
+    if optimum is not None:
+        used = list(solution.active)
+        distance = np.abs(solution.parameters - optimum.parameters)[used] / identification.std[used]
+        beyond = distance > WITHIN_95_PERCENT
+        if not np.any(beyond):
+            return []
+        worst = int(np.argmax(distance))
+        text = (
+            f"the search ended away from the optimum of its cost: {int(beyond.sum())} of {len(used)} parameters differ "
+            f"from least squares by more than their ±, {identification.base.names[used[worst]]} by "
+            f"{distance[worst]:.3g} σ; take --method wls"
+        )
+        return [raised("search-gap", text)]
     if solution.settled:
         return []
     text = (

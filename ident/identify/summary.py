@@ -75,6 +75,7 @@ def summarise(
             for step in (
                 _torque_step(identification),
                 *identification.runs[0].prepared.steps,
+                *identification.estimation.steps,
                 _experiment_step(identification),
             )
         ],

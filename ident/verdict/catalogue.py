@@ -154,6 +154,13 @@ _EXCITATION = (
         "Compare --method ols, or record longer: the values are those of the last iterate.",
     ),
     CheckKind(
+        "search-gap",
+        "warning",
+        ALL,
+        "a search ended away from the optimum of its own cost",
+        "Take --method wls, which is that optimum, or give the search more generations and a wider box.",
+    ),
+    CheckKind(
         "few-independent-samples",
         "warning",
         PARAMETERS,

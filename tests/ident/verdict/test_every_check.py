@@ -293,6 +293,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.found(changed(b.recorded(), lambda i: np.roll(i, -2, axis=0)), search_delay=True),
         lambda b: b.found(changed(b.recorded(), lambda i: np.roll(i, 2, axis=0)), search_delay=True),
     ),
+    "search-gap": (
+        lambda b: b.found(method="wls-pso:generations=2"),
+        lambda b: b.found(method="wls-pso:generations=2:box=1e-6"),
+    ),
     "weights-not-settled": (lambda b: b.unsettled(), lambda b: b.clean()),
     "no-consistent-model": (lambda b: b.inconsistent(), lambda b: b.clean()),
     "simulation-failed": (lambda b: b.diverging(), lambda b: b.clean()),

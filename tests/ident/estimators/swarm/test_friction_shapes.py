@@ -9,7 +9,7 @@ from ident.estimators.swarm.frog_leaping import FrogLeaping
 from ident.estimators.swarm.minimisation import Budget, minimise
 
 RATE = 200.0
-TIME = np.arange(800) / RATE
+TIME = np.arange(400) / RATE
 VELOCITY = np.sin(2 * np.pi * 0.5 * TIME) + 0.3 * np.sin(2 * np.pi * 1.3 * TIME)
 FIXED = np.column_stack([np.gradient(VELOCITY, 1 / RATE), np.sign(VELOCITY), np.ones_like(TIME)])
 CASES = {
@@ -47,7 +47,7 @@ def test_the_cost_is_the_residual_of_least_squares_over_everything_else(case) ->
 def test_the_true_shapes_are_found(case) -> None:
     cost, _, truth, box = case
     assert cost.coefficients(truth) == pytest.approx([4.0, 0.3])
-    found = minimise(FrogLeaping(random="coordinate"), cost, box, Budget(15), seed=2)
+    found = minimise(FrogLeaping(20, 4, 5, random="coordinate"), cost, box, Budget(25), seed=2)
     assert found.cost < 0.02 * cost(box.draw(np.random.default_rng(1), 20)).min()
 
 

@@ -1,0 +1,20 @@
+"""Weighted least squares, then a particle swarm about it."""
+
+from __future__ import annotations
+
+from ident.estimators.estimator import Estimator, Setup
+from ident.estimators.method import Method
+from ident.estimators.search_options import ConstantWeightOptions, swarm_estimator
+from ident.regression.least_squares import weighted_least_squares
+
+
+def _estimator(options: ConstantWeightOptions, setup: Setup) -> Estimator:
+    return swarm_estimator(options, setup, weighted_least_squares)
+
+
+METHOD = Method(
+    "particle swarm about weighted least squares (WLS-PSO); least squares itself is its exact optimum",
+    "torque",
+    ConstantWeightOptions,
+    _estimator,
+)

@@ -1,0 +1,147 @@
+"""Estimates by search: a population in place of a solution, on the same cost as least squares.
+
+The cost is quadratic in the base parameters, so least squares is its exact optimum, and what the search leaves is
+known: the gap in cost, and the difference of each parameter in its standard deviations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.percentage import percent_text
+from drivers.streams import FloatArray
+from ident.estimators.estimator import Estimation, Loop, Setup
+from ident.estimators.swarm.box import Box
+from ident.estimators.swarm.minimisation import Budget, Minimum, Optimiser, minimise
+from ident.estimators.swarm.quadratic_cost import QuadraticCost
+from ident.estimators.torque_estimator import TorqueEstimator
+from ident.linear_algebra.triangular import triangular
+from ident.regression.least_squares import LeastSquares
+from ident.regression.observation_matrix import JointFactor, Reduction
+from ident.signals.prepared import Prepared, Step
+
+SETTLED = 1e-3
+"""A search has settled where its last tenth, of 10 generations at least, lowered the cost by less than this share."""
+
+ENDED = {
+    "generations": "",
+    "time": " (its time was over)",
+    "interrupted": " (Ctrl-C)",
+    "optimiser": " (its own criterion)",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Space:
+    """What is searched.
+
+    Attributes:
+        box: of the variables (d).
+        base: active base parameters (P, a) of a population (P, d).
+        steps: after the search, from the best point (d,) and the standard deviation of a weighted equation: for the
+            list of steps.
+    """
+
+    box: Box
+    base: Callable[[FloatArray], FloatArray]
+    steps: Callable[[FloatArray, float], tuple[Step, ...]] = lambda point, deviation: ()
+
+
+@dataclass(frozen=True)
+class SearchEstimator(TorqueEstimator):
+    """A search of the torque equations' cost, weighted as the least squares that it starts from.
+
+    Attributes:
+        space: of the search, from the exact optimum and its cost.
+        optimiser: with its settings.
+        budget: how long.
+        seed: of the random numbers.
+    """
+
+    space: Callable[[LeastSquares, QuadraticCost], Space]
+    optimiser: Optimiser
+    budget: Budget
+    seed: int
+
+    def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
+        """The best point of the search; error bars and essential model are those of least squares about it.
+
+        Raises:
+            IdentificationError: least squares has no solution, or not one cost was a number.
+        """
+        exact = self.solve(plain, active)
+        cost = QuadraticCost.of_reduction(plain, active, exact.weights)
+        space = self.space(exact, cost)
+        found = minimise(self.optimiser, lambda points: cost(space.base(points)), space.box, self.budget, self.seed)
+        parameters = np.zeros(plain.column_count)
+        parameters[list(active)] = space.base(found.point[None, :])[0]
+        reduction = centred_reduction(plain, parameters)
+        deviation = float(np.sqrt(exact.residual_sum / (exact.rows - len(active))))
+        return Estimation(
+            self.setup.kernel,
+            reduction,
+            self.solve(reduction, active),
+            loops=(Loop("cost of the best point ‖W·x − τ‖", "", tuple(found.history.tolist()), _settled(found)),),
+            steps=(self._step(exact, parameters, found, space.box), *space.steps(found.point, deviation)),
+            optimum=exact,
+        )
+
+    def _step(self, exact: LeastSquares, parameters: FloatArray, found: Minimum, box: Box) -> Step:
+        """What the search found, beside the exact optimum."""
+        above = found.cost / max(float(np.sqrt(exact.residual_sum)), np.finfo(float).tiny) - 1.0
+        used = list(exact.active)
+        distance = np.abs(parameters - exact.parameters)[used] / exact.std[used]
+        worst = int(np.argmax(distance))
+        name = self.setup.base.names[used[worst]]
+        edges = box.at_bound(found.point)
+        figures = {
+            "generations": found.generations,
+            "evaluations": int(found.evaluations[-1]),
+            "undefined_costs": found.undefined,
+            "cost_above_optimum": above,
+            "largest_difference": float(distance[worst]),
+            "at_bounds": len(edges),
+        }
+        text = (
+            f"{found.generations} generations{ENDED[found.ended]}, {int(found.evaluations[-1])} costs: "
+            f"{percent_text(above, 3)} above the exact optimum, which is least squares; largest difference from it "
+            f"{distance[worst]:.3g} σ of white residuals ({name})"
+        )
+        if edges:
+            text += f"; {len(edges)} of {box.size} variables at a bound of the search box"
+        if found.undefined:
+            text += f"; {found.undefined} costs were no number"
+        return Step("search", figures, "; ".join([text, *found.remarks]))
+
+
+def base_space(share: float, setup: Setup) -> Callable[[LeastSquares, QuadraticCost], Space]:
+    """The base parameters within a share of the absolute least-squares solution (ROCR6: 10 %)."""
+
+    def space(exact: LeastSquares, cost: QuadraticCost) -> Space:
+        names = [setup.base.names[column] for column in exact.active]
+        return Space(Box.around(exact.parameters[list(exact.active)], share, names), lambda points: points)
+
+    return space
+
+
+def centred_reduction(plain: Reduction, parameters: FloatArray) -> Reduction:
+    """A system with the same columns and, at some parameters (b,), the same residuals, which it has its minimum at."""
+    joints = []
+    sums = plain.residual_sums(parameters)
+    for joint, residual in zip(plain.joints, sums, strict=True):
+        width = len(joint.columns)
+        columns = joint.factor[:, :width]
+        rows = np.column_stack([columns, columns @ parameters[list(joint.columns)]])
+        last = np.zeros((1, width + 1))
+        last[0, width] = np.sqrt(residual)
+        factor = triangular(np.vstack([rows, last])) if joint.rows else joint.factor
+        joints.append(JointFactor(joint.columns, factor, joint.rows))
+    return replace(plain, joints=tuple(joints))
+
+
+def _settled(found: Minimum) -> bool:
+    tenth = max(10, len(found.history) // 10)
+    return bool(found.history[-1 - tenth] <= (1.0 + SETTLED) * found.cost) if len(found.history) > tenth else False

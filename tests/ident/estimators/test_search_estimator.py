@@ -1,0 +1,100 @@
+"""Swarms as methods of `identify`: they end at least squares or say how far from it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.errors import UsageError
+from ident.estimators.method_choice import chosen_method
+from ident.estimators.search_estimator import centred_reduction
+from ident.estimators.swarm.particle_swarm import ParticleSwarm, RandomWeight
+from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identify import identify
+from ident.identify.summary import summarise
+from ident.model.dynamic_model import build_model
+from ident.regression.least_squares import ordinary_least_squares, weighted_least_squares
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
+
+
+@pytest.fixture(scope="module")
+def recording(three_joint):
+    motion = random_fourier_motion(build_model(three_joint), 10.0, 1, candidates=3)
+    return simulate_recording(three_joint, motion, 20.0, 1)
+
+
+@pytest.fixture(scope="module")
+def found(recording):
+    known: dict[str, Identification] = {}
+
+    def identified(method: str) -> Identification:
+        if method not in known:
+            known[method] = identify([recording], [], IdentifyChoices(method, search_delay=False))
+        return known[method]
+
+    return identified
+
+
+@pytest.mark.parametrize(("method", "exact"), [("ls-pso", "ols"), ("wls-pso", "wls"), ("wls-rwpso", "wls")])
+def test_a_long_search_in_a_small_box_is_least_squares(found, method: str, exact: str) -> None:
+    swarm, wanted = found(f"{method}:generations=600:box=0.01"), found(exact)
+    assert np.all(np.abs(swarm.solution.parameters - wanted.solution.parameters) < 0.3 * wanted.std)
+    assert swarm.solution.weights == pytest.approx(wanted.solution.weights, rel=0.01)
+    assert swarm.std == pytest.approx(wanted.std, rel=0.05)
+    assert swarm.fit.relative_error == pytest.approx(wanted.fit.relative_error, rel=0.02)
+    assert "search-gap" not in [check.name for check in swarm.checks]
+
+
+def test_what_the_search_found_is_in_the_result(found, recording) -> None:
+    identification = found("wls-pso:generations=3")
+    result = summarise(identification, [recording], [])
+    (step,) = [step for step in result.preprocessing if step.name == "search"]
+    optimum = identification.estimation.optimum
+    distance = np.abs(identification.solution.parameters - optimum.parameters) / optimum.std
+    assert step.settings["largest_difference"] == pytest.approx(distance.max())
+    assert step.settings["generations"] == 3
+    assert step.settings["cost_above_optimum"] > 0.0
+    assert "above the exact optimum, which is least squares" in step.text
+    (loop,) = identification.estimation.loops
+    assert len(loop.values) == 4
+    assert not loop.settled
+    assert result.method_options["box"] == 0.1
+
+
+def test_frogs_report_what_is_identifiable(found, recording) -> None:
+    result = summarise(found("sfla:random=coordinate:generations=100"), [recording], [])
+    assert result.fit.relative_error < 0.2
+    (step,) = [step for step in result.preprocessing if step.name == "physical parameters"]
+    # Link 1 turns about a vertical axis: its mass only adds to the inertia.
+    assert step.settings["m1 determined"] < 0.99
+    assert "m1 std" not in step.settings
+    assert step.settings["Fv2 determined"] == 1.0
+    assert step.settings["Fv2 std"] > 0.0
+
+
+def test_a_centred_system_has_its_minimum_where_it_was_put(dense_reduction) -> None:
+    generator = np.random.default_rng(4)
+    plain = dense_reduction([(generator.standard_normal((50, 3)), generator.standard_normal(50)) for _ in range(2)])
+    centre = np.array([1.0, -2.0, 0.5])
+    centred = centred_reduction(plain, centre)
+    for solve in (ordinary_least_squares, weighted_least_squares):
+        solution = solve(centred, range(3))
+        assert solution.parameters == pytest.approx(centre)
+        assert centred.residual_sums(centre) == pytest.approx(plain.residual_sums(centre))
+
+
+def test_settings_reach_the_optimiser() -> None:
+    options = chosen_method("wls-rwpso:particles=9:c1=1:c2=2:least=0.1:most=0.2:spread=0.05").options
+    assert options.swarm == ParticleSwarm(9, RandomWeight(0.1, 0.2, 0.05), 1.0, 2.0)
+    assert chosen_method("wls-pso:weight=1.3").options.swarm.weight.value == 1.3
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["sfla:memeplexes=0", "sfla:frogs=5", "sfla:random=x", "wls-pso:particles=1", "wls-rwpso:least=2", "ls-pso:box=0"],
+)
+def test_bad_settings_are_refused_before_any_work(text: str) -> None:
+    with pytest.raises(UsageError) as refused:
+        IdentifyChoices(text)
+    assert "\n" not in str(refused.value)
