@@ -5,8 +5,8 @@ import pytest
 
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.friction_shapes import ShapeCost, lugre_columns, stribeck_columns
-from ident.estimators.swarm.frog_leaping import FrogLeaping
 from ident.estimators.swarm.minimisation import Budget, minimise
+from ident.estimators.swarm.particle_swarm import ParticleSwarm
 
 RATE = 200.0
 TIME = np.arange(400) / RATE
@@ -47,7 +47,7 @@ def test_the_cost_is_the_residual_of_least_squares_over_everything_else(case) ->
 def test_the_true_shapes_are_found(case) -> None:
     cost, _, truth, box = case
     assert cost.coefficients(truth) == pytest.approx([4.0, 0.3])
-    found = minimise(FrogLeaping(20, 4, 5, random="coordinate"), cost, box, Budget(25), seed=2)
+    found = minimise(ParticleSwarm(20), cost, box, Budget(60), seed=2)
     assert found.cost < 0.02 * cost(box.draw(np.random.default_rng(1), 20)).min()
 
 
