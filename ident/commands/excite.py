@@ -44,7 +44,7 @@ def excite(
     prior: Path = typer.Option(None, "--prior", help="Model folder or result.json with prior parameters and noise."),
     margin: float = typer.Option(DesignChoices.margin, "--margin", help="Share of every limit kept free."),
     self_collision: bool = typer.Option(True, "--self-collision/--no-self-collision", help="Keep links apart."),
-    solver: str = typer.Option("slsqp", "--solver", help="slsqp, trust-constr or ipopt."),
+    solver: str = typer.Option("slsqp", "--solver", help="slsqp, trust-constr, ipopt or sfla."),
     page: Path = typer.Option(None, "--page", help="Page to write (.html): figures, plots, the arm in motion."),
     force: bool = FORCE,
     as_json: bool = JSON,

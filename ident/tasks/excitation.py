@@ -182,7 +182,7 @@ def design_excitation(
         prior: result.json with prior parameters and noise.
         margin: share of every limit kept free.
         self_collision: keep links apart.
-        solver: "slsqp", "trust-constr" or "ipopt".
+        solver: "slsqp", "trust-constr" or "ipopt", with derivatives; "sfla", shuffled frog leaping without any.
         earlier: a trajectory to improve.
         workers: processes; one per core where None, this one alone where 1.
         progress: called after each better motion, and a few times per second.

@@ -18,7 +18,11 @@ from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.excite.search.problem import Problem
 
-Solver = Literal["slsqp", "trust-constr", "ipopt"]
+LocalSolver = Literal["slsqp", "trust-constr", "ipopt"]
+"""With derivatives."""
+
+Solver = Literal[LocalSolver, "sfla"]
+"""Those, or shuffled frog leaping without any."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,7 @@ class Watch:
 UNWATCHED = Watch(lambda: None, lambda variables: False)
 
 
-def solve(problem: Problem, start: FloatArray, solver: Solver, watch: Watch = UNWATCHED) -> Iterator[FloatArray]:
+def solve(problem: Problem, start: FloatArray, solver: LocalSolver, watch: Watch = UNWATCHED) -> Iterator[FloatArray]:
     """From `start` towards a local optimum: the variables (size,) after every round.
 
     Raises:
@@ -87,17 +91,17 @@ def solve(problem: Problem, start: FloatArray, solver: Solver, watch: Watch = UN
         yield variables
 
 
-def open_search(problem: Problem, feasible: FloatArray, solver: Solver, watch: Watch = UNWATCHED) -> FloatArray:
+def open_search(problem: Problem, feasible: FloatArray, solver: LocalSolver, watch: Watch = UNWATCHED) -> FloatArray:
     """A better motion near a feasible one; it may exceed the limits a little."""
     return _SOLVERS[solver](_Evaluations(problem, OPENING, watch), feasible, OPENING, OPENING_REACH)
 
 
-def tighten(problem: Problem, variables: FloatArray, solver: Solver, watch: Watch = UNWATCHED) -> FloatArray:
+def tighten(problem: Problem, variables: FloatArray, solver: LocalSolver, watch: Watch = UNWATCHED) -> FloatArray:
     """Another last round from `variables`, for a problem whose limits were narrowed."""
     return _round(problem, variables, solver, ROUNDS[-1], watch)
 
 
-def _round(problem: Problem, start: FloatArray, solver: Solver, step: Round, watch: Watch) -> FloatArray:
+def _round(problem: Problem, start: FloatArray, solver: LocalSolver, step: Round, watch: Watch) -> FloatArray:
     """Result of a round; with a shorter reach where it ends further outside the limits than it began."""
     before = max(problem.allowed, float(problem.use(start).max(initial=0.0)))
     for reach in REACHES:
@@ -222,7 +226,7 @@ def _ipopt(evaluations: _Evaluations, start: FloatArray, step: Round, reach: flo
     return np.asarray(minimum.x) if np.all(np.isfinite(minimum.x)) else start
 
 
-_SOLVERS: dict[Solver, Callable[[_Evaluations, FloatArray, Round, float], FloatArray]] = {
+_SOLVERS: dict[LocalSolver, Callable[[_Evaluations, FloatArray, Round, float], FloatArray]] = {
     "slsqp": _slsqp,
     "trust-constr": _trust_constr,
     "ipopt": _ipopt,

@@ -11,9 +11,10 @@ from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.excite.search.acceptance import LEAST_SHARE, ROUNDING, accepted, dense_use, shrunk_to_fit
 from ident.excite.search.error_bars import ErrorBar
+from ident.excite.search.frogs import leap
 from ident.excite.search.poses import NoFeasiblePoseError, feasible_pose
 from ident.excite.search.problem import Problem
-from ident.excite.search.solve import Solver, Watch, open_search, solve, tighten
+from ident.excite.search.solve import LocalSolver, Solver, Watch, open_search, solve, tighten
 
 DRAWS = 20
 """Random members that a start is chosen from."""
@@ -77,7 +78,7 @@ def run_start(
         start: its index.
         begin: (size,) where it begins.
         seed: of the candidate poses where `begin` does not keep the limits.
-        solver: of the local problems.
+        solver: of the local problems; "sfla" searches all motions at once instead.
         report: called with the start's results.
         tick: called before every evaluation; what it raises ends the start.
 
@@ -121,6 +122,10 @@ def run_start(
 
     feasible = _feasible_near(problem, begin, seed, tick)
     keep(feasible)
+    if solver == "sfla":
+        leap(problem, feasible, seed, offer, tick)
+        report(Finished(start))
+        return
     watch = Watch(tick, visit)
     for _ in range(OPENINGS):
         offer_shrunk(open_search(problem, best_variables, solver, watch))
@@ -177,7 +182,7 @@ def _worst(problem: Problem, variables: FloatArray) -> str:
     return f"{percent_text(float(use[worst]), 4)} of the {problem.limits[worst]}"
 
 
-def _narrowed(problem: Problem, variables: FloatArray, solver: Solver, watch: Watch) -> Iterator[FloatArray]:
+def _narrowed(problem: Problem, variables: FloatArray, solver: LocalSolver, watch: Watch) -> Iterator[FloatArray]:
     """Further rounds within narrower limits, until they are kept between the grid's points too."""
     if float(problem.use(variables).max(initial=0.0)) > problem.allowed + ROUNDING:
         return
