@@ -29,6 +29,7 @@ from benchmarks import (
     regressor,
     simulation,
     startup,
+    swarm,
 )
 
 RESULTS = Path(__file__).with_name("results.json")
@@ -49,6 +50,8 @@ GOALS = {
     "excitation_time_to_cond12_vs_slsqp_pin": ("≥", 4.0),
     "c_vs_pinocchio_cpp_ur5e": ("≥", 4.0),
     "c_vs_pinocchio_cpp_panda": ("≥", 4.0),
+    "swarm_cost_vs_rows": ("≥", 1000.0),
+    "swarm_search_vs_pymoo": ("≥", 5.0),
 }
 """What each figure should reach; the others are there for orientation."""
 
@@ -71,6 +74,7 @@ RUNS = (
     plant.run,
     recorder.run,
     excitation.run,
+    swarm.run,
 )
 
 MODULES = (
@@ -88,6 +92,7 @@ MODULES = (
     plant,
     recorder,
     excitation,
+    swarm,
 )
 
 
