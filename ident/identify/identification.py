@@ -254,7 +254,7 @@ class Identification:
     @property
     def residual_tests(self) -> list[ResidualTests]:
         """The assumptions of least squares, tested per joint; none for a method that fits no torques."""
-        if self.choices.method in ENERGY_METHODS:
+        if self.choices.estimator.equations == "energy":
             return []
         series = iter(self.fit_series)
         equations = []
