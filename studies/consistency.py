@@ -1,5 +1,8 @@
 """What physical consistency costs: held-out errors of the unconstrained and the consistent model, and its CPU time.
 
+*Least* is the smallest eigenvalue of a link's pseudo-inertia relative to its prior's, which the margin holds above
+0.001; *p* the p-value of the F-test on the constraint.
+
     python studies/consistency.py [DATA]
 
 DATA is the folder of the public recordings (`DYNID_DATA`); the simulated arms need none.
@@ -12,12 +15,17 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
+
 from daq.importers import ImportChoices, import_file
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from ident.estimators.feasible.consistent import consistent_parameters
-from ident.identify.identification import IdentifyChoices
+from ident.estimators.feasible.prior import link_priors
+from ident.estimators.feasible.pseudo_inertia import pseudo_inertia
+from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
+from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.signals.options import PreprocessChoices
 from sim_drivers.synthetic.measurement import simulate_recording
@@ -60,19 +68,31 @@ def line(name: str, recording: Recording, choices: IdentifyChoices) -> str:
     milliseconds = 1e3 * (time.process_time() - start)
     consistent = identified.consistent
     if consistent is None:
-        return f"| {name} | {100 * identified.validation.relative_error:.2f} | none found | | |"
+        return f"| {name} | {100 * identified.validation.relative_error:.2f} | none found | | | | |"
+    p_value = summarise(identified, [recording], []).consistent.p_value  # type: ignore[union-attr]
     links = ", ".join(identified.model.link_names[link] for link in consistent.parameters.boundary) or "none"
     return (
         f"| {name} | {100 * identified.validation.relative_error:.2f} | "
-        f"{100 * consistent.validation.relative_error:.2f} | {links} | {milliseconds:.0f} |"
+        f"{100 * consistent.validation.relative_error:.2f} | {p_value:.2g} | {_least(identified):.2g} | {links} | "
+        f"{milliseconds:.0f} |"
     )
+
+
+def _least(identified: Identification) -> float:
+    """The smallest eigenvalue of a link's pseudo-inertia relative to its prior's."""
+    model, estimate = identified.model, identified.estimate
+    system = estimate.root @ estimate.combinations(identified.base.projection)
+    priors = pseudo_inertia(link_priors(model, identified.robot_file, system, estimate.root @ estimate.values).links)
+    values = identified.consistent.parameters.values  # type: ignore[union-attr]
+    links = pseudo_inertia(values[: 10 * len(model.joints)].reshape(-1, 10))
+    return float(np.linalg.eigvals(np.linalg.solve(priors, links)).real.min())
 
 
 def main() -> None:
     """Print the table."""
     data = Path(sys.argv[1] if len(sys.argv) > 1 else os.environ.get("DYNID_DATA", "../shared/data"))
-    print("| arm | unconstrained [%] | consistent [%] | links at the boundary | CPU [ms] |")
-    print("|---|---|---|---|---|")
+    print("| arm | unconstrained [%] | consistent [%] | p | least | links at the boundary | CPU [ms] |")
+    print("|---|---|---|---|---|---|---|")
     if data.is_dir():
         for name in ("ur10", "panda", "tx40"):
             print(line(f"{name}, public recording", *public(data, name)), flush=True)

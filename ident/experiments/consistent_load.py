@@ -13,13 +13,12 @@ import numpy as np
 
 from drivers.errors import IdentificationError
 from drivers.streams import FloatArray
-from ident.estimators.feasible.consistent import FeasibleFit, bounded_precision, feasible_fit
+from ident.estimators.feasible.consistent import FeasibleFit, bounded_precision, cost_test, feasible_fit
 from ident.estimators.feasible.interior_point import BoolArray
 from ident.estimators.feasible.prior import can_exist, link_priors, uniform_ball
 from ident.estimators.feasible.problem import build_problem, with_load
 from ident.estimators.feasible.pseudo_inertia import Body, body_of
 from ident.experiments.load_estimate import LoadEstimate, relative_error
-from ident.experiments.merge import variance_ratio
 from ident.experiments.run_pair import FREE, LOADED, RunPair
 from ident.linear_algebra.triangular import triangular
 from ident.model.load import FIRST_MOMENTS, MASS, KnownLoad, load_effect, moved_origin
@@ -118,7 +117,7 @@ def consistent_load(pair: RunPair, load: LoadEstimate, known: KnownLoad | None) 
         loaded_arm=loaded_arm,
         boundary=tuple(link for link in fit.boundary if link < links),
         on_boundary=links in fit.boundary,
-        test=_cost(estimate, fit.misfit),
+        test=cost_test(fit, estimate),
         errors=_errors(pair, free_values[: base.count], load.columns.effect @ free_values[base.count :]),
         consistent_errors=_errors(pair, base.projection @ arm, effect @ own),
     )
@@ -164,18 +163,6 @@ def _deviations(fit: FeasibleFit, body: Body, fixed: BoolArray) -> FloatArray:
     open_ones = ~fixed & ~np.isfinite(fit.std[-LOAD_SIZE:])
     spread = np.linalg.norm(to_centre @ fit.spread[-LOAD_SIZE:], axis=1)
     return np.where(np.any(to_centre[:, open_ones] != 0, axis=1), np.nan, spread)
-
-
-def _cost(estimate: Estimate, misfit: float) -> SignificanceTest | None:
-    """The rise in the sum of squares against what autocorrelated noise makes of it."""
-    from scipy.stats import chi2
-
-    count = len(estimate.values)
-    inflation = variance_ratio(estimate.root, estimate.covariance)
-    if not (np.isfinite(inflation) and inflation > 0):
-        return None
-    statistic = misfit / inflation
-    return SignificanceTest(statistic, count, float(chi2.sf(statistic, count)))
 
 
 def _errors(pair: RunPair, parameters: FloatArray, change: FloatArray) -> tuple[float, float]:

@@ -140,8 +140,6 @@ def _result(
             model,
             base,
             robot_file,
-            estimate,
-            residuals.effective_rows or 0.0,
             consistent,
             not_simulated="nothing was held out",
         ),

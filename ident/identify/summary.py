@@ -93,8 +93,6 @@ def summarise(
             model,
             base,
             identification.robot_file,
-            identification.estimate,
-            corrected.effective_rows,
             identification.consistent.parameters,
             identification.consistent.fit,
             identification.consistent.validation,

@@ -11,7 +11,6 @@ from ident.estimators.feasible.pseudo_inertia import body_of
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import INERTIAL
-from ident.regression.estimate import Estimate
 from ident.result.schema import (
     UNITS,
     ConsistentModel,
@@ -49,8 +48,6 @@ def consistent_model(
     model: DynamicModel,
     base: BaseParameters,
     robot_file: RobotFile,
-    estimate: Estimate,
-    effective_rows: float,
     consistent: ConsistentParameters,
     fit: FitFigures | None = None,
     validation: FitFigures | None = None,
@@ -63,9 +60,7 @@ def consistent_model(
         model: the arm.
         base: base parameters of the experiment.
         robot_file: whose prior was used.
-        estimate: that it was fitted to.
-        effective_rows: equations that the autocorrelated residuals are worth.
-        consistent: what came of it.
+        consistent: its parameters.
         fit: its error on the identification data, where there are any.
         validation: on held-out data.
         tracking: of the simulated arm on a held-out motion.
@@ -95,7 +90,7 @@ def consistent_model(
         prior_distance=prior.distance,
         prior_weight=prior.weight,
         misfit=consistent.misfit,
-        p_value=_p_value(estimate, effective_rows, consistent.misfit),
+        p_value=None if consistent.cost is None else consistent.cost.p_value,
         boundary=[model.link_names[link] for link in consistent.boundary],
         limits_hit=list(consistent.limits_hit),
         fit=None if fit is None else fit_result(fit),
@@ -121,16 +116,3 @@ def fit_result(figures: FitFigures) -> Fit:
     return Fit.model_validate(
         {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(figures).items()}
     )
-
-
-def _p_value(estimate: Estimate, effective_rows: float, misfit: float) -> float | None:
-    """F-test of the rise against the estimate's own uncertainty, inflated as autocorrelated residuals inflate it."""
-    from scipy.stats import f
-
-    known = np.isfinite(np.diag(estimate.covariance))
-    count, freedom = int(known.sum()), effective_rows - len(estimate.values)
-    if not count or freedom <= 0:
-        return None
-    root = estimate.root[:, known]
-    inflation = float(np.trace(root @ estimate.covariance[np.ix_(known, known)] @ root.T)) / count
-    return float(f.sf(misfit / (count * inflation), count, freedom)) if inflation > 0 else None

@@ -15,6 +15,7 @@ from ident.estimators.feasible.problem import Problem, build_problem
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.estimate import Estimate
+from ident.regression.hypothesis_tests import SignificanceTest
 
 DETERMINED = 0.99
 """A standard parameter counts as identified where this share of it, in units of its prior, is seen by the data."""
@@ -48,6 +49,7 @@ class ConsistentParameters:
         base_covariance: (b, b).
         sources: (k,) where each link's prior comes from.
         misfit: rise of the sum of squared residuals, each of unit variance, over that of the estimate.
+        cost: whether noise explains that rise where the truth is consistent; None where no variance is known.
         boundary: indices of the links that the conditions hold near the boundary.
         limits_hit: ranges of the file that are active.
         steps: Newton steps.
@@ -61,6 +63,7 @@ class ConsistentParameters:
     base_covariance: FloatArray
     sources: tuple[str, ...]
     misfit: float
+    cost: SignificanceTest | None
     boundary: tuple[int, ...]
     limits_hit: tuple[str, ...]
     steps: int
@@ -76,6 +79,7 @@ class FeasibleFit:
         std: (p,) standard deviations of what the data determine; nan for the rest.
         determined: (p,) share of each that the data determine.
         misfit: rise of the sum of squared residuals, each of unit variance, over that of the estimate.
+        left: (a, a) share of a small change of the whitened values that conditions and prior do not follow.
         boundary: indices of the bodies that the conditions hold near the boundary.
         limits_hit: ranges of the file that are active.
         steps: Newton steps.
@@ -86,6 +90,7 @@ class FeasibleFit:
     std: FloatArray
     determined: FloatArray
     misfit: float
+    left: FloatArray
     boundary: tuple[int, ...]
     limits_hit: tuple[str, ...]
     steps: int
@@ -124,6 +129,7 @@ def consistent_parameters(
         base_covariance=of_base @ of_base.T,
         sources=priors.sources,
         misfit=fit.misfit,
+        cost=cost_test(fit, estimate),
         boundary=fit.boundary,
         limits_hit=fit.limits_hit,
         steps=fit.steps,
@@ -149,6 +155,8 @@ def feasible_fit(problem: Problem, estimate: Estimate, projection: FloatArray, w
         RobotFileError: the conditions contradict each other.
         IdentificationError: no minimum was reached.
     """
+    from scipy.linalg import solve_triangular
+
     system, target = estimate.root @ estimate.combinations(projection), estimate.root @ estimate.values
     start, forces = strictly_inside(problem.conditions, problem.start, problem.free)
     if np.any(forces > 0):
@@ -170,15 +178,39 @@ def feasible_fit(problem: Problem, estimate: Estimate, projection: FloatArray, w
     spread = problem.scale[:, None] * _spread(minimum, scaled, estimate, problem.free)
     determined = _determined(scaled, problem.free)
     misfit = system @ values - target
+    followed = solve_triangular(minimum.root, scaled[:, np.flatnonzero(problem.free)].T, trans="T")
     return FeasibleFit(
         values=values,
         spread=spread,
         std=np.where(determined >= DETERMINED, np.linalg.norm(spread, axis=1), np.nan),
         determined=determined,
         misfit=float(misfit @ misfit),
+        left=np.eye(len(system)) - followed.T @ followed,
         boundary=_boundary(problem, minimum),
         limits_hit=_limits_hit(problem, minimum),
         steps=minimum.steps,
+    )
+
+
+def cost_test(fit: FeasibleFit, estimate: Estimate) -> SignificanceTest | None:
+    """Whether the rise in the sum of squares is what noise makes of it, given the conditions that are active.
+
+    Where a polyhedron's face is active, the rise is a chi-square variable with as many degrees of freedom as the face
+    takes from the parameters (Bartholomew 1961). Here it is a weighted sum of squares, its mean and variance those of
+    the estimate's covariance, autocorrelation included, in the directions that conditions and prior do not follow
+    (Satterthwaite 1946); the variance comes from the blocks of the jackknife.
+    """
+    from scipy.stats import f
+
+    whitened = fit.left @ estimate.root @ np.where(np.isfinite(estimate.covariance), estimate.covariance, 0.0)
+    spread = whitened @ estimate.root.T @ fit.left.T
+    mean, square = float(np.trace(spread)), float(np.sum(spread * spread.T))
+    if not (mean > 0 and square > 0 and estimate.blocks > 1):
+        return None
+    freedom = mean**2 / square
+    statistic = fit.misfit * freedom / mean
+    return SignificanceTest(
+        statistic, max(1, round(freedom)), float(f.sf(fit.misfit / mean, freedom, estimate.blocks - 1))
     )
 
 

@@ -263,3 +263,26 @@ def test_the_length_of_the_data_does_not_matter() -> None:
     again = replace(estimate, root=np.linalg.qr(np.vstack([0.5 * estimate.root] * 4), mode="r"))
     first, second = (consistent_parameters(model, base, e, robot_file) for e in (estimate, again))
     np.testing.assert_allclose(first.base, second.base, rtol=1e-6, atol=1e-9)
+
+
+def test_the_test_of_consistency_keeps_its_level_and_finds_what_cannot_exist() -> None:
+    """Of true bodies it rejects about as many as its level says; links of negative inertia it rejects always."""
+    robot_file = load_robot("ur5e")
+    model = build_model(robot_file)
+    truth = truth_vector(robot_file)
+
+    def p_values(values: np.ndarray, seeds: range) -> np.ndarray:
+        found = []
+        for seed in seeds:
+            base, estimate = estimated(model, values, 0.05, seed)
+            cost = consistent_parameters(model, base, estimate, robot_file).cost
+            assert cost is not None
+            found.append(cost.p_value)
+        return np.array(found)
+
+    of_bodies = p_values(truth, range(12))
+    assert np.mean(of_bodies < 0.05) <= 0.2
+    assert np.min(of_bodies) < 0.8  # it is no test that everything passes
+    impossible = truth.copy()
+    impossible[[20, 23, 25]] -= 2.0  # inertia of link 3 about its joint
+    assert np.all(p_values(impossible, range(3)) < 1e-3)
