@@ -1,4 +1,4 @@
-"""What does `kill -9` leave of a command's files? `python studies/killed_commands.py 50` takes about fifteen minutes.
+"""What does `kill -9` leave of a command's files? `python studies/killed_commands.py 50` takes about ten minutes.
 
 Kills `dynid import`, `identify`, `merge` and `recover` so many times each: half of the moments spread over a whole run,
 half over its last quarter, in which files are written; every other one with --force over older files. Every file found
@@ -16,7 +16,10 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Sequence
+from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +27,9 @@ import numpy as np
 import dynid
 from daq.output_files import unfinished_files
 from daq.recording.reader import read_recording
+from dynid import command
 from ident.result.schema import read_result
 
-DYNID = str(Path(sys.executable).with_name("dynid"))
 BAD = ("LOST", "HALF", "MIXED", "STRANGE")
 HALF_WRITTEN = """
 import os, signal, sys
@@ -65,6 +68,45 @@ def is_new(file: Path, samples: int) -> bool:
     return file.read_text().rstrip().endswith("</html>")
 
 
+def run_here(*arguments: str) -> None:
+    """Run a command to its end in this process."""
+    sys.argv = ["dynid", *arguments]
+    with suppress(SystemExit), redirect_stdout(StringIO()):
+        command.main()
+
+
+def killed_at(moment: float, arguments: Sequence[str], told: Path) -> int:
+    """Exit status of a command in a process group of its own, which is killed at a moment [s] unless it has ended.
+
+    A fork, so that no moment falls into the import of libraries.
+    """
+    process = os.fork()
+    if process == 0:
+        os.setpgid(0, 0)
+        descriptor = os.open(told, os.O_WRONLY | os.O_CREAT)
+        os.dup2(descriptor, 1)
+        os.dup2(descriptor, 2)
+        sys.argv = ["dynid", *arguments]
+        status = 70
+        try:
+            command.main()
+            status = 0
+        except SystemExit as ended:
+            status = int(ended.code or 0)
+        finally:
+            os._exit(status)
+    end = time.monotonic() + moment
+    while time.monotonic() < end:
+        ended, status = os.waitpid(process, os.WNOHANG)
+        if ended:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.002)
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(process, signal.SIGKILL)
+    os.kill(process, signal.SIGKILL)  # it may not have its group yet
+    return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+
+
 def kill_one(case: Case, folder: Path, moment: float, samples: int, *, over: bool) -> str:
     """Run a command in a new folder and kill it at a moment [s]; what was found then."""
     folder.mkdir()
@@ -75,15 +117,10 @@ def kill_one(case: Case, folder: Path, moment: float, samples: int, *, over: boo
             path.parent.mkdir(exist_ok=True)
             path.write_bytes((case.older / name if name else case.older).read_bytes())
             before[path] = path.read_bytes()
-    command = [DYNID, *case.arguments, "-o", str(folder / case.out), *(["--force"] if over else [])]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
-    try:
-        process.wait(moment)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-    status = process.wait()
+    arguments = [*case.arguments, "-o", str(folder / case.out), *(["--force"] if over else [])]
+    status = killed_at(moment, arguments, folder.with_name(f"{folder.name}.txt"))
     if status not in (0, -signal.SIGKILL):
-        raise RuntimeError(f"{case.name}: exit status {status}: {process.communicate()[1].decode()}")
+        raise RuntimeError(f"{case.name}: exit status {status}: {folder.with_name(f'{folder.name}.txt').read_text()}")
     kinds = []
     for path in paths:
         if not path.exists():
@@ -117,7 +154,7 @@ def prepare(folder: Path) -> tuple[list[Case], int]:
     rows = np.column_stack([joints.time, *(joints.channels[name].values for name in names)])
     np.savetxt(folder / "run.csv", rows, delimiter=",", header=",".join(header), comments="")
     for name in ("run", "other"):
-        subprocess.run([DYNID, "identify", folder / f"{name}.h5", "-o", folder / name], check=True, capture_output=True)
+        run_here("identify", f"{folder}/{name}.h5", "-o", f"{folder}/{name}")
     subprocess.run([sys.executable, "-c", HALF_WRITTEN, folder / "run.h5", folder / "killed.h5"])
     pair = ("result.json", "report.html")
     recording = ("",)
@@ -129,27 +166,38 @@ def prepare(folder: Path) -> tuple[list[Case], int]:
     ], len(joints.time)
 
 
-def main(kills: int) -> None:
-    """Kill and print."""
+def main(kills: int, names: Sequence[str]) -> None:
+    """Kill the commands of these names, or all, and print."""
     moments = random.Random(1)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         cases, samples = prepare(folder)
         for case in cases:
-            begun = time.monotonic()
-            outcome = kill_one(case, folder / f"{case.name}-whole", 600.0, samples, over=False)
-            duration = time.monotonic() - begun
+            if names and case.name not in names:
+                continue
+            run_here(*case.arguments, "-o", str(folder / f"{case.name}-first"))  # libraries are imported within it
+            duration = 0.0
             found: Counter[str] = Counter()
-            for kill in range(kills):
-                share = moments.uniform(0.0, 1.0) if kill % 4 < 2 else moments.uniform(0.75, 1.0)
-                found[
-                    kill_one(case, folder / f"{case.name}-{kill}", share * duration, samples, over=kill % 2 == 1)
-                ] += 1
+            killed = runs = 0
+            while killed < kills:
+                # The first run goes to its end; later ones show how long one takes by now.
+                share = moments.uniform(0.0, 1.0) if killed % 4 < 2 else moments.uniform(0.75, 1.0)
+                moment = share * duration if runs else 600.0
+                begun = time.monotonic()
+                what = kill_one(case, folder / f"{case.name}-{runs}", moment, samples, over=killed % 2 == 1)
+                if what.startswith("killed"):
+                    killed += 1
+                else:
+                    took = time.monotonic() - begun
+                    duration = 0.5 * (duration + took) if runs else took
+                runs += 1
+                found[what] += 1
             bad = sum(count for what, count in found.items() if any(word in what for word in BAD))
-            print(f"{case.name}: {duration:.1f} s ({outcome}); {kills} kills, {bad} bad")
+            print(f"{case.name}: {duration:.1f} s; {killed} kills in {runs} runs, {bad} bad")
             for what, count in sorted(found.items()):
                 print(f"    {count:>4}  {what}", flush=True)
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 50)
+    arguments = sys.argv[1:]
+    main(int(arguments[0]) if arguments else 50, arguments[1:])
