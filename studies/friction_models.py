@@ -62,15 +62,12 @@ def main(names: list[str]) -> None:
         for friction in MODELS:
             start = time.process_time()
             found = identify([recording], [], choices_of(choices, friction))
-            spent = time.process_time() - start
-            print(
-                f"{friction:36} " + " ".join(f"{error:7.3f}" for error in errors(found)) + f" {spent:7.1f}", flush=True
-            )
+            figures = [*errors(found), time.process_time() - start]
+            print(f"{friction:36} " + " ".join(f"{figure:7.3f}" for figure in figures), flush=True)
         for step in found.friction.steps:
-            print(
-                f"  {step.joint:22} {step.term:18} F({step.freedom}) {step.f_value:8.1f}  p {step.p_value:8.2g}  "
-                f"held out {step.error_before:.4f} → {step.error_after:.4f}  {'added' if step.accepted else ''}"
-            )
+            errors_text = f"{step.error_before:.4f} → {step.error_after:.4f}"
+            test = f"F({step.freedom}) {step.f_value:8.1f}  p {step.p_value:8.2g}"
+            print(f"  {step.joint:22} {step.term:18} {test}  held out {errors_text}  {'added' * step.accepted}")
         terms = found.model.terms
         if terms is not None:
             print(f"  exponents {np.round(terms.exponent, 3)}\n  v_s {np.round(terms.stribeck_velocity, 4)}")

@@ -11,6 +11,7 @@ from ident.assessment.recorded_motion import RecordedMotion
 from ident.linear_algebra.triangular import scaled_condition
 from ident.model.base_parameters import BaseParameters
 from ident.model.joint_columns import combined
+from ident.model.parameters import FRICTION_KINDS
 from ident.regression.least_squares import excited_columns
 from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared
@@ -69,5 +70,5 @@ def excited_base_columns(reduction: Reduction, base: BaseParameters, runs: Seque
             for segment in run.segments
         )
 
-    rubbing = ("viscous", "coulomb", "coupling")
+    rubbing = (*(kind for kind in FRICTION_KINDS if kind != "offset"), "coupling")
     return tuple(column for column in excited_columns(reduction) if base.kinds[column] not in rubbing or moves(column))

@@ -10,6 +10,7 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.model.base_parameters import BaseParameters, random_states
 from ident.model.dynamic_model import DynamicModel
+from ident.model.parameters import DISSIPATIVE_KINDS
 from ident.model.regressor import RegressorKernel, regressor
 from ident.regression.least_squares import LeastSquares, excited_columns, ordinary_least_squares
 from ident.regression.observation_matrix import Reduction, only_torques, reduce_segments, stack_reductions
@@ -97,7 +98,7 @@ def sign_checks(base: BaseParameters, parameters: FloatArray, std: FloatArray) -
     wrong = [
         column
         for column, kind in enumerate(base.kinds)
-        if kind in ("viscous", "coulomb", "motor_inertia") and parameters[column] < -SURE_DEVIATIONS * std[column]
+        if kind in (*DISSIPATIVE_KINDS, "motor_inertia") and parameters[column] < -SURE_DEVIATIONS * std[column]
     ]
     checks = []
     friction = [base.names[i] for i in wrong if base.kinds[i] != "motor_inertia"]

@@ -45,12 +45,14 @@ class ExportedArm:
         model: its tree and transmission.
         values: (p,) standard parameters in the order of `model.parameters`.
         dynamics: torques of the same parameters, which every file that is read again is compared with.
+        further_friction: friction of the identified model that none of the formats has, in sentences.
     """
 
     robot_file: RobotFile
     model: DynamicModel
     values: FloatArray
     dynamics: InverseDynamics
+    further_friction: tuple[str, ...] = ()
 
     @cached_property
     def bodies(self) -> tuple[Body, ...]:

@@ -35,7 +35,7 @@ def left_out_of_urdf(arm: ExportedArm) -> tuple[str, ...]:
     unlimited = _without_torque_limit(arm)
     if unlimited:
         sentences.append(f"torque limits of {unlimited}, which are not known")
-    return (*sentences, *_smoothing(arm))
+    return (*sentences, *_unusual_friction(arm))
 
 
 def left_out_of_mjcf(arm: ExportedArm) -> tuple[str, ...]:
@@ -46,7 +46,7 @@ def left_out_of_mjcf(arm: ExportedArm) -> tuple[str, ...]:
         "velocity and acceleration limits",
         "collision shapes: its capsules are there to be seen and touch nothing",
         *limits,
-        *_smoothing(arm),
+        *_unusual_friction(arm),
     )
 
 
@@ -60,10 +60,11 @@ def _without_torque_limit(arm: ExportedArm) -> str:
     return ", ".join(limits.name for limits in arm.model.limits if limits.torque is None)
 
 
-def _smoothing(arm: ExportedArm) -> tuple[str, ...]:
+def _unusual_friction(arm: ExportedArm) -> tuple[str, ...]:
     if not arm.model.smoothing:
-        return ()
-    return (f"the smoothing of Coulomb friction, tanh(q̇/ε) with ε = {arm.model.smoothing:g} rad/s",)
+        return arm.further_friction
+    smoothing = f"the smoothing of Coulomb friction, tanh(q̇/ε) with ε = {arm.model.smoothing:g} rad/s"
+    return (smoothing, *arm.further_friction)
 
 
 def _motor(arm: ExportedArm, motor: int) -> str:

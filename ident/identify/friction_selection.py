@@ -17,7 +17,9 @@ from drivers.streams import FloatArray
 from ident.identify.friction_candidates import CandidateGrams, solve_columns, squared_error
 from ident.model.friction_terms import FrictionTerms
 from ident.model.parameters import Quantity
-from ident.regression.hypothesis_tests import LEVEL
+
+LEVEL = 0.05
+"""Significance level of the F-test, that of AUBO Table II."""
 
 GROUPS: dict[str, str] = {
     "power": "exponent",

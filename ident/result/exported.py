@@ -6,11 +6,14 @@ import numpy as np
 
 from drivers.errors import ResultFileError, UsageError
 from ident.export.arm import ExportedArm, refuse_unidentified_friction
+from ident.model.base_parameters import base_parameters
 from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.parameters import FRICTION_KINDS
+from ident.result.further_friction import without_further_friction
 from ident.result.schema import Result
 from ident.result.stored_model import AGAIN, StoredModel
 
-FRICTION = ("viscous", "coulomb", "coupling")
+FRICTION = (*(kind for kind in FRICTION_KINDS if kind != "offset"), "coupling")
 """Kinds of parameters that an export takes from the recording or not at all."""
 
 
@@ -46,4 +49,9 @@ def exported_arm(result: Result, kind: str, stored: StoredModel, dynamics: Inver
         if entry.value is None and entry.kind in FRICTION and entry.name not in known
     ]
     refuse_unidentified_friction(unidentified, result.robot)
-    return ExportedArm(stored.robot_file, stored.model, np.array([values[name] for name in names]), dynamics)
+    standard = np.array([values[name] for name in names])
+    model, kept, lacking = without_further_friction(stored.model, standard)
+    if lacking:
+        base = base_parameters(model)
+        dynamics = InverseDynamics(model, base, base.projection @ kept)
+    return ExportedArm(stored.robot_file, model, kept, dynamics, lacking)

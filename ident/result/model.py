@@ -508,8 +508,9 @@ class Model:
                 where=self.name,
                 hint='record a motion that does, or load_model(…, parameters="essential"), which takes it as 0',
             )
-        dynamics = self._exported.dynamics if self.kind == "consistent" else self._dynamics
-        return write_c(dynamics, path, real=real, kind=KINDS[self.kind], force=force)
+        if self.kind == "consistent":
+            _ = self._exported  # refuses friction that no recording determined
+        return write_c(self._dynamics, path, real=real, kind=KINDS[self.kind], force=force)
 
     @cached_property
     def _exported(self) -> ExportedArm:

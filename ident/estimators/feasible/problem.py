@@ -17,6 +17,8 @@ from ident.estimators.feasible.prior import LinkPriors
 from ident.estimators.feasible.pseudo_inertia import BASIS, pseudo_inertia
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
+from ident.model.friction_terms import REFERENCE_TEMPERATURE, TEMPERATURE_KINDS, temperature_factor
+from ident.model.joint_columns import joint_column
 from ident.model.parameters import INERTIAL, PAIR_SYMBOLS, StandardParameter
 from ident.regression.estimate import Estimate
 
@@ -34,6 +36,9 @@ ROTOR_SHARE = 1e-3
 
 FRICTION_SHARE = 0.02
 """Unit of friction over the limit of the torque, at the limit of the velocity, where the data leave it open."""
+
+PLAUSIBLE_RISE = 20.0
+"""[K] of a joint's temperature over the reference."""
 
 UNKNOWN_TORQUE = 100.0
 """[N·m] limit of joints whose file names none."""
@@ -205,7 +210,7 @@ def _sign(parameter: StandardParameter) -> float:
 
     Friction of a coupled joint brakes where it is negative (SR400 eq. 8).
     """
-    if parameter.kind == "offset":
+    if parameter.kind == "offset" or parameter.kind in TEMPERATURE_KINDS:
         return 0.0
     if parameter.kind == "coupling" and PAIR_SYMBOLS[parameter.symbol] != "motor_inertia":
         return -1.0
@@ -227,10 +232,8 @@ def _joint_sizes(
         if parameter.symbol in ("Ia", "Iac"):
             sizes[index] = ROTOR_SHARE * torque / limits.acceleration
             pulls[index] = ROTOR_SHARE
-        elif parameter.symbol in ("Fv", "Fvm"):
-            sizes[index] = FRICTION_SHARE * torque / limits.velocity
         else:
-            sizes[index] = FRICTION_SHARE * torque
+            sizes[index] = FRICTION_SHARE * torque / _signal_size(model, parameter, torque, limits.velocity)
     deviations = np.sqrt(np.diag(np.linalg.pinv(estimate.root.T @ estimate.root)))
     for place, (column, value) in enumerate(zip(estimate.active, estimate.values, strict=True)):
         index = base.columns[column]
@@ -239,6 +242,21 @@ def _joint_sizes(
             sizes[index] = max(sign * value if sign else abs(value), float(deviations[place]))
             pulls[index] = 1.0
     return sizes, pulls
+
+
+def _signal_size(model: DynamicModel, parameter: StandardParameter, torque: float, velocity: float) -> float:
+    """What a friction parameter is multiplied with at the limits of the torque and the velocity."""
+    if parameter.kind == "coupling":
+        return velocity if PAIR_SYMBOLS[parameter.symbol] == "viscous" else 1.0
+    column = joint_column(model, parameter)
+    if column.quantity == "viscous":
+        return float(velocity**column.shape)
+    if column.quantity == "load":
+        return float(torque**column.shape)
+    if column.quantity in TEMPERATURE_KINDS:
+        factor = temperature_factor(column.quantity, np.array(REFERENCE_TEMPERATURE + PLAUSIBLE_RISE))
+        return float(np.sqrt(velocity) * np.abs(factor))
+    return 1.0
 
 
 def _units(pseudo: FloatArray) -> FloatArray:

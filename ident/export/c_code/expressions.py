@@ -16,7 +16,8 @@ import numpy as np
 
 from drivers.streams import FloatArray
 
-Kind = Literal["constant", "symbol", "add", "subtract", "multiply", "sin", "cos", "sign", "tanh"]
+Kind = Literal["constant", "symbol", "add", "subtract", "multiply", "sin", "cos", "sign", "tanh", "decay", "power"]
+"""What a node computes; decay is exp(−x), power |x| to a constant."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Operations:
             f"{self.sines} sines and cosines",
         ]
         if self.others:
-            parts.append(f"{self.others} signs or tanh")
+            parts.append(f"{self.others} signs, tanh, exp or pow")
         return ", ".join(parts)
 
 
@@ -96,7 +97,7 @@ class Graph:
             multiplications=kinds.count("multiply"),
             additions=kinds.count("add") + kinds.count("subtract"),
             sines=kinds.count("sin") + kinds.count("cos"),
-            others=kinds.count("sign") + kinds.count("tanh"),
+            others=sum(kinds.count(kind) for kind in ("sign", "tanh", "decay", "power")),
         )
 
     def evaluate(self, outputs: Sequence[Expression], inputs: Mapping[str, FloatArray]) -> FloatArray:
@@ -129,6 +130,8 @@ _NUMERIC = {
     "cos": np.cos,
     "sign": np.sign,
     "tanh": np.tanh,
+    "decay": lambda value: np.exp(-value),
+    "power": lambda value, exponent: np.abs(value) ** exponent,
 }
 
 
@@ -252,6 +255,20 @@ def sign(value: Expression) -> Expression:
 def hyperbolic_tangent(value: Expression) -> Expression:
     """Hyperbolic tangent, odd."""
     return _odd("tanh", value, math.tanh)
+
+
+def decay(value: Expression) -> Expression:
+    """exp(−x) of a square or another expression without a sign."""
+    if value.negative:
+        raise ValueError("the expression has a sign")
+    return Expression(value.graph, value.graph.operation("decay", value.node))
+
+
+def power(value: Expression, exponent: float) -> Expression:
+    """|x| to a positive constant."""
+    if exponent == 2.0:
+        return value * value
+    return Expression(value.graph, value.graph.operation("power", value.node, value.graph.constant(exponent).node))
 
 
 def _odd(kind: Kind, value: Expression, of_number: Callable[[float], float]) -> Expression:

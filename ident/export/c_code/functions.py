@@ -56,6 +56,7 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
     """
     model = dynamics.model
     refuse_numerical_loops(dynamics)
+    refuse_temperature(dynamics)
     count = model.dof
     q, dq, ddq = ([graph.symbol(f"{name}{joint}") for joint in range(count)] for name in ("q", "dq", "ddq"))
     still = [graph.constant(0.0)] * count
@@ -68,22 +69,34 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
     frames = joint_frames(graph, model, q, dq, ddq)
     motions = link_motions(graph, frames, model.gravity)
     moving = tree_torques(frames, [link_wrench(*pair) for pair in zip(motions, inertial, strict=True)])
-    rubbing = friction(graph, terms, model.smoothing, dq)
     rotors = [combination(graph, row, ddq) for row in terms.inertia]
     links = [combination(graph, column, moving) for column in follow.T]
-    torque = tuple(a + b + c for a, b, c in zip(links, rotors, rubbing, strict=True))
 
     resting_frames = joint_frames(graph, model, q, still, still)
     resting = link_motions(graph, resting_frames, model.gravity)
-    holding = tree_torques(resting_frames, [link_wrench(*pair) for pair in zip(resting, inertial, strict=True)])
-    gravity = tuple(combination(graph, column, holding) for column in follow.T)
+
+    def held(links_values: list[FloatArray]) -> list[Expression]:
+        """Torques (n,) at the joints that hold links of these parameters."""
+        wrenches = [link_wrench(*pair) for pair in zip(resting, links_values, strict=True)]
+        return [combination(graph, column, tree_torques(resting_frames, wrenches)) for column in follow.T]
+
+    load_torque = still
+    if model.terms is not None and model.terms.load_torque is not None:
+        of_links = np.zeros(SIZE * len(model.joints))
+        of_links[list(model.terms.load_torque.columns)] = model.terms.load_torque.values
+        at_joints = held([of_links[SIZE * link : SIZE * (link + 1)] for link in range(len(model.joints))])
+        load_torque = [combination(graph, row, at_joints) for row in np.linalg.inv(dynamics.coupling).T]
+    rubbing = friction(graph, terms, model.smoothing, dq, load_torque)
+    torque = tuple(a + b + c for a, b, c in zip(links, rotors, rubbing, strict=True))
+
+    gravity = tuple(held(inertial))
 
     mass = _joint_inertia(graph, tree_inertia(graph, resting_frames, inertial), follow, terms.inertia)
     axes = link_axes(graph, frames)
     columns = [
         inertial_column(graph, motions[number // SIZE], axes[number // SIZE], number % SIZE, follow)
         if model.parameters[number].kind == "inertial"
-        else joint_parameter_column(graph, dynamics, number, dq, ddq)
+        else joint_parameter_column(graph, dynamics, number, dq, ddq, load_torque)
         for number in dynamics.base.columns
     ]
     regressor = tuple(tuple(column[joint] for column in columns) for joint in range(count))
@@ -93,7 +106,13 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
             "torque", "Torques of a motion, friction and motor inertia included.", ("q", "dq", "ddq"), "tau", (torque,)
         ),
         Function("gravity", "Torques of gravity.", ("q",), "tau", (gravity,)),
-        Function("friction", "Torques of friction, constant offsets included.", ("dq",), "tau", (tuple(rubbing),)),
+        Function(
+            "friction",
+            "Torques of friction, constant offsets included.",
+            ("q", "dq") if model.needs_load_torque else ("dq",),
+            "tau",
+            (tuple(rubbing),),
+        ),
         Function(
             "mass_matrix",
             "Joint-space inertia matrix, motor inertia included.",
@@ -146,6 +165,21 @@ def refuse_numerical_loops(dynamics: InverseDynamics) -> None:
             "C code needs joints that follow linearly; a loop of this arm is solved numerically",
             where=model.name,
             hint="parallelograms and equations can be exported; for this arm, use the model from Python",
+        )
+
+
+def refuse_temperature(dynamics: InverseDynamics) -> None:
+    """Refuse friction that depends on the temperature, which the functions do not take.
+
+    Raises:
+        ModelError: it does.
+    """
+    model = dynamics.model
+    if model.needs_temperature:
+        raise ModelError(
+            "C code has no temperature, which the friction of this model depends on",
+            where=model.name,
+            hint="identify without the friction term 'temperature', or use the model from Python",
         )
 
 

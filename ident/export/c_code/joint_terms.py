@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.streams import FloatArray
-from ident.export.c_code.expressions import Expression, Graph, hyperbolic_tangent, sign
+from ident.export.c_code.expressions import Expression, Graph, decay, hyperbolic_tangent, power, sign
 from ident.export.c_code.frames import combination
 from ident.model.dynamic_model import DynamicModel
 from ident.model.inverse_dynamics import InverseDynamics
@@ -17,19 +17,21 @@ from ident.model.joint_columns import JointColumn, joint_column
 
 @dataclass(frozen=True)
 class JointTerms:
-    """Torques at the n joints with a motor: inertia·q̈ + viscous·q̇ + Σ coulomb·sign(motion·q̇) + offset.
+    """Torques at the n joints with a motor: inertia·q̈ + viscous·q̇ + Σ coulomb·sign(motion·q̇) + offset + further terms.
 
     Attributes:
         inertia: (n, n) [kg·m²] of the motors.
         viscous: (n, n) [N·m·s/rad].
         coulomb: (motion (n,), torques (n,) [N·m]) of each Coulomb column.
         offset: (n,) [N·m].
+        further: (column, motion (n,), torques (n,)) of each other column of friction.
     """
 
     inertia: FloatArray
     viscous: FloatArray
     coulomb: tuple[tuple[FloatArray, FloatArray], ...]
     offset: FloatArray
+    further: tuple[tuple[JointColumn, FloatArray, FloatArray], ...]
 
 
 def joint_terms(dynamics: InverseDynamics) -> JointTerms:
@@ -37,7 +39,7 @@ def joint_terms(dynamics: InverseDynamics) -> JointTerms:
     model = dynamics.model
     inertia, viscous = np.zeros((2, model.dof, model.dof))
     offset = np.zeros(model.dof)
-    coulomb = []
+    coulomb, further = [], []
     for number, value in zip(dynamics.base.columns, dynamics.parameters, strict=True):
         parameter = model.parameters[number]
         if parameter.kind == "inertial" or value == 0.0:
@@ -46,22 +48,46 @@ def joint_terms(dynamics: InverseDynamics) -> JointTerms:
         motion, torques = _motion(model, column), float(value) * _rows(dynamics, column)
         if column.quantity == "motor_inertia":
             inertia += np.outer(torques, motion)
-        elif column.quantity == "viscous":
+        elif column.quantity == "viscous" and column.shape == 1.0:
             viscous += np.outer(torques, motion)
         elif column.quantity == "coulomb":
             coulomb.append((motion, torques))
-        else:
+        elif column.quantity == "offset":
             offset += torques
-    return JointTerms(inertia, viscous, tuple(coulomb), offset)
+        else:
+            further.append((column, motion, torques))
+    return JointTerms(inertia, viscous, tuple(coulomb), offset, tuple(further))
 
 
-def friction(graph: Graph, terms: JointTerms, smoothing: float, velocity: Sequence[Expression]) -> list[Expression]:
-    """Friction and offsets (n,) at the joints' velocities (n,)."""
+def friction(
+    graph: Graph,
+    terms: JointTerms,
+    smoothing: float,
+    velocity: Sequence[Expression],
+    load_torque: Sequence[Expression],
+) -> list[Expression]:
+    """Friction and offsets (n,) at the joints' velocities (n,) and the motors' load torques (n,)."""
     totals = [combination(graph, row, velocity) for row in terms.viscous]
     for motion, torques in terms.coulomb:
         direction = coulomb_direction(combination(graph, motion, velocity), smoothing)
         totals = [total + direction * float(torque) for total, torque in zip(totals, torques, strict=True)]
+    for column, motion, torques in terms.further:
+        signal = _further_signal(column, combination(graph, motion, velocity), smoothing, load_torque)
+        totals = [total + signal * float(torque) for total, torque in zip(totals, torques, strict=True)]
     return [total + float(constant) for total, constant in zip(totals, terms.offset, strict=True)]
+
+
+def _further_signal(
+    column: JointColumn, rate: Expression, smoothing: float, load_torque: Sequence[Expression]
+) -> Expression:
+    """Signal of a power law, a Stribeck or a load column at a motor's velocity."""
+    if column.quantity == "viscous":
+        return sign(rate) * power(rate, column.shape)
+    direction = coulomb_direction(rate, smoothing)
+    if column.quantity == "stribeck":
+        share = rate * (1.0 / column.shape)
+        return direction * decay(share * share)
+    return direction * power(load_torque[column.rows[0][0]], column.shape)
 
 
 def joint_parameter_column(
@@ -70,6 +96,7 @@ def joint_parameter_column(
     number: int,
     velocity: Sequence[Expression],
     acceleration: Sequence[Expression],
+    load_torque: Sequence[Expression],
 ) -> list[Expression]:
     """The regressor's column (n,) of a standard parameter that is no link's."""
     model = dynamics.model
@@ -77,12 +104,14 @@ def joint_parameter_column(
     motion = _motion(model, column)
     if column.quantity == "motor_inertia":
         signal = combination(graph, motion, acceleration)
-    elif column.quantity == "viscous":
+    elif column.quantity == "viscous" and column.shape == 1.0:
         signal = combination(graph, motion, velocity)
     elif column.quantity == "coulomb":
         signal = coulomb_direction(combination(graph, motion, velocity), model.smoothing)
-    else:
+    elif column.quantity == "offset":
         signal = graph.constant(1.0)
+    else:
+        signal = _further_signal(column, combination(graph, motion, velocity), model.smoothing, load_torque)
     return [signal * float(factor) for factor in _rows(dynamics, column)]
 
 

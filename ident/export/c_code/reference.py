@@ -59,7 +59,7 @@ def reference(dynamics: InverseDynamics, real: Real, count: int = STATES, seed: 
     outputs = {
         "torque": torque.T,
         "gravity": dynamics.links(position, still, still).T,
-        "friction": dynamics.friction(velocity).T,
+        "friction": dynamics.friction(velocity, position).T,
         "mass_matrix": dynamics.inertia(position),
         "regressor": rows,
         "motor_torque": np.linalg.solve(dynamics.coupling.T, torque).T,

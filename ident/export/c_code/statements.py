@@ -48,7 +48,7 @@ class Dialect:
         return f"{plain if len(plain) <= len(text) else text}f"
 
     def function(self, kind: str) -> str:
-        """Name of sin, cos, tanh or sign."""
+        """Name of sin, cos, tanh, exp, pow, fabs or sign."""
         if kind == "sign":
             return self.sign
         return f"{kind}f" if self.real == "float" else kind
@@ -115,6 +115,11 @@ def _text(graph: Graph, number: int, texts: dict[int, _Text], dialect: Dialect) 
     if node.kind in ("add", "subtract"):
         left, right = operands
         return _Text(f"{left.text} {'+' if node.kind == 'add' else '-'} {_bound(right, 1)}", 2)
+    if node.kind == "decay":
+        return _Text(f"{dialect.function('exp')}(-{_bound(operands[0], 0)})", 0)
+    if node.kind == "power":
+        base = f"{dialect.function('fabs')}({operands[0].text})"
+        return _Text(f"{dialect.function('pow')}({base}, {operands[1].text})", 0)
     return _Text(f"{dialect.function(node.kind)}({operands[0].text})", 0)
 
 
