@@ -10,6 +10,7 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.model.base_parameters import BaseParameters, random_states
 from ident.model.dynamic_model import DynamicModel
+from ident.model.friction_terms import REFERENCE_TEMPERATURE
 from ident.model.parameters import DISSIPATIVE_KINDS
 from ident.model.regressor import RegressorKernel, regressor
 from ident.regression.least_squares import LeastSquares, excited_columns, ordinary_least_squares
@@ -36,6 +37,7 @@ def inertia_matrices(
     """Joint-space inertia matrices (N, n, n), motor inertias included, at positions (n, N)."""
     count = position.shape[1]
     weightless = replace(model, gravity=np.zeros(3))
+    heat = np.full_like(position, REFERENCE_TEMPERATURE)  # at rest it does not matter
     still = np.zeros_like(position)
     matrices = np.empty((count, model.dof, model.dof))
     inertial = np.array([kind in ("inertial", "motor_inertia") for kind in base.kinds])
@@ -43,7 +45,7 @@ def inertia_matrices(
     for joint in range(model.dof):
         acceleration = np.zeros_like(position)
         acceleration[joint] = 1.0
-        rows = regressor(weightless, position, still, acceleration, base.columns)
+        rows = regressor(weightless, position, still, acceleration, base.columns, heat)
         # The offset column is 1 whatever moves, and no torque of inertia.
         matrices[:, :, joint] = np.einsum("nbN,b->Nn", rows, np.where(inertial, parameters, 0.0))
     if model.transmission is not None:  # from the motors to the joints

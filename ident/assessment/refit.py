@@ -139,7 +139,7 @@ def _with_derivatives(
 ) -> FloatArray:
     """((1 + lengths)·n, N) the torque, and the derivative of the model's by each length."""
     rows = [segment.torque]
-    motion = (segment.position, segment.velocity, segment.acceleration)
+    motion = (segment.position, segment.velocity, segment.acceleration, segment.temperature)
     for joint, axis in lengths:
         ahead, behind = (
             model_torque(shifted(model, joint, axis, step), columns, parameters, *motion) for step in (STEP, -STEP)

@@ -25,6 +25,7 @@ def print_result(result: Result) -> None:
             for p in result.base_parameters
         ],
     )
+    _print_friction(result)
     validation = result.validation
     print_table(
         "\nErrors",
@@ -49,6 +50,23 @@ def print_result(result: Result) -> None:
     print_verdict(result.verdict)
     if result.acceptance is not None:
         print(f"\n{result.acceptance}")
+
+
+def _print_friction(result: Result) -> None:
+    """Further friction terms of the joints that have some, and the steps that led there."""
+    further = [(joint.joint, joint.terms_text) for joint in result.friction if joint.terms_text]
+    if further:
+        print_table("\nFurther friction, ± 95 %", ("joint", "terms"), further)
+    if result.friction_steps:
+        print_table(
+            "\nFriction terms tried",
+            ("joint", "term", "F", "p", "held-out error before", "after", "added"),
+            [
+                (step.joint, step.term, step.f_value, step.p_value, step.error_before, step.error_after, yes_no)
+                for step in result.friction_steps
+                for yes_no in ["yes" if step.accepted else "no"]
+            ],
+        )
 
 
 def _print_simulation(result: Result) -> None:

@@ -117,8 +117,13 @@ def _check_same_arm(results: Sequence[tuple[str, Result]]) -> None:
             ]
             raise UsageError(
                 f"{first_label} and {label} have different columns: {', '.join(different)}",
-                hint="identify both with the same --friction, --offset, --motor-inertia and --smoothing",
+                hint=_SHAPES
+                if different == ["terms"]
+                else "identify both with the same --friction, --offset, --motor-inertia and --smoothing",
             )
+
+
+_SHAPES = "shapes and load torque were estimated for each: state the shapes in the robot file, leave the load term out"
 
 
 def _first_difference(mine: str, theirs: str) -> str:

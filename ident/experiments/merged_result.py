@@ -132,7 +132,7 @@ def _result(
         ],
         delay=DelayFigures(used=first.delay.used, best=first.delay.best, note=f"of {inputs[0].label}"),
         base_parameters=parameter_results(model, base, solution, std, pruned, threshold),
-        friction=friction_results(model, base, solution, std),
+        friction=friction_results(model, base, solution, std, merged.covariance, {}),
         standard_parameters=None if consistent is None else link_results(model, consistent),
         consistent=None
         if consistent is None

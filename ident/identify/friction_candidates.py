@@ -22,11 +22,15 @@ from ident.model.regressor import LoadTorqueKernel, RegressorKernel
 from ident.regression.observation_matrix import filtered_samples
 from ident.signals.prepared import Prepared, Segment
 
-EXPONENTS = (0.2, 0.35, 0.5, 0.65, 0.8, 1.25, 1.6)
-STRIBECK_SHARES = (0.02, 0.04, 0.08, 0.15, 0.25, 0.4, 0.6)
+EXPONENTS = (0.2, 0.3, 0.4, 0.6, 0.8, 1.2, 1.4, 1.7)
+"""Grid of α, without that of the temperature columns."""
+STRIBECK_SHARES = (0.02, 0.03, 0.042, 0.06, 0.085, 0.12, 0.17, 0.24, 0.34, 0.5)
 """Grid of v_s over a motor's greatest speed."""
 
 FOLDS = 6
+
+INDEPENDENT = 1e-4
+"""A column with a smaller share of its length independent of the others cannot be chosen beside them."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +99,12 @@ def solve_columns(gram: FloatArray, chosen: Sequence[int]) -> FloatArray | None:
     if not np.all(scale > 0.0):
         return None
     try:
-        values = np.linalg.solve(gram[np.ix_(picked, picked)] / np.outer(scale, scale), gram[picked, -1] / scale)
+        root = np.linalg.cholesky(gram[np.ix_(picked, picked)] / np.outer(scale, scale))
     except np.linalg.LinAlgError:
         return None
+    if np.min(np.diag(root)) < INDEPENDENT:
+        return None
+    values = np.linalg.solve(root.T, np.linalg.solve(root, gram[picked, -1] / scale))
     parameters = np.zeros(len(gram) - 1)
     parameters[picked] = values / scale
     return parameters

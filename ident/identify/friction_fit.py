@@ -46,6 +46,9 @@ LOAD_TOLERANCE = 1e-3
 SHAPE_TOLERANCE = 1e-4
 """Relative changes below which load torque and shapes count as settled."""
 
+ROOT_DISTANCE = 0.02
+"""Least distance of α from 0.5, the exponent of the temperature columns, where a motor has those."""
+
 LARGEST_FACTOR = 2.0
 """By which a shape may change in one step."""
 
@@ -70,6 +73,9 @@ def fit_friction(
     if not automatic and not terms.shaped and not terms.loaded:
         return FrictionFit(model)
     progress("friction")
+    for run in data.identification:
+        heat = run.signals.temperature
+        model.require_temperature(None if heat is None else heat.T, run.signals.label)
     plain = replace(model, terms=None)
     kernel = RegressorKernel(plain, experiment_base(plain, [experiment]).columns)
     prepared = prepare_data(kernel, replace(data, held_out=()), experiment.torques, (), choices, progress)
@@ -149,9 +155,11 @@ class _Fit:
                 wanted and not free for wanted, free in zip(terms.stribeck, terms.free_stribeck_velocity, strict=True)
             ),
         )
-        model = replace(plain, terms=replace(without, load_torque=None))
+        model = replace(plain, terms=without)
+        if terms.loaded:
+            model = replace(plain, terms=replace(without, load_torque=self.solve(model).load_torque))
         search = self._search(model, self.solve(model))
-        for motor in self._experiment.torques:
+        for motor in (*self._experiment.torques, *self._experiment.torques):  # the second time beside all others
             search.start_shapes(motor, terms.free_exponent[motor], terms.free_stribeck_velocity[motor])
         return search.terms(without)
 
@@ -248,6 +256,9 @@ def _moved(terms: FrictionTerms, linear: _Solved, share: float) -> FrictionTerms
     """The terms with every free shape changed by a share of its Gauss-Newton step."""
 
     def moved(shape: float, free: bool, kind: str, term: str, motor: int, low: float, high: float) -> float:
+        if kind == "exponent" and terms.temperature[motor] != "none":
+            # Both columns are √|q̇| at 0.5; a step does not lead past it.
+            low, high = (max(low, 0.5 + ROOT_DISTANCE), high) if shape > 0.5 else (low, 0.5 - ROOT_DISTANCE)
         slope, coefficient = linear.value(kind, motor), linear.value(term, motor)
         if not free or slope is None or coefficient is None or coefficient == 0.0:
             return shape

@@ -206,7 +206,8 @@ class FrictionSearch:
         return start
 
     def start_shapes(self, motor: int, free_exponent: bool, free_velocity: bool) -> None:
-        """Add the power law and the Stribeck term of a motor with the shapes on the grids that fit best."""
+        """Give a motor the power law and the Stribeck term with the shapes on the grids that fit best."""
+        self._added = {key: way for key, way in self._added.items() if key[0] != motor}
         powers: list[_Addition | None] = [*self.ways(motor, "power")] if free_exponent else []
         falls: list[_Addition | None] = [*self.ways(motor, "stribeck")] if free_velocity else []
         found: tuple[float, _Addition | None, _Addition | None] = (float("inf"), None, None)

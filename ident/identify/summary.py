@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from hashlib import sha256
@@ -19,6 +19,7 @@ from ident.assessment.delay import DelaySearch
 from ident.identify.identification import ConsistentFit, Identification, PreparedRun
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
+from ident.model.friction_terms import LOAD_POWERS, TEMPERATURE_KINDS, temperature_coefficients
 from ident.model.parameters import Kind
 from ident.regression.estimate import Estimate
 from ident.regression.least_squares import LeastSquares
@@ -26,7 +27,6 @@ from ident.regression.observability import Experiment, describe, whole_arm
 from ident.regression.pruning import Pruned, relative_std
 from ident.result.consistent_model import consistent_model, fit_result, link_results
 from ident.result.schema import (
-    UNITS,
     BaseParameterResult,
     DelayFigures,
     DriveGainResult,
@@ -36,6 +36,7 @@ from ident.result.schema import (
     ExperimentResult,
     Fit,
     JointAssumptions,
+    FrictionStepResult,
     JointDelayFigures,
     JointFrictionResult,
     ModelOptions,
@@ -45,6 +46,7 @@ from ident.result.schema import (
     Result,
     file_sha256,
 )
+from ident.result.units import parameter_unit
 from ident.signals.prepared import Step
 from ident.verdict.verdict import Errors, Verdict, judge
 
@@ -77,13 +79,19 @@ def summarise(
                 *identification.runs[0].prepared.steps,
                 *identification.estimation.steps,
                 _experiment_step(identification),
+                *_friction_step(identification),
             )
         ],
         delay=delay_figures(identification.choices.preprocess.delay, identification.delay),
         base_parameters=parameter_results(
             model, base, solution, identification.std, pruned, identification.choices.significant_rsd
         ),
-        friction=friction_results(model, base, solution, identification.std),
+        friction=friction_results(
+            model, base, solution, identification.std, corrected.covariance, identification.shape_std
+        ),
+        friction_steps=[
+            FrictionStepResult.model_validate(step, from_attributes=True) for step in identification.friction.steps
+        ],
         standard_parameters=None
         if identification.consistent is None
         else link_results(model, identification.consistent.parameters),
@@ -225,6 +233,17 @@ def _experiment_step(identification: Identification) -> Step:
     )
 
 
+def _friction_step(identification: Identification) -> tuple[Step, ...]:
+    """How the friction's shapes and load torque were found, among the steps; none where all were known."""
+    friction = identification.friction
+    if not friction.rounds:
+        return ()
+    outcome = "settled after" if friction.settled else "had not settled after"
+    text = f"shapes and load torque of the friction, estimated from the identification data, {outcome} "
+    text += f"{friction.rounds} round{'s' * (friction.rounds > 1)}"
+    return (Step("friction", {"rounds": friction.rounds, "settled": friction.settled}, text),)
+
+
 def held_out_errors(joints: Sequence[str], fit: Fit | None) -> Errors:
     """Held-out errors for the verdict; unknown where nothing was held out."""
     if fit is None:
@@ -284,7 +303,6 @@ def parameter_results(
     essential = pruned.solution
     rsd = relative_std(solution.parameters, std)
     essential_std = np.hypot(std, essential.parameters - solution.parameters)  # the diagonal of `pruned_covariance`
-    symbols = [model.parameters[column].symbol for column in base.columns]
 
     def entry(i: int) -> BaseParameterResult:
         estimated, kept = i in solution.active, i in essential.active
@@ -293,7 +311,7 @@ def parameter_results(
             expression=base.expressions[i],
             kind=base.kinds[i],
             joint=model.link_names[base.joints[i]],
-            unit=UNITS[symbols[i]],
+            unit=parameter_unit(model, base.columns[i]),
             value=float(solution.parameters[i]) if estimated else None,
             std=float(std[i]),
             rsd_percent=float(rsd[i]),
@@ -306,26 +324,67 @@ def parameter_results(
     return [entry(i) for i in range(base.count)]
 
 
-FRICTION_KINDS: tuple[Kind, ...] = ("viscous", "coulomb", "offset")
+PLAIN_KINDS: tuple[Kind, ...] = ("viscous", "coulomb", "offset", "stribeck", "load")
+"""Kinds whose values and deviations `JointFrictionResult` has by name."""
 
 
 def friction_results(
-    model: DynamicModel, base: BaseParameters, solution: LeastSquares, std: FloatArray
+    model: DynamicModel,
+    base: BaseParameters,
+    solution: LeastSquares,
+    std: FloatArray,
+    covariance: FloatArray,
+    shape_std: Mapping[tuple[str, int], float],
 ) -> list[JointFrictionResult]:
-    """Friction of each joint with a motor; arguments as of `parameter_results`."""
+    """Friction of each joint with a motor.
+
+    Args:
+        model: the arm.
+        base: its base parameters (b).
+        solution: of the full model.
+        std: (b,) corrected standard deviations.
+        covariance: (a, a) corrected, of the active parameters.
+        shape_std: σ of the estimated shapes, by kind of their sensitivity and motor.
+    """
     position = {(kind, joint): i for i, (kind, joint) in enumerate(zip(base.kinds, base.joints, strict=True))}
 
     def value(kind: Kind, joint: int, values: FloatArray) -> float | None:
         i = position.get((kind, joint))
         return float(values[i]) if i is not None and i in solution.active else None
 
+    def of_motor(motor: int, joint: int) -> dict[str, Any]:
+        terms, found = model.terms, dict[str, Any]()
+        for kind in PLAIN_KINDS:
+            found |= {kind: value(kind, joint, solution.parameters), f"{kind}_std": value(kind, joint, std)}
+        if terms is None:
+            return found
+        if model.viscous[motor] and terms.exponent[motor] != 1.0:
+            found |= {"exponent": terms.exponent[motor], "exponent_std": shape_std.get(("exponent", motor))}
+        if terms.stribeck[motor]:
+            deviation = shape_std.get(("stribeck_velocity", motor))
+            found |= {"stribeck_velocity": terms.stribeck_velocity[motor], "stribeck_velocity_std": deviation}
+        if model.has("load")[motor]:
+            found["load_power"] = LOAD_POWERS[terms.load[motor]]
+        places = [position.get((kind, joint)) for kind in TEMPERATURE_KINDS]
+        if any(place in solution.active for place in places):
+            # β is linear in Ft, Fts and Ftc.
+            to_beta = np.array([temperature_coefficients(*unit) for unit in np.eye(3)]).T
+            rows = [solution.active.index(place) if place in solution.active else None for place in places]
+            values = [0.0 if place not in solution.active else solution.parameters[place] for place in places]
+            shares = np.zeros((3, len(solution.active)))
+            for column, row in enumerate(rows):
+                if row is not None:
+                    shares[:, row] = to_beta[:, column]
+            found["temperature"] = (to_beta @ np.array(values)).tolist()
+            found["temperature_std"] = np.sqrt(np.einsum("ij,jk,ik->i", shares, covariance, shares)).tolist()
+        return found
+
     return [
         JointFrictionResult(
             joint=name,
-            **{kind: value(kind, joint, solution.parameters) for kind in FRICTION_KINDS},
-            **{f"{kind}_std": value(kind, joint, std) for kind in FRICTION_KINDS},
+            **of_motor(motor, joint),
         )
-        for joint, name in zip(model.active, model.joint_names, strict=True)
+        for motor, (joint, name) in enumerate(zip(model.active, model.joint_names, strict=True))
     ]
 
 

@@ -9,7 +9,7 @@ stable and reads like the papers' tables.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -106,10 +106,14 @@ def base_parameters(model: DynamicModel) -> BaseParameters:
 
 
 class ModelKey:
-    """Lets the cache compare models by content: their arrays are not hashable."""
+    """Lets the cache compare models by content: their arrays are not hashable.
+
+    Friction's shapes do not count: which columns are independent does not depend on them, and at extreme ones it would
+    not show at a few random states.
+    """
 
     def __init__(self, model: DynamicModel) -> None:
-        self.model = model
+        self.model = model = _with_plain_shapes(model)
         self._content = repr((model.joints, model.limits, model.gravity.tolist())) + repr(
             (model.motor_inertia, model.viscous, model.coulomb, model.offset, model.smoothing, model.terms)
         )
@@ -121,6 +125,22 @@ class ModelKey:
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, ModelKey) and self._content == other._content
+
+
+def _with_plain_shapes(model: DynamicModel) -> DynamicModel:
+    """The model with shapes of its friction that show at any velocity."""
+    terms = model.terms
+    if terms is None:
+        return model
+    free = zip(terms.exponent, terms.free_exponent, strict=True)
+    return replace(
+        model,
+        terms=replace(
+            terms,
+            exponent=tuple(0.7 if wanted or exponent != 1.0 else 1.0 for exponent, wanted in free),
+            stribeck_velocity=tuple(0.3 * limits.velocity for limits in model.limits),
+        ),
+    )
 
 
 @lru_cache(maxsize=32)

@@ -12,13 +12,13 @@ from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import INERTIAL
 from ident.result.schema import (
-    UNITS,
     ConsistentModel,
     Fit,
     LinkResult,
     SimulatedMotionError,
     StandardParameterResult,
 )
+from ident.result.units import parameter_unit
 from ident.simulation.tracking import NATURAL_FREQUENCY, TrackingError
 
 
@@ -71,19 +71,21 @@ def consistent_model(
         parameters=[
             StandardParameterResult(
                 name=parameter.name,
-                unit=UNITS[parameter.symbol],
+                unit=parameter_unit(model, index),
                 value=float(value),
                 std=float(std),
                 determined=float(np.clip(share, 0.0, 1.0)),
                 known=bool(known),
             )
-            for parameter, value, std, share, known in zip(
-                model.parameters,
-                consistent.values,
-                consistent.std,
-                consistent.determined,
-                consistent.known,
-                strict=True,
+            for index, (parameter, value, std, share, known) in enumerate(
+                zip(
+                    model.parameters,
+                    consistent.values,
+                    consistent.std,
+                    consistent.determined,
+                    consistent.known,
+                    strict=True,
+                )
             )
         ],
         base_values=dict(zip(base.names, consistent.base.tolist(), strict=True)),

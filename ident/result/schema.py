@@ -27,6 +27,7 @@ from drivers.input_files import RESULT_FILE, read_text
 from drivers.ranges import EXPONENT, RESULT_VALUE, SMOOTHING, STRIBECK_VELOCITY
 from ident.model.friction_terms import FrictionTerms
 from ident.model.parameters import Kind
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.verdict.acceptance import Acceptance
 from ident.verdict.check import PURPOSES, texts
 from ident.verdict.verdict import Verdict
@@ -85,7 +86,11 @@ class BaseParameterResult(_Part):
 
 
 class JointFrictionResult(_Part):
-    """Friction of one joint; null where the model has no such column."""
+    """Friction of one joint; null where the model has no such column.
+
+    F = sign(q̇)·(coulomb + viscous·|q̇|^exponent + stribeck·exp(−(q̇/stribeck_velocity)²) + load·|τ_L|^load_power
+    + √|q̇|·(β1 + β2·T + β3·T⁻³)) + offset, T in kelvin, τ_L the load torque (`model_options.terms`).
+    """
 
     joint: str
     viscous: Number
@@ -94,6 +99,55 @@ class JointFrictionResult(_Part):
     coulomb_std: Number
     offset: Number
     offset_std: Number
+    exponent: Number = Field(default=None, description="α; null where friction is linear in the velocity")
+    exponent_std: Number = Field(default=None, description="null where it was not estimated")
+    stribeck: Number = Field(default=None, description="[N·m]")
+    stribeck_std: Number = None
+    stribeck_velocity: Number = Field(default=None, description="v_s [rad/s or m/s]")
+    stribeck_velocity_std: Number = Field(default=None, description="null where it was not estimated")
+    load: Number = Field(default=None, description="[(N·m)^(1 − load_power)]")
+    load_std: Number = None
+    load_power: Number = Field(default=None, description="1 (linear) or 2 (quadratic)")
+    temperature: list[Value] | None = Field(default=None, description="β1, β2, β3 of AUBO eq. 5, T in kelvin")
+    temperature_std: list[Number] | None = None
+
+    @property
+    def terms_text(self) -> str:
+        """The further terms in print; empty where there are none."""
+        parts = []
+        if self.exponent is not None:
+            parts.append(f"α {_with_interval(self.exponent, self.exponent_std)}")
+        if self.stribeck is not None:
+            velocity = _with_interval(self.stribeck_velocity, self.stribeck_velocity_std)
+            parts.append(f"Stribeck {_with_interval(self.stribeck, self.stribeck_std)} N·m, v_s {velocity} rad/s")
+        if self.load is not None:
+            power = "²" if self.load_power == 2.0 else ""
+            parts.append(f"load {_with_interval(self.load, self.load_std)} ·|τ_L|{power}")
+        if self.temperature is not None:
+            parts.append("β " + ", ".join(f"{value:.4g}" for value in self.temperature))
+        return "; ".join(parts)
+
+
+def _with_interval(value: float | None, std: float | None) -> str:
+    """A value, and half of its 95 % interval where it is known."""
+    text = "–" if value is None else f"{value:.3g}"
+    return text if std is None else f"{text} ± {WITHIN_95_PERCENT * std:.2g}"
+
+
+class FrictionStepResult(_Part):
+    """One step of complexity that `--friction auto` tried for a joint: the best one at that point."""
+
+    joint: str
+    term: str
+    shape: Number = Field(description="α or v_s on the grid where the term has one")
+    f_value: float = Field(description="partial F statistic, for the number of independent equations")
+    freedom: int
+    p_value: float
+    error_before: float = Field(
+        description="held-out error on blocks of the identification data, in the residuals' standard deviations"
+    )
+    error_after: Number
+    accepted: bool
 
 
 class DriveGainResult(_Part):
@@ -393,6 +447,7 @@ class Result(_Part):
     delay: DelayFigures
     base_parameters: list[BaseParameterResult]
     friction: list[JointFrictionResult]
+    friction_steps: list[FrictionStepResult] = Field(default=[], description="empty without --friction auto")
     standard_parameters: list[LinkResult] | None = Field(
         default=None, description="of the physically consistent model; null where none was found"
     )

@@ -122,7 +122,7 @@ class Graph:
         return number
 
 
-_NUMERIC = {
+_NUMERIC: dict[str, Callable[..., FloatArray]] = {
     "add": np.add,
     "subtract": np.subtract,
     "multiply": np.multiply,

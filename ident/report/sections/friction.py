@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from drivers.streams import FloatArray
+from ident.model.friction_terms import power_law, stribeck_share
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures import MEASURED, PREDICTED, Figure, plain, shortened
 from ident.report.number_text import whole
@@ -16,7 +17,7 @@ from ident.report.section import ReportData, ReportSection
 from ident.report.traces import packed
 from ident.result.schema import JointFrictionResult, Result
 
-KINDS = ("viscous", "coulomb", "offset")
+KINDS = ("viscous", "coulomb", "offset", "stribeck")
 COLUMNS = 2
 PANEL = 190
 SCATTER_POINTS = 1200
@@ -27,7 +28,13 @@ CURVE_POINTS = 60
 
 def section(data: ReportData) -> ReportSection:
     """Coefficients with their intervals, and a curve per joint."""
-    context = {"friction": [data.result.friction[joint] for joint in _order(data)], "figure": _figure(data)}
+    friction = [data.result.friction[joint] for joint in _order(data)]
+    context = {
+        "friction": friction,
+        "further": any(joint.terms_text for joint in friction),
+        "steps": data.result.friction_steps,
+        "figure": _figure(data),
+    }
     return ReportSection("Friction", "friction", "friction.html.j2", context)
 
 
@@ -51,8 +58,9 @@ def _figure(data: ReportData) -> Figure | None:
     sampled = f" (a random {whole(points)} of up to {whole(samples)} samples per joint)" if samples > points else ""
     caption = (
         "Points: measured torque minus all that the model predicts but friction and offset, that is, the residual plus "
-        f"the curve{sampled}. Line: viscous and Coulomb friction and offset as identified. Band: 95 % interval of the "
-        "line from the parameters' covariance. Where points bend away from the line, the model lacks a term."
+        f"the curve{sampled}. Line: viscous and Coulomb friction and offset as identified, with the power law and the "
+        "Stribeck term where the model has them; terms of load and temperature are not in it. Band: 95 % interval of "
+        "the line from the parameters' covariance. Where points bend away from the line, the model lacks a term."
     )
     return panel_figure("friction-plot", rows, caption)
 
@@ -68,12 +76,13 @@ def _panel(data: ReportData, joint: int, points: int) -> Panel:
     velocity, residual = velocity[known], residual[known]
     curve = _curve_velocity(velocity)
     coefficients = _coefficients(result.friction[joint])
-    torque = coefficients @ _columns(curve, result.model_options.smoothing)
-    data_torque = residual + coefficients @ _columns(velocity, result.model_options.smoothing)
+    smoothing, friction = result.model_options.smoothing, result.friction[joint]
+    torque = coefficients @ _columns(curve, smoothing, friction)
+    data_torque = residual + coefficients @ _columns(velocity, smoothing, friction)
     traces: list[dict[str, Any]] = []
     covariance = _covariance(result, name)
     if covariance is not None:
-        columns = _columns(curve, result.model_options.smoothing)
+        columns = _columns(curve, smoothing, friction)
         half = WITHIN_95_PERCENT * np.sqrt(np.einsum("ik,ij,jk->k", columns, covariance, columns))
         traces += _band(curve, torque, half)
     traces += [
@@ -139,19 +148,21 @@ def _curve_velocity(velocity: FloatArray) -> FloatArray:
     return np.concatenate([low * shape[::-1], [np.nan], high * shape])
 
 
-def _columns(velocity: FloatArray, smoothing: float) -> FloatArray:
-    """Regressor (3, N) of viscous friction, Coulomb friction and offset."""
+def _columns(velocity: FloatArray, smoothing: float, friction: JointFrictionResult) -> FloatArray:
+    """Regressor (4, N) of viscous friction, Coulomb friction, offset and Stribeck friction."""
     direction = np.tanh(velocity / smoothing) if smoothing > 0 else np.sign(velocity)
-    return np.array([velocity, direction, np.ones_like(velocity)])
+    viscous = power_law(velocity, friction.exponent or 1.0)
+    share = stribeck_share(velocity, friction.stribeck_velocity or 1.0)
+    return np.array([viscous, direction, np.ones_like(velocity), direction * share])
 
 
 def _coefficients(friction: JointFrictionResult) -> FloatArray:
-    """(3,) of the joint; 0 where the model has no such column."""
+    """(4,) of the joint; 0 where the model has no such column."""
     return np.array([getattr(friction, kind) or 0.0 for kind in KINDS])
 
 
 def _covariance(result: Result, joint: str) -> FloatArray | None:
-    """Covariance (3, 3) of a joint's coefficients, 0 for those that the model lacks; None where it is not stored."""
+    """Covariance (4, 4) of a joint's coefficients, 0 for those that the model lacks; None where it is not stored."""
     if result.estimate is None:
         return None
     names: Sequence[str | None] = [

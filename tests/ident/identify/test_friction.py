@@ -1,0 +1,200 @@
+"""Friction with further terms: recovered from simulation, chosen automatically, predicted, stored and exported."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from daq.robot.loader import RobotFile, parse_robot
+from drivers.errors import DataError, ModelError, UsageError
+from ident.identify.friction_choice import check_friction, chosen_friction
+from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
+from ident.identify.identify import identify
+from ident.identify.predict import predict_recording
+from ident.identify.revalidate import revalidate
+from ident.identify.summary import summarise
+from ident.model.true_parameters import true_model, truth_vector
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.result.model import Model
+from ident.result.schema import Result, result_json
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
+
+DURATION = 15.0
+
+ARM = """
+name: arm
+model:
+  mounting: free
+  mdh:
+    - {joint: j1, alpha: pi/2, d: 0, r: 0.3}
+    - {joint: j2, antecedent: j1, alpha: 0, d: 0.4, r: 0.1}
+joints:
+  - {name: j1, position: [-2.5, 2.5], velocity: 2, acceleration: 8, torque: 100}
+  - {name: j2, position: [-2.5, 2.5], velocity: 2, acceleration: 8, torque: 60}
+drives:
+  - {joint: j1, gain: 10}
+  - {joint: j2, gain: 8}
+truth:
+  links:
+    j1: {mass: 4, com: [0.2, 0.02, 0.02], inertia: [0.02, 0, 0, 0.06, 0, 0.06]}
+    j2: {mass: 2, com: [0.15, 0.02, 0.03], inertia: [0.004, 0, 0, 0.03, 0, 0.03]}
+  joints:
+    j1: {viscous: 5, coulomb: 4, offset: 0.3, motor_inertia: 0.6, alpha: 1.4, stribeck: 3.0, stribeck_velocity: 0.12,
+         load: 0.01, temperature: [36, -0.11, 0]}
+    j2: {viscous: 3, coulomb: 3, offset: -0.2, motor_inertia: 0.3, alpha: 1.3, stribeck: 2.0, stribeck_velocity: 0.15,
+         load: 0.03, temperature: [30, -0.09, 0]}
+  noise:
+    rate: 200
+    torque_std: {j1: 0.05, j2: 0.05}
+"""
+
+
+def arm(**friction: object) -> RobotFile:
+    content = yaml.safe_load(ARM)
+    content["friction"] = friction
+    return parse_robot(yaml.safe_dump(content), where="arm", folder=None)
+
+
+def recorded(robot_file: RobotFile, seed: int, warm: bool = True):
+    motion = random_fourier_motion(true_model(arm()), DURATION, seed)
+    heat = np.linspace(22.0, 42.0, round(DURATION * 200))[:, None] * [1.0, 0.9] if warm else None
+    return simulate_recording(robot_file, motion, DURATION, seed, celsius=heat)
+
+
+FULL = {"exponent": "estimated", "stribeck": True, "load": "quadratic", "temperature": "linear"}
+
+
+@pytest.fixture(scope="module")
+def full() -> tuple[RobotFile, Identification, Result]:
+    robot_file = arm(**FULL)
+    runs = [recorded(robot_file, 1)], [recorded(robot_file, 2)]
+    found = identify(*runs, IdentifyChoices(search_delay=False, reversals=0.0))
+    return robot_file, found, summarise(found, *runs)
+
+
+@pytest.mark.parametrize(
+    "friction",
+    [
+        {"exponent": "estimated"},
+        {"stribeck": True, "exponent": 1.4, "joints": {"j2": {"exponent": 1.3}}},
+        {"load": "quadratic", "stribeck": True},
+        {"temperature": "linear"},
+        FULL,
+    ],
+    ids=lambda friction: "+".join(friction),
+)
+def test_truth_lies_within_the_error_bars(friction):
+    robot_file = arm(**friction)
+    found = identify([recorded(robot_file, 1)], [], IdentifyChoices(search_delay=False, reversals=0.0))
+    truth = found.base.projection @ truth_vector(robot_file, found.model)
+    deviation = np.abs(found.solution.parameters - truth) / found.std
+    named = dict(zip(found.base.names, deviation.round(1), strict=True))
+    assert np.mean(deviation < WITHIN_95_PERCENT) > 0.8, named
+    assert np.max(deviation) < 4.5, named
+    joints = robot_file.robot.truth.joints
+    for (kind, motor), deviation_of_shape in found.shape_std.items():
+        name = found.model.joint_names[motor]
+        estimated = (found.model.terms.exponent if kind == "exponent" else found.model.terms.stribeck_velocity)[motor]
+        true = joints[name].alpha if kind == "exponent" else joints[name].stribeck_velocity
+        assert abs(estimated - true) < 4.0 * deviation_of_shape
+    assert len(found.shape_std) == 2 * (friction.get("exponent") == "estimated") + 2 * ("stribeck" in friction)
+    assert found.friction.settled
+
+
+def test_automatic_choice_finds_what_there_is():
+    robot_file = arm(stribeck=True, stribeck_velocity=0.12, joints={"j2": {"stribeck": False}})
+    runs = [recorded(robot_file, 1)], [recorded(robot_file, 2)]
+    plain = identify(*runs, IdentifyChoices(model=ModelChoices("coulomb-viscous"), search_delay=False))
+    found = identify(*runs, IdentifyChoices(model=ModelChoices("auto"), search_delay=False))
+    assert [(step.joint, step.term) for step in found.friction.steps if step.accepted] == [("j1", "stribeck")]
+    assert found.model.terms.stribeck == (True, False)
+    assert found.validation.relative_error < 0.7 * plain.validation.relative_error
+
+
+def test_prediction_and_storage_agree(full, tmp_path):
+    robot_file, found, result = full
+    again = Result.model_validate_json(result_json(result))
+    model = Model(again, "full")
+    recording = recorded(robot_file, 2)
+    assert revalidate(again, recording).full.relative_error == pytest.approx(found.validation.relative_error, rel=1e-6)
+    prediction = predict_recording(model, robot_file, recording).segments[0]
+    assert np.std(prediction.residual) < 0.05
+    assert np.all(np.isfinite(prediction.std))
+    q, dq, ddq, heat = [0.4, 0.3], [0.5, -0.4], [0.1, 0.2], [30.0, 35.0]
+    rest = model.torque(q, [0.0, 0.0], ddq, heat)
+    torque = model.torque(q, dq, ddq, heat)
+    values = np.array(model.parameters["value"], dtype=float)
+    assert np.allclose(model.regressor(q, dq, ddq, heat) @ values, torque)
+    parts = model.mass_matrix(q) @ ddq + model.gravity(q) + model.coriolis(q, dq) + model.friction(dq, q, heat)
+    assert np.allclose(parts, torque)
+    assert not np.allclose(rest, torque)
+    assert np.allclose(model.forward_dynamics(q, dq, torque, heat), ddq)
+
+
+def test_friction_section_of_the_result(full):
+    robot_file, _, result = full
+    for joint in result.friction:
+        truth = robot_file.robot.truth.joints[joint.joint]
+        beta = np.array(joint.temperature[:2])
+        assert np.all(np.abs(beta - truth.temperature[:2]) < 4.0 * np.array(joint.temperature_std[:2]))
+        assert abs(joint.load - truth.load) < 4.0 * joint.load_std
+        assert joint.load_power == 2.0
+        assert "Stribeck" in joint.terms_text
+        assert "α" in joint.terms_text
+    units = {p.name: p.unit for p in result.base_parameters}
+    assert units["Fl1"] == "1/(N·m)"
+    assert units["Fv1"].startswith("N·m·(s/rad)^1.")
+
+
+def test_what_friction_depends_on_is_asked_for(full):
+    robot_file, _, result = full
+    model = Model(result, "full")
+    with pytest.raises(DataError, match="temperature of j1, j2 is missing"):
+        model.torque([0.0, 0.0], [0.1, 0.1], [0.0, 0.0])
+    with pytest.raises(DataError, match="positions are missing"):
+        model.friction([0.1, 0.1], temperature=30.0)
+    cold = recorded(arm(), 1)
+    with pytest.raises(DataError, match="temperature of j1, j2 is missing"):
+        identify([replace(cold, robot_text=robot_file.text)], [], IdentifyChoices())
+    with pytest.raises(DataError, match="temperature of j1, j2 is missing"):
+        revalidate(result, cold)
+    with pytest.raises(ModelError, match="C code has no temperature"):
+        model.export_c("arm")
+
+
+def test_simulated_arm_has_this_friction(full):
+    _, _, result = full
+    model = Model(result)
+    heat = [30.0, 32.0]
+    torque = model.gravity([0.3, 0.2])
+    held = model.simulate([0.3, 0.2], [0.0, 0.0], torque, 0.2, temperature=heat)
+    assert np.allclose(held.position, [0.3, 0.2])  # dry friction holds the arm, and load adds to it
+
+    def controller(time, q, dq):
+        return model.torque(q, [0.5, -0.4], [0.0, 0.0], heat)
+
+    moved = model.simulate([0.3, 0.2], [0.5, -0.4], controller, 0.3, temperature=heat)
+    assert np.allclose(moved.velocity[-1], [0.5, -0.4], atol=2e-3)
+
+
+def test_texts_of_friction_models():
+    for good in ("auto", "none", "coulomb-viscous+power+stribeck+load-linear+temperature"):
+        check_friction(good)
+    for bad, message in (
+        ("sticky", "no friction model is called 'sticky'"),
+        ("coulomb+sticky", "no friction term is called 'sticky'"),
+        ("coulomb+load+load-linear", "names a term twice"),
+        ("coulomb+power", "exponent of viscous friction"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            check_friction(bad)
+    given = arm(exponent=0.5, stribeck_velocity=0.2, joints={"j1": {"stribeck": True, "exponent": 0.8}}).robot.friction
+    chosen = chosen_friction(given, "coulomb-viscous+power")
+    assert chosen.exponent == 0.5
+    assert chosen.joints["j1"].exponent == 0.8
+    assert not chosen.joints["j1"].stribeck
+    assert chosen_friction(given, "coulomb-viscous").exponent == 1.0
