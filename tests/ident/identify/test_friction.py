@@ -198,3 +198,12 @@ def test_texts_of_friction_models():
     assert chosen.joints["j1"].exponent == 0.8
     assert not chosen.joints["j1"].stribeck
     assert chosen_friction(given, "coulomb-viscous").exponent == 1.0
+
+
+def test_exports_say_what_they_cannot_hold(full, tmp_path):
+    _, _, result = full
+    model = Model(result)
+    for export in (model.export_urdf(tmp_path / "arm.urdf"), model.export_mjcf(tmp_path / "arm.xml")):
+        lacking = " ".join(export.left_out)
+        for what in ("Stribeck friction of j1, j2", "load-dependent", "temperature-dependent", "|q̇|^α"):
+            assert what in lacking

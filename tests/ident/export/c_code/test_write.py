@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from compiled_arm import CompiledArm, compile_c, self_test
+from friction_arm import arm_file
 from loop_arms import four_bar_arm
 
 from daq.robot.loader import load_robot
@@ -15,9 +16,10 @@ from drivers.errors import ModelError, UsageError
 from ident.export.c_code.names import identifier
 from ident.export.c_code.reference import reference
 from ident.export.c_code.write import write_c
-from ident.model.base_parameters import base_parameters
+from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.true_parameters import true_model, truth_vector
 
 pytestmark = pytest.mark.realtime
 
@@ -158,3 +160,15 @@ def test_parameters_beyond_single_precision_are_refused(tmp_path):
     with pytest.raises(ModelError, match="does not fit into a C float"):
         write_c(large, tmp_path / "arm", real="float")
     assert not list(tmp_path.iterdir())
+
+
+def test_further_friction_is_in_the_code(tmp_path):
+    file = arm_file("\nfriction: {exponent: 0.6, stribeck: true, load: quadratic, joints: {j3: {load: linear}}}\n")
+    model = true_model(file)
+    base = base_parameters(model)
+    dynamics = InverseDynamics(model, base, base.projection @ truth_vector(file, model))
+    source = write_c(dynamics, tmp_path / "arm").path
+    assert self_test(source, "three_joint").returncode == 0
+    q, dq, _ = random_states(model, 5, seed=4)
+    friction = CompiledArm(source, "three_joint")("friction", [q.T, dq.T], (3,))
+    assert np.allclose(friction, dynamics.friction(dq, q).T, rtol=0, atol=1e-9)
