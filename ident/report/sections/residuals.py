@@ -26,6 +26,9 @@ SCATTER_POINTS = 1500
 PAGE_SCATTER_POINTS = 15_000
 FEWEST_LAGS, MOST_LAGS = 60, 400
 
+NOT_CONVERGED = ("weights-not-settled", "search-gap")
+"""Checks of an estimator that did not converge."""
+
 
 def section(data: ReportData) -> ReportSection:
     """Residual against torque and velocity, autocorrelation, histogram and quantiles of each joint, with tests."""
@@ -50,7 +53,7 @@ def section(data: ReportData) -> ReportSection:
             "spread": LARGEST_SPREAD,
             "shape": LARGEST_SHAPE,
         },
-        "settled": not any(check.name == "weights-not-settled" for check in result.verdict.checks),
+        "settled": not any(check.name in NOT_CONVERGED for check in result.verdict.checks),
         "block_seconds": result.residuals.block_length * _step(data),
     }
     return ReportSection("Residuals", "residuals", "residuals.html.j2", context)
