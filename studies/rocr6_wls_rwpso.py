@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 import sys
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,6 +37,10 @@ from ident.model.dynamic_model import build_model
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
+from ident.signals.options import Differentiation, PreprocessChoices
+from ident.signals.smoothing.five_point import five_point_cubic
+from ident.signals.smoothing.kalman import WHITE_CURVATURE, kalman_smoother
+from ident.signals.smoothing.noise_levels import noise_levels
 from ident.simulation.forward_arm import ForwardArm
 from sim_drivers.synthetic.motion import random_fourier_motion
 
@@ -111,9 +116,37 @@ class Data:
         return tuple(np.sqrt(np.mean((torque - predicted) ** 2, axis=1)) for torque in (self.torque, self.clean))
 
 
-def identified(data: Data, held_out: Data, method: str) -> Identification:
-    choices = IdentifyChoices(method, ModelChoices(motor_inertia=False), search_delay=False)
+def identified(
+    data: Data, held_out: Data, method: str, differentiation: Differentiation = "butterworth"
+) -> Identification:
+    preprocess = PreprocessChoices(differentiation=differentiation)
+    choices = IdentifyChoices(method, ModelChoices(motor_inertia=False), preprocess, search_delay=False)
     return identify([data.recording], [held_out.recording], choices)
+
+
+def preprocessing(data: Data, held_out: Data) -> None:
+    """Figure 2: the torque smoothed before the identification, and ways to q̇ and q̈."""
+    smoothed = {"as recorded": data.torque, "five-point cubic, 3 passes": five_point_cubic(data.torque, 3)}
+    kalman = []
+    for torque in data.torque:
+        levels = noise_levels(torque, RATE, WHITE_CURVATURE, 1.0)
+        kalman.append(kalman_smoother(torque, RATE, levels.cutoff, WHITE_CURVATURE)[0])
+    smoothed["Kalman smoother"] = np.array(kalman)
+    print(f"\n{'torque':28} {'q̇, q̈':12} RMS error of the torque signal [N·m], then of WLS on the validation trajectory")
+    for name, torque in smoothed.items():
+        signal = np.sqrt(np.mean((torque - data.clean) ** 2, axis=1))
+        changed = copy(data)
+        changed.torque = torque
+        for way in ("butterworth", "kalman", "five-point"):
+            values = identified(changed, held_out, "wls", way).solution.parameters
+            errors = held_out.rms(values)[1]
+            print(
+                f"{name:28} {way:12} "
+                + " ".join(f"{v:6.3f}" for v in signal)
+                + "  "
+                + " ".join(f"{v:6.4f}" for v in errors),
+                flush=True,
+            )
 
 
 def convergence(data: Identification) -> None:
@@ -188,6 +221,7 @@ def main() -> None:
     print(f"excitation: condition number of W {designed.design.cost:.1f} after {seconds:g} s")
     data = Data(motion, truth, 1)
     held_out = Data(random_fourier_motion(MODEL, PERIOD, seed=5, candidates=20), truth, 2)
+    preprocessing(data, held_out)
     convergence(identified(data, held_out, "wls"))
     table_3(data, held_out, truth, folder)
 
