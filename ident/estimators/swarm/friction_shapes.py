@@ -58,8 +58,12 @@ class ShapeCost:
 
     def residual(self, point: FloatArray) -> FloatArray:
         """Residual (N,) of shapes (s,): what a gradient method works with."""
-        free = self._free_columns(point[None, :])[0]
-        return np.asarray(self.torque - free @ np.linalg.lstsq(free, self.torque, rcond=None)[0])
+        return np.asarray(self.residuals(point[None, :])[0])
+
+    def residuals(self, points: FloatArray) -> FloatArray:
+        """Residuals (P, N) of shapes (P, s)."""
+        fits = [free @ np.linalg.lstsq(free, self.torque, rcond=None)[0] for free in self._free_columns(points)]
+        return np.asarray(self.torque - np.array(fits))
 
     def coefficients(self, point: FloatArray) -> FloatArray:
         """Linear coefficients f (k,) that belong to shapes (s,)."""
