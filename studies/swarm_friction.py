@@ -1,10 +1,10 @@
 """Nonlinear friction with many minima: swarms against multi-start Gauss-Newton, counted in costs.
 
-`python studies/swarm_friction.py` (about 4 minutes of CPU time). One joint, a Fourier motion of 8 s at 250 Hz, inertia,
-viscous and Coulomb friction, offset, and a friction shape; noise of 2 % of the torque. The linear part is eliminated,
-so that all search the shapes only, in the same box, with at most 3000 costs (LuGre: 1000, 10 seeds). A difference
-quotient of the gradient method counts as a cost. A run has succeeded where its cost is within 0.1 % of the least that any run
-found.
+`python studies/swarm_friction.py` (about 5 minutes of CPU time). One joint, a Fourier motion of 8 s at 250 Hz,
+inertia, viscous and Coulomb friction, offset, and a friction shape; noise of 2 % of the torque. The linear part is
+eliminated, so that all search the shapes only, in the same box, with at most 3000 costs (LuGre: 1000, 10 seeds). A
+difference quotient of the gradient method counts as a cost. A run has succeeded where its cost is within 0.1 % of the
+least that any run found.
 """
 
 from __future__ import annotations
