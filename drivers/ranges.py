@@ -66,6 +66,12 @@ DELAY = Range(-60.0, 60.0, "s")
 WINDOW_TIME = Range(0.0, 1e7, "s")
 """From a recording's first stamp; four months."""
 ENERGY_WINDOW = Range(1e-3, 3600.0, "s")
+RIDGE_WEIGHT = Range(0.0, 1e3)
+"""Of a penalty, over a column's squared length; from 1 on parameters are pulled half way to 0."""
+LOOP_BANDWIDTH = Range(1.0, 1000.0, "rad/s")
+"""Of a simulated position loop; arms have 10 to 100."""
+AR_ORDER = Range(0, 50)
+"""Of an autoregressive noise model."""
 SMOOTHING = Range(0.0, 10.0, "rad/s")
 EXPONENT = Range(0.05, 4.0)
 """Of the velocity in viscous friction; measured ones lie between 0.3 and 1.5."""

@@ -54,16 +54,7 @@ class GramAccumulator:
 
     def factor(self) -> FloatArray:
         """R (p, p); a singular Gram matrix is allowed."""
-        scale = self.lengths
-        safe = np.where(scale > 0, scale, 1.0)
-        scaled = self._gram / np.outer(safe, safe)
-        try:
-            root = np.linalg.cholesky(scaled, upper=True)
-        except np.linalg.LinAlgError:
-            values, vectors = np.linalg.eigh(scaled)
-            root = triangular(np.sqrt(np.clip(values, 0.0, None))[:, None] * vectors.T)
-        result: FloatArray = root * scale
-        return result
+        return gram_root(self._gram)
 
 
 class PreconditionedGram:
@@ -121,6 +112,19 @@ class QrAccumulator:
     def factor(self) -> FloatArray:
         """R (p, p) of all rows so far."""
         return self._factor
+
+
+def gram_root(gram: FloatArray) -> FloatArray:
+    """R (p, p) with RᵀR of a symmetric matrix (p, p), which may be singular; what is negative in it counts as 0."""
+    scale = np.sqrt(np.clip(np.diag(gram), 0.0, None))
+    safe = np.where(scale > 0, scale, 1.0)
+    scaled = gram / np.outer(safe, safe)
+    try:
+        root = np.linalg.cholesky(scaled, upper=True)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(scaled)
+        root = triangular(np.sqrt(np.clip(values, 0.0, None))[:, None] * vectors.T)
+    return np.asarray(root * scale)
 
 
 def triangular(matrix: FloatArray) -> FloatArray:

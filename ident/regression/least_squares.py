@@ -88,7 +88,7 @@ def ordinary_least_squares(reduction: Reduction, active: Sequence[int]) -> Least
     Raises:
         IdentificationError: fewer equations than parameters, or columns that depend on each other.
     """
-    return _solve(reduction, tuple(active), _with_rows(reduction).astype(np.float64), "ols", 1)
+    return solve_weighted(reduction, active, _with_rows(reduction).astype(np.float64), "ols")
 
 
 def weighted_least_squares(reduction: Reduction, active: Sequence[int]) -> LeastSquares:
@@ -103,8 +103,8 @@ def weighted_least_squares(reduction: Reduction, active: Sequence[int]) -> Least
     solution = ordinary_least_squares(reduction, active)
     floor, used = _rounding_floor(reduction), _with_rows(reduction)
     for iteration in range(2, WLS_ITERATIONS + 2):
-        weights = np.where(used, 1.0 / np.maximum(solution.joint_std, floor), 0.0)
-        refined = _solve(reduction, tuple(active), weights, "wls", iteration)
+        weights = inverse_deviations(reduction, solution.joint_std)
+        refined = solve_weighted(reduction, active, weights, "wls", iteration)
         change = np.max(np.abs(np.maximum(refined.joint_std, floor) * weights - 1.0)[used])
         solution = refined
         if change < WLS_TOLERANCE:
@@ -125,13 +125,27 @@ def _rounding_floor(reduction: Reduction) -> FloatArray:
     return np.asarray(ROUNDING * np.maximum(torque, max(1e-9 * float(np.max(torque)), np.finfo(float).tiny)))
 
 
-def _solve(
-    reduction: Reduction,
-    active: tuple[int, ...],
-    weights: FloatArray,
-    method: LinearMethod,
-    iterations: int,
+def inverse_deviations(reduction: Reduction, joint_std: FloatArray) -> FloatArray:
+    """Weights (n,) 1/σ of each joint's rows from the deviations σ (n,) of its residual [N·m]; 0 without rows."""
+    return np.where(_with_rows(reduction), 1.0 / np.maximum(joint_std, _rounding_floor(reduction)), 0.0)
+
+
+def residual_deviations(reduction: Reduction, parameters: FloatArray, count: int) -> FloatArray:
+    """Standard deviation (n,) of each joint's residual for base parameters (b,), `count` of which were estimated."""
+    joint_rows = np.array([joint.rows for joint in reduction.joints])
+    joint_freedom = joint_rows * (reduction.rows - count) / reduction.rows
+    return np.asarray(np.sqrt(reduction.residual_sums(parameters) / np.maximum(joint_freedom, 1.0)))
+
+
+def solve_weighted(
+    reduction: Reduction, active: Sequence[int], weights: FloatArray, method: str, iterations: int = 1
 ) -> LeastSquares:
+    """Least squares with given weights (n,) of the joints' rows.
+
+    Raises:
+        IdentificationError: fewer equations than parameters, or columns that depend on each other.
+    """
+    active = tuple(active)
     count = len(active)
     if reduction.rows <= count:
         raise IdentificationError(
@@ -150,8 +164,6 @@ def _solve(
     parameters[list(active)] = values
     residual_sum = float(factor[count, count] ** 2) if factor.shape[0] > count else 0.0
     freedom = reduction.rows - count
-    joint_rows = np.array([joint.rows for joint in reduction.joints])
-    joint_freedom = joint_rows * freedom / reduction.rows
     singular = np.linalg.svd(square, compute_uv=False) if count else np.ones(1)
     return LeastSquares(
         method=method,
@@ -160,7 +172,7 @@ def _solve(
         covariance=residual_sum / freedom * inverse,
         inverse=inverse,
         weights=weights,
-        joint_std=np.sqrt(reduction.residual_sums(parameters) / np.maximum(joint_freedom, 1.0)),
+        joint_std=residual_deviations(reduction, parameters, count),
         rows=reduction.rows,
         condition=float(singular[0] / singular[-1]),
         scaled_condition=scaled_condition(square) if count else 1.0,

@@ -142,6 +142,31 @@ def null_vector_moves(blocks: FloatArray, solution: NullVector) -> FloatArray:
     return delete_block_moves(lambda gram: np.concatenate(null_vector_of_gram(gram, solution.scale))[:-1], blocks)
 
 
+def total_least_squares(factor: FloatArray, errors: FloatArray, torque_error: float) -> tuple[FloatArray, float]:
+    """Parameters (a,) and λ of total least squares with known errors of the columns and of the right-hand side.
+
+    Minimises ‖W·θ − τ‖² / (θᵀCθ + c); λ, the minimum, is the share of the errors that the data bear out: about 1 where
+    they are as given. C may be singular: columns without errors are exact (mixed LS-TLS).
+
+    Args:
+        factor: (a + 1, a + 1) triangular, of [W τ].
+        errors: C (a, a) Gram matrix of the columns' errors.
+        torque_error: c, sum of the squared errors of τ.
+
+    Raises:
+        IdentificationError: dependent columns.
+    """
+    lengths = np.linalg.norm(factor, axis=0)
+    if not np.all(np.abs(np.diag(factor)) > 1e-12 * lengths):
+        raise IdentificationError("the columns of the system depend on each other", hint="record a richer motion")
+    both = np.zeros_like(factor)
+    both[:-1, :-1], both[-1, -1] = errors, torque_error
+    inverse = np.linalg.solve(factor / lengths, np.eye(len(factor))) / lengths[:, None]
+    shares, vectors = np.linalg.eigh(inverse.T @ both @ inverse)
+    direction = inverse @ vectors[:, -1]
+    return np.asarray(-direction[:-1] / direction[-1]), float(1.0 / shares[-1])
+
+
 def _concatenated(factors: Sequence[FloatArray], weights: FloatArray) -> tuple[FloatArray, int]:
     """Triangular factor (a + n, a + n) of the weighted [A Y], and a."""
     count, width = len(factors), factors[0].shape[1] - 1

@@ -1,0 +1,204 @@
+"""Instrumental variables (IDIM-IV: Janot, Vandanjon and Gautier, IEEE Trans. Control Syst. Technol. 22, 2014).
+
+Noise of the positions is in W, and makes least squares biased and inconsistent. Instruments Z, the regressor of another
+motion that has the same course but not the same noise, take that away: θ solves Zᵀ(τ − W·θ) = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from drivers.errors import IdentificationError
+from drivers.ranges import LOOP_BANDWIDTH
+from drivers.streams import FloatArray
+from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
+from ident.estimators.method import Method, within
+from ident.estimators.simulated_arm import check_whole_arm, simulated_motions
+from ident.estimators.torque_estimator import TorqueEstimator
+from ident.estimators.triangular_estimation import restricted_solution, triangular_system
+from ident.linear_algebra.triangular import QrAccumulator, triangular
+from ident.regression.jackknife import CorrectedCovariance, FilteredRun
+from ident.regression.least_squares import (
+    LeastSquares,
+    inverse_deviations,
+    residual_deviations,
+    weighted_least_squares,
+)
+from ident.regression.moment_equations import SegmentRows, moment_jackknife
+from ident.regression.observation_matrix import Reduction
+from ident.signals.prepared import Prepared, Segment
+from ident.signals.repetition import own_period
+
+ITERATIONS = 30
+SETTLED = 0.01
+"""Largest change of a parameter, over its classical deviation."""
+
+Instruments = Literal["auto", "repetition", "simulation"]
+
+
+@dataclass(frozen=True)
+class IvOptions:
+    """Options of instrumental variables."""
+
+    instruments: Annotated[
+        Instruments,
+        Field(
+            description="motion of the instruments: another repetition of the recorded one, or that of the simulated "
+            "arm; auto takes repetitions where there are any"
+        ),
+    ] = "auto"
+    bandwidth: Annotated[
+        float | None,
+        within(LOOP_BANDWIDTH),
+        Field(description="of the simulated position loop [rad/s]; twenty times the motion's band if absent"),
+    ] = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class InstrumentalEstimation(Estimation):
+    """An estimate with its instruments.
+
+    Attributes:
+        instruments: of each run, its segments with the motion of the instruments.
+    """
+
+    instruments: tuple[tuple[Segment, ...], ...]
+
+
+def repeated_segment(segment: Segment) -> Segment | None:
+    """The segment with the motion of one period later, of one period earlier in the last; None where none repeats."""
+    period = own_period(segment.velocity)
+    if period is None:
+        return None
+    count = len(segment.time)
+    place = np.arange(count) + period
+    place = np.where(place < count, place, place - 2 * period)
+    # Less than two periods: what has no partner later and none earlier stays itself.
+    place = np.where(place >= 0, place, np.arange(count))
+    return replace(
+        segment,
+        position=segment.position[:, place],
+        velocity=segment.velocity[:, place],
+        acceleration=segment.acceleration[:, place],
+        used=segment.used & (place != np.arange(count)),
+    )
+
+
+@dataclass(frozen=True)
+class InstrumentalEstimator(TorqueEstimator):
+    """Instrumental variables with the joints weighted by their residuals.
+
+    Attributes:
+        options: where the instruments come from.
+    """
+
+    options: IvOptions
+
+    def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
+        """Weights, and a simulated motion, follow the parameters, iterated."""
+        repeated = self._repeated(runs)
+        reduction, solution = plain, self.solve(plain, active)
+        motions = repeated or []
+        changes: list[float] = []
+        while len(changes) < ITERATIONS and (not changes or changes[-1] > SETTLED):
+            if repeated is None:
+                motions = simulated_motions(self.setup, runs, reduction, solution, self.options.bandwidth)
+            if repeated is None or not changes:
+                factors = self._factors(runs, motions, plain)
+            weights = inverse_deviations(plain, residual_deviations(plain, solution.parameters, len(solution.active)))
+            solved = triangular_system(
+                plain, _projected(factors, plain, weights, active), weights, active, "iv", len(changes) + 1
+            )
+            moved = np.abs(solved.solution.parameters - solution.parameters)[list(active)]
+            changes.append(float(np.max(moved / solved.solution.std[list(active)])))
+            reduction, solution = solved.reduction, solved.solution
+        name = "weights" if repeated else "simulation, weights and fit"
+        return InstrumentalEstimation(
+            self.setup.kernel,
+            reduction,
+            solution,
+            (Loop(name, "σ", tuple(changes), changes[-1] <= SETTLED),),
+            passes=1 + 2 * (1 if repeated else len(changes)),
+            instruments=tuple(motions),
+        )
+
+    def covariance(self, runs: Sequence[FilteredRun], estimation: Estimation) -> CorrectedCovariance:
+        """Delete-block jackknife, the instruments held."""
+        assert isinstance(estimation, InstrumentalEstimation)
+        sources = [
+            SegmentRows(estimation.kernel, segment, run.parallel_filter, instruments)
+            for run, motions in zip(runs, estimation.instruments, strict=True)
+            for segment, instruments in zip(run.segments, motions, strict=True)
+        ]
+        return moment_jackknife([torques for run in runs for torques in run.series], sources, estimation.solution)
+
+    def restricted(self, estimation: Estimation, columns: Sequence[int]) -> LeastSquares:
+        """Two-stage least squares: fewer columns, the same instruments."""
+        return restricted_solution(estimation.reduction, estimation.solution, columns)
+
+    def _repeated(self, runs: Sequence[Prepared]) -> list[tuple[Segment, ...]] | None:
+        """The repetitions; None where a simulated motion is to be used.
+
+        Raises:
+            IdentificationError: a motion does not repeat itself, and repetitions were asked for.
+        """
+        if self.options.instruments == "simulation":
+            return None
+        found = [[repeated_segment(segment) for segment in run.segments] for run in runs]
+        if all(segment is not None for segments in found for segment in segments):
+            return [tuple(segment for segment in segments if segment is not None) for segments in found]
+        if self.options.instruments == "repetition":
+            raise IdentificationError(
+                "a recorded motion does not repeat itself without a gap",
+                hint="record two periods or more, or use --method iv:instruments=simulation",
+            )
+        check_whole_arm(self.setup, "iv")
+        return None
+
+    def _factors(
+        self, runs: Sequence[Prepared], motions: Sequence[Sequence[Segment]], plain: Reduction
+    ) -> list[FloatArray]:
+        """Of each joint, the triangular factor (2k + 1, 2k + 1) of its [Z W τ]."""
+        sums = [QrAccumulator(2 * len(joint.columns) + 1) for joint in plain.joints]
+        for run, segments in zip(runs, motions, strict=True):
+            for segment, instruments in zip(run.segments, segments, strict=True):
+                for rows in SegmentRows(self.setup.kernel, segment, run.parallel_filter, instruments):
+                    if plain.joints[rows.motor].rows:
+                        sums[rows.motor].add(np.vstack([rows.instruments, rows.regressor, rows.torque]))
+        return [part.factor() for part in sums]
+
+
+def _projected(
+    factors: Sequence[FloatArray], plain: Reduction, weights: FloatArray, active: Sequence[int]
+) -> FloatArray:
+    """(a, b + 1) W and τ of all joints, weighted, projected on the instruments of the active columns."""
+    width = plain.column_count
+    blocks = []
+    for joint, factor, weight in zip(plain.joints, factors, weights, strict=True):
+        columns, count = list(joint.columns), len(joint.columns)
+        block = np.zeros((len(factor), 2 * width + 1))
+        block[:, columns] = factor[:, :count]
+        block[:, [width + column for column in columns]] = factor[:, count : 2 * count]
+        block[:, -1] = factor[:, -1]
+        blocks.append(weight * block)
+    chosen = [*active, *range(width, 2 * width + 1)]
+    return triangular(np.vstack(blocks)[:, chosen])[: len(active), len(active) :]
+
+
+def _estimator(options: IvOptions, setup: Setup) -> Estimator:
+    if options.instruments == "simulation":
+        check_whole_arm(setup, "iv")
+    return InstrumentalEstimator(setup, weighted_least_squares, options)
+
+
+METHOD = Method(
+    "instrumental variables: the regressor of a repetition, or of the simulated arm, as instruments",
+    "torque",
+    IvOptions,
+    _estimator,
+)
