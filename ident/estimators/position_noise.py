@@ -22,6 +22,9 @@ from ident.signals.options import PreprocessChoices, choose_cutoffs
 from ident.signals.prepared import Prepared, Segment
 from ident.signals.segments import central_difference
 
+END_PERIODS = 4.0
+"""Periods of the motion's highest harmonic at both ends of a segment, where what is left of it is the filter's end."""
+
 LEAST_BAND = 1.5
 """The positions' cut-off must be this many times the motion's and its harmonics' for noise to show between them."""
 
@@ -42,12 +45,19 @@ def noise_deviations(run: Prepared) -> FloatArray:
         )
     low = butterworth(harmonics, rate)
 
+    edge = round(END_PERIODS * rate / harmonics)
+
     def above(position: FloatArray, used: npt.NDArray[np.bool_]) -> FloatArray:
-        return np.asarray((position - low.apply(position))[:, used])
+        return np.asarray((position - low.apply(position))[:, edge:-edge][:, used[edge:-edge]])
 
     measured = [above(segment.position, segment.used) for segment in run.segments]
     generator = np.random.default_rng(0)
     white = [above(_band_limited(run, segment, generator), segment.used) for segment in run.segments]
+    if not sum(part.shape[1] for part in measured):
+        raise IdentificationError(
+            f"no segment is longer than {2.0 * END_PERIODS / harmonics:.3g} s, so that none shows the positions' noise",
+            hint="record without gaps, or use --method wls",
+        )
     squares, units = (sum(np.sum(part**2, axis=1) for part in parts) for parts in (measured, white))
     return np.asarray(np.sqrt(squares / units))
 

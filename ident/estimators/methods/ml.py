@@ -15,16 +15,19 @@ from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.linear_algebra.triangular import QrAccumulator
-from ident.regression.autoregression import WhitenedRows, fit_autoregression
-from ident.regression.comparison import compare_torques
+from ident.regression.autoregression import WhitenedRows, whitening_filters
+from ident.regression.comparison import TorqueSeries, compare_torques
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun
 from ident.regression.least_squares import LeastSquares, residual_deviations, weighted_least_squares
 from ident.regression.moment_equations import moment_jackknife
 from ident.regression.observation_matrix import JointFactor, Reduction
 from ident.signals.prepared import Prepared
 
-MOST = 8
+MOST = 4
 """Largest order that the choice by BIC tries."""
+
+SAMPLES_PER_PERIOD = 2.0
+"""Filtered samples per period of the parallel filter's cut-off."""
 
 ITERATIONS = 30
 SETTLED = 1e-3
@@ -47,10 +50,21 @@ class MlEstimation(Estimation):
     """An estimate with its noise model.
 
     Attributes:
-        polynomials: of each joint's noise.
+        filters: of each joint, that whiten its noise.
     """
 
-    polynomials: tuple[FloatArray, ...]
+    filters: tuple[FloatArray, ...]
+
+
+def at_filter_rate(run: Prepared) -> Prepared:
+    """The run with its filtered samples thinned out to `SAMPLES_PER_PERIOD`.
+
+    At a higher rate their spectrum ends below half the rate. Whitening would amplify what little is left there, where
+    the model's errors and the positions' noise are, until it outweighs the rest: it would undo the filter.
+    """
+    stride = max(1, int(run.filtered_rate / (SAMPLES_PER_PERIOD * run.cutoffs.torque)))
+    thinned = replace(run.parallel_filter, factor=run.parallel_filter.factor * stride)
+    return replace(run, parallel_filter=thinned)
 
 
 @dataclass(frozen=True)
@@ -63,14 +77,19 @@ class MlEstimator(TorqueEstimator):
 
     order: int | None
 
+    def reduce(self, runs: Sequence[Prepared]) -> Reduction:
+        """One factor per joint, of the samples that the filter leaves independent."""
+        return super().reduce([at_filter_rate(run) for run in runs])
+
     def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
         """Parameters and noise model in turn, each the maximum of the likelihood given the other."""
         kernel = self.setup.kernel
+        runs = [at_filter_rate(run) for run in runs]
         solution = self.solve(plain, active)
         changes: list[float] = []
         while len(changes) < ITERATIONS and (not changes or changes[-1] > SETTLED):
-            polynomials = self._polynomials(runs, solution)
-            reduction = self._whitened(runs, plain, polynomials)
+            filters = self._filters(runs, solution)
+            reduction = self._whitened(runs, plain, filters)
             refined = self.solve(reduction, active)
             moved = np.abs(refined.parameters - solution.parameters)[list(active)]
             changes.append(float(np.max(moved / refined.std[list(active)])))
@@ -82,18 +101,20 @@ class MlEstimator(TorqueEstimator):
             self._named(solution, plain),
             (loop,),
             passes=1 + 2 * len(changes),
-            polynomials=polynomials,
+            filters=filters,
         )
 
     def covariance(self, runs: Sequence[FilteredRun], estimation: Estimation) -> CorrectedCovariance:
         """Delete-block jackknife of the whitened equations."""
         assert isinstance(estimation, MlEstimation)
-        sources = [
-            WhitenedRows(estimation.kernel, segment, run.parallel_filter, estimation.polynomials)
-            for run in runs
-            for segment in run.segments
-        ]
-        return moment_jackknife([torques for run in runs for torques in run.series], sources, estimation.solution)
+        kernel, parameters = estimation.kernel, estimation.solution.parameters
+        series: list[TorqueSeries] = []
+        sources: list[WhitenedRows] = []
+        for run, prepared in zip(runs, self.setup.runs, strict=True):
+            thinned = at_filter_rate(prepared).parallel_filter
+            series += compare_torques(kernel.model, kernel.columns, parameters, run.segments, thinned)
+            sources += [WhitenedRows(kernel, segment, thinned, estimation.filters) for segment in run.segments]
+        return moment_jackknife(series, sources, estimation.solution)
 
     def restricted(self, estimation: Estimation, columns: Sequence[int]) -> LeastSquares:
         """The whitened equations of fewer columns."""
@@ -104,7 +125,7 @@ class MlEstimator(TorqueEstimator):
         deviations = residual_deviations(plain, solution.parameters, len(solution.active))
         return replace(solution, method="ml", joint_std=deviations)
 
-    def _polynomials(self, runs: Sequence[Prepared], solution: LeastSquares) -> tuple[FloatArray, ...]:
+    def _filters(self, runs: Sequence[Prepared], solution: LeastSquares) -> tuple[FloatArray, ...]:
         kernel = self.setup.kernel
         residuals, counted = [], []
         for run in runs:
@@ -118,17 +139,17 @@ class MlEstimator(TorqueEstimator):
                 counted.append(torques.used & ~np.broadcast_to(left_out, torques.residual.shape))
         most = MOST if self.order is None else self.order
         return tuple(
-            fit_autoregression([part[motor] for part in residuals], [part[motor] for part in counted], most, self.order)
+            whitening_filters([part[motor] for part in residuals], [part[motor] for part in counted], most, self.order)
             for motor in range(kernel.model.dof)
         )
 
-    def _whitened(self, runs: Sequence[Prepared], plain: Reduction, polynomials: tuple[FloatArray, ...]) -> Reduction:
+    def _whitened(self, runs: Sequence[Prepared], plain: Reduction, filters: tuple[FloatArray, ...]) -> Reduction:
         """The plain equations, whitened."""
         kernel = self.setup.kernel
         sums = [QrAccumulator(len(joint.columns) + 1) for joint in plain.joints]
         for run in runs:
             for segment in run.segments:
-                for rows in WhitenedRows(kernel, segment, run.parallel_filter, polynomials):
+                for rows in WhitenedRows(kernel, segment, run.parallel_filter, filters):
                     if plain.joints[rows.motor].rows:
                         sums[rows.motor].add(np.vstack([rows.regressor, rows.torque]))
         return replace(
