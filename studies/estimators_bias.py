@@ -26,7 +26,6 @@ import numpy as np
 from reversals import public_recordings
 from scipy.signal import lfilter
 
-from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import DynidError
 from drivers.streams import FloatArray
