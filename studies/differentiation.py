@@ -42,7 +42,7 @@ from ident.signals.options import Differentiation, PreprocessChoices
 from ident.signals.pipeline import prepare
 from ident.signals.smoothing.five_point import five_point_cubic, passes_for
 from ident.signals.smoothing.kalman import WHITE_CURVATURE, kalman_filter, kalman_smoother
-from ident.signals.smoothing.noise_levels import noise_levels
+from ident.signals.smoothing.noise_levels import likeliest_cutoff
 from ident.signals.smoothing.savitzky_golay import half_width_for, savitzky_golay
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
@@ -153,8 +153,8 @@ def _torque_ways(signals: JointSignals, band: float) -> dict[str, FloatArray]:
         "kalman": lambda row, cutoff: kalman_smoother(row, rate, cutoff, WHITE_CURVATURE)[0],
         "kalman, forward only": lambda row, cutoff: kalman_filter(row, rate, cutoff, WHITE_CURVATURE)[0],
     }
-    levels = [noise_levels(row, rate, WHITE_CURVATURE, 2 * band) for row in rows]
-    print("cut-offs of torque [Hz]:", ", ".join(f"{level.cutoff:.2f}" for level in levels))
+    cutoffs = [likeliest_cutoff(row, rate, WHITE_CURVATURE, 2 * band) for row in rows]
+    print("cut-offs of torque [Hz]:", ", ".join(f"{cutoff:.2f}" for cutoff in cutoffs))
     smooth = {
         "as measured": rows,
         f"butterworth {TORQUE_CUTOFF:g} Hz": butterworth(TORQUE_CUTOFF, rate).apply(rows),
@@ -164,7 +164,7 @@ def _torque_ways(signals: JointSignals, band: float) -> dict[str, FloatArray]:
         "savitzky-golay": savitzky_golay(rows, rate, half_width_for(TORQUE_CUTOFF, rate, rows.shape[1]))[0],
     }
     for way, smoothed in kalman.items():
-        smooth[way] = np.stack([smoothed(row, level.cutoff) for row, level in zip(rows, levels, strict=True)])
+        smooth[way] = np.stack([smoothed(row, cutoff) for row, cutoff in zip(rows, cutoffs, strict=True)])
     return smooth
 
 

@@ -18,11 +18,11 @@ from ident.signals.prepared import Step
 from ident.signals.segments import SmoothMotion, UniformSegment, central_difference
 from ident.signals.smoothing.five_point import five_point_cubic, half_gain_frequency, passes_for
 from ident.signals.smoothing.kalman import WHITE_SNAP, kalman_smoother
-from ident.signals.smoothing.noise_levels import noise_levels
+from ident.signals.smoothing.noise_levels import likeliest_cutoff, sample_noise
 from ident.signals.smoothing.savitzky_golay import half_width_for, savitzky_golay
 
 LOWEST_CUTOFF_PER_BAND = 2.0
-"""Of a Kalman smoother with noise levels from the data: its gain within the motion's band is 1 − (1/2)⁸ or more."""
+"""A cut-off below it distorts the derivatives; at it, the gain within the motion's band is 1 − (1/2)⁸ or more."""
 
 LEAST_BAND_HZ = 0.1
 """Taken for the band where next to nothing moves."""
@@ -109,7 +109,10 @@ def smooth_motion(
 
 
 def _band_text(cutoffs: Cutoffs) -> str:
-    return f"{percent_text(BAND_POWER)} of the motion's power lies below {cutoffs.band:.3g} Hz"
+    """The motion's band, and whether the positions' cut-off is too low for it."""
+    text = f"{percent_text(BAND_POWER)} of the motion's power lies below {cutoffs.band:.3g} Hz"
+    distorts = cutoffs.position < (1.0 - 1e-9) * LOWEST_CUTOFF_PER_BAND * cutoffs.band
+    return text + "; so low a cut-off distorts the derivatives" if distorts else text
 
 
 def _differenced(smooth: FloatArray, rate: float, derivatives: int) -> tuple[FloatArray, ...]:
@@ -130,8 +133,6 @@ def _butterworth(cutoffs: Cutoffs, rate: float, choices: PreprocessChoices) -> t
     if choices.without_low_pass:
         return smoother, cutoffs, None
     text = f"positions: {zero_phase.description}; {_band_text(cutoffs)}"
-    if cutoffs.position < 2 * cutoffs.band:
-        text += "; so low a cut-off distorts the derivatives"
     settings = {"position_cutoff_hz": cutoffs.position, "motion_band_hz": cutoffs.band, "order": 4}
     return smoother, cutoffs, Step("low-pass", settings, text)
 
@@ -140,20 +141,13 @@ def _kalman(
     segments: Sequence[UniformSegment], joint_names: Sequence[str], cutoffs: Cutoffs, choices: PreprocessChoices
 ) -> tuple[Smoother, Cutoffs, Step]:
     rate = segments[0].rate
+    longest = max(segments, key=lambda segment: len(segment.time)).position
     joint_cutoffs = choices.joint_cutoffs
-    settings: dict[str, float | int | str] = {"motion_band_hz": cutoffs.band, "order": WHITE_SNAP}
     if joint_cutoffs is None and choices.position_cutoff is not None:
         joint_cutoffs = (choices.position_cutoff,) * len(joint_names)
     if joint_cutoffs is None:
-        longest = max(segments, key=lambda segment: len(segment.time))
-        lowest = LOWEST_CUTOFF_PER_BAND * max(cutoffs.band, LEAST_BAND_HZ)
-        levels = [noise_levels(row, rate, WHITE_SNAP, lowest) for row in longest.position]
-        joint_cutoffs = tuple(level.cutoff for level in levels)
-        settings |= {f"noise_std_{name}": level.sample_std for name, level in zip(joint_names, levels, strict=True)}
-        noise = ", ".join(f"{name} {level.sample_std:.2g}" for name, level in zip(joint_names, levels, strict=True))
-        reason = f"noise of a sample by the likelihood of the innovations (σ): {noise}"
-    else:
-        reason = "as given"
+        least = LOWEST_CUTOFF_PER_BAND * max(cutoffs.band, LEAST_BAND_HZ)
+        joint_cutoffs = tuple(likeliest_cutoff(row, rate, WHITE_SNAP, least) for row in longest)
     if len(joint_cutoffs) != len(joint_names):
         raise UsageError(f"{len(joint_cutoffs)} cut-offs for {len(joint_names)} joints", where="joint_cutoffs")
     if max(joint_cutoffs) >= rate / 2:
@@ -161,7 +155,7 @@ def _kalman(
             f"a cut-off of {max(joint_cutoffs):.4g} Hz is not below half the sampling rate, {rate / 2:.4g} Hz",
             where="joint_cutoffs",
         )
-    each = joint_cutoffs
+    each, lowest = joint_cutoffs, replace(cutoffs, position=min(joint_cutoffs))
 
     def apply(rows: FloatArray, derivatives: int) -> tuple[FloatArray, ...]:
         smooth = np.stack(
@@ -170,14 +164,19 @@ def _kalman(
         )
         return tuple(smooth)
 
-    of_joints = ", ".join(f"{name} {cutoff:.3g}" for name, cutoff in zip(joint_names, each, strict=True))
-    text = (
-        f"positions: Kalman filter and RTS smoother, white snap; cut-off [Hz]: {of_joints}; {reason}; "
-        f"{_band_text(cutoffs)}"
+    noise = [sample_noise(row, rate, WHITE_SNAP, cutoff) for row, cutoff in zip(longest, each, strict=True)]
+    of_joints = ", ".join(
+        f"{name} {cutoff:.3g} ({std:.2g})" for name, cutoff, std in zip(joint_names, each, noise, strict=True)
     )
-    settings |= {f"cutoff_hz_{name}": cutoff for name, cutoff in zip(joint_names, each, strict=True)}
+    text = (
+        "positions: Kalman filter, RTS smoother, white snap; cut-off [Hz] (and σ of a sample's noise) of each joint: "
+        f"{of_joints}; {_band_text(lowest)}"
+    )
+    settings: dict[str, float | int | str] = {"motion_band_hz": cutoffs.band, "order": WHITE_SNAP}
+    for name, cutoff, std in zip(joint_names, each, noise, strict=True):
+        settings |= {f"cutoff_hz_{name}": cutoff, f"noise_std_{name}": std}
     smoother = Smoother(apply, "by the Kalman smoother", each)
-    return smoother, replace(cutoffs, position=min(each)), Step("smoothing", settings, text)
+    return smoother, lowest, Step("smoothing", settings, text)
 
 
 def _savitzky_golay(cutoffs: Cutoffs, rate: float, samples: int) -> tuple[Smoother, Cutoffs, Step]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,22 +20,8 @@ _REFINED = 0.01  # relative accuracy of the cut-off
 _ROUNDING = 1e-14  # of the largest sample: what remains of a signal without any noise
 
 
-@dataclass(frozen=True)
-class NoiseLevels:
-    """What the innovations say of a signal.
-
-    Attributes:
-        cutoff: of the smoother [Hz]: from the ratio of both noises.
-        sample_std: standard deviation √r of a sample's noise, and of what the model does not follow of the motion
-            [unit of the samples].
-    """
-
-    cutoff: float
-    sample_std: float
-
-
-def noise_levels(samples: FloatArray, rate: float, order: int, lowest_cutoff: float) -> NoiseLevels:
-    """Noise of the samples and cut-off of the smoother that make the innovations likeliest.
+def likeliest_cutoff(samples: FloatArray, rate: float, order: int, lowest_cutoff: float) -> float:
+    """Cut-off [Hz] of the smoother, from the ratio of both noises, that makes the innovations likeliest.
 
     With the variance of the samples eliminated, the likelihood is largest where the mean square of the innovations of
     the stationary filter is smallest, so the cut-off is the only unknown.
@@ -49,8 +34,7 @@ def noise_levels(samples: FloatArray, rate: float, order: int, lowest_cutoff: fl
     """
     from scipy.optimize import minimize_scalar
 
-    first = max(0, (len(samples) - MOST_SAMPLES) // 2)
-    middle = samples[first : first + MOST_SAMPLES]
+    middle = _middle(samples)
     highest = HIGHEST_CUTOFF * rate
     lowest = min(lowest_cutoff, highest)
 
@@ -67,10 +51,21 @@ def noise_levels(samples: FloatArray, rate: float, order: int, lowest_cutoff: fl
         refined = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": _REFINED})
         if refined.fun < costs[best]:
             chosen = float(refined.x)
-    cutoff = math.exp(chosen)
-    step = 2.0 * math.pi * cutoff / rate
-    variance = _mean_square(middle, cutoff / rate, order) / stationary_filter(step, order).innovation
-    return NoiseLevels(cutoff, math.sqrt(variance))
+    return math.exp(chosen)
+
+
+def sample_noise(samples: FloatArray, rate: float, order: int, cutoff: float) -> float:
+    """Standard deviation √r of a sample's noise, with what the model does not follow of the motion.
+
+    Arguments as those of `likeliest_cutoff`, with the smoother's `cutoff` [Hz].
+    """
+    innovation = stationary_filter(2.0 * math.pi * cutoff / rate, order).innovation
+    return math.sqrt(_mean_square(_middle(samples), cutoff / rate, order) / innovation)
+
+
+def _middle(samples: FloatArray) -> FloatArray:
+    first = max(0, (len(samples) - MOST_SAMPLES) // 2)
+    return samples[first : first + MOST_SAMPLES]
 
 
 def _mean_square(samples: FloatArray, relative_cutoff: float, order: int) -> float:

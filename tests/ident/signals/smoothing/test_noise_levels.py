@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ident.signals.smoothing.kalman import WHITE_CURVATURE, WHITE_SNAP, kalman_smoother, stationary_filter
-from ident.signals.smoothing.noise_levels import HIGHEST_CUTOFF, noise_levels
+from ident.signals.smoothing.noise_levels import HIGHEST_CUTOFF, likeliest_cutoff, sample_noise
 
 RATE = 100.0
 
@@ -24,9 +24,9 @@ def test_noise_levels_of_the_model_are_recovered(order: int, cutoff: float) -> N
     for index in range(samples):
         state = stationary.transition @ state + shape @ generator.standard_normal(order)
         measured[index] = std * (state[0] + generator.standard_normal())
-    levels = noise_levels(measured, RATE, order, 0.2)
-    assert levels.sample_std == pytest.approx(std, rel=0.05)
-    assert levels.cutoff == pytest.approx(cutoff, rel=0.15)
+    found = likeliest_cutoff(measured, RATE, order, 0.2)
+    assert found == pytest.approx(cutoff, rel=0.15)
+    assert sample_noise(measured, RATE, order, found) == pytest.approx(std, rel=0.05)
 
 
 @pytest.mark.parametrize("std", [1e-5, 1e-3])
@@ -34,20 +34,22 @@ def test_sample_noise_of_a_smooth_motion(std: float) -> None:
     time = np.arange(4000) / RATE
     motion = np.sin(2 * np.pi * 0.3 * time)
     measured = motion + std * np.random.default_rng(0).standard_normal(len(time))
-    levels = noise_levels(measured, RATE, WHITE_SNAP, 0.6)
-    assert levels.sample_std == pytest.approx(std, rel=0.12)
-    error = kalman_smoother(measured, RATE, levels.cutoff)[0] - motion
+    cutoff = likeliest_cutoff(measured, RATE, WHITE_SNAP, 0.6)
+    assert sample_noise(measured, RATE, WHITE_SNAP, cutoff) == pytest.approx(std, rel=0.12)
+    error = kalman_smoother(measured, RATE, cutoff)[0] - motion
     assert np.sqrt(np.mean(error[200:-200] ** 2)) < 0.5 * std
 
 
 def test_more_noise_means_a_lower_cutoff() -> None:
     time = np.arange(3000) / RATE
     noise = np.random.default_rng(0).standard_normal(len(time))
-    cutoffs = [noise_levels(np.sin(time) + std * noise, RATE, WHITE_SNAP, 0.3).cutoff for std in (1e-6, 1e-4, 1e-2)]
+    cutoffs = [likeliest_cutoff(np.sin(time) + std * noise, RATE, WHITE_SNAP, 0.3) for std in (1e-6, 1e-4, 1e-2)]
     assert cutoffs == sorted(cutoffs, reverse=True)
     assert 0.3 <= cutoffs[-1] < cutoffs[0] <= 1.001 * HIGHEST_CUTOFF * RATE
 
 
 def test_a_signal_that_rests_has_no_noise() -> None:
-    levels = noise_levels(np.full(200, 1.5), RATE, WHITE_SNAP, 0.5)
-    assert (levels.cutoff, levels.sample_std) == (pytest.approx(0.5), 0.0)
+    resting = np.full(200, 1.5)
+    cutoff = likeliest_cutoff(resting, RATE, WHITE_SNAP, 0.5)
+    assert cutoff == pytest.approx(0.5)
+    assert sample_noise(resting, RATE, WHITE_SNAP, cutoff) == 0.0
