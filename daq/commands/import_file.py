@@ -36,7 +36,7 @@ def import_recording(
     """
     from dataclasses import asdict, replace
 
-    from daq.commands.console import print_json
+    from daq.commands.console import print_json, progress_line
     from daq.importers import import_file
     from daq.importers.choices import ImportChoices
     from daq.output_files import check_outputs
@@ -56,10 +56,12 @@ def import_recording(
     )
     robot_file = load_robot(robot)
     check_outputs([out], [file, *robot_file.files], overwrite=force)
-    recording = import_file(file, robot_file, choices)
-    if comment:
-        recording = replace(recording, comment=f"{comment} ({recording.comment})")
-    write_recording(out, recording, overwrite=force)
+    with progress_line(quiet=as_json) as progress:
+        recording = import_file(file, robot_file, choices, progress)
+        if comment:
+            recording = replace(recording, comment=f"{comment} ({recording.comment})")
+        progress(f"writing {out}")
+        write_recording(out, recording, overwrite=force)
     qualities = {name: stream_quality(stream.time) for name, stream in recording.streams.items()}
     if as_json:
         print_json(

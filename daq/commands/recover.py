@@ -28,7 +28,7 @@ def recover_command(
     import sys
     from dataclasses import asdict
 
-    from daq.commands.console import print_json
+    from daq.commands.console import print_json, progress_line
     from daq.output_files import intended_name, unfinished_files
     from daq.recording.recover import half_written, recover
     from daq.recording.stream_quality import stream_quality
@@ -39,7 +39,9 @@ def recover_command(
     if source == file:
         for other in unfinished_files(file):
             print(f"dynid: warning: {other} is unfinished, too (dynid recover {other})", file=sys.stderr)
-    rescued = recover(source, target, overwrite=force)
+    with progress_line(quiet=as_json) as progress:
+        progress(f"reading {source}")
+        rescued = recover(source, target, overwrite=force)
     qualities = {name: stream_quality(stream.time) for name, stream in rescued.recording.streams.items()}
     if as_json:
         streams = {name: asdict(quality) for name, quality in qualities.items()}

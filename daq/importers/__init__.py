@@ -10,6 +10,8 @@ import hashlib
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +29,7 @@ from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, St
 from daq.robot.loader import RobotFile
 from drivers.errors import ImportFileError
 from drivers.input_files import ARRAY_FILE, open_input
+from drivers.reading_process import TIME_LIMIT, Progress, read_apart
 from drivers.streams import UNITS
 
 __all__ = ["REPAIRS", "SUPPORTED", "ImportChoices", "import_file"]
@@ -48,6 +51,10 @@ _READERS: Mapping[str, Reader] = {
 SUPPORTED = (*_READERS, "a ROS 2 bag's folder")
 """Endings that `import_file` reads."""
 
+_LIBRARIES = {".mat": "scipy.io", ".db3": "rosbags.rosbag2", ".mcap": "rosbags.rosbag2"}
+BAG_SPEED = 2e6
+"""Bytes of a bag [B/s] that are surely read in so much processor time: messages are read one by one, 20 µs each."""
+
 _ORDER = ("position", "velocity", "current", "torque", "temperature")
 _MAGIC = (
     (b"SQLite format 3\0", ".db3"),
@@ -58,7 +65,9 @@ _MAGIC = (
 )
 
 
-def import_file(path: Path, robot: RobotFile, choices: ImportChoices) -> Recording:
+def import_file(
+    path: Path, robot: RobotFile, choices: ImportChoices, progress: Progress = lambda step: None
+) -> Recording:
     """Import a foreign file as a recording in memory, with one stream `joints`.
 
     Current stays current: it becomes torque at identification, with the drive gains.
@@ -67,20 +76,39 @@ def import_file(path: Path, robot: RobotFile, choices: ImportChoices) -> Recordi
         path: of the file, or of a ROS 2 bag's folder.
         robot: whose joints the columns are matched to.
         choices: the user's choices.
+        progress: told what is being done.
 
     Returns:
         A recording in SI, columns in the robot's order, every assumption and repair as an event.
 
     Raises:
-        ImportFileError: an unknown kind of file, or one that is wrong, incomplete or ambiguous.
+        ImportFileError: an unknown kind of file, one that is wrong, incomplete or ambiguous, or one that takes too much
+            time or memory to read.
         UsageError: choices that don't apply to this kind of file.
     """
     path = Path(path)
-    where = str(path)
     if not path.exists():
-        raise ImportFileError("no such file", where=where)
+        raise ImportFileError("no such file", where=str(path))
     reader = _reader(path)
+    if path.suffix.lower() in _LIBRARIES:  # once, not in every reading process
+        import_module(_LIBRARIES[path.suffix.lower()])
+    time_limit = TIME_LIMIT
+    if reader is read_rosbag:
+        time_limit += sum(file.stat().st_size for file in bag_files(path) if file.is_file()) / BAG_SPEED
+
+    def read(progress: Progress) -> Recording:
+        return _import(reader, path, robot, choices, progress)
+
+    return read_apart(read, path, ImportFileError, time_limit=time_limit, progress=progress)
+
+
+def _import(reader: Reader, path: Path, robot: RobotFile, choices: ImportChoices, progress: Progress) -> Recording:
+    where = str(path)
+    progress(f"reading {printable(path.name)}")
+    if reader is read_rosbag:  # the only one that is not done in seconds
+        reader = partial(read_rosbag, progress=progress)
     table = reader(path, robot.robot.joint_names, choices)
+    progress("checking the samples")
     # Absurd values overflow on their way to being refused; the refusal says it, not a warning of NumPy.
     with np.errstate(over="ignore", invalid="ignore"):
         samples = assemble(table, robot, choices, where)

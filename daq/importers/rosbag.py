@@ -16,11 +16,14 @@ from daq.importers.table import ForeignTable, Note, QuantityColumns, check_count
 from drivers.closest import did_you_mean
 from drivers.errors import ImportFileError, UsageError
 from drivers.input_files import BAG_FILE, BAG_METADATA, check_input
+from drivers.reading_process import Progress
 from drivers.streams import FloatArray
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 METADATA = "metadata.yaml"
 STORAGE_SUFFIXES = (".db3", ".mcap")
+PROGRESS_STEP = 10_000
+"""Messages after which the progress is told."""
 SECOND = 1e9
 """[ns]"""
 _FIELDS = ("position", "velocity", "effort")
@@ -53,13 +56,16 @@ def bag_files(path: Path) -> tuple[Path, ...]:
     return files
 
 
-def read_rosbag(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
+def read_rosbag(
+    path: Path, joints: Sequence[str], choices: ImportChoices, progress: Progress = lambda step: None
+) -> ForeignTable:
     """Read the sensor_msgs/JointState messages of one topic; time is relative to the first one.
 
     Args:
         path: a bag's folder, its metadata.yaml, or a bare .db3 or .mcap file.
         joints: the robot's joint names; they are matched message by message, others are left out.
         choices: `topic` where several carry JointState; `by_order` where the names differ.
+        progress: told how many messages were read.
 
     Raises:
         UsageError: `columns` are given; a bag has none.
@@ -76,7 +82,7 @@ def read_rosbag(path: Path, joints: Sequence[str], choices: ImportChoices) -> Fo
     if path.is_dir() and (path / METADATA).exists():
         check_input(path / METADATA, BAG_METADATA, ImportFileError)
     files = _openable(path, notes)
-    read = [_read_messages(file, choices.topic, where) for file in files]
+    read = [_read_messages(file, choices.topic, where, progress) for file in files]
     topics = sorted({messages.topic for messages in read})
     if len(topics) > 1:
         raise _several(topics, where)
@@ -127,7 +133,7 @@ def _openable(path: Path, notes: list[Note]) -> tuple[Path, ...]:
     return (path,)
 
 
-def _read_messages(path: Path, topic: str | None, where: str) -> _Messages:
+def _read_messages(path: Path, topic: str | None, where: str, progress: Progress) -> _Messages:
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
 
@@ -148,6 +154,8 @@ def _read_messages(path: Path, topic: str | None, where: str) -> _Messages:
             names.append(tuple(message.name))
             for field, values in fields.items():
                 values.append(getattr(message, field))
+            if len(names) % PROGRESS_STEP == 0:
+                progress(f"reading {printable(path.name)}: {len(names):,} messages")
         name = connections[0].topic
     if not names:
         raise ImportFileError("holds no message", where=f"{where}: {printable(name)}")

@@ -98,11 +98,11 @@ def parsing(path: Path, kind: str, hint: str = "") -> Iterator[None]:
     AssertionError, zlib.error, …); so keep to their calls and the least around them in this block.
 
     Raises:
-        ImportFileError: in place of every exception but our own.
+        ImportFileError: in place of every exception but our own and MemoryError.
     """
     try:
         yield
-    except DynidError:
+    except (DynidError, MemoryError):
         raise
     except Exception as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error).strip()

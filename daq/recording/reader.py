@@ -15,6 +15,7 @@ from daq.recording.hdf5_reason import hdf5_reason
 from daq.recording.recording import SCHEMA_VERSION, Channel, Event, Recording, Stream
 from drivers.errors import RecordingError
 from drivers.input_files import RECORDING_FILE, check_input
+from drivers.reading_process import read_apart
 from drivers.streams import FloatArray
 
 
@@ -25,7 +26,8 @@ def read_recording(path: str | Path) -> Recording:
         path: of the file (.h5).
 
     Raises:
-        RecordingError: no such file; not HDF5; truncated; not written by dynid; newer schema; half-written streams.
+        RecordingError: no such file; not HDF5; truncated; not written by dynid; newer schema; half-written streams;
+            damaged so that HDF5 loops, crashes or takes too much memory over it.
 
     Example:
         >>> import dynid
@@ -44,6 +46,11 @@ def read_recording(path: str | Path) -> Recording:
         raise RecordingError(
             "is not an HDF5 file", where=where, hint="convert another format with: dynid import FILE --robot ROBOT"
         )
+    return read_apart(lambda progress: _read_file(path), path, RecordingError)
+
+
+def _read_file(path: Path) -> Recording:
+    where = str(path)
     try:
         file = h5py.File(path, "r")
     except (OSError, RuntimeError) as error:
@@ -70,7 +77,7 @@ def read_open_recording(file: Any, path: Path) -> Recording:
     """
     try:
         return _read(file, path)
-    except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError, MemoryError) as error:
+    except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError) as error:
         # h5py raises any of these on objects of another kind or on broken structures.
         raise RecordingError(
             f"is damaged: {hdf5_reason(error)}", where=str(path), hint="copy it again from its source"

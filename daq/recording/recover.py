@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,20 +15,7 @@ from daq.recording.recording import Channel, Event, Recording, Stream
 from daq.recording.writer import write_recording
 from drivers.errors import RecordingError, UsageError
 from drivers.input_files import RECORDING_FILE, check_input
-
-READ_LIMIT = 20.0
-"""Time limit [s] for reading a small recording; a larger one has its size over READ_SPEED [B/s] more."""
-READ_SPEED = 5e6
-_READ_ONCE = """
-import sys
-from pathlib import Path
-from daq.recording.recover import follow_recording
-from drivers.errors import RecordingError
-try:
-    follow_recording(Path(sys.argv[1]))
-except RecordingError:
-    pass
-"""
+from drivers.reading_process import read_apart
 
 
 @dataclass(frozen=True)
@@ -86,8 +70,7 @@ def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:
     """
     check_input(path, RECORDING_FILE, RecordingError)
     check_outputs([out], [path], overwrite=overwrite)
-    _require_readable(path)
-    rest = follow_recording(path)
+    rest = read_apart(lambda progress: follow_recording(path), path, RecordingError)
     streams, cut = {}, {}
     for name, stream in rest.streams.items():
         streams[name], cut[name] = _without_unwritten_rows(stream)
@@ -97,26 +80,6 @@ def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:
     recording = replace(rest, streams=streams, events=events, complete=False)
     write_recording(out, recording, overwrite=overwrite)
     return Recovered(replace(recording, path=out), cut)
-
-
-def _require_readable(path: Path) -> None:
-    """Read a recording in a separate process first.
-
-    On a file whose bytes were changed inside, the HDF5 library may loop for ever or crash.
-
-    Raises:
-        RecordingError: it did not finish within the time limit.
-    """
-    limit = READ_LIMIT + path.stat().st_size / READ_SPEED
-    command = [sys.executable, "-c", _READ_ONCE, str(path)]
-    try:
-        status = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=limit).returncode
-    except subprocess.TimeoutExpired:
-        raise RecordingError(
-            f"nothing can be rescued: HDF5 did not come to an end within {limit:.0f} s", where=str(path)
-        ) from None
-    if status < 0:
-        raise RecordingError(f"nothing can be rescued: HDF5 crashed ({signal.Signals(-status).name})", where=str(path))
 
 
 def _without_unwritten_rows(stream: Stream) -> tuple[Stream, int]:

@@ -9,6 +9,7 @@ import zlib
 from pathlib import Path
 
 import h5py
+import lz4.frame
 import numpy as np
 import pytest
 import scipy.io
@@ -19,6 +20,7 @@ from daq.importers import mat as mat_module
 from daq.importers import table as table_module
 from daq.importers.choices import ImportChoices
 from daq.recording import hdf5_bounds
+from drivers import reading_process
 from drivers.errors import ImportFileError
 from drivers.input_files import InputKind
 
@@ -150,3 +152,30 @@ def test_a_soft_link_is_followed_within_the_file_only(tmp_path: Path) -> None:
         file["a/out"] = h5py.ExternalLink("fifo", "/")
         file["e"] = h5py.SoftLink("/a/out/t")
     assert "'out' is a link into another file" in refusal(tmp_path / "run.h5")
+
+
+def mcap_of_one_chunk(compression: str, packed: bytes, unpacked: int) -> bytes:
+    def record(kind: int, *fields: bytes) -> bytes:
+        return struct.pack("<BQ", kind, sum(map(len, fields))) + b"".join(fields)
+
+    def text(value: str) -> bytes:
+        return struct.pack("<I", len(value)) + value.encode()
+
+    magic = b"\x89MCAP0\r\n"
+    chunk = record(
+        6, struct.pack("<QQQI", 0, 1, unpacked, 0), text(compression), struct.pack("<Q", len(packed)), packed
+    )
+    return b"".join([magic, record(1, text("ros2"), text("")), chunk, record(2, bytes(20)), magic])
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".csv"])
+def test_what_unpacks_to_more_than_memory_is_refused(tmp_path: Path, monkeypatch, suffix: str) -> None:
+    """Only the process that reads the file sees how large it becomes."""
+    monkeypatch.setattr(reading_process, "MEMORY_LIMIT", 2 * 10**8)
+    path = tmp_path / f"run{suffix}"
+    if suffix == ".mcap":
+        frame = lz4.frame.compress(bytes(10**9), compression_level=3)
+        path.write_bytes(mcap_of_one_chunk("lz4", frame, 10**9))
+    else:
+        path.write_text("t,q1\n" + 4_000_000 * "1,2\n")
+    assert refusal(path) == "takes more than 200 MB of memory to read; it is damaged or too large"

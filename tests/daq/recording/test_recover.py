@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import shutil
@@ -17,11 +18,13 @@ from kinematic_arm import NAMES, ROBOT_FILE
 
 from daq.commands.recover import recover_command
 from daq.output_files import unfinished_files, unfinished_name
+from daq.recording import reader as reader_module
 from daq.recording import recover as recover_module
 from daq.recording.reader import read_recording
 from daq.recording.recover import follow_recording, half_written, recover
 from daq.recording.writer import CHUNK_SECONDS, RecordingWriter
 from drivers.errors import RecordingError, UsageError
+from drivers.reading_process import read_apart
 from drivers.streams import ChannelLayout, StreamLayout
 
 ROOT = Path(__file__).parents[3]
@@ -163,10 +166,13 @@ def test_a_file_over_which_hdf5_loops_is_refused(tmp_path, monkeypatch):
     # The size of a text, 4, becomes 2564: the next one is looked for among zeros, where each has the size 0.
     content[heap + content[heap:].index(b"info") - 7] = 10
     path.write_bytes(content)
-    monkeypatch.setattr(recover_module, "READ_LIMIT", 1.0)
-    with pytest.raises(RecordingError, match="HDF5 did not come to an end within 1 s") as refused:
+    monkeypatch.setattr(recover_module, "read_apart", functools.partial(read_apart, time_limit=1.0))
+    monkeypatch.setattr(reader_module, "read_apart", functools.partial(read_apart, time_limit=1.0))
+    with pytest.raises(RecordingError, match="cannot be read within 1 s of processor time") as refused:
         recover_command(path, None, False, True)
     assert refused.value.exit_status == 2
+    with pytest.raises(RecordingError, match="cannot be read within 1 s of processor time"):
+        read_recording(path)
     assert not (tmp_path / "run-recovered.h5").exists()
 
 
