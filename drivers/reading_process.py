@@ -30,6 +30,8 @@ Progress = Callable[[str], None]
 
 TIME_LIMIT = 15.0
 """Processor time [s] for one file; the largest of numbers, 64 million, take about 5 s."""
+WAITING_LIMIT = 60.0
+"""Time by the clock [s]: a library may sleep, too. A busy computer takes several times the processor time."""
 MEMORY_LIMIT = 1_300_000_000
 """Memory [B] beside what the process has already; with the result, which is handed over, and what dynid itself takes,
 2 GB."""
@@ -49,6 +51,7 @@ def read_apart(
     refusal: type[InputError],
     *,
     time_limit: float = TIME_LIMIT,
+    waiting_limit: float | None = None,
     progress: Progress = lambda step: None,
 ) -> Result:
     """The result of a function that reads a file, called in a process of its own.
@@ -60,7 +63,8 @@ def read_apart(
         read: reads the file; gets a function that tells what is being done.
         path: of the file, for messages.
         refusal: error that is raised where a limit is exceeded.
-        time_limit: processor time [s]; a busy computer or a slow disk does not count.
+        time_limit: processor time [s].
+        waiting_limit: time by the clock [s]; `WAITING_LIMIT`, or four times `time_limit` where that is longer, if None.
         progress: told what `read` tells.
 
     Raises:
@@ -68,6 +72,8 @@ def read_apart(
     """
     if sys.platform != "linux":
         return read(progress)
+    if waiting_limit is None:
+        waiting_limit = max(WAITING_LIMIT, 4 * time_limit)
     receiving, sending = os.pipe()
     with warnings.catch_warnings():
         # Python ≥ 3.12 warns of locks that other threads hold; the libraries used in the child take their own care.
@@ -75,7 +81,7 @@ def read_apart(
         child = os.fork()
     if child == 0:
         os.close(receiving)
-        _read_and_exit(read, sending, time_limit)
+        _read_and_exit(read, sending, time_limit, waiting_limit)
     os.close(sending)
     status = None
     try:
@@ -95,6 +101,10 @@ def read_apart(
     if kind == "time" or ended_by in (signal.SIGXCPU, signal.SIGKILL):
         raise refusal(
             f"cannot be read within {time_limit:.0f} s of processor time; it is damaged or too large", where=str(path)
+        )
+    if ended_by == signal.SIGALRM:
+        raise refusal(
+            f"cannot be read within {waiting_limit:.0f} s; it is damaged, or its disk too slow", where=str(path)
         )
     if kind == "memory" or ended_by <= 0:
         raise refusal(
@@ -119,7 +129,7 @@ def _last_answer(answers: BinaryIO, progress: Progress) -> tuple[str, Any]:
         progress(content)
 
 
-def _read_and_exit(read: Callable[[Progress], Any], sending: int, time_limit: float) -> NoReturn:
+def _read_and_exit(read: Callable[[Progress], Any], sending: int, time_limit: float, waiting_limit: float) -> NoReturn:
     """What the child does; it never returns to its caller's code, and leaves no output of it twice."""
     status = 1
     try:
@@ -129,7 +139,7 @@ def _read_and_exit(read: Callable[[Progress], Any], sending: int, time_limit: fl
                 pickle.dump((kind, content), answers, protocol=pickle.HIGHEST_PROTOCOL)
                 answers.flush()
 
-            _set_limits(time_limit)
+            _set_limits(time_limit, waiting_limit)
             _silence()
             try:
                 answer("result", read(lambda step: answer("progress", step)))
@@ -146,8 +156,10 @@ def _read_and_exit(read: Callable[[Progress], Any], sending: int, time_limit: fl
         os._exit(status)
 
 
-def _set_limits(time_limit: float) -> None:
+def _set_limits(time_limit: float, waiting_limit: float) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends both processes
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.setitimer(signal.ITIMER_REAL, waiting_limit)
     signal.signal(signal.SIGXCPU, _out_of_time)
     with open("/proc/self/statm", encoding="ascii") as file:
         used = int(file.read().split()[0]) * resource.getpagesize()

@@ -17,6 +17,13 @@ from drivers.errors import RecordingError, UsageError
 from drivers.input_files import RECORDING_FILE, check_input
 from drivers.reading_process import read_apart
 
+WAITING_LIMIT = 20.0
+"""Time limit [s] for reading a small recording; a larger one has its size over READ_SPEED [B/s] more.
+
+HDF5 waits longer and longer for a writer to mend what is damaged.
+"""
+READ_SPEED = 5e6
+
 
 @dataclass(frozen=True)
 class Recovered:
@@ -70,7 +77,8 @@ def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:
     """
     check_input(path, RECORDING_FILE, RecordingError)
     check_outputs([out], [path], overwrite=overwrite)
-    rest = read_apart(lambda progress: follow_recording(path), path, RecordingError)
+    waiting_limit = WAITING_LIMIT + path.stat().st_size / READ_SPEED
+    rest = read_apart(lambda progress: follow_recording(path), path, RecordingError, waiting_limit=waiting_limit)
     streams, cut = {}, {}
     for name, stream in rest.streams.items():
         streams[name], cut[name] = _without_unwritten_rows(stream)

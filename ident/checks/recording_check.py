@@ -28,6 +28,7 @@ from ident.excite.sufficiency import (
 )
 from ident.regression.pruning import SIGNIFICANT_RSD
 from ident.signals.options import PreprocessChoices
+from ident.signals.resampling import check_rate
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 from ident.verdict.verdict import Verdict, judge
@@ -78,10 +79,14 @@ def recording_info(
 
     Raises:
         UsageError: `wanted_rsd_percent` is not a percentage.
+        DataError: the stamps of the joints are not in seconds.
     """
     if wanted_rsd_percent is not None:
         check_wanted_rsd(wanted_rsd_percent)
-    streams, columns = stream_qualities(recording), column_qualities(recording)
+    streams = stream_qualities(recording)
+    if JOINTS_STREAM in streams:
+        check_rate(streams[JOINTS_STREAM].rate_hz, f"{recording.label}: {JOINTS_STREAM}")
+    columns = column_qualities(recording)
     excitation = delay = sufficiency = times = None
     motion = recorded_motion(recording, robot_file)
     if motion is not None:

@@ -69,6 +69,20 @@ def check_stamps(time: FloatArray) -> None:
         )
 
 
+def check_rate(rate: float, where: str = "") -> None:
+    """Refuse a rate of an arm's samples [Hz] that comes of stamps in another unit; NaN, which is none, passes.
+
+    Raises:
+        DataError: it is not within `SAMPLING_RATE`.
+    """
+    if np.isfinite(rate) and not SAMPLING_RATE.holds(rate):
+        raise DataError(
+            f"{rate:.4g} samples per second is no plausible rate of a robot arm ({SAMPLING_RATE})",
+            where=where,
+            hint="the time stamps are probably not in seconds",
+        )
+
+
 def measure_irregularity(time: FloatArray) -> Irregularity:
     """How irregular the stamps `time` (N,) [s] are; N ≥ 2, checked by `check_stamps`.
 
@@ -81,12 +95,7 @@ def measure_irregularity(time: FloatArray) -> Irregularity:
     if len(periods) == 0:
         raise DataError("fewer than two samples with different time stamps")
     median = float(np.median(periods))
-    if not SAMPLING_RATE.holds(1.0 / max(median, np.finfo(float).tiny)):
-        raise DataError(
-            f"{1.0 / max(median, np.finfo(float).tiny):.4g} samples per second is no plausible rate of a robot arm "
-            f"({SAMPLING_RATE})",
-            hint="the time stamps are probably not in seconds",
-        )
+    check_rate(1.0 / max(median, np.finfo(float).tiny))
     gap = periods > max(GAP_PERIODS * median, GAP_SECONDS)
     # Against the mean period of the whole: a clock that runs a little fast or slow is no irregularity.
     distinct = np.concatenate([[0.0], np.cumsum(periods)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from daq.recording.recording import Recording
 from daq.robot.loader import load_robot, parse_robot
 from drivers import ranges
 from drivers.errors import DataError, RobotFileError, UsageError
@@ -21,6 +23,7 @@ from ident.identify.identification import IdentifyChoices
 from ident.result.schema import EstimateResult, LinkResult
 from ident.signals.options import PreprocessChoices
 from ident.signals.resampling import check_stamps, measure_irregularity
+from ident.tasks.recording_quality import info
 
 TABLE = {name: value for name, value in vars(ranges).items() if isinstance(value, Range)}
 UR5E = load_robot("ur5e")
@@ -89,6 +92,19 @@ def test_stamps_of_another_unit_are_refused_without_a_warning(factor: float) -> 
         warnings.simplefilter("error")
         with pytest.raises(DataError, match=r"is no plausible rate|is not within"):
             check()
+
+
+@pytest.mark.parametrize("factor", [1e-12, 1e-300, 1e12])
+def test_info_refuses_stamps_of_another_unit(factor: float) -> None:
+    time = np.arange(1, 500) / 500
+    position = np.sin(time)[:, None] * np.ones(6)
+    recording = Recording.from_arrays(UR5E, time=time, position=position, torque=position)
+    joints = recording.streams["joints"]
+    scaled = replace(joints, time=joints.time * factor, host_time=joints.host_time * factor)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(DataError, match=r"recording in memory: joints: .* is no plausible rate"):
+            info(replace(recording, streams={"joints": scaled}))
 
 
 ARM = """\
