@@ -4,10 +4,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 WORKERS ?= 2
-# How long each measurement of `make soak` lasts [s].
-SOAK ?= 60
+# How long each measurement of `make realtime` lasts, and how long `make soak` tries damaged files [s].
+REALTIME ?= 60
+SOAK ?= 600
 
-.PHONY: demo test lint format bench soak clean
+.PHONY: demo test lint format bench realtime soak clean
 
 demo: $(INSTALLED)
 	$(BIN)/dynid demo --out demo --force
@@ -31,8 +32,12 @@ bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks
 
 # What depends on how busy the computer is: measured, never tested.
+realtime: $(INSTALLED)
+	$(BIN)/python -m benchmarks.realtime $(REALTIME)
+
+# Damaged files against the commands, hostile streams against the drivers: what is found becomes a test in tests/found.
 soak: $(INSTALLED)
-	$(BIN)/python -m benchmarks.soak $(SOAK)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/soak $(SOAK)
 
 clean:
 	rm -rf $(VENV) demo build *.egg-info

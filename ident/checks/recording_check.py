@@ -14,6 +14,7 @@ from daq.recording.signal_quality import ColumnQuality
 from daq.recording.stream_quality import StreamQuality
 from daq.robot.loader import RobotFile
 from drivers.errors import DynidError
+from drivers.reading_process import Progress
 from ident.assessment.delay import DelaySearch, delay_checks, search_delay
 from ident.assessment.excitation import ExcitationReached, excitation_reached
 from ident.assessment.recorded_motion import RecordedMotion, recorded_motion
@@ -68,7 +69,10 @@ class RecordingInfo:
 
 
 def recording_info(
-    recording: Recording, robot_file: RobotFile, wanted_rsd_percent: float | None = None
+    recording: Recording,
+    robot_file: RobotFile,
+    wanted_rsd_percent: float | None = None,
+    progress: Progress = lambda step: None,
 ) -> RecordingInfo:
     """Analyse a recording's clocks, signals and motion.
 
@@ -76,6 +80,7 @@ def recording_info(
         recording: as read.
         robot_file: of its arm.
         wanted_rsd_percent: relative standard deviation [%] for which the time needed is estimated.
+        progress: called with the name of each step before it begins.
 
     Raises:
         UsageError: `wanted_rsd_percent` is not a percentage.
@@ -86,15 +91,20 @@ def recording_info(
     streams = stream_qualities(recording)
     if JOINTS_STREAM in streams:
         check_rate(streams[JOINTS_STREAM].rate_hz, f"{recording.label}: {JOINTS_STREAM}")
+    progress("signals")
     columns = column_qualities(recording)
+    progress("motion")
     excitation = delay = sufficiency = times = None
     motion = recorded_motion(recording, robot_file)
     if motion is not None:
         excitation = excitation_reached(motion)
+        progress("delay")
         delay = _delay(motion)
+        progress("expected error bars")
         sufficiency = motion_sufficiency(motion, _delays(motion, delay))
     if sufficiency is not None and wanted_rsd_percent is not None:
         times = times_needed(sufficiency, wanted_rsd_percent)
+    progress("checks")
     checks = recording_checks(recording, streams, columns) + delay_checks(delay)
     checks += _excitation_checks(recording, excitation)
     if motion is not None and motion.measured is not None:

@@ -28,6 +28,7 @@ def show_info(
 
     Example: dynid info run.h5 --wanted-rsd 5 --page run-info
     """
+    from daq.commands.console import progress_line
     from daq.output_files import check_output_folder
     from daq.robot.loader import load_robot
     from ident.checks.page.page import JSON_FILE, PAGE_FILE
@@ -37,9 +38,11 @@ def show_info(
     if page is not None:
         inputs = [recording, *(load_robot(robot).files if robot else ())]
         check_output_folder(page, (JSON_FILE, PAGE_FILE), inputs, overwrite=force)
-    quality = info(recording, robot=robot, wanted_rsd=wanted_rsd)
-    if page is not None:
-        quality.save(page)
+    with progress_line(quiet=as_json) as progress:
+        quality = info(recording, robot=robot, wanted_rsd=wanted_rsd, progress=progress)
+        if page is not None:
+            progress("page")
+            quality.save(page)
     if as_json:
         print(quality.to_json())
         return

@@ -25,17 +25,21 @@ def predict_torque(
 
     Example: dynid predict model run.h5 -o predicted.h5 --page predicted.html
     """
-    from daq.commands.console import print_json, print_table
+    from daq.commands.console import print_json, print_table, progress_line
     from daq.output_files import check_outputs
     from ident.result.model import result_path
     from ident.tasks.prediction import predict
 
     file = out if out is not None else Path(f"{recording.stem}-predicted.h5")
     check_outputs([file, page], [recording, result_path(model)], overwrite=force)
-    prediction = predict(model, recording, parameters=parameters)  # type: ignore[arg-type]  # the task checks it
-    prediction.save(file, overwrite=force)
-    if page is not None:
-        prediction.page(page)
+    with progress_line(quiet=as_json) as progress:
+        progress("prediction")
+        prediction = predict(model, recording, parameters=parameters)  # type: ignore[arg-type]  # the task checks it
+        progress(f"writing {file}")
+        prediction.save(file, overwrite=force)
+        if page is not None:
+            progress("page")
+            prediction.page(page)
     summary = prediction.summary
     if as_json:
         print_json(

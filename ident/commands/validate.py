@@ -29,11 +29,14 @@ def validate_model(
 
     Example: dynid validate model val.h5 --max-error 0.08
     """
+    from daq.commands.console import progress_line
     from ident.commands.options import limits_option
     from ident.tasks.validation import validate
 
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
-    validation = validate(result, recordings, accept=limits)
+    with progress_line(quiet=as_json) as progress:
+        progress("prediction")
+        validation = validate(result, recordings, accept=limits)
     if as_json:
         _print_object(result, validation)
     else:

@@ -10,6 +10,7 @@ import numpy as np
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from drivers.errors import UsageError
+from drivers.reading_process import Progress
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.validation import fit_figures
 from ident.estimators.energy_estimator import estimable
@@ -26,7 +27,7 @@ from ident.identify.identification import (
     PreparedRun,
     apply_model_choices,
 )
-from ident.identify.preparation import PreparedData, Progress, compare_run, prepare_data
+from ident.identify.preparation import PreparedData, compare_run, prepare_data
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.inverse_dynamics import InverseDynamics

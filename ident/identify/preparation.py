@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from drivers.reading_process import Progress
 from drivers.streams import FloatArray
 from ident.assessment.delay import DelaySearch, search_delay
 from ident.identify.data_split import DataSplit, RunWindow
@@ -15,9 +16,6 @@ from ident.regression.velocity_reversals import leave_out_rest, leave_out_revers
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
 from ident.signals.prepared import Step
-
-Progress = Callable[[str], None]
-"""Called with what is done next, in words."""
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from pathlib import Path
 from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import UsageError
 from drivers.ranges import PERCENT, check_option
+from drivers.reading_process import Progress
 from ident.identify.acceptance import result_figures
 from ident.identify.identification import IdentifyChoices, ModelChoices
-from ident.identify.identify import Progress
 from ident.identify.identify import identify as identify_recordings
 from ident.identify.summary import summarise
 from ident.regression.comparison import TorqueSeries
@@ -286,6 +286,7 @@ def identify(
         reversals=leave_out_reversals,
     )
     limits = None if accept is None else limits_of(accept)
+    progress("reading")
     recordings, held_out = recordings_of(runs), recordings_of(validation)
     robot_file = None if robot is None else load_robot(robot)
     if limits is not None and recordings:

@@ -9,6 +9,7 @@ from pathlib import Path
 from daq.commands.console import json_text
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import RobotFile, load_robot
+from drivers.reading_process import Progress
 from ident.checks.page.page import write_page
 from ident.checks.recording_check import RecordingInfo, info_object, recording_info
 from ident.result.tables import Table, table_of_rows
@@ -86,17 +87,25 @@ class RecordingQuality:
         return f"{self.verdict._repr_html_()}{self.streams._repr_html_()}{self.motion._repr_html_()}"
 
 
-def info(run: Run, *, robot: str | Path | RobotFile | None = None, wanted_rsd: float | None = None) -> RecordingQuality:
+def info(
+    run: Run,
+    *,
+    robot: str | Path | RobotFile | None = None,
+    wanted_rsd: float | None = None,
+    progress: Progress = lambda step: None,
+) -> RecordingQuality:
     """Look at a recording's streams, clock and signal quality, and at how well its motion excites the arm.
 
     Args:
         run: the recording, or its path.
         robot: in place of the recording's own robot file.
         wanted_rsd: relative standard deviation [%] for which the duration needed is estimated.
+        progress: called with the name of each step before it begins.
 
     Raises:
         RecordingError: it cannot be read.
         UsageError: `wanted_rsd` is not a percentage.
+        DataError: the stamps of the joints are not in seconds.
 
     Example:
         >>> import dynid
@@ -104,7 +113,8 @@ def info(run: Run, *, robot: str | Path | RobotFile | None = None, wanted_rsd: f
         >>> quality.figures.times.wanted_rsd_percent
         5.0
     """
+    progress("reading")
     recording = recording_of(run)
     robot_file = recording.robot() if robot is None else load_robot(robot)
     file = str(run) if isinstance(run, (str, PathLike)) else recording.label
-    return RecordingQuality(file, recording_info(recording, robot_file, wanted_rsd))
+    return RecordingQuality(file, recording_info(recording, robot_file, wanted_rsd, progress))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import gc
 import importlib
 import os
@@ -78,7 +79,9 @@ def run_command(arguments: Sequence[str], folder: Path) -> Outcome:
         f"changed the input {path.name}" for path in before if path not in after or path.read_bytes() != before[path]
     ]
     made = sorted(path.relative_to(folder).as_posix() for path in after - set(before))
-    if any(".dynid-" in name for name in made) or (made and status not in (0, 1)):
+    # A recording that was begun stays, with the reason of its end in it.
+    kept = status == 0 or (status == 1 and arguments[:1] == ["record"])
+    if any(".dynid-" in name for name in made) or (made and not kept):
         problems.append(f"left {', '.join(made)} behind")
     return Outcome(status, output, errors, seconds, memory, tuple(problems))
 
@@ -112,6 +115,7 @@ def _waited_for(child: int) -> tuple[int, resource.struct_rusage]:
 def _run_and_exit(arguments: Sequence[str], folder: Path, outputs: tuple[Path, Path]) -> None:
     status = 99
     try:
+        faulthandler.disable()
         os.setsid()
         os.chdir(folder)
         for descriptor, path in enumerate(outputs, start=1):

@@ -39,7 +39,6 @@ truth:
     elbow: {viscous: 0.5, coulomb: 1}
   noise: {rate: 100, torque_std: {shoulder: 0.1, elbow: 0.1}}
 connections:
-  rtde: {driver: rtde, host: 127.9.8.7, rate: 500}  # where nobody listens
   can:
     driver: can_frames
     interface: virtual
@@ -221,7 +220,10 @@ COMMANDS: dict[str, Commands] = {
         ["export", "model.json", "--urdf", "out.urdf", "--into", file],
     ],
     "trajectory": lambda file: [
-        ["excite", "arm.yaml", "--from", file, "--kind", "fourier", "--starts", "1", "-o", "out.yaml"],
+        *(
+            [f"excite arm.yaml --from {file} --period 4 --harmonics 2 --starts 1 -o out.yaml".split()]
+            * ("four" in file)
+        ),
         ["record", "arm.yaml", "--trajectory", file, "--yes", "--no-ui", "-o", "out.h5"],
     ],
     "result": lambda file: [

@@ -1,8 +1,8 @@
-"""`python -m benchmarks.soak 60`: what no test may assert, since a busy computer changes it; about 6 minutes with 60.
+"""`python -m benchmarks.realtime 60`: what no test may assert, as a busy computer changes it; 6 minutes with 60.
 
 How punctual positions and SYNCs are sent, how old samples are when the recorder gets them, and what is lost over RTDE
 and CAN while other programs keep the processors busy. Everything runs for so many seconds in real time, one after the
-other. Prints a JSON object and writes it to soak.json beside this file; nothing is judged.
+other. Prints a JSON object and writes it to realtime.json beside this file; nothing is judged.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from drivers.streams import Batch, FloatArray
 from sim_drivers.simulated_arm import simulated_arm
 from studies import can_lossless, kill_recorder, lossless
 
-RESULTS = Path(__file__).with_name("soak.json")
+RESULTS = Path(__file__).with_name("realtime.json")
 PLAYER_RATE = 500.0
 SYNC_RATE = 400.0
 SECONDS_A_KILL = 10.0
@@ -53,7 +53,7 @@ def punctuality_of_the_player(seconds: float) -> Figures:
 
 def punctuality_of_sync(seconds: float) -> Figures:
     """SYNCs on a bus within this process."""
-    bus = open_bus("virtual", "soak", 1_000_000, {})
+    bus = open_bus("virtual", "realtime", 1_000_000, {})
     producer = SyncProducer(Sender(bus), SYNC_RATE, lambda _: ())
     producer.start()
     sent: list[tuple[int, float]] = []
