@@ -30,7 +30,7 @@ Progress = Callable[[str], None]
 
 TIME_LIMIT = 15.0
 """Processor time [s] for one file; the largest of numbers, 64 million, take about 5 s."""
-WAITING_LIMIT = 60.0
+WAITING_LIMIT = 120.0
 """Time by the clock [s]: a library may sleep, too. A busy computer takes several times the processor time."""
 MEMORY_LIMIT = 1_300_000_000
 """Memory [B] beside what the process has already; with the result, which is handed over, and what dynid itself takes,
@@ -104,7 +104,7 @@ def read_apart(
         )
     if ended_by == signal.SIGALRM:
         raise refusal(
-            f"cannot be read within {waiting_limit:.0f} s; it is damaged, or its disk too slow", where=str(path)
+            f"cannot be read within {waiting_limit:.2g} s; it is damaged, or its disk too slow", where=str(path)
         )
     if kind == "memory" or ended_by <= 0:
         raise refusal(

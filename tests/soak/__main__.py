@@ -57,7 +57,7 @@ def fuzz_files(seconds: float, seed: int) -> Mapping[str, object]:
     """Damage files and run the commands on them until the time is up; the counts."""
     load_all_modules()
     commands: Counter[str] = Counter()
-    statuses: Counter[int] = Counter()
+    statuses: dict[str, Counter[int]] = {}
     worst = {"seconds": 0.0, "memory_gb": 0.0}
     found = 0
     with tempfile.TemporaryDirectory() as folder:
@@ -80,7 +80,7 @@ def fuzz_files(seconds: float, seed: int) -> Mapping[str, object]:
                 outcome = run_command(arguments, work)
                 shutil.rmtree(work)
                 commands[kind] += 1
-                statuses[outcome.status] += 1
+                statuses.setdefault(kind, Counter())[outcome.status] += 1
                 worst["seconds"] = max(worst["seconds"], round(outcome.seconds, 2))
                 worst["memory_gb"] = max(worst["memory_gb"], round(outcome.memory / 1e9, 3))
                 if outcome.problems:
@@ -89,7 +89,7 @@ def fuzz_files(seconds: float, seed: int) -> Mapping[str, object]:
     return {
         "files": number,
         "commands": dict(sorted(commands.items())),
-        "exit_statuses": dict(sorted(statuses.items())),
+        "exit_statuses": {kind: dict(sorted(counts.items())) for kind, counts in sorted(statuses.items())},
         "worst": worst,
         "found": found,
     }

@@ -176,6 +176,20 @@ def test_a_file_over_which_hdf5_loops_is_refused(tmp_path, monkeypatch):
     assert not (tmp_path / "run-recovered.h5").exists()
 
 
+def test_hdf5_does_not_wait_for_ever_for_a_damaged_block_to_be_mended(tmp_path, monkeypatch):
+    path = tmp_path / "run.h5"
+    with RecordingWriter(path, ROBOT_FILE, (StreamLayout("joints", (ChannelLayout("position", NAMES),), RATE),)):
+        pass
+    content = bytearray(path.read_bytes())
+    content[content.index(b"FHDB") + 30] ^= 1  # its checksum is wrong now
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=r"is damaged: .*checksum"):
+        read_recording(path)
+    monkeypatch.setattr(recover_module, "WAITING_LIMIT", 0.5)
+    with pytest.raises(RecordingError, match=r"cannot be read within 0\.5\d* s; it is damaged"):
+        recover(path, tmp_path / "rescued.h5")
+
+
 def test_the_command_says_what_was_rescued(tmp_path, capsys):
     path = tmp_path / "run.h5"
     times = np.arange(100.0) / RATE

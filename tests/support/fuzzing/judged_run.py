@@ -22,6 +22,8 @@ MEMORY_LIMIT = 2 * 10**9
 """[B]"""
 STALLED = 120.0
 """A command that neither ends nor uses the processor for so long [s] hangs."""
+COMPARED = 10**7
+"""Files up to this size [B] are compared byte by byte."""
 BAD_WORDS = ("Traceback (most recent call last)", "Warning:", "HDF5-DIAG", "Segmentation fault")
 
 
@@ -58,7 +60,7 @@ def load_all_modules() -> None:
 
 def run_command(arguments: Sequence[str], folder: Path) -> Outcome:
     """Run `dynid` with arguments in a folder that holds only inputs."""
-    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    before = {path: _content(path) for path in folder.rglob("*") if path.is_file()}
     outputs = folder.with_name(folder.name + "-stdout"), folder.with_name(folder.name + "-stderr")
     child = os.fork()
     if child == 0:
@@ -76,7 +78,7 @@ def run_command(arguments: Sequence[str], folder: Path) -> Outcome:
         problems.append(f"took {memory / 1e9:.2f} GB of memory")
     after = {path for path in folder.rglob("*") if path.is_file()}
     problems += [
-        f"changed the input {path.name}" for path in before if path not in after or path.read_bytes() != before[path]
+        f"changed the input {path.name}" for path in before if path not in after or _content(path) != before[path]
     ]
     made = sorted(path.relative_to(folder).as_posix() for path in after - set(before))
     # A recording that was begun stays, with the reason of its end in it.
@@ -84,6 +86,12 @@ def run_command(arguments: Sequence[str], folder: Path) -> Outcome:
     if any(".dynid-" in name for name in made) or (made and not kept):
         problems.append(f"left {', '.join(made)} behind")
     return Outcome(status, output, errors, seconds, memory, tuple(problems))
+
+
+def _content(path: Path) -> object:
+    """What changes where a file is changed: its bytes, or of a large one its size and time."""
+    about = path.stat()
+    return path.read_bytes() if about.st_size < COMPARED else (about.st_ino, about.st_size, about.st_mtime_ns)
 
 
 def _problems_of_words(status: int, output: str, errors: str) -> list[str]:
