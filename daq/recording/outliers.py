@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.recording.quantisation import quantisation_step
+from drivers.ranges import STAMP
 from drivers.streams import FloatArray
 
 LONGEST = 3
@@ -35,6 +36,7 @@ TOO_MANY = 0.02
 _NORMAL_QUANTILES = ((0.5, 0.6745), (0.7, 1.0364))  # of the size of a standard normal variable
 _ROUNDING = 1e-14  # of the largest value, what a constant signal seems to be from a cubic
 _NEGLIGIBLE = 1e-9  # of the largest value
+_SAME_STAMP = 1e-9  # [s] to the one before
 _LARGEST_GAP = 4.0  # of the samples around, in median periods: no cubic across a gap
 _PASSES = 3
 _CHUNK = 20_000
@@ -64,12 +66,15 @@ def without_outliers(time: FloatArray, values: FloatArray) -> CleanSignal:
     Args:
         time: (N,) [s]; repeated stamps are allowed.
         values: (N, n); a column with values that are not finite is left as it is.
+
+    Stamps that are no times in rising order are left to those who use the signal: nothing is replaced then.
     """
     clean = values.copy()
     replaced, left = np.zeros(values.shape[1], dtype=np.int64), np.zeros(values.shape[1], dtype=np.int64)
     for column in range(values.shape[1]):
         interpolated = values[:, column].astype(np.float64)
-        count = int(np.sum(_replace_outliers(time, interpolated)))
+        with np.errstate(over="ignore", invalid="ignore"):  # absurd values are refused by those who use them
+            count = int(np.sum(_replace_outliers(time, interpolated)))
         if count > TOO_MANY * len(values):
             left[column] = count
         elif count:
@@ -81,12 +86,12 @@ def without_outliers(time: FloatArray, values: FloatArray) -> CleanSignal:
 def _replace_outliers(time: FloatArray, values: FloatArray) -> BoolArray:
     """Which of the values (N,) are outliers; they are replaced in place."""
     found = np.zeros(len(values), dtype=bool)
-    if not np.all(np.isfinite(values)) or len(values) < 4 * NEIGHBOURS:
+    if not np.all(np.isfinite(values)) or len(values) < 4 * NEIGHBOURS or not np.all(np.abs(time) <= STAMP.most):
         return found
     # Repeated stamps have no cubic of their own; they are dropped again before anything is computed.
-    kept = np.flatnonzero(np.concatenate([[True], np.diff(time) > 0]))
+    kept = np.flatnonzero(np.concatenate([[True], np.diff(time) > _SAME_STAMP]))
     stamps, signal = time[kept], values[kept]
-    if len(kept) < 4 * NEIGHBOURS:
+    if len(kept) < 4 * NEIGHBOURS or np.any(np.diff(stamps) <= 0):
         return found
     step = quantisation_step(signal)
     floor = 0.0 if np.isnan(step) else step

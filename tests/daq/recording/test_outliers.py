@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -111,3 +113,25 @@ def test_no_signal_crashes(values, stamps):
     time = np.sort(np.array(stamps[: len(values)], dtype=np.float64))
     clean = without_outliers(time, np.array(values, dtype=np.float64).reshape(-1, 1))
     assert clean.values.shape == (len(values), 1)
+
+
+ABSURD = st.sampled_from([0.0, -0.0, 1e308, -1e308, 1e-300, 5e-324, 1e256, 1e12, np.nan, np.inf, -np.inf])
+
+
+@settings(max_examples=50)
+@given(
+    stamps=st.dictionaries(st.integers(0, 199), ABSURD, max_size=20),
+    values=st.dictionaries(st.integers(0, 199), ABSURD, max_size=5),
+    factor=st.sampled_from([1.0, 1e-12, 1e-300, 1e12, 0.0, -1.0]),
+)
+def test_absurd_stamps_and_values_give_no_warning(stamps: dict, values: dict, factor: float) -> None:
+    time = np.arange(200) * 0.01 * factor
+    signal = np.sin(np.arange(200) * 0.05)[:, None] * np.ones(2)
+    signal[100, 0] += 0.5
+    time[list(stamps)], signal[list(values), 1] = list(stamps.values()), list(values.values())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        clean = without_outliers(time, signal)
+    assert clean.values.shape == signal.shape
+    if factor == 1.0 and not stamps:
+        assert clean.replaced[0] == 1
