@@ -15,6 +15,7 @@ from daq.recording.hdf5_reason import hdf5_reason
 from daq.recording.recording import SCHEMA_VERSION, Channel, Event, Recording, Stream
 from drivers.errors import RecordingError
 from drivers.input_files import RECORDING_FILE, check_input
+from drivers.ranges import STAMP
 from drivers.reading_process import read_apart
 from drivers.streams import FloatArray
 
@@ -168,8 +169,8 @@ def _read_stream(group: Any, where: str) -> Stream:
     for clock in ("time", "host_time"):
         if clock in group and group[clock].ndim != 1:
             raise RecordingError(f"'{clock}' has shape {group[clock].shape}; (N,) expected", where=where)
-    time = _read_clock(group, "time", count)
-    host_time = _read_clock(group, "host_time", count) if "host_time" in group else time
+    time = _read_clock(group, "time", count, where)
+    host_time = _read_clock(group, "host_time", count, where) if "host_time" in group else time
     channels = {}
     for name, dataset in group.items():
         if name in ("time", "host_time"):
@@ -193,8 +194,14 @@ def _read_stream(group: Any, where: str) -> Stream:
     return Stream(name=group.name.rsplit("/", 1)[-1], time=time, host_time=host_time, channels=channels)
 
 
-def _read_clock(group: Any, name: str, count: int) -> FloatArray:
-    return np.asarray(group[name][:count], dtype=np.float64)
+def _read_clock(group: Any, name: str, count: int, where: str) -> FloatArray:
+    stamps = np.asarray(group[name][:count], dtype=np.float64)
+    absurd = np.flatnonzero(np.abs(stamps) > STAMP.most)
+    if len(absurd):
+        raise RecordingError(
+            f"the '{name}' of sample {absurd[0]}, {stamps[absurd[0]]:g} s, is not within {STAMP}", where=where
+        )
+    return stamps
 
 
 def _read_events(table: Any, bounds: Hdf5Bounds) -> tuple[Event, ...]:

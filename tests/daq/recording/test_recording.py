@@ -19,6 +19,7 @@ from daq.recording.recording import JOINTS_STREAM, SCHEMA_VERSION, Channel, Even
 from daq.recording.writer import RecordingWriter, write_recording
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.errors import RecordingError, UsageError
+from drivers.ranges import STAMP
 from drivers.streams import ChannelLayout, StreamLayout
 
 NAMES = ("shoulder", "elbow")
@@ -84,7 +85,7 @@ def recordings(draw: st.DrawFn) -> Recording:
     streams = {}
     for name in draw(st.lists(st.sampled_from(["joints", "thermometer", "ft"]), min_size=1, unique=True)):
         count = draw(st.integers(0, 5))
-        clock = hnp.arrays(np.float64, (count,), elements=FLOATS)
+        clock = hnp.arrays(np.float64, (count,), elements=st.floats(STAMP.least, STAMP.most))
         channels = {}
         for quantity in draw(st.lists(st.sampled_from(["position", "voltage", "force"]), unique=True)):
             width = draw(st.integers(1, 3))
@@ -231,6 +232,11 @@ def two_clocks(path: Path) -> None:
         file["streams/joints/host_time"] = np.zeros((20, 2))
 
 
+def absurd_stamp(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        file["streams/joints/host_time"][7] = -1e256
+
+
 def lost_names(path: Path) -> None:
     with h5py.File(path, "a") as file:
         file["streams/joints/position"].attrs["joints"] = ["shoulder"]
@@ -276,6 +282,7 @@ def nothing(path: Path) -> None:
         (half_written, "/streams/joints: is half-written: rows per dataset .*'current': 0"),
         (group_in_a_stream, "'more' is not a dataset"),
         (two_clocks, r"'host_time' has shape \(20, 2\)"),
+        (absurd_stamp, "/streams/joints: the 'host_time' of sample 7, -1e\\+256 s, is not within"),
         (lost_names, "'position' has 2 columns, but its attribute 'joints' names 1"),
         (one_dimension, r"'force' has shape \(20,\)"),
         (foreign_events, "is damaged"),
