@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.ranges import EXPONENT, STRIBECK_VELOCITY
+from drivers.reading_process import Progress
 from ident.assessment.excitation import excited_base_columns
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.data_split import DataSplit
@@ -22,7 +23,7 @@ from ident.identify.friction_candidates import FOLDS, candidate_grams, candidate
 from ident.identify.friction_choice import AUTO
 from ident.identify.friction_selection import FrictionSearch, FrictionStep
 from ident.identify.identification import FrictionFit, IdentifyChoices
-from ident.identify.preparation import Progress, prepare_data
+from ident.identify.preparation import prepare_data
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import FrictionTerms, LoadTorque, no_terms
