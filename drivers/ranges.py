@@ -90,6 +90,7 @@ POINTS = Range(2, 200)
 RAMP = Range(1e-3, 3600.0, "s")
 SEARCH_TIME = Range(1e-3, 604_800.0, "s")
 """A week."""
+RECORDING_TIME = Range(1e-3, 604_800.0, "s")
 STARTS = Range(1, 100_000)
 SEED = Range(0, 2**63 - 1)
 

@@ -66,11 +66,12 @@ def record_command(
     from daq.session.supervisor import Limits, Supervisor
     from drivers.clock import SYSTEM_CLOCK
     from drivers.errors import INTERRUPTED_STATUS, UsageError
+    from drivers.ranges import RECORDING_TIME, check_option
 
     if (trajectory is None) == (duration is None):
         raise UsageError("give either --trajectory or --duration")
-    if duration is not None and not 0 < duration < float("inf"):
-        raise UsageError(f"--duration {duration:g} is not a positive number of seconds")
+    if duration is not None:
+        check_option("--duration", duration, RECORDING_TIME)
     if trajectory is None and (speed_scale != 1.0 or prior is not None):
         raise UsageError("--speed-scale and --prior need --trajectory")
     robot_file = load_robot(robot)

@@ -17,6 +17,8 @@ import numpy as np
 
 from daq.robot.schema import Robot
 from drivers.errors import UsageError
+from drivers.ranges import INERTIA, LENGTH, check_option
+from drivers.ranges import MASS as MASS_RANGE
 from drivers.streams import FloatArray
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.model.base_parameters import BaseParameters
@@ -56,6 +58,10 @@ class KnownLoad:
         for option, values, count in (("--com", self.com, 3), ("--inertia", self.inertia, 6)):
             if values is not None and (len(values) != count or not np.all(np.isfinite(values))):
                 raise UsageError(f"{count} finite numbers are needed, separated by commas", where=option)
+        check_option("--mass", self.mass, MASS_RANGE, "give kg")
+        for option, values, allowed in (("--com", self.com, LENGTH), ("--inertia", self.inertia, INERTIA)):
+            for value in values or ():
+                check_option(option, value, allowed)
         if self.inertia is not None and self.com is None:
             raise UsageError("--inertia without --com has no reference point", hint="give the centre of mass too")
         if self.inertia is not None:

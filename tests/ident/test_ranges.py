@@ -20,6 +20,7 @@ from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.sufficiency import check_wanted_rsd
 from ident.identify.identification import IdentifyChoices
+from ident.model.load import KnownLoad
 from ident.result.schema import EstimateResult, LinkResult
 from ident.signals.options import PreprocessChoices
 from ident.signals.resampling import check_stamps, measure_irregularity
@@ -69,6 +70,9 @@ OPTIONS = {
     "harmonics": lambda: design(harmonics=10**5),
     "points": lambda: design(points=10**9),
     "ramp": lambda: design(ramp=1e308),
+    "mass of a load": lambda: KnownLoad(1e308),
+    "centre of mass of a load": lambda: KnownLoad(1.0, (1e308, 0.0, 0.0)),
+    "inertia of a load": lambda: KnownLoad(1.0, (0.0, 0.0, 0.0), (1e300, 0.0, 0.0, 1e300, 0.0, 1e300)),
     "wanted RSD": lambda: check_wanted_rsd(1e-160),
 }
 
