@@ -22,7 +22,7 @@ from ident.model.regressor import LoadTorqueKernel, RegressorKernel
 from ident.regression.observation_matrix import filtered_samples
 from ident.signals.prepared import Prepared, Segment
 
-EXPONENTS = (0.2, 0.3, 0.4, 0.6, 0.8, 1.2, 1.4, 1.7)
+EXPONENTS = (0.2, 0.3, 0.4, 0.55, 0.65, 0.75, 0.87, 1.2, 1.4, 1.7)
 """Grid of α, without that of the temperature columns."""
 STRIBECK_SHARES = (0.02, 0.03, 0.042, 0.06, 0.085, 0.12, 0.17, 0.24, 0.34, 0.5)
 """Grid of v_s over a motor's greatest speed."""
