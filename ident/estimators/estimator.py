@@ -8,8 +8,10 @@ physical consistency, merging, the report) knows an `Estimation`, and not the me
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, Protocol
+
+import numpy as np
 
 from daq.robot.loader import RobotFile
 from drivers.streams import FloatArray
@@ -77,6 +79,8 @@ class Estimation:
         passes: over the data, the plain reduction's included.
         steps: what the estimate itself did, for the list of steps.
         optimum: exact optimum of the same cost, where the estimate is the result of a search.
+        joint_covariance: Ω (n, n) of the joints' residuals, by which the equations were whitened [(N·m)²]; empty where
+            they were not.
     """
 
     kernel: RegressorKernel
@@ -87,6 +91,7 @@ class Estimation:
     passes: int = 1
     steps: tuple[Step, ...] = ()
     optimum: LeastSquares | None = None
+    joint_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
 
 class Estimator(Protocol):

@@ -228,8 +228,9 @@ def _idle_joint_checks(identification: Identification) -> list[Check]:
 
 
 def _convergence_checks(identification: Identification) -> list[Check]:
-    """A search that did not reach its optimum; weights of the joints that do not settle."""
+    """A search that did not reach its optimum; loops of an iterative method that do not settle."""
     solution, optimum = identification.solution, identification.estimation.optimum
+    loops = identification.estimation.loops
     if optimum is not None:
         used = list(solution.active)
         distance = np.abs(solution.parameters - optimum.parameters)[used] / identification.std[used]
@@ -245,6 +246,13 @@ def _convergence_checks(identification: Identification) -> list[Check]:
         return [raised("search-gap", text)]
     if solution.settled:
         return []
+    if loops:
+        names = ", ".join(loop.name for loop in loops if not loop.settled)
+        text = (
+            f"the method {identification.choices.method} did not converge ({names}), the last iterate is used: compare "
+            "--method wls, or record longer"
+        )
+        return [raised("weights-not-settled", text)]
     text = (
         f"the joints' weights did not settle in {solution.iterations - 1} iterations, the last ones are used: values "
         "and error bars depend on where they stopped; compare --method ols, or record longer"

@@ -117,6 +117,9 @@ def identify(
 
     progress("validation")
     fit_series = _flat(fit)
+    if estimation.weights:
+        weighted = zip(fit_series, estimation.weights, strict=True)
+        fit_series = tuple(replace(part, weights=weights) for part, weights in weighted)
     held_out = prepared.validation_runs
     validation_series = _flat(compare_run(kernel, solution.parameters, run) for run in held_out)
     essential = pruned.solution.parameters

@@ -16,6 +16,7 @@ from daq.robot.schema import Robot
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.delay import DelaySearch
+from ident.identify.convergence import convergence_result
 from ident.identify.identification import ConsistentFit, Identification, PreparedRun
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
@@ -153,6 +154,7 @@ def summarise(
         verdict=_verdict(identification),
         experiments=[experiment_result(model, identification.experiment)],
         estimate=estimate_result(identification.estimate, base.names),
+        convergence=convergence_result(identification),
     )
 
 

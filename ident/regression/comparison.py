@@ -26,6 +26,8 @@ class TorqueSeries:
         velocity: (n, M) [rad/s or m/s].
         used: (M,) whether the sample counts (the arm moves).
         resting: (n, M) motors at rest, whose static friction is in no model; None where not determined.
+        weights: (n, M) by how much each equation counted in a robust estimate, 0 to 1; nan where it took no part. None
+            where all counted alike.
     """
 
     time: FloatArray
@@ -34,6 +36,7 @@ class TorqueSeries:
     velocity: FloatArray
     used: npt.NDArray[np.bool_]
     resting: npt.NDArray[np.bool_] | None = None
+    weights: FloatArray | None = None
 
     @property
     def counted(self) -> npt.NDArray[np.bool_]:

@@ -101,7 +101,7 @@ def weighted_least_squares(reduction: Reduction, active: Sequence[int]) -> Least
         IdentificationError: as for OLS.
     """
     solution = ordinary_least_squares(reduction, active)
-    floor, used = _rounding_floor(reduction), _with_rows(reduction)
+    floor, used = rounding_floor(reduction), _with_rows(reduction)
     for iteration in range(2, WLS_ITERATIONS + 2):
         weights = inverse_deviations(reduction, solution.joint_std)
         refined = solve_weighted(reduction, active, weights, "wls", iteration)
@@ -117,7 +117,7 @@ def _with_rows(reduction: Reduction) -> npt.NDArray[np.bool_]:
     return np.array([joint.rows > 0 for joint in reduction.joints])
 
 
-def _rounding_floor(reduction: Reduction) -> FloatArray:
+def rounding_floor(reduction: Reduction) -> FloatArray:
     """Standard deviations (n,) below which a joint's weight must not follow its residual: noise-free data."""
     torque = np.array(
         [np.linalg.norm(joint.factor[:, len(joint.columns)]) / max(joint.rows, 1) ** 0.5 for joint in reduction.joints]

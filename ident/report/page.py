@@ -9,6 +9,7 @@ from daq.output_files import REPORT_FILE, RESULT_FILE, write_folder
 from ident.report.html_file import page_templates
 from ident.report.section import ReportData, ReportSection
 from ident.report.sections import (
+    convergence,
     correlation,
     data_quality,
     excitation,
@@ -32,6 +33,7 @@ SECTIONS: tuple[Callable[[ReportData], ReportSection | None], ...] = (
     torques_validation.section,
     torques_fit.section,
     residuals.section,
+    convergence.section,
     friction.section,
     parameters.section,
     links.section,

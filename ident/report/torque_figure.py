@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
+from drivers.streams import FloatArray
 from ident.regression.comparison import TorqueSeries
 from ident.report.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain, shortened
 from ident.report.number_text import number, percent, whole
@@ -15,6 +17,11 @@ from ident.result.schema import Fit
 
 PANEL = 150
 """Height of a panel [px]."""
+
+LOW_WEIGHT = 0.5
+"""An equation that a robust estimate weighs less is marked as rejected."""
+
+REJECTED = "#CC79A7"
 
 
 def torque_figure(
@@ -56,6 +63,7 @@ def torque_figure(
                     "hovertemplate": "%{y:.4g} N·m",
                 }
             )
+        traces += _rejected(joint, times, series, points, joint == order[0])
         name = joints[joint]
         panels.append(
             Panel(
@@ -71,6 +79,35 @@ def torque_figure(
         )
     caption = _caption(series, points, len(timeline.borders))
     return panel_figure(anchor, [[panel] for panel in panels], caption, linked=True, hovermode="x unified")
+
+
+def _rejected(
+    joint: int, times: Sequence[FloatArray], series: Sequence[TorqueSeries], points: int, legend: bool
+) -> list[dict[str, Any]]:
+    """Markers on the torques that a robust estimate counted for less than half; none where all count alike."""
+    if all(segment.weights is None for segment in series):
+        return []
+    x, y = [], []
+    for time, segment in zip(times, series, strict=True):
+        if segment.weights is not None:
+            low = np.nan_to_num(segment.weights[joint], nan=1.0) < LOW_WEIGHT
+            x.append(time[low])
+            y.append(segment.measured[joint, low])
+    every = slice(None, None, max(1, -(-sum(map(len, x)) // points)))
+    return [
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": "rejected",
+            "legendgroup": "rejected",
+            "legendrank": 4,
+            "showlegend": legend,
+            "x": packed(np.concatenate(x)[every]),
+            "y": packed(np.concatenate(y)[every]),
+            "marker": {"size": 5, "symbol": "x-thin", "line": {"color": REJECTED, "width": 1.2}},
+            "hovertemplate": "rejected",
+        }
+    ]
 
 
 def _errors(fit: Fit | None, joint: int) -> str:
@@ -95,6 +132,8 @@ def _caption(series: Sequence[TorqueSeries], points: int, borders: int) -> str:
         )
     if not all(bool(segment.counted.all()) for segment in series):
         text.append("Samples not used (a joint at rest, the ends of a segment) have no residual.")
+    if any(segment.weights is not None for segment in series):
+        text.append(f"Rejected: the estimator gave the equation a weight below {LOW_WEIGHT:g}.")
     if borders:
         text.append(
             "Dotted: start of a segment that does not follow in time (another recording, or a pause of more than a "

@@ -414,6 +414,35 @@ class ModelOptions(_Part):
         return self
 
 
+class LoopResult(_Part):
+    """How one loop of an iterative estimator converged."""
+
+    name: str
+    unit: str
+    values: list[Number] = Field(description="after each iteration")
+    settled: bool
+
+
+class JointEquations(_Part):
+    """How one joint's equations took part in a robust estimate."""
+
+    joint: str
+    equations: int
+    rejected: int = Field(description="of weight 0")
+    mean_weight: Number
+
+
+class Convergence(_Part):
+    """What an iterative estimator did."""
+
+    passes: int = Field(description="over the data")
+    loops: list[LoopResult] = Field(description="innermost first")
+    equations: list[JointEquations] = Field(default=[], description="empty where all count alike")
+    joint_correlation: list[list[Number]] = Field(
+        default=[], description="of the joints' residuals, by which the equations were whitened; else empty"
+    )
+
+
 _LISTS_OF_JOINTS = (
     "joint_relative_error",
     "rmse",
@@ -468,6 +497,7 @@ class Result(_Part):
     experiments: list[ExperimentResult] = Field(default=[], description="empty: all joints moved, all torques used")
     merge: Merge | None = None
     estimate: EstimateResult | None = None
+    convergence: Convergence | None = Field(default=None, description="null for methods that solve in one step")
 
     @model_validator(mode="after")
     def _lists_of_joints(self) -> Self:

@@ -150,7 +150,7 @@ _EXCITATION = (
         "weights-not-settled",
         "warning",
         PARAMETERS,
-        "the joints' weights do not settle",
+        "weights do not settle",
         "Compare --method ols, or record longer: the values are those of the last iterate.",
     ),
     CheckKind(

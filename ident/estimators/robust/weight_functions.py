@@ -1,0 +1,78 @@
+"""How much an equation counts, by its normalised residual z: hard rejection, Huber, Tukey.
+
+Least squares with weights w(z) solves Σ ψ(z)·x = 0 with ψ = z·w. The thresholds lose 5 % of efficiency on normal
+residuals. AUBO takes a "T-class hard weight" from Han et al.: read here as hard rejection, weight 1 up to a quantile of
+Student's t distribution and 0 beyond; at 99.5 % of many samples it is 2.81, that of Talwar's hard weights 2.795.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from drivers.streams import FloatArray
+
+WeightName = Literal["hard", "huber", "tukey"]
+
+HARD_LEVEL = 0.005
+"""Share of normal residuals that hard weights reject."""
+
+HUBER_THRESHOLD = 1.345
+TUKEY_THRESHOLD = 4.685
+
+_INTEGRATION = np.linspace(-12.0, 12.0, 48_001)
+"""Normal residuals at which expectations are summed."""
+
+
+@dataclass(frozen=True)
+class WeightFunction:
+    """A weight function with its threshold.
+
+    Attributes:
+        name: of the function.
+        threshold: of |z|; beyond it a residual counts less, or not at all.
+    """
+
+    name: WeightName
+    threshold: float
+
+    def __call__(self, residual: FloatArray) -> FloatArray:
+        """Weights, 0 to 1, of normalised residuals; same shape."""
+        size = np.abs(residual) / self.threshold
+        if self.name == "hard":
+            return (size <= 1.0).astype(np.float64)
+        if self.name == "huber":
+            return np.asarray(1.0 / np.maximum(size, 1.0))
+        return np.asarray(np.square(np.clip(1.0 - size**2, 0.0, None)))
+
+    @property
+    def variance(self) -> float:
+        """E[w·z²]/E[w] of normal residuals: what their weighted variance is too small by."""
+        weights = self(_INTEGRATION)
+        return _mean(weights * _INTEGRATION**2) / _mean(weights)
+
+    @property
+    def steepness(self) -> float:
+        """E[w]/E[ψ′] of normal residuals: by how much more than with fixed weights an estimate moves with its data.
+
+        E[ψ′] = E[z·ψ], by parts.
+        """
+        weights = self(_INTEGRATION)
+        return _mean(weights) / _mean(weights * _INTEGRATION**2)
+
+
+def weight_function(name: WeightName, freedom: float) -> WeightFunction:
+    """The function of a name for residuals of so many degrees of freedom."""
+    from scipy.stats import t
+
+    if name == "hard":
+        return WeightFunction(name, float(t.isf(0.5 * HARD_LEVEL, max(1.0, freedom))))
+    return WeightFunction(name, HUBER_THRESHOLD if name == "huber" else TUKEY_THRESHOLD)
+
+
+def _mean(values: FloatArray) -> float:
+    """Expectation over normal residuals of a function given at `_INTEGRATION`."""
+    density = np.exp(-0.5 * _INTEGRATION**2)
+    return float(values @ density / density.sum())
