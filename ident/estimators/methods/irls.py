@@ -20,10 +20,13 @@ class IrlsOptions:
     weights: Annotated[WeightName, Field(description="how residuals that are too large count: not at all, or less")] = (
         "hard"
     )
+    consistent: Annotated[bool, Field(description="weigh by the residuals of the physically consistent parameters")] = (
+        False
+    )
 
 
 def _estimator(options: IrlsOptions, setup: Setup) -> Estimator:
-    return RobustEstimator(setup, options.weights)
+    return RobustEstimator(setup, options.weights, options.consistent)
 
 
 METHOD = Method(

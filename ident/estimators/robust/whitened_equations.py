@@ -144,3 +144,17 @@ def shrunk(covariance: FloatArray, independent: float) -> FloatArray:
     total = float(np.sum(correlation**2))
     share = float(np.sum(by_chance)) / max(independent, 1.0) / total if total > 0 else 0.0
     return np.asarray((1.0 - min(1.0, share)) * correlation * pairs + np.diag(deviations**2))
+
+
+def whitened(regressor: FloatArray, torque: FloatArray, unroot: FloatArray, root_weight: FloatArray) -> FloatArray:
+    """Rows (b + 1, k·m) of the whitened and weighted system, the torque last.
+
+    Args:
+        regressor: (k, b, m).
+        torque: (k, m).
+        unroot: Ω^(−½) (k, k).
+        root_weight: (k, m) roots of the weights.
+    """
+    equations = np.concatenate([regressor, torque[:, None]], axis=1)
+    mixed = np.einsum("kj,jbm->bkm", unroot, equations, optimize=True) * root_weight
+    return np.asarray(mixed.reshape(equations.shape[1], -1))

@@ -23,7 +23,7 @@ from ident.report.page import render_report
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
-METHODS = ("irls", "irls:weights=huber", "irls:weights=tukey")
+METHODS = ("irls", "irls:weights=huber", "irls:weights=tukey", "irls:consistent=true")
 
 
 def with_contacts(recording: Recording, share: float = 0.05) -> Recording:
@@ -106,7 +106,7 @@ def test_faults_cost_little(three_joint, robust, weighted, clean, method):
 def test_the_result_counts_what_was_rejected_and_the_page_shows_it(robust, weighted, faulty):
     found = robust["irls"]
     result = summarise(found, [faulty], [])
-    assert (result.method, result.method_options) == ("irls", {"weights": "hard"})
+    assert (result.method, result.method_options) == ("irls", {"weights": "hard", "consistent": False})
     assert result.convergence is not None
     weights = np.concatenate(found.estimation.weights, axis=1)
     assert [one.rejected for one in result.convergence.equations] == np.nansum(weights == 0, axis=1).tolist()

@@ -1,0 +1,172 @@
+"""The two inner loops: the covariance Ω across the joints, and the weights of the equations (AUBO .2.3).
+
+Nested, every step of the inner loop costs a pass over the data; here they run in step, one update of both per pass,
+which has the same fixed points. Ω starts from the median absolute deviations of the weighted least squares' residuals,
+which outliers do not reach.
+
+Rejected residuals take variance with them: Ω is divided by what the weights leave of a normal variance, so that it
+stays that of the accepted residuals' noise and hard weights do not narrow themselves (eq. 14 has no such factor).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.estimators.robust.weight_functions import WeightFunction
+from ident.estimators.robust.weighted_pass import Pass, weighted_pass
+from ident.model.regressor import RegressorKernel
+from ident.regression.autocorrelation import independent_share, lag_one
+from ident.regression.least_squares import LeastSquares, rounding_floor, weighted_least_squares
+from ident.regression.observation_matrix import Reduction
+from ident.signals.prepared import Prepared
+
+MAD_TO_STD = 1.4826
+"""Standard deviation of normal residuals over the median of their absolute values."""
+
+COVARIANCE_TOLERANCE = 1e-3
+"""Largest relative change of Ω, to the joints' variances, at which it has settled."""
+
+PARAMETER_TOLERANCE = 1e-2
+"""Largest step of a parameter, in its classical standard deviations, at which the weights have settled."""
+
+MOST_PASSES = 40
+
+Solve = Callable[[RegressorKernel, Reduction, FloatArray], LeastSquares]
+"""The solution of a reduced system, after the parameters (b,) of the last one; what its residuals are those of."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobustFit:
+    """Where the inner loops ended.
+
+    Attributes:
+        kernel: of the base columns.
+        done: the last pass.
+        solution: of it.
+        covariance: Ω (n, n).
+        settled: whether Ω and the weights converged.
+    """
+
+    kernel: RegressorKernel
+    done: Pass
+    solution: LeastSquares
+    covariance: FloatArray
+    settled: bool
+
+    @property
+    def spread(self) -> float:
+        """Geometric mean of the joints' residual standard deviations [N·m]: what falls as the fit improves."""
+        known = ~np.isnan(np.concatenate(self.done.weights, axis=1))
+        variances = np.diag(self.covariance)[known.any(axis=1)]
+        return float(np.exp(0.5 * np.mean(np.log(variances))))
+
+
+@dataclass
+class Reweighting:
+    """The inner loops on the same data, from any start.
+
+    Attributes:
+        runs: the data.
+        torques: motors whose torques are used.
+        active: base columns that are estimated.
+        function: of the weights.
+        solve: what the weights are those of.
+        floor: (n,) smallest standard deviations.
+        factor: of all variances: degrees of freedom, and what the weights take.
+        independent: number of independent samples that correlations are estimated from.
+        passes: over the data so far.
+        changes, steps: of Ω and of the parameters, per pass so far.
+    """
+
+    runs: Sequence[Prepared]
+    torques: Sequence[int]
+    active: Sequence[int]
+    function: WeightFunction
+    solve: Solve
+    floor: FloatArray
+    factor: float
+    independent: float = 1.0
+    passes: int = 1
+    changes: list[float] = field(default_factory=list)
+    steps: list[float] = field(default_factory=list)
+
+    @classmethod
+    def of(
+        cls,
+        runs: Sequence[Prepared],
+        torques: Sequence[int],
+        plain: Reduction,
+        active: Sequence[int],
+        function: WeightFunction,
+        solve: Solve,
+    ) -> Reweighting:
+        """For a system that is also known as plain equations, one factor per joint."""
+        factor = plain.rows / max(1.0, plain.rows - len(active)) / function.variance
+        return cls(runs, torques, active, function, solve, rounding_floor(plain), factor)
+
+    def started(self, kernel: RegressorKernel, plain: Reduction) -> RobustFit:
+        """From weighted least squares of the plain equations.
+
+        Raises:
+            IdentificationError: they do not determine the parameters.
+        """
+        solution = weighted_least_squares(plain, self.active)
+        start = np.where(solution.joint_std > 0, np.maximum(solution.joint_std, self.floor), 1.0)
+        first = self._pass(kernel, solution.parameters, np.diag(start**2), None)
+        self.independent = independent_samples(first.normalised, self.torques) - len(self.active) / len(self.torques)
+        deviations = np.maximum(start * median_deviations(first.normalised), self.floor)
+        return self.iterated(kernel, solution.parameters, np.diag(deviations**2))
+
+    def iterated(self, kernel: RegressorKernel, parameters: FloatArray, covariance: FloatArray) -> RobustFit:
+        """From base parameters (b,) and Ω (n, n) until both and the weights settle.
+
+        Raises:
+            IdentificationError: the weights leave too few equations.
+        """
+        active = list(self.active)
+        for _ in range(MOST_PASSES):
+            done = self._pass(kernel, parameters, covariance, self.function)
+            solution = self.solve(kernel, done.reduction, parameters)
+            step = np.abs(solution.parameters - parameters)[active]
+            self.steps.append(float(np.max(step / np.sqrt(np.diag(solution.covariance)), initial=0.0)))
+            parameters = solution.parameters
+            updated = done.sums.covariance(self.factor, self.independent, self.floor)
+            self.changes.append(relative_change(covariance, updated))
+            covariance = updated
+            if self.settled:
+                break
+        return RobustFit(kernel, done, solution, covariance, self.settled)
+
+    @property
+    def settled(self) -> bool:
+        """Whether the last pass changed neither Ω nor the parameters."""
+        return self.steps[-1] < PARAMETER_TOLERANCE and self.changes[-1] < COVARIANCE_TOLERANCE
+
+    def _pass(
+        self, kernel: RegressorKernel, parameters: FloatArray, covariance: FloatArray, function: WeightFunction | None
+    ) -> Pass:
+        self.passes += 1
+        return weighted_pass(kernel, self.runs, self.torques, parameters, covariance, function)
+
+
+def median_deviations(normalised: Sequence[FloatArray]) -> FloatArray:
+    """Standard deviation (n,) of each joint's residuals by their median absolute value; 1 where there are none."""
+    sizes = np.abs(np.concatenate(normalised, axis=1))
+    return np.array([MAD_TO_STD * np.median(of[~np.isnan(of)]) if np.any(~np.isnan(of)) else 1.0 for of in sizes])
+
+
+def independent_samples(normalised: Sequence[FloatArray], torques: Sequence[int]) -> float:
+    """Number of independent samples that the residuals of a joint are worth, mean over the joints."""
+    known = [np.where(np.isnan(part), 0.0, part)[list(torques)] for part in normalised]
+    samples = sum(int(np.sum(~np.isnan(part[list(torques)]))) for part in normalised) / max(1, len(torques))
+    return samples * independent_share(lag_one(known))
+
+
+def relative_change(before: FloatArray, after: FloatArray) -> float:
+    """Largest change of an entry of Ω (n, n), relative to the joints' standard deviations."""
+    deviations = np.sqrt(np.diag(after))
+    return float(np.max(np.abs(after - before) / np.outer(deviations, deviations)))
