@@ -55,12 +55,14 @@ class Loop:
         unit: of the values; empty for a relative change.
         values: after each iteration.
         settled: whether it converged; else the last iterate was taken.
+        joint: that the values belong to; empty where they are of the whole arm.
     """
 
     name: str
     unit: str
     values: tuple[float, ...]
     settled: bool
+    joint: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from drivers.ranges import EXPONENT, STRIBECK_VELOCITY
 from drivers.reading_process import Progress
 from ident.assessment.excitation import excited_base_columns
+from ident.estimators.friction_steps import (
+    LOAD_TOLERANCE,
+    SHAPE_TOLERANCE,
+    SHORTER,
+    load_change,
+    moved_shapes,
+    shape_change,
+)
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.data_split import DataSplit
 from ident.identify.friction_candidates import FOLDS, candidate_grams, candidates_of, greatest_speeds
@@ -27,7 +34,7 @@ from ident.identify.preparation import prepare_data
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import FrictionTerms, LoadTorque, no_terms
-from ident.model.regressor import LoadTorqueKernel, RegressorKernel
+from ident.model.regressor import RegressorKernel
 from ident.regression.autocorrelation import independent_share, residual_autocorrelation
 from ident.regression.comparison import compare_torques
 from ident.regression.jackknife import distinct_samples
@@ -42,16 +49,6 @@ from ident.signals.prepared import Prepared
 
 ROUNDS = 20
 """Of Gauss-Newton steps and new load torques."""
-
-LOAD_TOLERANCE = 1e-3
-SHAPE_TOLERANCE = 1e-4
-"""Relative changes below which load torque and shapes count as settled."""
-
-ROOT_DISTANCE = 0.02
-"""Least distance of α from 0.5, the exponent of the temperature columns, where a motor has those."""
-
-LARGEST_FACTOR = 2.0
-"""By which a shape may change in one step."""
 
 
 def fit_friction(
@@ -205,33 +202,19 @@ class _Fit:
         assert terms is not None
         solved = self.solve(replace(model, terms=replace(terms, load_torque=None)))
         for rounds in range(1, ROUNDS + 1):
-            load_change = shape_change = 0.0
+            of_load = of_shapes = 0.0
             if terms.loaded:
                 loaded = replace(terms, load_torque=solved.load_torque)
-                load_change = self._load_change(model, terms, loaded)
+                of_load = load_change(model, self._runs, terms, loaded)
                 terms = loaded
                 solved = self.solve(replace(model, terms=terms))
             if terms.shaped:
-                solved, shape_change = self._step(solved)
+                solved, of_shapes = self._step(solved)
                 assert solved.model.terms is not None
                 terms = solved.model.terms
-            if load_change < LOAD_TOLERANCE and shape_change < SHAPE_TOLERANCE:
+            if of_load < LOAD_TOLERANCE and of_shapes < SHAPE_TOLERANCE:
                 return FrictionFit(solved.model, rounds=rounds)
         return FrictionFit(solved.model, rounds=ROUNDS, settled=False)
-
-    def _load_change(self, model: DynamicModel, before: FrictionTerms, after: FrictionTerms) -> float:
-        """Largest change of a motor's load torque over the data's largest one of any motor."""
-        if before.load_torque is None:
-            return float("inf")
-        old, new = (LoadTorqueKernel(replace(model, terms=terms)) for terms in (before, after))
-        change, size = 0.0, float(np.finfo(np.float64).tiny)
-        for run in self._runs:
-            for segment in run.segments:
-                position = segment.position[:, :: run.parallel_filter.factor]
-                torque = new.torque(position)
-                change = max(change, float(np.max(np.abs(torque - old.torque(position)))))
-                size = max(size, float(np.max(np.abs(torque))))
-        return change / size
 
     def _step(self, solved: _Solved) -> tuple[_Solved, float]:
         """One Gauss-Newton step of the shapes, shortened until it improves the fit; largest relative change."""
@@ -240,57 +223,15 @@ class _Fit:
         linear = self.solve(replace(solved.model, terms=replace(terms, sensitivities=True)))
         share = 1.0
         for _ in range(4):
-            moved = _moved(terms, linear, share)
-            change = max(
-                _change(terms.exponent, moved.exponent), _change(terms.stribeck_velocity, moved.stribeck_velocity)
-            )
+            moved = moved_shapes(terms, linear.value, share)
+            change = shape_change(terms, moved)
             if change < SHAPE_TOLERANCE:
                 return solved, change
             candidate = self.solve(replace(solved.model, terms=moved))
             if candidate.misfit <= solved.misfit:
                 return candidate, change
-            share *= 0.3
+            share *= SHORTER
         return solved, 0.0
-
-
-def _moved(terms: FrictionTerms, linear: _Solved, share: float) -> FrictionTerms:
-    """The terms with every free shape changed by a share of its Gauss-Newton step."""
-
-    def moved(shape: float, free: bool, kind: str, term: str, motor: int, low: float, high: float) -> float:
-        if kind == "exponent" and terms.temperature[motor] != "none":
-            # Both columns are √|q̇| at 0.5; a step does not lead past it.
-            low, high = (max(low, 0.5 + ROOT_DISTANCE), high) if shape > 0.5 else (low, 0.5 - ROOT_DISTANCE)
-        slope, coefficient = linear.value(kind, motor), linear.value(term, motor)
-        if not free or slope is None or coefficient is None or coefficient == 0.0:
-            return shape
-        wanted = shape + share * slope / coefficient
-        return float(np.clip(np.clip(wanted, shape / LARGEST_FACTOR, shape * LARGEST_FACTOR), low, high))
-
-    motors = range(len(terms.exponent))
-    return replace(
-        terms,
-        exponent=tuple(
-            moved(terms.exponent[m], terms.free_exponent[m], "exponent", "viscous", m, EXPONENT.least, EXPONENT.most)
-            for m in motors
-        ),
-        stribeck_velocity=tuple(
-            moved(
-                terms.stribeck_velocity[m],
-                terms.free_stribeck_velocity[m],
-                "stribeck_velocity",
-                "stribeck",
-                m,
-                STRIBECK_VELOCITY.least,
-                STRIBECK_VELOCITY.most,
-            )
-            for m in motors
-        ),
-    )
-
-
-def _change(before: Sequence[float], after: Sequence[float]) -> float:
-    old, new = np.array(before), np.array(after)
-    return float(np.max(np.abs(new - old) / old))
 
 
 def _folds(indices: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.int64]:

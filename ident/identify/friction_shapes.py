@@ -13,12 +13,14 @@ from typing import get_args
 import numpy as np
 
 from drivers.streams import FloatArray
+from ident.estimators.estimator import Estimation, Estimator
+from ident.estimators.friction_steps import COEFFICIENT_OF
+from ident.estimators.robust.sensitivities import with_shapes
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun, block_jackknife
 from ident.regression.least_squares import (
-    LeastSquares,
     LinearMethod,
     excited_columns,
     ordinary_least_squares,
@@ -27,28 +29,31 @@ from ident.regression.least_squares import (
 from ident.regression.observability import Experiment, experiment_base
 from ident.regression.observation_matrix import only_torques, reduce_segments, stack_reductions
 
-COEFFICIENT_OF = {"exponent": "viscous", "stribeck_velocity": "stribeck"}
-"""Kind of the coefficient that a shape's sensitivity is multiplied with."""
-
 
 def with_free_shapes(
-    model: DynamicModel,
+    estimator: Estimator,
+    estimation: Estimation,
     experiment: Experiment,
     runs: Sequence[FilteredRun],
-    solution: LeastSquares,
     corrected: CorrectedCovariance,
 ) -> tuple[CorrectedCovariance, dict[tuple[str, int], float]]:
     """The covariance of a solution with the uncertainty of its friction's shapes, and σ of these.
 
     Args:
-        model: that was fitted; the covariance remains where none of its shapes was estimated.
+        estimator: of the parameters.
+        estimation: what it gave, by OLS, WLS or a robust method; of other methods the shapes count as known. The
+            covariance remains where no shape was estimated.
         experiment: locked joints, and motors whose torques were used.
         runs: the data.
-        solution: of OLS or WLS on the joints' torque equations; of other methods the shapes count as known.
         corrected: its covariance for shapes that are known.
     """
+    model, solution = estimation.kernel.model, estimation.solution
     terms = model.terms
-    if terms is None or not terms.shaped or solution.method not in get_args(LinearMethod):
+    if terms is None or not terms.shaped:
+        return corrected, {}
+    if estimation.joint_covariance.size:
+        return _whitened(estimator, estimation, experiment, runs, corrected)
+    if solution.method not in get_args(LinearMethod):
         return corrected, {}
     linear = replace(model, terms=replace(terms, sensitivities=True))
     plain, base = experiment_base(model, [experiment]), experiment_base(linear, [experiment])
@@ -76,6 +81,31 @@ def with_free_shapes(
         replace(corrected, covariance=covariance[np.ix_(kept, kept)]),
         shape_deviations(linear, base, solved.parameters, deviations),
     )
+
+
+def _whitened(
+    estimator: Estimator,
+    estimation: Estimation,
+    experiment: Experiment,
+    runs: Sequence[FilteredRun],
+    corrected: CorrectedCovariance,
+) -> tuple[CorrectedCovariance, dict[tuple[str, int], float]]:
+    """The same for equations that were whitened across the joints and weighted."""
+    extended, shapes = with_shapes(estimation, experiment.torques)
+    covariance = estimator.covariance(runs, extended).covariance
+    count = len(estimation.solution.active)
+    model, kernel = estimation.kernel.model, estimation.kernel
+    deviations = {}
+    for place, (kind, motor) in enumerate(zip(shapes.kinds, shapes.motors, strict=True), count):
+        coefficient = next(
+            abs(float(value))
+            for value, column in zip(estimation.solution.parameters, kernel.columns, strict=True)
+            if model.parameters[column].kind == COEFFICIENT_OF[kind]
+            and model.parameters[column].joint == model.active[motor]
+        )
+        sigma = float(np.sqrt(covariance[place, place]))
+        deviations[kind, motor] = sigma / coefficient if coefficient > 0.0 else float("inf")
+    return replace(corrected, covariance=covariance[:count, :count]), deviations
 
 
 def shape_deviations(

@@ -96,7 +96,7 @@ def identify(
     progress("error bars")
     filtered = list(_filtered_runs(runs, fit))
     corrected, shape_std = with_free_shapes(
-        model, experiment, filtered, solution, estimator.covariance(filtered, estimation)
+        estimator, estimation, experiment, filtered, estimator.covariance(filtered, estimation)
     )
     inflation = np.ones(base.count)
     inflation[list(active)] = np.sqrt(np.diag(corrected.covariance) / np.diag(solution.covariance))
@@ -148,7 +148,7 @@ def identify(
         essential_validation=fit_figures(_flat(compare_run(kernel, essential, run) for run in held_out)),
         validation_source=data.validation_source,
         checks=(),
-        friction=friction,
+        friction=replace(friction, model=model),
         shape_std=shape_std,
     )
 

@@ -421,6 +421,7 @@ class LoopResult(_Part):
     unit: str
     values: list[Number] = Field(description="after each iteration")
     settled: bool
+    joint: str = Field(default="", description="empty: of the whole arm")
 
 
 class JointEquations(_Part):

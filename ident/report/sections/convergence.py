@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from typing import Any
 
-from ident.report.figures import ACCENT, LOG_AXIS, Figure, plain
+from ident.report.figures import LOG_AXIS, SERIES_COLOURS, Figure, plain
 from ident.report.panels import Panel, panel_figure
 from ident.report.section import ReportData, ReportSection
-from ident.result.schema import Convergence
+from ident.result.schema import Convergence, LoopResult
 
 PANEL = 180
 
@@ -29,7 +30,11 @@ def section(data: ReportData) -> ReportSection | None:
 
 
 def _figure(convergence: Convergence) -> Figure | None:
-    panels = [_panel(loop.name, loop.unit, loop.values) for loop in convergence.loops if loop.values]
+    by_name: dict[str, list[LoopResult]] = {}
+    for loop in convergence.loops:
+        if loop.values:
+            by_name.setdefault(loop.name, []).append(loop)
+    panels = [_panel(loops) for loops in by_name.values()]
     if not panels:
         return None
     rows = [panels[start : start + 2] for start in range(0, len(panels), 2)]
@@ -37,24 +42,29 @@ def _figure(convergence: Convergence) -> Figure | None:
     return panel_figure("convergence-plot", rows, caption, showlegend=False)
 
 
-def _panel(name: str, unit: str, values: list[float | None]) -> Panel:
-    known = [value for value in values if value is not None]
+def _panel(loops: list[LoopResult]) -> Panel:
+    """One loop, or the same one of several joints."""
+    name, unit = loops[0].name, loops[0].unit
+    known = [value for loop in loops for value in loop.values if value is not None]
     changes = all(value > 0 for value in known) and max(known, default=1.0) > 30.0 * min(known, default=1.0)
-    trace: dict[str, Any] = {
-        "type": "scatter",
-        "mode": "lines+markers",
-        "name": name,
-        "x": list(range(1, len(values) + 1)),
-        "y": values,
-        "line": {"color": ACCENT, "width": 1},
-        "marker": {"size": 5, "color": ACCENT},
-        "hovertemplate": "iteration %{x}: %{y:.3g}<extra></extra>",
-    }
+    traces: list[dict[str, Any]] = [
+        {
+            "type": "scatter",
+            "mode": "lines+markers",
+            "name": loop.joint or name,
+            "x": list(range(1, len(loop.values) + 1)),
+            "y": loop.values,
+            "line": {"color": colour, "width": 1},
+            "marker": {"size": 5, "color": colour},
+            "hovertemplate": f"{plain(loop.joint)} iteration %{{x}}: %{{y:.3g}}<extra></extra>",
+        }
+        for loop, colour in zip(loops, cycle(SERIES_COLOURS), strict=False)
+    ]
     return Panel(
         name,
         f"<b>{plain(name)}</b>",
-        [trace],
+        traces,
         x={"title": {"text": "iteration"}, "zeroline": False},
-        y={**(LOG_AXIS if changes else {}), "title": {"text": unit or "relative"}},
+        y={**(LOG_AXIS if changes else {}), "title": {"text": unit or ("relative" if not loops[0].joint else "")}},
         height=PANEL,
     )

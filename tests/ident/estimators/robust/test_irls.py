@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.recording.recording import Recording
 from ident.estimators.robust.weight_functions import weight_function
 from ident.estimators.robust.whitened_equations import Whitening, shrunk
 from ident.identify.identification import Identification, IdentifyChoices
@@ -26,19 +24,6 @@ from sim_drivers.synthetic.motion import random_fourier_motion
 METHODS = ("irls", "irls:weights=huber", "irls:weights=tukey", "irls:consistent=true")
 
 
-def with_contacts(recording: Recording, share: float = 0.05) -> Recording:
-    """Bursts of 50 ms, of up to the motor signal's own size, at one joint at a time."""
-    stream = recording.streams[JOINTS_STREAM]
-    generator = np.random.default_rng(0)
-    values = stream.channels["current"].values.copy()
-    size = np.sqrt(np.mean(values**2, axis=0))
-    for _ in range(int(share * len(values) / 10)):
-        start, joint = int(generator.integers(len(values) - 10)), int(generator.integers(values.shape[1]))
-        values[start : start + 10, joint] += generator.uniform(0.3, 1.0) * size[joint] * generator.choice([-1.0, 1.0])
-    channels = stream.channels | {"current": replace(stream.channels["current"], values=values)}
-    return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
-
-
 @pytest.fixture(scope="module")
 def clean(three_joint) -> Recording:
     motion = random_fourier_motion(build_model(three_joint), 20.0, seed=1)
@@ -46,7 +31,7 @@ def clean(three_joint) -> Recording:
 
 
 @pytest.fixture(scope="module")
-def faulty(clean) -> Recording:
+def faulty(clean, with_contacts) -> Recording:
     return with_contacts(clean)
 
 

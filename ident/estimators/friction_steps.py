@@ -1,0 +1,87 @@
+"""Steps of nonlinear friction: the shapes α and v_s by Gauss-Newton, and the load torque that friction follows.
+
+The exact derivatives ∂τ/∂α and ∂τ/∂v_s are columns of the regression beside the others, so that a step of the shapes is
+that of the cost with all linear parameters estimated anew (variable projection; Golub and Pereyra, Inverse Problems 19,
+2003).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from drivers.ranges import EXPONENT, STRIBECK_VELOCITY, Range
+from ident.model.dynamic_model import DynamicModel
+from ident.model.friction_terms import FrictionTerms
+from ident.model.regressor import LoadTorqueKernel
+from ident.signals.prepared import Prepared
+
+COEFFICIENT_OF = {"exponent": "viscous", "stribeck_velocity": "stribeck"}
+"""Kind of the coefficient that a shape's sensitivity is multiplied with."""
+
+LARGEST_FACTOR = 2.0
+"""By which a shape may change in one step."""
+
+ROOT_DISTANCE = 0.02
+"""Least distance of α from 0.5, the exponent of the temperature columns, where a motor has those."""
+
+SHORTER = 0.3
+"""By which a step is shortened that does not improve the fit."""
+
+LOAD_TOLERANCE = 1e-3
+SHAPE_TOLERANCE = 1e-4
+"""Relative changes below which load torque and shapes count as settled."""
+
+
+def moved_shapes(terms: FrictionTerms, value: Callable[[str, int], float | None], share: float) -> FrictionTerms:
+    """The terms with every free shape changed by a share of its Gauss-Newton step, within its range.
+
+    Args:
+        terms: before.
+        value: parameter of a kind and a motor by a regression with sensitivities; None where it was not estimated.
+        share: 0 to 1.
+    """
+
+    def moved(shape: float, free: bool, kind: str, motor: int, allowed: Range) -> float:
+        low, high = allowed.least, allowed.most
+        if kind == "exponent" and terms.temperature[motor] != "none":
+            # Both columns are √|q̇| at 0.5; a step does not lead past it.
+            low, high = (max(low, 0.5 + ROOT_DISTANCE), high) if shape > 0.5 else (low, 0.5 - ROOT_DISTANCE)
+        slope, coefficient = value(kind, motor), value(COEFFICIENT_OF[kind], motor)
+        if not free or slope is None or coefficient is None or coefficient == 0.0:
+            return shape
+        near = np.clip(shape + share * slope / coefficient, shape / LARGEST_FACTOR, shape * LARGEST_FACTOR)
+        return float(np.clip(near, low, high))
+
+    exponents = zip(terms.exponent, terms.free_exponent, strict=True)
+    velocities = zip(terms.stribeck_velocity, terms.free_stribeck_velocity, strict=True)
+    return replace(
+        terms,
+        exponent=tuple(moved(shape, free, "exponent", m, EXPONENT) for m, (shape, free) in enumerate(exponents)),
+        stribeck_velocity=tuple(
+            moved(shape, free, "stribeck_velocity", m, STRIBECK_VELOCITY) for m, (shape, free) in enumerate(velocities)
+        ),
+    )
+
+
+def shape_change(before: FrictionTerms, after: FrictionTerms) -> float:
+    """Largest relative change of a shape."""
+    old, new = (np.array([*terms.exponent, *terms.stribeck_velocity]) for terms in (before, after))
+    return float(np.max(np.abs(new - old) / old))
+
+
+def load_change(model: DynamicModel, runs: Sequence[Prepared], before: FrictionTerms, after: FrictionTerms) -> float:
+    """Largest change of a motor's load torque over the data's largest one of any motor."""
+    if before.load_torque is None:
+        return float("inf")
+    old, new = (LoadTorqueKernel(replace(model, terms=terms)) for terms in (before, after))
+    change, size = 0.0, float(np.finfo(np.float64).tiny)
+    for run in runs:
+        for segment in run.segments:
+            position = segment.position[:, :: run.parallel_filter.factor]
+            torque = new.torque(position)
+            change = max(change, float(np.max(np.abs(torque - old.torque(position)))))
+            size = max(size, float(np.max(np.abs(torque))))
+    return change / size

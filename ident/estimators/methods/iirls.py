@@ -1,0 +1,38 @@
+"""Iteratively reweighted least squares with nonlinear friction and load torque estimated along."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
+
+from ident.estimators.estimator import Estimator, Setup
+from ident.estimators.method import Method
+from ident.estimators.robust.iirls import FullFrictionEstimator
+from ident.estimators.robust.weight_functions import WeightName
+
+
+@dataclass(frozen=True)
+class IirlsOptions:
+    """Options of I-IRLS."""
+
+    weights: Annotated[WeightName, Field(description="how residuals that are too large count: not at all, or less")] = (
+        "hard"
+    )
+    consistent: Annotated[bool, Field(description="weigh by the residuals of the physically consistent parameters")] = (
+        False
+    )
+    decoupled: Annotated[bool, Field(description="estimate inertial and friction parameters in turn (ID-IRLS)")] = False
+
+
+def _estimator(options: IirlsOptions, setup: Setup) -> Estimator:
+    return FullFrictionEstimator(setup, options.weights, options.consistent, options.decoupled)
+
+
+METHOD = Method(
+    "as irls; the shapes of the friction and its load torque are estimated along, by the equations that count",
+    "torque",
+    IirlsOptions,
+    _estimator,
+)

@@ -1,0 +1,211 @@
+"""I-IRLS: robust least squares with nonlinear friction and load torque estimated along (AUBO Algorithm 1).
+
+The two inner loops are those of `reweighting`; the third one changes the shapes of the friction, the fourth one the
+load torque, by the gravity parameters just estimated (eq. 18). ID-IRLS (eq. 19) estimates inertial and friction
+parameters in turn, each with the others as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.estimators.estimator import Estimation, Loop, Setup
+from ident.estimators.friction_steps import (
+    LOAD_TOLERANCE,
+    SHAPE_TOLERANCE,
+    SHORTER,
+    load_change,
+    moved_shapes,
+    shape_change,
+)
+from ident.estimators.robust.irls import RobustEstimator, estimation, reweighting
+from ident.estimators.robust.reweighting import PARAMETER_TOLERANCE, Reweighting, RobustFit, Solve
+from ident.estimators.robust.sensitivities import ShapeSystem
+from ident.model.dynamic_model import DynamicModel
+from ident.model.friction_terms import FrictionTerms, LoadTorque
+from ident.model.parameters import FRICTION_KINDS
+from ident.model.regressor import RegressorKernel
+from ident.regression.least_squares import LeastSquares
+from ident.regression.observation_matrix import Reduction
+from ident.signals.prepared import Prepared
+
+MOST_SHAPE_ROUNDS = 15
+MOST_DECOUPLED_ROUNDS = 40
+MOST_LOAD_ROUNDS = 10
+
+
+@dataclass
+class _Rounds:
+    """What the outer loops record.
+
+    Attributes:
+        spreads: geometric mean of the joints' residual standard deviations after each round of the third loop [N·m].
+        shapes: after each, the friction's terms.
+        loads: largest relative change of the load torque in each round of the fourth loop.
+        settled: whether the third and the fourth loop converged.
+    """
+
+    spreads: list[float] = field(default_factory=list)
+    shapes: list[FrictionTerms] = field(default_factory=list)
+    loads: list[float] = field(default_factory=list)
+    settled: tuple[bool, bool] = (True, True)
+
+
+@dataclass(frozen=True)
+class FullFrictionEstimator(RobustEstimator):
+    """I-IRLS on the joints' torque equations.
+
+    Attributes:
+        decoupled: whether inertial and friction parameters are estimated in turn.
+    """
+
+    decoupled: bool
+
+    def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
+        """Iterate all four loops from weighted least squares."""
+        loops = reweighting(self.setup, self.weights, runs, plain, active, self.solver(active))
+        fit, rounds = loops.started(self.setup.kernel, plain), _Rounds()
+        fit = self._third_loop(loops, fit, rounds)
+        terms = fit.kernel.model.terms
+        if terms is not None and terms.loaded:
+            fit = self._fourth_loop(loops, fit, rounds)
+        inner = estimation(fit, loops, "iirls")
+        solution = replace(
+            inner.solution, parameters=fit.solution.parameters, settled=fit.settled and all(rounds.settled)
+        )
+        return replace(inner, solution=solution, loops=(*inner.loops, *_outer_loops(rounds, fit.kernel.model)))
+
+    def solver(self, active: Sequence[int]) -> Solve:
+        """As for IRLS; decoupled, the parameters that are no friction, friction as it was."""
+        together = super().solver(active)
+        if not self.decoupled:
+            return together
+        others = [column for column in active if column not in friction_columns(self.setup)]
+
+        def solve(kernel: RegressorKernel, reduction: Reduction, before: FloatArray) -> LeastSquares:
+            solution = together(kernel, reduction, before)
+            factor = reduction.joints[0].factor
+            parameters = before.copy()
+            parameters[others] = 0.0
+            target = factor[:, -1] - factor[:, :-1] @ parameters
+            lengths = np.linalg.norm(factor[:, others], axis=0)
+            parameters[others] = np.linalg.lstsq(factor[:, others] / lengths, target, rcond=None)[0] / lengths
+            return replace(solution, parameters=parameters)
+
+        return solve
+
+    def _third_loop(self, loops: Reweighting, fit: RobustFit, rounds: _Rounds) -> RobustFit:
+        """Shapes, and decoupled all friction, until they settle."""
+        terms = fit.kernel.model.terms
+        shaped = terms is not None and terms.shaped
+        if not shaped and not self.decoupled:
+            return fit
+        settled = False
+        for _ in range(MOST_DECOUPLED_ROUNDS if self.decoupled else MOST_SHAPE_ROUNDS):
+            before = fit
+            fit, change = self._round(loops, fit)
+            rounds.spreads.append(fit.spread)
+            if shaped:
+                rounds.shapes.append(_terms(fit))
+            step = np.abs(fit.solution.parameters - before.solution.parameters)[list(loops.active)]
+            relative = float(np.max(step / np.sqrt(np.diag(fit.solution.covariance)), initial=0.0))
+            settled = change < SHAPE_TOLERANCE and (not self.decoupled or relative < PARAMETER_TOLERANCE)
+            if settled:
+                break
+        rounds.settled = settled, rounds.settled[1]
+        return fit
+
+    def _round(self, loops: Reweighting, fit: RobustFit) -> tuple[RobustFit, float]:
+        """One step of the shapes, shortened until the fit is no worse; their largest relative change."""
+        if self.decoupled:
+            return self._decoupled_round(loops, fit)
+        system = ShapeSystem.at(loops, fit)
+        parameters = system.together(loops.active)
+        share = 1.0
+        while True:
+            moved = moved_shapes(_terms(fit), partial(system.value, parameters), share)
+            change = shape_change(_terms(fit), moved)
+            if change < SHAPE_TOLERANCE:
+                return fit, change
+            candidate = loops.iterated(_reshaped(fit.kernel, moved), fit.solution.parameters, fit.covariance)
+            if candidate.spread <= fit.spread * (1.0 + 1e-9):
+                return candidate, change
+            share *= SHORTER
+
+    def _decoupled_round(self, loops: Reweighting, fit: RobustFit) -> tuple[RobustFit, float]:
+        """All friction by the torque that the other parameters leave (eq. 15 and 16), then these."""
+        friction = [column for column in loops.active if column in friction_columns(self.setup)]
+        system = ShapeSystem.at(loops, fit)
+        parameters = system.friction_alone(friction, fit.solution.parameters)
+        start = parameters[: len(fit.kernel.columns)]
+        terms = fit.kernel.model.terms
+        if terms is None or not terms.shaped:
+            return loops.iterated(fit.kernel, start, fit.covariance), 0.0
+        moved = moved_shapes(terms, partial(system.value, parameters), 1.0)
+        return loops.iterated(_reshaped(fit.kernel, moved), start, fit.covariance), shape_change(terms, moved)
+
+    def _fourth_loop(self, loops: Reweighting, fit: RobustFit, rounds: _Rounds) -> RobustFit:
+        """Load torque from the gravity parameters, until it settles."""
+        for _ in range(MOST_LOAD_ROUNDS):
+            terms = replace(_terms(fit), load_torque=load_torque(self.setup, fit))
+            rounds.loads.append(load_change(fit.kernel.model, loops.runs, _terms(fit), terms))
+            if rounds.loads[-1] < LOAD_TOLERANCE:
+                return fit
+            fit = loops.iterated(_reshaped(fit.kernel, terms), fit.solution.parameters, fit.covariance)
+            fit = self._third_loop(loops, fit, rounds)
+        rounds.settled = rounds.settled[0], False
+        return fit
+
+
+def friction_columns(setup: Setup) -> frozenset[int]:
+    """Base columns of friction."""
+    standard = setup.kernel.model.parameters
+    return frozenset(
+        place
+        for place, column in enumerate(setup.kernel.columns)
+        if standard[column].kind in FRICTION_KINDS
+        or (standard[column].kind == "coupling" and standard[column].symbol != "Iac")
+    )
+
+
+def load_torque(setup: Setup, fit: RobustFit) -> LoadTorque:
+    """What the links' parameters of a fit say of gravity (AUBO eq. 18)."""
+    links = [place for place, kind in enumerate(setup.base.kinds) if kind == "inertial"]
+    columns = tuple(fit.kernel.columns[place] for place in links)
+    return LoadTorque(columns, tuple(fit.solution.parameters[links].tolist()))
+
+
+def _terms(fit: RobustFit) -> FrictionTerms:
+    terms = fit.kernel.model.terms
+    assert terms is not None
+    return terms
+
+
+def _reshaped(kernel: RegressorKernel, terms: FrictionTerms) -> RegressorKernel:
+    return RegressorKernel(replace(kernel.model, terms=terms), kernel.columns)
+
+
+def _outer_loops(rounds: _Rounds, model: DynamicModel) -> tuple[Loop, ...]:
+    """Third and fourth loop, and the shapes by joint (AUBO Figs. 10 and 11)."""
+    found = []
+    if rounds.spreads:
+        found.append(
+            Loop("friction, residual σ (mean over the joints)", "N·m", tuple(rounds.spreads), rounds.settled[0])
+        )
+    terms = model.terms
+    for name, unit, attribute, free in (
+        ("exponent α", "", "exponent", "free_exponent"),
+        ("Stribeck velocity", "rad/s", "stribeck_velocity", "free_stribeck_velocity"),
+    ):
+        for motor, joint in enumerate(model.joint_names):
+            if terms is not None and getattr(terms, free)[motor] and rounds.shapes:
+                values = tuple(getattr(shape, attribute)[motor] for shape in rounds.shapes)
+                found.append(Loop(name, unit, values, rounds.settled[0], joint))
+    if rounds.loads:
+        found.append(Loop("load torque, relative change", "", tuple(rounds.loads), rounds.settled[1]))
+    return tuple(found)

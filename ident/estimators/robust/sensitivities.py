@@ -1,0 +1,130 @@
+"""The whitened system with the derivatives by the friction's free shapes beside its columns (AUBO's third loop)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.estimators.estimator import Estimation
+from ident.estimators.friction_steps import COEFFICIENT_OF
+from ident.estimators.robust.reweighting import Reweighting, RobustFit
+from ident.estimators.robust.weighted_pass import weighted_pass
+from ident.model.parameters import DISSIPATIVE_KINDS
+from ident.model.regressor import RegressorKernel
+from ident.regression.least_squares import excited_columns, ordinary_least_squares
+from ident.regression.observation_matrix import Reduction
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeColumns:
+    """A kernel with sensitivities.
+
+    Attributes:
+        kernel: base columns first, as they were (b), then the sensitivities (s).
+        kinds: of the sensitivities (s,).
+        motors: that they belong to (s,).
+    """
+
+    kernel: RegressorKernel
+    kinds: tuple[str, ...]
+    motors: tuple[int, ...]
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """Places of the sensitivities in the kernel's selection."""
+        count = len(self.kernel.columns)
+        return tuple(range(count - len(self.kinds), count))
+
+
+def shape_columns(kernel: RegressorKernel, torques: Sequence[int]) -> ShapeColumns:
+    """The kernel with the derivatives of these motors' torques by their free shapes."""
+    model = kernel.model
+    if model.terms is None or not model.terms.shaped:
+        return ShapeColumns(kernel, (), ())
+    linear = replace(model, terms=replace(model.terms, sensitivities=True))
+    place = {parameter.name: column for column, parameter in enumerate(linear.parameters)}
+    columns = [place[model.parameters[column].name] for column in kernel.columns]
+    added = [
+        (column, str(parameter.kind), model.active.index(parameter.joint))
+        for column, parameter in enumerate(linear.parameters)
+        if parameter.kind in COEFFICIENT_OF and model.active.index(parameter.joint) in torques
+    ]
+    return ShapeColumns(
+        RegressorKernel(linear, [*columns, *(column for column, _, _ in added)]),
+        tuple(kind for _, kind, _ in added),
+        tuple(motor for _, _, motor in added),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeSystem:
+    """The whitened and weighted system of `ShapeColumns`.
+
+    Attributes:
+        shapes: its columns.
+        reduction: of them.
+    """
+
+    shapes: ShapeColumns
+    reduction: Reduction
+
+    @classmethod
+    def at(cls, loops: Reweighting, fit: RobustFit) -> ShapeSystem:
+        """Where the inner loops ended, with their Ω and weights; one pass where there are free shapes."""
+        shapes = shape_columns(fit.kernel, loops.torques)
+        if not shapes.kinds:
+            return cls(shapes, fit.done.reduction)
+        parameters = np.concatenate([fit.solution.parameters, np.zeros(len(shapes.kinds))])
+        loops.passes += 1
+        done = weighted_pass(shapes.kernel, loops.runs, loops.torques, parameters, fit.covariance, loops.function)
+        return cls(shapes, done.reduction)
+
+    def together(self, active: Sequence[int]) -> FloatArray:
+        """Parameters (b + s,) of least squares on the active columns and the sensitivities."""
+        return ordinary_least_squares(self.reduction, [*active, *self._excited]).parameters
+
+    def friction_alone(self, friction: Sequence[int], parameters: FloatArray) -> FloatArray:
+        """The same for friction, all other parameters (b,) as they are (eq. 15 and 16).
+
+        Coefficients of dissipative friction do not become negative.
+        """
+        from scipy.optimize import lsq_linear
+
+        factor = self.reduction.joints[0].factor
+        columns = [*friction, *self._excited]
+        known = np.concatenate([parameters, np.zeros(len(self.shapes.kinds))])
+        known[columns] = 0.0
+        target = factor[:, -1] - factor[:, :-1] @ known
+        lengths = np.linalg.norm(factor[:, columns], axis=0)
+        standard = self.shapes.kernel.model.parameters
+        kinds = [standard[self.shapes.kernel.columns[column]].kind for column in columns]
+        least = np.where([kind in DISSIPATIVE_KINDS for kind in kinds], 0.0, -np.inf)
+        known[columns] = lsq_linear(factor[:, columns] / lengths, target, (least, np.inf)).x / lengths
+        return known
+
+    def value(self, parameters: FloatArray, kind: str, motor: int) -> float | None:
+        """Of a motor's own parameter of a kind, among parameters (b + s,); None where it was not estimated."""
+        model = self.shapes.kernel.model
+        for place, column in enumerate(self.shapes.kernel.columns):
+            parameter = model.parameters[column]
+            if parameter.kind == kind and parameter.joint == model.active[motor]:
+                known = place not in self.shapes.columns or place in self._excited
+                return float(parameters[place]) if known else None
+        return None
+
+    @property
+    def _excited(self) -> list[int]:
+        return [column for column in excited_columns(self.reduction) if column in self.shapes.columns]
+
+
+def with_shapes(estimation: Estimation, torques: Sequence[int]) -> tuple[Estimation, ShapeColumns]:
+    """A whitened estimate that takes its friction's shapes for unknown, for error bars that hold their uncertainty."""
+    shapes = shape_columns(estimation.kernel, torques)
+    solution = estimation.solution
+    active = (*solution.active, *shapes.columns)
+    parameters = np.concatenate([solution.parameters, np.zeros(len(shapes.columns))])
+    extended = replace(solution, active=active, parameters=parameters)
+    return replace(estimation, kernel=shapes.kernel, solution=extended), shapes
