@@ -7,7 +7,7 @@ model keeps (`essential_std`, and the submodel's own deviations, which know noth
 along another motion (`torque_std` of the full and of the essential model). In brackets is the seed with the fewest
 inside; `wide` is the median of `essential_std` over `std`, `no.` the mean number of parameters kept.
 
-python studies/coverage.py [seeds [methods, as wls,ols,energy,power [motions, as periodic,points]]]
+python studies/coverage.py [seeds [methods, as wls,irls:weights=huber [motions, as periodic,points]]]
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from sim_drivers.synthetic.random_points import random_points_motion
 Play = Literal["periodic", "points"]
 
 ROBOTS = ("ur5e", "rocr6", "aubo_i5", "panda")
-METHODS: tuple[str, ...] = ("wls", "ols", "energy", "power")
+METHODS: tuple[str, ...] = ("wls", "ols", "irls", "energy", "power")
 DURATION = 20.0
 HELD_OUT = 8.6
 MOVES = 24
