@@ -42,8 +42,8 @@ def main(names: list[str]) -> None:
     folder = Path(os.environ.get("DYNID_DATA", "../shared/data"))
     for name in names or ["ur10", "panda", "tx40"]:
         recording, choices = public(folder, name)
-        print(f"
-| {name} | friction | all | fast | slow | rejected | passes | CPU s |")
+        print()
+        print(f"| {name} | friction | all | fast | slow | rejected | passes | CPU s |")
         print("|---|---|---|---|---|---|---|---|")
         for method, friction in CASES:
             start = time.process_time()

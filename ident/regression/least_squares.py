@@ -127,7 +127,7 @@ def rounding_floor(reduction: Reduction) -> FloatArray:
 
 def inverse_deviations(reduction: Reduction, joint_std: FloatArray) -> FloatArray:
     """Weights (n,) 1/σ of each joint's rows from the deviations σ (n,) of its residual [N·m]; 0 without rows."""
-    return np.where(_with_rows(reduction), 1.0 / np.maximum(joint_std, _rounding_floor(reduction)), 0.0)
+    return np.where(_with_rows(reduction), 1.0 / np.maximum(joint_std, rounding_floor(reduction)), 0.0)
 
 
 def residual_deviations(reduction: Reduction, parameters: FloatArray, count: int) -> FloatArray:
