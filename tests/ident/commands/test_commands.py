@@ -226,7 +226,7 @@ BAD = [
     (["identify", "onejoint.h5"], ["no column for joint", "another: --robot"]),
     (["identify", "run.h5", "--robot", "panda"], ["no column for joint", "panda_joint1"]),
     # options
-    (["identify", "run.h5", "--method", "magic"], ["'magic'", "ols, power or wls"]),
+    (["identify", "run.h5", "--method", "magic"], ["'magic'", "irls", "wls"]),
     (["identify", "run.h5", "--method", "wls:window=0.1"], ["wls has no option 'window'", "has no options"]),
     (["identify", "run.h5", "--method", "energy:windows=0.1"], ["no option 'windows'", "its options: window"]),
     (["identify", "run.h5", "--method", "energy:window"], ["'window' has no value", "energy:window=VALUE"]),
