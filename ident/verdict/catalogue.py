@@ -315,7 +315,7 @@ _RESIDUALS = (
     _note(
         "residuals-curved",
         "the residuals bend with torque or velocity: the model lacks a nonlinear term",
-        "Try --friction auto; see residuals and friction in the report: Stribeck, or friction that grows less than velocity.",
+        "Try --friction auto; see the friction in the report: Stribeck, or friction that grows less than velocity.",
     ),
     _note(
         "residuals-autocorrelated",
