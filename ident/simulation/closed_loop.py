@@ -39,13 +39,15 @@ def simulated_segment(inverse: InverseDynamics, reference: Segment, bandwidth: f
     Raises:
         ModelError: the model cannot be simulated, or the motion diverges.
     """
-    arm = ForwardArm(inverse)
+    heat = None if reference.temperature is None else np.mean(reference.temperature, axis=1)
+    arm = ForwardArm(inverse, heat)
     stamps = reference.time - reference.time[0]
     duration = float(stamps[-1])
     steps = max(1, round(duration * bandwidth * STEPS_PER_RADIAN))
     time = np.linspace(0.0, duration, steps + 1)
     position, velocity = (_resampled(time, stamps, signal) for signal in (reference.position, reference.velocity))
-    along = inverse.torque(position, velocity, np.zeros_like(position)).T
+    temperature = None if heat is None else np.repeat(heat[:, None], steps + 1, axis=1)
+    along = inverse.torque(position, velocity, np.zeros_like(position), temperature).T
     postures = position[:, :: max(1, position.shape[1] // POSTURES)]
     inertia = np.mean(np.diagonal(inverse.inertia(postures), axis1=1, axis2=2), axis=0)
     stiffness, damping = bandwidth**2 * inertia, 2.0 * bandwidth * inertia

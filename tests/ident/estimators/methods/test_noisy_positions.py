@@ -1,0 +1,173 @@
+"""Methods against the noise of positions: what each recovers, refuses and says of itself."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.robot.loader import parse_robot
+from drivers.errors import IdentificationError, UsageError
+from ident.estimators.method_choice import chosen_method
+from ident.estimators.methods.iv import repeated_segment
+from ident.estimators.methods.ridge import GRID, cross_validated_weight
+from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identify import identify
+from ident.identify.summary import summarise
+from ident.linear_algebra.triangular import triangular
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamic_model import build_model
+from ident.model.true_parameters import truth_vector
+from ident.signals.options import PreprocessChoices
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
+
+DEFAULT = PreprocessChoices()
+POOR = PreprocessChoices(position_cutoff=60.0, torque_cutoff=30.0)
+"""Far above the motion's band: W is full of noise."""
+METHODS = (
+    "wls",
+    "ridge:weight=1e-8",
+    "tls",
+    "ml:order=0",
+    "iv:instruments=repetition",
+    "iv:instruments=simulation:bandwidth=40",
+    "didim:bandwidth=40",
+)
+
+
+def arm(text: str):
+    return parse_robot(text, where="three_joint", folder=None)
+
+
+@functools.cache
+def recorded(text: str, seed: int, std: float, period: float = 4.0, seconds: float = 12.5) -> Recording:
+    robot_file = arm(text)
+    motion = random_fourier_motion(build_model(robot_file), period, seed=1, candidates=5)
+    recording = simulate_recording(robot_file, motion, seconds, seed)
+    stream = recording.streams[JOINTS_STREAM]
+    position = stream.channels["position"]
+    noise = std * np.random.default_rng(seed).standard_normal(position.values.shape)
+    channels = {**stream.channels, "position": replace(position, values=position.values + noise)}
+    return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+
+
+@functools.cache
+def identified(text: str, method: str, std: float, choices: PreprocessChoices = DEFAULT) -> Identification:
+    choice = IdentifyChoices(method, preprocess=choices, search_delay=False, split=10.0)
+    return identify([recorded(text, 1, std)], [], choice)
+
+
+def deviations(robot_file, found: Identification):
+    truth = found.base.projection @ truth_vector(robot_file)
+    return (found.solution.parameters - truth) / found.std
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_little_noise_leaves_every_method_near_the_truth(method, three_joint):
+    found = identified(three_joint.text, method, 1e-5)
+    off = deviations(three_joint, found)
+    assert np.mean(np.abs(off) < 1.96) > 0.7
+    assert np.max(np.abs(off)) < 5.0
+    assert found.validation.relative_error < 1.05 * identified(three_joint.text, "wls", 1e-5).validation.relative_error
+    assert all(loop.settled and loop.values for loop in found.estimation.loops)
+    assert found.consistent is not None
+    assert len(found.pruned.solution.active) > 10
+    result = summarise(found, [recorded(three_joint.text, 1, 1e-5)], [])
+    assert result.method == method.split(":")[0]
+
+
+@pytest.mark.parametrize("method", ["tls", "iv:instruments=repetition", "iv:instruments=simulation:bandwidth=20"])
+def test_noise_of_the_positions_biases_least_squares_and_not_these(method, three_joint):
+    biased = deviations(three_joint, identified(three_joint.text, "wls", 2e-4, POOR))
+    off = deviations(three_joint, identified(three_joint.text, method, 2e-4, POOR))
+    assert np.sqrt(np.mean(off**2)) < 0.75 * np.sqrt(np.mean(biased**2))
+
+
+def test_instruments_follow_two_runs(three_joint):
+    """Several recordings, one of them cut into segments by a gap."""
+    runs = [recorded(three_joint.text, seed, 1e-5) for seed in (1, 2)]
+    stream = runs[1].streams[JOINTS_STREAM]
+    keep = np.ones(len(stream.time), dtype=bool)
+    keep[1200:1300] = False
+    cut = replace(
+        stream,
+        time=stream.time[keep],
+        host_time=stream.host_time[keep],
+        channels={name: replace(channel, values=channel.values[keep]) for name, channel in stream.channels.items()},
+    )
+    runs[1] = replace(runs[1], streams={JOINTS_STREAM: cut})
+    choices = functools.partial(IdentifyChoices, search_delay=False)
+    for method in ("iv:instruments=simulation:bandwidth=20", "ml:order=1", "tls"):
+        found = identify(runs, [recorded(three_joint.text, 3, 1e-5)], choices(method))
+        assert np.mean(np.abs(deviations(three_joint, found)) < 1.96) > 0.75
+
+
+def test_what_cannot_be_done_is_refused(three_joint):
+    once = recorded(three_joint.text, 1, 1e-5, 20.0, 12.0)
+    choices = functools.partial(IdentifyChoices, search_delay=False)
+    with pytest.raises(IdentificationError, match="does not repeat itself"):
+        identify([once], [], choices("iv:instruments=repetition"))
+    with pytest.raises(IdentificationError, match="show no noise beside a motion"):
+        identify([once], [], choices("tls", preprocess=PreprocessChoices(position_cutoff=2.0, torque_cutoff=2.0)))
+    stream = once.streams[JOINTS_STREAM]
+    position = stream.channels["position"]
+    still = position.values.copy()
+    still[:, 0] = still[0, 0]
+    held = replace(stream, channels={**stream.channels, "position": replace(position, values=still)})
+    for method in ("didim", "iv:instruments=simulation", "iv"):
+        with pytest.raises(IdentificationError, match="not all joints moved"):
+            identify([replace(once, streams={JOINTS_STREAM: held})], [], choices(method))
+    for text in ("ridge:weight=-1", "didim:bandwidth=0", "iv:instruments=others", "ml:order=1.5", "ml:order=-1"):
+        with pytest.raises(UsageError):
+            chosen_method(text)
+
+
+def test_a_repetition_is_the_same_motion_with_other_noise(three_joint):
+    found = identified(three_joint.text, "iv", 2e-4, POOR)
+    (segment,) = found.runs[0].prepared.segments
+    other = repeated_segment(segment)
+    assert other is not None
+    apart = np.std(other.acceleration - segment.acceleration, axis=1)
+    noise = np.std(segment.acceleration - np.roll(segment.acceleration, 1, axis=1), axis=1)
+    assert np.all(apart > 0.2 * noise)
+    assert np.all(np.abs(other.position - segment.position)[:, other.used] < 0.02)
+    assert other.used.sum() > 0.9 * segment.used.sum()
+
+
+def test_ridge_counts_its_bias_into_the_intervals(three_joint):
+    """A heavy penalty pulls parameters to 0; the intervals hold the truth all the same."""
+    found = identified(three_joint.text, "ridge:weight=1.0", 1e-5)
+    plain = identified(three_joint.text, "wls", 1e-5)
+    truth = found.base.projection @ truth_vector(three_joint)
+    assert np.linalg.norm(found.solution.parameters) < np.linalg.norm(plain.solution.parameters)
+    bias = np.abs(found.solution.parameters - plain.solution.parameters)
+    assert np.all(found.std >= bias * (1 - 1e-9))
+    assert np.mean(np.abs(found.solution.parameters - truth) < 1.96 * found.std) > 0.9
+
+
+def test_cross_validation_penalises_what_is_noise():
+    """Nearly dependent columns whose truth is small: the chosen weight has less error than least squares."""
+    generator = np.random.default_rng(0)
+    ridge, plain = [], []
+    for _ in range(20):
+        common = generator.standard_normal(60)
+        matrix = np.column_stack([common + 0.05 * generator.standard_normal(60) for _ in range(5)])
+        matrix /= np.linalg.norm(matrix, axis=0)
+        truth = np.ones(5)
+        right = matrix @ truth + 0.3 * generator.standard_normal(60)
+        weight = cross_validated_weight(triangular(np.column_stack([matrix, right])), 60.0)
+        assert weight in GRID
+        gram = matrix.T @ matrix
+        ridge.append(np.linalg.norm(np.linalg.solve(gram + weight * np.eye(5), matrix.T @ right) - truth))
+        plain.append(np.linalg.norm(np.linalg.solve(gram, matrix.T @ right) - truth))
+    assert np.mean(ridge) < 0.7 * np.mean(plain)
+
+
+def test_every_arm_has_its_parameters(three_joint):
+    """The truth has as many base parameters as were found; the tests above compare all of them."""
+    found = identified(three_joint.text, "tls", 1e-5)
+    assert len(found.solution.active) == base_parameters(build_model(three_joint)).count
