@@ -51,7 +51,7 @@ from sim_drivers.synthetic.motion import random_fourier_motion
 
 METHODS = (
     *("ols", "wls", "ridge", "tls", "ml", "iv:instruments=repetition", "iv:instruments=simulation", "didim"),
-    "output_error",
+    "output-error",
 )
 PERIOD, DURATION = 10.0, 30.0
 ENCODER = 2e-5

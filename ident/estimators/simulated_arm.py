@@ -36,6 +36,23 @@ def check_whole_arm(setup: Setup, method: str) -> None:
         )
 
 
+def simulable_arm(setup: Setup, reduction: Reduction, solution: LeastSquares) -> InverseDynamics:
+    """A physically consistent arm near a solution.
+
+    Raises:
+        IdentificationError: there is none.
+    """
+    model = setup.kernel.model
+    estimate = estimate_of(reduction, solution, solution.covariance, 1)
+    consistent = found_consistent(model, setup.base, estimate, setup.robot_file)
+    if consistent is None:
+        raise IdentificationError(
+            "no physically consistent arm is near the estimate, so that there is none to simulate",
+            hint="use --method wls",
+        )
+    return InverseDynamics(model, setup.base, consistent.base)
+
+
 def simulated_motions(
     setup: Setup, runs: Sequence[Prepared], reduction: Reduction, solution: LeastSquares, bandwidth: float | None
 ) -> list[tuple[Segment, ...]]:
@@ -51,15 +68,7 @@ def simulated_motions(
     Raises:
         IdentificationError: no arm near the solution can be simulated.
     """
-    model = setup.kernel.model
-    estimate = estimate_of(reduction, solution, solution.covariance, 1)
-    consistent = found_consistent(model, setup.base, estimate, setup.robot_file)
-    if consistent is None:
-        raise IdentificationError(
-            "no physically consistent arm is near the estimate, so that there is none to simulate",
-            hint="use --method wls",
-        )
-    inverse = InverseDynamics(model, setup.base, consistent.base)
+    inverse = simulable_arm(setup, reduction, solution)
     try:
         return [
             tuple(

@@ -22,7 +22,7 @@ from drivers.streams import FloatArray
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.signals.prepared import Segment
 from ident.simulation.forward_arm import ForwardArm
-from ident.simulation.time_stepping import integrate
+from ident.simulation.time_stepping import Motion, integrate
 
 NATURAL_FREQUENCY = 10.0
 """ω [rad/s] of the controller, critically damped: soft, so that it does not hide the model's errors."""
@@ -51,19 +51,39 @@ class TrackingError:
     max_position_error: FloatArray
 
 
-def tracking_error(inverse: InverseDynamics, segment: Segment) -> TrackingError:
-    """Simulate the beginning of a recorded segment.
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """A simulated arm near a recorded motion.
+
+    Attributes:
+        motion: of the simulated arm.
+        position: (N, n) recorded, at its times [rad or m].
+        velocity: (N, n) recorded [rad/s or m/s].
+        stiffness: (n,) of the controller [N·m/rad].
+        damping: (n,) of the controller [N·m·s/rad].
+    """
+
+    motion: Motion
+    position: FloatArray
+    velocity: FloatArray
+    stiffness: FloatArray
+    damping: FloatArray
+
+
+def tracked(inverse: InverseDynamics, segment: Segment, longest: float = np.inf) -> Tracking:
+    """Simulate a recorded segment, its first `longest` seconds at most.
 
     Args:
         inverse: the model.
         segment: its motion, and the torques of all motors.
+        longest: [s].
 
     Raises:
         ModelError: the model cannot be simulated, or the motion diverges.
     """
     heat = None if segment.temperature is None else np.mean(segment.temperature, axis=1)
     arm = ForwardArm(inverse, heat)
-    duration = min(float(segment.time[-1] - segment.time[0]), LONGEST)
+    duration = min(float(segment.time[-1] - segment.time[0]), longest)
     steps = max(1, round(duration / STEP))
     time = np.linspace(0.0, duration, steps + 1)
     position, velocity = (_at(time, segment, signal) for signal in (segment.position, segment.velocity))
@@ -78,11 +98,17 @@ def tracking_error(inverse: InverseDynamics, segment: Segment) -> TrackingError:
         return np.asarray(torque[step] + stiffness * (position[step] - q) + damping * wanted)
 
     motion = integrate(arm, position[0], velocity[0], drive, duration, steps)
-    departed = motion.position - position
+    return Tracking(motion, position, velocity, stiffness, damping)
+
+
+def tracking_error(inverse: InverseDynamics, segment: Segment) -> TrackingError:
+    """Simulate the beginning of a recorded segment; arguments and errors as of `tracked`."""
+    tracking = tracked(inverse, segment, LONGEST)
+    departed = tracking.motion.position - tracking.position
     return TrackingError(
-        duration=duration,
+        duration=float(tracking.motion.time[-1]),
         position_rmse=np.sqrt(np.mean(departed**2, axis=0)),
-        velocity_rmse=np.sqrt(np.mean((motion.velocity - velocity) ** 2, axis=0)),
+        velocity_rmse=np.sqrt(np.mean((tracking.motion.velocity - tracking.velocity) ** 2, axis=0)),
         max_position_error=np.max(np.abs(departed), axis=0),
     )
 

@@ -35,7 +35,8 @@ METHODS = (
     "ml:order=0",
     "iv:instruments=repetition",
     "iv:instruments=simulation:bandwidth=40",
-    "didim:bandwidth=40",
+    "didim",
+    "output-error",
 )
 
 
@@ -118,7 +119,7 @@ def test_what_cannot_be_done_is_refused(three_joint):
     still = position.values.copy()
     still[:, 0] = still[0, 0]
     held = replace(stream, channels={**stream.channels, "position": replace(position, values=still)})
-    for method in ("didim", "iv:instruments=simulation", "iv"):
+    for method in ("didim", "iv:instruments=simulation", "iv", "output-error"):
         with pytest.raises(IdentificationError, match="not all joints moved"):
             identify([replace(once, streams={JOINTS_STREAM: held})], [], choices(method))
     for text in ("ridge:weight=-1", "didim:bandwidth=0", "iv:instruments=others", "ml:order=1.5", "ml:order=-1"):

@@ -1,0 +1,117 @@
+"""Closed-loop output error: positions of a simulated arm against the recorded ones (Landau and Karimi 1997).
+
+Gauss-Newton with the sensitivities of the simulated motion. The loop is a stand-in: the recorded torque drives the arm,
+and a soft PD controller holds it near the recorded motion (`ident.simulation.tracking`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.errors import IdentificationError, ModelError
+from drivers.streams import FloatArray
+from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
+from ident.estimators.method import Method, NoOptions
+from ident.estimators.output_rows import OutputRows, output_rows
+from ident.estimators.simulated_arm import check_whole_arm, simulable_arm
+from ident.estimators.torque_estimator import TorqueEstimator
+from ident.estimators.triangular_estimation import restricted_solution, triangular_system
+from ident.linear_algebra.triangular import QrAccumulator, triangular
+from ident.regression.jackknife import CorrectedCovariance, FilteredRun
+from ident.regression.least_squares import LeastSquares, weighted_least_squares
+from ident.regression.moment_equations import moment_jackknife
+from ident.regression.observation_matrix import Reduction
+from ident.signals.prepared import Prepared
+
+ITERATIONS = 15
+SETTLED = 0.5
+"""Largest change of a parameter, over its classical deviation."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OutputEstimation(Estimation):
+    """An estimate with its equations.
+
+    Attributes:
+        rows: of every segment.
+        position_weights: (n,) of the joints' equations [1/rad or 1/m].
+    """
+
+    rows: tuple[OutputRows, ...]
+    position_weights: FloatArray
+
+
+@dataclass(frozen=True)
+class OutputErrorEstimator(TorqueEstimator):
+    """Least squares of the positions' errors, each joint's divided by its standard deviation."""
+
+    def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
+        """Simulate, linearise, solve, and so on."""
+        reduction, solution = plain, self.solve(plain, active)
+        weights = solution.weights
+        changes: list[float] = []
+        while len(changes) < ITERATIONS and (not changes or changes[-1] > SETTLED):
+            inverse = simulable_arm(self.setup, reduction, solution)
+            try:
+                rows = tuple(part for run in runs for part in output_rows(inverse, run))
+            except ModelError as error:
+                raise IdentificationError(
+                    f"the identified arm cannot be simulated: {error.message}", hint="use --method wls"
+                ) from error
+            factors = [QrAccumulator(plain.column_count + 1) for _ in plain.joints]
+            for part in rows:
+                for one in part:
+                    factors[one.motor].add(np.vstack([one.regressor, one.torque]))
+            position_weights = _inverse_rms(rows)
+            system = triangular(
+                np.vstack([w * part.factor() for w, part in zip(position_weights, factors, strict=True)])
+            )
+            solved = triangular_system(plain, system, weights, active, "output-error", len(changes) + 1)
+            moved = np.abs(solved.solution.parameters - solution.parameters)[list(active)]
+            changes.append(float(np.max(moved / solved.solution.std[list(active)])))
+            reduction, solution = solved.reduction, solved.solution
+        return OutputEstimation(
+            self.setup.kernel,
+            reduction,
+            solution,
+            (Loop("simulation and fit", "σ", tuple(changes), changes[-1] <= SETTLED),),
+            passes=1 + len(changes),
+            rows=rows,
+            position_weights=position_weights,
+        )
+
+    def covariance(self, runs: Sequence[FilteredRun], estimation: Estimation) -> CorrectedCovariance:
+        """Delete-block jackknife of the last linearised system."""
+        assert isinstance(estimation, OutputEstimation)
+        series = [part.series() for part in estimation.rows]
+        return moment_jackknife(
+            series, estimation.rows, replace(estimation.solution, weights=estimation.position_weights)
+        )
+
+    def restricted(self, estimation: Estimation, columns: Sequence[int]) -> LeastSquares:
+        """The last linearised system of fewer columns."""
+        return restricted_solution(estimation.reduction, estimation.solution, columns)
+
+
+def _inverse_rms(rows: Sequence[OutputRows]) -> FloatArray:
+    """Weights (n,): one over the root mean square of each joint's error."""
+    series = [part.series() for part in rows]
+    squares = sum(np.sum(part.residual**2, axis=1) for part in series)
+    count = sum(int(part.used.sum()) for part in series)
+    return np.asarray(np.sqrt(max(count, 1) / np.maximum(squares, np.finfo(float).tiny)))
+
+
+def _estimator(options: NoOptions, setup: Setup) -> Estimator:
+    check_whole_arm(setup, "output-error")
+    return OutputErrorEstimator(setup, weighted_least_squares)
+
+
+METHOD = Method(
+    "positions of a simulated arm that the recorded torque drives, compared with the recorded ones",
+    "torque",
+    NoOptions,
+    _estimator,
+)
