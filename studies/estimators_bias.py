@@ -8,7 +8,7 @@ above the motion's band. `bias` is the error of the torque of the mean of all se
 relative to that torque, `error` the median over the seeds of the same; `bias/σ` the root mean square over the
 parameters of their mean error over the spread of the seeds (1/√seeds where there is no bias); `inside` the share of
 true values in the 95 % intervals. Then the held-out error (last 30 %) of the public recordings in `DYNID_DATA`.
-With 20 seeds about ten minutes.
+With 20 seeds some ten minutes of processor time.
 """
 
 from __future__ import annotations
