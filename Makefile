@@ -26,7 +26,7 @@ format: $(INSTALLED)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-# figaroh and mcap are peers to measure against, never dependencies of dynid.
+# figaroh, mcap, pymoo and pyswarms are peers to measure against, never dependencies of dynid.
 bench: $(INSTALLED)
 	$(BIN)/python -m pip install -q -c constraints.txt -e '.[bench]'
 	$(BIN)/python -m benchmarks

@@ -76,7 +76,8 @@ RUNS = (
     plant.run,
     recorder.run,
     excitation.run,
-    swarm.run,
+    swarm.run_rows,
+    swarm.run_peers,
 )
 
 MODULES = (

@@ -9,11 +9,12 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.estimators.estimator import Setup
 from ident.estimators.feasible.prior import link_priors
-from ident.estimators.search_estimator import Space
+from ident.estimators.search_estimator import Space, no_penalty
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.identifiability import Identified, identifiability
 from ident.estimators.swarm.physical import SIZE, PhysicalCost, PhysicalParameters, physical_names, physical_values
 from ident.estimators.swarm.quadratic_cost import QuadraticCost
+from ident.estimators.swarm.robust_cost import FeasibilityPenalty
 from ident.regression.least_squares import LeastSquares
 from ident.signals.prepared import Step
 
@@ -26,15 +27,22 @@ REACH = 2.0
 PRODUCTS = 0.5
 """Of the geometric mean of two moments of inertia: their product of inertia at most."""
 
+IMPOSSIBLE = 1.0
+"""Penalty, over the cost of no model, of a link whose pseudo-inertia is as negative as its prior's is positive."""
+
 JOINTS = 2.0
 """Of the least-squares estimate's size: a joint's own parameter at most."""
 
 
-def physical_space(setup: Setup) -> Callable[[LeastSquares, QuadraticCost], Space]:
+def physical_space(setup: Setup, feasible: bool) -> Callable[[LeastSquares, QuadraticCost], Space]:
     """Mass, centre of mass and inertia of each link, and joint parameters, as far as they act on the torque.
 
     Links have a box about their prior (robot file, URDF, or a bar of the density that fits best); joint parameters from
     0, or from the negative where they have a sign, to twice the size of their least-squares estimate.
+
+    Args:
+        setup: the data.
+        feasible: add to the cost what makes a link impossible, `IMPOSSIBLE` times its violation.
     """
     model, projection = setup.kernel.model, setup.base.projection
     parameters, links = model.parameters, len(model.joints)
@@ -66,7 +74,13 @@ def physical_space(setup: Setup) -> Callable[[LeastSquares, QuadraticCost], Spac
                 identified_step(identifiability(physical.derivative(point), box.width, deviation, box.names), point),
             )
 
-        return Space(box, physical.base, steps)
+        penalty = FeasibilityPenalty.of(priors.links)
+
+        def impossible(points: FloatArray) -> FloatArray:
+            bodies = physical.parameters.standard(points)[:, : SIZE * links].reshape(len(points), links, SIZE)
+            return IMPOSSIBLE * float(np.linalg.norm(cost.target)) * penalty(bodies)
+
+        return Space(box, physical.base, impossible if feasible else no_penalty, steps)
 
     return space
 

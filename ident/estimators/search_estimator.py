@@ -34,6 +34,11 @@ ENDED = {
 }
 
 
+def no_penalty(points: FloatArray) -> FloatArray:
+    """0 (P,) everywhere."""
+    return np.zeros(len(points))
+
+
 @dataclass(frozen=True, eq=False)
 class Space:
     """What is searched.
@@ -41,12 +46,14 @@ class Space:
     Attributes:
         box: of the variables (d).
         base: active base parameters (P, a) of a population (P, d).
+        penalty: (P,) added to the cost ‖W·x − τ‖.
         steps: after the search, from the best point (d,) and the standard deviation of a weighted equation: for the
             list of steps.
     """
 
     box: Box
     base: Callable[[FloatArray], FloatArray]
+    penalty: Callable[[FloatArray], FloatArray] = no_penalty
     steps: Callable[[FloatArray, float], tuple[Step, ...]] = lambda point, deviation: ()
 
 
@@ -75,7 +82,11 @@ class SearchEstimator(TorqueEstimator):
         exact = self.solve(plain, active)
         cost = QuadraticCost.of_reduction(plain, active, exact.weights)
         space = self.space(exact, cost)
-        found = minimise(self.optimiser, lambda points: cost(space.base(points)), space.box, self.budget, self.seed)
+
+        def penalised(points: FloatArray) -> FloatArray:
+            return cost(space.base(points)) + space.penalty(points)
+
+        found = minimise(self.optimiser, penalised, space.box, self.budget, self.seed)
         parameters = np.zeros(plain.column_count)
         parameters[list(active)] = space.base(found.point[None, :])[0]
         reduction = centred_reduction(plain, parameters)
@@ -85,13 +96,16 @@ class SearchEstimator(TorqueEstimator):
             reduction,
             self.solve(reduction, active),
             loops=(Loop("cost of the best point ‖W·x − τ‖", "", tuple(found.history.tolist()), _settled(found)),),
-            steps=(self._step(exact, parameters, found, space.box), *space.steps(found.point, deviation)),
+            steps=(
+                self._step(exact, parameters, cost.cost(parameters[list(active)]), found, space.box),
+                *space.steps(found.point, deviation),
+            ),
             optimum=exact,
         )
 
-    def _step(self, exact: LeastSquares, parameters: FloatArray, found: Minimum, box: Box) -> Step:
+    def _step(self, exact: LeastSquares, parameters: FloatArray, cost: float, found: Minimum, box: Box) -> Step:
         """What the search found, beside the exact optimum."""
-        above = found.cost / max(float(np.sqrt(exact.residual_sum)), np.finfo(float).tiny) - 1.0
+        above = cost / max(float(np.sqrt(exact.residual_sum)), np.finfo(float).tiny) - 1.0
         used = list(exact.active)
         distance = np.abs(parameters - exact.parameters)[used] / exact.std[used]
         worst = int(np.argmax(distance))

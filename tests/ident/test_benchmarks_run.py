@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, c_code, decimation, parameters, regressor, simulation
+from benchmarks import accuracy, c_code, decimation, parameters, regressor, swarm, simulation
 from benchmarks.agreement import DisagreementError, check
 from benchmarks.timing import medians
 
@@ -33,6 +33,7 @@ def test_sides_that_differ_are_not_compared():
         (regressor.run_pinocchio, "regressor_vs_pin_loop"),
         (parameters.run_pinocchio, "parameters_vs_pin_lstsq_200k"),
         (decimation.run, "decimation_vs_column_loop"),
+        (swarm.run_rows, "swarm_cost_vs_rows"),
     ],
 )
 def test_both_sides_agree_on_few_samples(run, name):

@@ -29,6 +29,7 @@ class FrogOptions:
     random: Annotated[Literal["leap", "coordinate"], Field(description="what has a random number of its own")] = (
         FrogLeaping.random
     )
+    feasible: Annotated[bool, Field(description="penalise links that cannot exist")] = False
     seconds: Annotated[float | None, within(SEARCH_TIME), Field(description="time limit [s]; none if absent")] = None
     seed: Annotated[int, within(SEED), Field(description="of the random numbers")] = 0
 
@@ -48,7 +49,7 @@ class FrogOptions:
 def _estimator(options: FrogOptions, setup: Setup) -> Estimator:
     budget = Budget(options.generations, options.seconds)
     return SearchEstimator(
-        setup, weighted_least_squares, physical_space(setup), options.optimiser, budget, options.seed
+        setup, weighted_least_squares, physical_space(setup, options.feasible), options.optimiser, budget, options.seed
     )
 
 

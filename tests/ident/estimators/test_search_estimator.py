@@ -38,7 +38,7 @@ def found(recording):
 
 @pytest.mark.parametrize(("method", "exact"), [("ls-pso", "ols"), ("wls-pso", "wls"), ("wls-rwpso", "wls")])
 def test_a_long_search_in_a_small_box_is_least_squares(found, method: str, exact: str) -> None:
-    swarm, wanted = found(f"{method}:generations=600:box=0.01"), found(exact)
+    swarm, wanted = found(f"{method}:generations=500:particles=30:box=0.01"), found(exact)
     assert np.all(np.abs(swarm.solution.parameters - wanted.solution.parameters) < 0.3 * wanted.std)
     assert swarm.solution.weights == pytest.approx(wanted.solution.weights, rel=0.01)
     assert swarm.std == pytest.approx(wanted.std, rel=0.05)
@@ -71,6 +71,21 @@ def test_frogs_report_what_is_identifiable(found, recording) -> None:
     assert "m1 std" not in step.settings
     assert step.settings["Fv2 determined"] == 1.0
     assert step.settings["Fv2 std"] > 0.0
+
+
+def test_penalised_frogs_end_at_links_that_can_exist(found, recording) -> None:
+    least = {}
+    for option in ("", ":feasible=true"):
+        result = summarise(found(f"sfla:random=coordinate:generations=100{option}"), [recording], [])
+        (step,) = [step for step in result.preprocessing if step.name == "physical parameters"]
+        spreads = []
+        for link in (2, 3):
+            xx, xy, xz, yy, yz, zz = (step.settings[f"I{axes}{link}"] for axes in ("xx", "xy", "xz", "yy", "yz", "zz"))
+            inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            spreads.append(np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia)[0])
+        least[option] = min(spreads)
+    assert least[":feasible=true"] > -1e-3
+    assert least[""] < -1e-3
 
 
 def test_a_centred_system_has_its_minimum_where_it_was_put(dense_reduction) -> None:
