@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, c_code, decimation, parameters, regressor, swarm, simulation
+from benchmarks import accuracy, c_code, decimation, parameters, regressor, simulation, swarm
 from benchmarks.agreement import DisagreementError, check
 from benchmarks.timing import medians
 
