@@ -31,6 +31,10 @@ from ident.estimators.swarm.minimisation import Budget, Minimum, Optimiser, mini
 from ident.estimators.swarm.particle_swarm import ParticleSwarm
 from ident.estimators.swarm.physical import PhysicalCost, PhysicalParameters, physical_values
 from ident.estimators.swarm.quadratic_cost import QuadraticCost
+from ident.excite.choices import DesignChoices
+from ident.excite.design import design
+from ident.excite.prior import find_prior
+from ident.excite.search.search import SearchChoices, SearchResult
 from ident.linear_algebra.triangular import GramAccumulator
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
@@ -240,6 +244,19 @@ def tables(problem: Problem, true: Motion) -> dict[str, Motion]:
     return loops
 
 
+def excitation_history() -> tuple[list[float], list[float]]:
+    """Time [s] and J of the motions that SFLA found one after the other: eq. 12 on the paper's sums of 3 sines."""
+    choices = DesignChoices(kind="sines", criterion="motion-size", harmonics=3)
+    told: list[tuple[float, float]] = []
+
+    def remember(result: SearchResult) -> None:
+        if result.best is not None:
+            told.append((result.seconds, float(np.exp(result.best.cost))))
+
+    design(UP6, find_prior(UP6), choices, SearchChoices(starts=1, workers=1, solver="sfla"), progress=remember)
+    return [seconds for seconds, _ in told], [size for _, size in told]
+
+
 def page(folder: Path, true: Motion, loops: dict[str, Motion]) -> None:
     """Figures 5 and 9 to 16, and two reports."""
     import plotly.graph_objects as go
@@ -249,24 +266,38 @@ def page(folder: Path, true: Motion, loops: dict[str, Motion]) -> None:
     history = loops.pop("history").history
     every = slice(None, None, 20)
     time, wanted = true.time[every], PAPER.evaluate(true.time[every])[0]
-    titles = ["Fig. 5: cost ‖E‖ of SFLA by generation", *(f"Fig. 9: closed loop, joint {j}" for j in (1, 2, 3))]
+    titles = [
+        "Fig. 5: J of the best motion so far by time [s], SFLA",
+        "cost ‖E‖ of the identification by generation, SFLA",
+    ]
+    titles += [f"Fig. 9: closed loop, joint {j} [rad]" for j in (1, 2, 3)]
     titles += [f"Fig. 10: position error, joint {j} [rad]" for j in (1, 2, 3)]
     titles += [f"Fig. {10 + j}: estimated minus true position, joint {j} [rad]" for j in (1, 2, 3)]
     titles += [f"Fig. {13 + j}: torque, joint {j} [N·m]" for j in (1, 2, 3)]
     figure = make_subplots(rows=len(titles), cols=1, subplot_titles=titles, vertical_spacing=0.02)
-    figure.add_scatter(y=history, row=1, col=1, name="SFLA")
+    seconds, sizes = excitation_history()
+    figure.add_scatter(x=seconds, y=sizes, row=1, col=1, name="J", showlegend=False)
+    figure.add_scatter(y=history, row=2, col=1, name="cost", showlegend=False)
     figure.update_yaxes(type="log", row=1, col=1)
+    figure.update_yaxes(type="log", row=2, col=1)
+    colours = {"reference": "#7C828A", "true arm": "#000000"}
+    colours |= dict(zip(loops, ("#D55E00", "#0072B2", "#009E73"), strict=True))
+
+    def draw(row: int, values: FloatArray, name: str, shown: bool) -> None:
+        style = {"color": colours[name]}
+        figure.add_scatter(
+            x=time, y=values, row=row, col=1, name=name, line=style, legendgroup=name, showlegend=shown and row % 3 == 0
+        )
+
     for joint in range(3):
-        figure.add_scatter(x=time, y=wanted[joint], row=2 + joint, col=1, name="reference")
-        figure.add_scatter(x=time, y=true.position[every, joint], row=2 + joint, col=1, name="true arm")
-        error = true.position[every, joint] - wanted[joint]
-        figure.add_scatter(x=time, y=error, row=5 + joint, col=1, name="position error")
-        figure.add_scatter(x=time, y=true.torque[every, joint], row=11 + joint, col=1, name="true arm")
+        draw(3 + joint, wanted[joint], "reference", True)
+        draw(3 + joint, true.position[every, joint], "true arm", True)
+        draw(6 + joint, true.position[every, joint] - wanted[joint], "true arm", False)
+        draw(12 + joint, true.torque[every, joint], "true arm", False)
         for name, motion in loops.items():
-            difference = motion.position[every, joint] - true.position[every, joint]
-            figure.add_scatter(x=time, y=difference, row=8 + joint, col=1, name=name)
-            figure.add_scatter(x=time, y=motion.torque[every, joint], row=11 + joint, col=1, name=name)
-    figure.update_layout(height=280 * len(titles), showlegend=False, hovermode="x unified", title="UP6 by SFLA")
+            draw(9 + joint, motion.position[every, joint] - true.position[every, joint], name, True)
+            draw(12 + joint, motion.torque[every, joint], name, False)
+    figure.update_layout(height=280 * len(titles), hovermode="x unified", title="UP6 by SFLA", legend={"y": 0.8})
     assert isinstance(figure, go.Figure)
     figure.write_html(folder / "figures.html", include_plotlyjs=True)
     run = dynid.Recording.from_arrays("up6", time=true.time, position=true.position, torque=true.torque)

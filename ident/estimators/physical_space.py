@@ -123,11 +123,11 @@ def identified_step(parameters: tuple[Identified, ...], point: FloatArray) -> St
         if parameter.identifiable:
             settings[f"{parameter.name} std"] = parameter.std
     shown = [p.name for p in parameters if p.identifiable]
-    hidden = [f"{p.name} {100.0 * p.determined:.0f} %" for p in parameters if not p.identifiable]
-    text = f"identifiable one by one: {', '.join(shown) or 'none'}"
+    hidden = [p.name for p in parameters if not p.identifiable]
+    text = f"{len(shown)} of {len(parameters)} identifiable one by one: {', '.join(shown) or 'none'}"
     if hidden:
         text += (
-            f"; confounded with others, so that their values are arbitrary: {', '.join(hidden)} (share that the torque "
-            "shows)"
+            f"; confounded with others, so that their values are arbitrary: {', '.join(hidden)} (result.json has the "
+            "share of each that the torque shows)"
         )
     return Step("physical parameters", settings, text)
