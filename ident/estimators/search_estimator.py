@@ -26,6 +26,9 @@ from ident.signals.prepared import Prepared, Step
 SETTLED = 1e-3
 """A search has settled where its last tenth, of 10 generations at least, lowered the cost by less than this share."""
 
+SHOWN = 500
+"""Generations whose cost is stored at most."""
+
 ENDED = {
     "generations": "",
     "time": " (its time was over)",
@@ -95,7 +98,7 @@ class SearchEstimator(TorqueEstimator):
             self.setup.kernel,
             reduction,
             self.solve(reduction, active),
-            loops=(Loop("cost of the best point ‖W·x − τ‖", "", tuple(found.history.tolist()), _settled(found)),),
+            loops=(_loop(found),),
             steps=(
                 self._step(exact, parameters, cost.cost(parameters[list(active)]), found, space.box),
                 *space.steps(found.point, deviation),
@@ -154,6 +157,16 @@ def centred_reduction(plain: Reduction, parameters: FloatArray) -> Reduction:
         factor = triangular(np.vstack([rows, last])) if joint.rows else joint.factor
         joints.append(JointFactor(joint.columns, factor, joint.rows))
     return replace(plain, joints=tuple(joints))
+
+
+def _loop(found: Minimum) -> Loop:
+    """Convergence, for result and report: every generation of a short search, some of a long one."""
+    count = len(found.history)
+    shown = np.unique(np.linspace(0, count - 1, min(count, SHOWN)).round().astype(int))
+    name = "cost of the best point ‖W·x − τ‖"
+    if count > SHOWN:
+        name += f", {SHOWN} of {count} generations"
+    return Loop(name, "", tuple(found.history[shown].tolist()), _settled(found))
 
 
 def _settled(found: Minimum) -> bool:

@@ -58,6 +58,9 @@ def test_what_the_search_found_is_in_the_result(found, recording) -> None:
     assert "above the exact optimum, which is least squares" in step.text
     (loop,) = identification.estimation.loops
     assert len(loop.values) == 4
+    (long,) = found("wls-pso:generations=500:particles=30:box=0.01").estimation.loops
+    assert len(long.values) == 500
+    assert long.name.endswith("500 of 501 generations")
     assert not loop.settled
     assert result.method_options["box"] == 0.1
 
