@@ -24,6 +24,11 @@ KIND_STYLES: dict[str, tuple[str, str, str]] = {
     "coulomb": ("Coulomb friction", "#D55E00", "diamond"),
     "offset": ("offset", "#7C828A", "cross"),
     "coupling": ("coupled joint", "#E69F00", "triangle-down"),
+    "stribeck": ("Stribeck friction", "#56B4E9", "diamond-tall"),
+    "load": ("friction by load", "#E69F00", "square-cross"),
+    "temperature": ("friction by speed's root", "#CC79A7", "star"),
+    "temperature_slope": ("friction by temperature", "#009E73", "star-diamond"),
+    "temperature_curvature": ("friction by temperature, curved", "#56B4E9", "hexagram"),
 }
 """Label, colour and marker of each kind: palette of Okabe and Ito, distinguishable by colour-blind readers."""
 

@@ -12,7 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from ident.model.parameters import KIND_SYMBOLS
 from ident.regression.comparison import TorqueSeries
+from ident.report.figures import KIND_STYLES
 from ident.report.number_text import number, with_error
 from ident.report.residual_statistics import joint_residual
 from ident.report.traces import LONGEST_PAUSE, envelope_indices, lay_out
@@ -95,3 +97,8 @@ def test_numbers_keep_their_digits(value: float, digits: int) -> None:
 )
 def test_values_are_cut_at_their_error(value: float | None, std: float | None, text: str) -> None:
     assert with_error(value, std) == text
+
+
+def test_every_kind_of_base_parameter_has_a_style() -> None:
+    """Those of the shapes' sensitivities are columns of a fit, never parameters of a result."""
+    assert set(KIND_STYLES) == {"inertial", "coupling", *KIND_SYMBOLS} - {"exponent", "stribeck_velocity"}
