@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from ident.commands.options import FORCE, JSON, ROBOT
-from ident.excite.velocity_sweep import SweepChoices
+from ident.excite.sweep_choices import SweepChoices
 
 app = typer.Typer()
 

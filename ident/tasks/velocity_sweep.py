@@ -9,7 +9,8 @@ from daq.motion.trajectory_file import PointsTrajectory, dump_trajectory, parse_
 from daq.robot.loader import RobotFile, load_robot
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.prior import find_prior
-from ident.excite.velocity_sweep import JointSweep, SweepChoices, velocity_sweep
+from ident.excite.sweep_choices import SweepChoices
+from ident.excite.velocity_sweep import JointSweep, velocity_sweep
 from ident.tasks.excitation import ExcitationTrajectory
 
 

@@ -8,7 +8,8 @@ import pytest
 from daq.robot.loader import load_robot
 from drivers.errors import MotionRefusedError, UsageError
 from ident.excite.motion_check import ArmMotionCheck
-from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
+from ident.excite.sweep_choices import SweepChoices
+from ident.excite.velocity_sweep import velocity_sweep
 
 
 @pytest.fixture(scope="module")
