@@ -1,7 +1,7 @@
 """The WLS-RWPSO paper on the ROCR6: Table 3 and Figure 4 of our own, least squares beside them.
 
 `python studies/rocr6_wls_rwpso.py [SECONDS]` prints the tables of docs/swarm.md (20 seeds); the excitation is designed
-for SECONDS (30). `--reports DIR` as the last arguments writes the reports of the methods, too.
+for SECONDS (30). `--page DIR` as the last arguments writes the reports of the methods, too.
 
 The arm has Table 2's values for joints 1 to 3 and the wrist of our robot file. With the printed signs its inertia
 matrix is not positive definite everywhere; it is with links 2 and 3 turned by π about their joints' axes, which
@@ -206,8 +206,8 @@ def table_3(data: Data, held_out: Data, truth: FloatArray, folder: Path | None) 
 
 def main() -> None:
     arguments = sys.argv[1:]
-    folder = Path(arguments[-1]) if "--reports" in arguments else None
-    seconds = float(arguments[0]) if arguments and arguments[0] != "--reports" else 30.0
+    folder = Path(arguments[-1]) if "--page" in arguments else None
+    seconds = float(arguments[0]) if arguments and arguments[0] != "--page" else 30.0
     for turned in (False, True):
         least, share = indefinite(true_base(turned=turned))
         signs = "turned by π" if turned else "as printed"
