@@ -18,8 +18,8 @@ from daq.motion.trajectories import FourierSeries
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot
 from drivers.streams import FloatArray
-from ident.experiments.drive_gains import DriveGains, identify_gains
-from ident.experiments.payload import identify_payload
+from ident.experiments.gains.drive_gains import DriveGains, identify_gains
+from ident.experiments.load.payload import identify_payload
 from ident.experiments.payload_summary import payload_sentences
 from ident.experiments.run_pair import LOADED, widened
 from ident.linear_algebra.triangular import triangular

@@ -18,7 +18,7 @@ import numpy as np
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot
 from ident.estimators.feasible.pseudo_inertia import body_of, pseudo_inertia
-from ident.experiments.payload import Payload, identify_payload
+from ident.experiments.load.payload import Payload, identify_payload
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad, moved_origin
 from sim_drivers.plant.altered_arm import with_load

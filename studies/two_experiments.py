@@ -25,7 +25,7 @@ import numpy as np
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.streams import FloatArray
-from ident.experiments.merged_result import merge_results
+from ident.experiments.merge.merged_result import merge_results
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise

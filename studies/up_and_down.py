@@ -27,8 +27,8 @@ from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import DynidError
 from drivers.streams import FloatArray
-from ident.experiments.drive_gains import identify_gains
-from ident.experiments.up_and_down import identify_slow_gains
+from ident.experiments.gains.drive_gains import identify_gains
+from ident.experiments.gains.up_and_down import identify_slow_gains
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad
 from ident.model.regressor import model_torque

@@ -15,7 +15,7 @@ from daq.recording.stream_quality import StreamQuality
 from daq.robot.loader import RobotFile
 from drivers.errors import DynidError
 from drivers.reading_process import Progress
-from ident.assessment.delay import DelaySearch, delay_checks, search_delay
+from ident.assessment.delay.delay import DelaySearch, delay_checks, search_delay
 from ident.assessment.excitation import ExcitationReached, excitation_reached
 from ident.assessment.recorded_motion import RecordedMotion, recorded_motion
 from ident.assessment.recording_checks import column_qualities, recording_checks, stream_qualities

@@ -9,9 +9,9 @@ import typer
 from ident.commands.two_runs import TwoRuns, takes_two_runs
 
 if TYPE_CHECKING:
-    from ident.experiments.drive_gains import DriveGains
-    from ident.experiments.payload import Payload
-    from ident.experiments.up_and_down import SlowGains
+    from ident.experiments.gains.drive_gains import DriveGains
+    from ident.experiments.gains.up_and_down import SlowGains
+    from ident.experiments.load.payload import Payload
 
 app = typer.Typer()
 
@@ -55,7 +55,7 @@ def identify_drive_gains(
     from daq.commands.console import progress_line
     from daq.output_files import REPORT_FILE
     from drivers.errors import UsageError
-    from ident.experiments.drive_gains import DriveGains
+    from ident.experiments.gains.drive_gains import DriveGains
     from ident.tasks.loads import GAINS_FILE, drive_gains
 
     if runs.mass is None:
@@ -83,7 +83,7 @@ def identify_drive_gains(
 def print_payload(payload: Payload) -> None:
     """The load as a person reads it at the terminal."""
     from daq.commands.console import print_table
-    from ident.experiments.consistent_load_summary import (
+    from ident.experiments.load.consistent_load_summary import (
         consistent_load_result,
         consistent_load_rows,
         consistent_load_sentences,

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.streams import FloatArray
-from ident.experiments.consistent_load_summary import consistent_load_result
-from ident.experiments.drive_gains import DriveGains
-from ident.experiments.load_estimate import LoadEstimate
-from ident.experiments.payload import Payload
+from ident.experiments.gains.drive_gains import DriveGains
+from ident.experiments.gains.up_and_down import SlowGains
+from ident.experiments.load.consistent_load_summary import consistent_load_result
+from ident.experiments.load.load_estimate import LoadEstimate
+from ident.experiments.load.payload import Payload
 from ident.experiments.schema import (
     BaseParameterChange,
     CentreOfMass,
@@ -27,7 +28,6 @@ from ident.experiments.schema import (
     SlowGainsResult,
     UnchangedResult,
 )
-from ident.experiments.up_and_down import SlowGains
 from ident.model.dynamic_model import DynamicModel
 from ident.model.load import FIRST_MOMENTS, KnownLoad, LoadColumns
 from ident.model.parameters import INERTIAL

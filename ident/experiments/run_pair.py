@@ -17,7 +17,7 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from drivers.errors import DataError, UsageError
 from drivers.streams import FloatArray
-from ident.assessment.delay import search_delay
+from ident.assessment.delay.delay import search_delay
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recording_checks import closing_checks
 from ident.model.base_parameters import BaseParameters, base_parameters

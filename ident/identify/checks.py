@@ -11,7 +11,7 @@ from daq.recording.recording import Recording
 from drivers.errors import IdentificationError
 from drivers.percentage import percent_text
 from ident.assessment.channels import arrangement_checks, opposite_gravity
-from ident.assessment.delay import delay_checks
+from ident.assessment.delay.delay import delay_checks
 from ident.assessment.idle_joints import idle_joint_checks
 from ident.assessment.model_errors import model_error_checks
 from ident.assessment.plausibility import (
@@ -25,7 +25,7 @@ from ident.assessment.recording_checks import recording_checks
 from ident.assessment.residual_tests import residual_checks
 from ident.assessment.torque_level import torque_level_checks
 from ident.assessment.validation import overfitting_checks
-from ident.estimators.energy_estimator import fits_energy_better
+from ident.estimators.energy.estimator import fits_energy_better
 from ident.estimators.estimator import Setup
 from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.estimators.torque_estimator import reduce_torques

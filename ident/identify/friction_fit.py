@@ -26,9 +26,9 @@ from ident.estimators.friction_steps import (
 )
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.data_split import DataSplit
-from ident.identify.friction_candidates import FOLDS, candidate_grams, candidates_of, greatest_speeds
-from ident.identify.friction_choice import AUTO
-from ident.identify.friction_selection import FrictionSearch, FrictionStep
+from ident.identify.friction.candidates import FOLDS, candidate_grams, candidates_of, greatest_speeds
+from ident.identify.friction.choice import AUTO
+from ident.identify.friction.selection import FrictionSearch, FrictionStep
 from ident.identify.identification import FrictionFit, IdentifyChoices
 from ident.identify.preparation import prepare_data
 from ident.model.base_parameters import BaseParameters

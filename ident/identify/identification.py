@@ -11,14 +11,14 @@ from daq.robot.schema import Friction
 from drivers.errors import UsageError
 from drivers.ranges import SMOOTHING, check_option
 from drivers.streams import FloatArray
-from ident.assessment.delay import DelaySearch
+from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.residual_tests import ResidualTests, filter_memory, residual_tests
 from ident.assessment.validation import FitFigures
 from ident.estimators.estimator import Estimation
 from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.estimators.method_choice import MethodChoice, chosen_method
-from ident.identify.friction_choice import check_friction, chosen_friction, friction_columns
-from ident.identify.friction_selection import FrictionStep
+from ident.identify.friction.choice import check_friction, chosen_friction, friction_columns
+from ident.identify.friction.selection import FrictionStep
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import friction_terms
@@ -42,7 +42,7 @@ class ModelChoices:
     """Departures from the robot file's columns; None follows the file.
 
     Attributes:
-        friction: which friction columns every joint has (`ident.identify.friction_choice`).
+        friction: which friction columns every joint has (`ident.identify.friction.choice`).
         offset: whether every joint has an offset torque.
         motor_inertia: whether every joint has a motor inertia.
         smoothing: ε [rad/s] of tanh(q̇/ε); 0 for sign(q̇).

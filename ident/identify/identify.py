@@ -13,13 +13,13 @@ from drivers.errors import UsageError
 from drivers.reading_process import Progress
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.validation import fit_figures
-from ident.estimators.energy_estimator import estimable
+from ident.estimators.energy.estimator import estimable
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.identify.checks import identification_checks
 from ident.identify.data_split import split_data
+from ident.identify.friction.shapes import with_free_shapes
 from ident.identify.friction_fit import fit_friction
-from ident.identify.friction_shapes import with_free_shapes
 from ident.identify.identification import (
     ConsistentFit,
     Identification,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from drivers.reading_process import Progress
 from drivers.streams import FloatArray
-from ident.assessment.delay import DelaySearch, search_delay
+from ident.assessment.delay.delay import DelaySearch, search_delay
 from ident.identify.data_split import DataSplit, RunWindow
 from ident.identify.identification import IdentifyChoices, PreparedRun
 from ident.model.regressor import RegressorKernel

@@ -15,7 +15,7 @@ from daq.recording.recording import Recording, software_versions
 from daq.robot.schema import Robot
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
-from ident.assessment.delay import DelaySearch
+from ident.assessment.delay.delay import DelaySearch
 from ident.identify.convergence import convergence_result
 from ident.identify.identification import ConsistentFit, Identification, PreparedRun
 from ident.model.base_parameters import BaseParameters

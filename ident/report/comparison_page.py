@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from ident.experiments.method_comparison import JointGroup
-from ident.report.figures import MEASURED, PREDICTED, Figure, plain
+from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain
+from ident.report.figures.interval_panel import ROW
+from ident.report.figures.panels import Panel, panel_figure
 from ident.report.html_file import page_templates
-from ident.report.interval_panel import ROW
-from ident.report.panels import Panel, panel_figure
 from ident.result.tables import Table
 
 Errors = tuple[str, Sequence[float]]

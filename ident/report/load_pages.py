@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from ident.experiments.consistent_load_summary import consistent_load_rows, consistent_load_sentences
+from ident.experiments.load.consistent_load_summary import consistent_load_rows, consistent_load_sentences
 from ident.experiments.schema import (
     BaseParameterChange,
     GainResult,
@@ -17,11 +17,11 @@ from ident.experiments.schema import (
     SlowGainsResult,
 )
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, p_text
-from ident.report.figures import MEASURED, PREDICTED, Figure
+from ident.report.figures.figures import MEASURED, PREDICTED, Figure
+from ident.report.figures.interval_panel import IntervalSeries, interval_panel
+from ident.report.figures.panels import panel_figure
 from ident.report.html_file import page_templates
-from ident.report.interval_panel import IntervalSeries, interval_panel
 from ident.report.number_text import DASH, number, with_error
-from ident.report.panels import panel_figure
 from ident.report.section import Tile
 
 IDENTIFIED = {"color": MEASURED, "symbol": "circle", "size": 6}

@@ -12,7 +12,7 @@ from daq.output_files import replace_files
 from drivers.streams import FloatArray
 from ident.identify.predict import PARTS, RecordingPrediction, SegmentPrediction
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.report.figures import (
+from ident.report.figures.figures import (
     BOTTOM,
     MEASURED,
     PREDICTED,
@@ -26,9 +26,9 @@ from ident.report.figures import (
     plain,
     row_domains,
 )
+from ident.report.figures.traces import broken_line, packed, points_per_trace
 from ident.report.html_file import page_templates
 from ident.report.section import Tile
-from ident.report.traces import broken_line, packed, points_per_trace
 from ident.result.tables import Table
 
 PANEL, GAP = 150, 30

@@ -14,9 +14,10 @@ from daq.output_files import REPORT_FILE, write_folder
 from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
-from ident.experiments.consistent_load import ConsistentLoad
-from ident.experiments.drive_gains import DriveGains, identify_gains
-from ident.experiments.payload import Payload, identify_payload
+from ident.experiments.gains.drive_gains import DriveGains, identify_gains
+from ident.experiments.gains.up_and_down import SlowGains, identify_slow_gains
+from ident.experiments.load.consistent_load import ConsistentLoad
+from ident.experiments.load.payload import Payload, identify_payload
 from ident.experiments.payload_summary import (
     base_changes,
     drives_text,
@@ -28,7 +29,6 @@ from ident.experiments.payload_summary import (
     slow_gains_result,
 )
 from ident.experiments.schema import GainsResult, SlowGainsResult
-from ident.experiments.up_and_down import SlowGains, identify_slow_gains
 from ident.model.load import MASS, KnownLoad
 from ident.report.load_pages import gains_page, payload_page
 from ident.result.tables import Table, table_of_rows

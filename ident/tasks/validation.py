@@ -8,7 +8,7 @@ from os import PathLike
 
 from drivers.errors import UsageError
 from ident.assessment.validation import fit_figures
-from ident.experiments.merged_result import merge_results
+from ident.experiments.merge.merged_result import merge_results
 from ident.identify.acceptance import validation_figures
 from ident.identify.revalidate import revalidate, validation_verdict
 from ident.regression.pruning import SIGNIFICANT_RSD

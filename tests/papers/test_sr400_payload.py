@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import load_robot
-from ident.experiments.drive_gains import identify_gains
-from ident.experiments.payload import identify_payload
+from ident.experiments.gains.drive_gains import identify_gains
+from ident.experiments.load.payload import identify_payload
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad, load_columns, load_effect

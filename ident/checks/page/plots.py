@@ -11,10 +11,10 @@ from daq.recording.recording import Recording, Stream
 from daq.recording.stream_quality import LOST_FROM, StreamQuality
 from drivers.streams import UNITS, FloatArray
 from ident.assessment.recorded_motion import RecordedMotion
-from ident.report.figures import LOG_AXIS, PREDICTED, RESIDUAL, SERIES_COLOURS, Figure, plain, shortened
+from ident.report.figures.figures import LOG_AXIS, PREDICTED, RESIDUAL, SERIES_COLOURS, Figure, plain, shortened
+from ident.report.figures.panels import Line, Panel, panel_figure
+from ident.report.figures.traces import broken_line, envelope_indices, packed
 from ident.report.number_text import number
-from ident.report.panels import Line, Panel, panel_figure
-from ident.report.traces import broken_line, envelope_indices, packed
 from ident.signals.resampling import gap_free_segments
 
 MOST_COLUMNS = 32

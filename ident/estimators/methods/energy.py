@@ -9,8 +9,8 @@ from pydantic import Field
 
 from drivers.errors import UsageError
 from drivers.ranges import ENERGY_WINDOW
-from ident.estimators.energy_estimator import EnergyEstimator
-from ident.estimators.energy_windows import EnergyWindows, exchange_for, mean_duration, moving_spans
+from ident.estimators.energy.estimator import EnergyEstimator
+from ident.estimators.energy.windows import EnergyWindows, exchange_for, mean_duration, moving_spans
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.model.energy import EnergyKernel

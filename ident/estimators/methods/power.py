@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from ident.estimators.energy_estimator import EnergyEstimator
+from ident.estimators.energy.estimator import EnergyEstimator
+from ident.estimators.energy.power import PowerSamples
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, NoOptions
-from ident.estimators.power import PowerSamples
 from ident.model.energy import EnergyKernel
 
 

@@ -21,9 +21,9 @@ from ident.excite.constraints.placements import IndexArray, place_arm, tool_poin
 from ident.excite.page.plots import Shown, part_shown, path_until
 from ident.model.dynamic_model import build_model
 from ident.model.kinematics.joints import BASE_INDEX, Joint
-from ident.report.figures import ACCENT, MEASURED, PREDICTED, RESIDUAL, Figure, base_layout, plain
-from ident.report.panels import ROOM, WIDE_ROOM, legend_rows
-from ident.report.traces import packed
+from ident.report.figures.figures import ACCENT, MEASURED, PREDICTED, RESIDUAL, Figure, base_layout, plain
+from ident.report.figures.panels import ROOM, WIDE_ROOM, legend_rows
+from ident.report.figures.traces import packed
 
 FRAMES = 100
 """Frames of the animation at most."""

@@ -15,7 +15,7 @@ from ident.excite.prior import Prior
 from ident.model.dynamic_model import build_model
 from ident.regression.pruning import SIGNIFICANT_RSD
 from ident.report import number_text
-from ident.report.figures import KIND_STYLES
+from ident.report.figures.figures import KIND_STYLES
 from ident.report.html_file import page_templates
 from ident.report.number_text import number, percent
 from ident.report.section import Tile

@@ -21,9 +21,9 @@ from ident.excite.prior import Prior
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
-from ident.report.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
-from ident.report.panels import Panel, panel_figure
-from ident.report.traces import packed
+from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
+from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.traces import packed
 
 POINTS = 1200
 """Points per line."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import cycle
 from typing import Any
 
-from ident.report.figures import LOG_AXIS, SERIES_COLOURS, Figure, plain
-from ident.report.panels import Panel, panel_figure
+from ident.report.figures.figures import LOG_AXIS, SERIES_COLOURS, Figure, plain
+from ident.report.figures.panels import Panel, panel_figure
 from ident.report.section import ReportData, ReportSection
 from ident.result.schema import Convergence, LoopResult
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ident.report.figures import ACCENT, BOTTOM, LOG_AXIS, TOP, Figure, base_layout
+from ident.report.figures.figures import ACCENT, BOTTOM, LOG_AXIS, TOP, Figure, base_layout
 from ident.report.number_text import number
 from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.schema import Result

@@ -10,11 +10,11 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.model.friction_terms import power_law, stribeck_share
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.report.figures import MEASURED, PREDICTED, Figure, plain, shortened
+from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain, shortened
+from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.traces import packed
 from ident.report.number_text import whole
-from ident.report.panels import Panel, panel_figure
 from ident.report.section import ReportData, ReportSection
-from ident.report.traces import packed
 from ident.result.schema import JointFrictionResult, Result
 
 KINDS = ("viscous", "coulomb", "offset", "stribeck")

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from drivers.streams import FloatArray
-from ident.report.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
-from ident.report.panels import Panel, panel_figure
+from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
+from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.traces import Timeline, broken_line, lay_out, packed
 from ident.report.recorded_runs import MotionSegment, TemperatureSeries
 from ident.report.section import ReportData, ReportSection
-from ident.report.traces import Timeline, broken_line, lay_out, packed
 
 PAGE_POINTS = 60_000
 MOST_POINTS = 2000

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ident.report.figures import KIND_STYLES, Figure
-from ident.report.interval_panel import IntervalSeries, interval_panel
-from ident.report.panels import Panel, panel_figure
+from ident.report.figures.figures import KIND_STYLES, Figure
+from ident.report.figures.interval_panel import IntervalSeries, interval_panel
+from ident.report.figures.panels import Panel, panel_figure
 from ident.report.reference_values import ReferenceValues, reference_values
 from ident.report.section import ReportData, ReportSection
 from ident.result.schema import BaseParameterResult, Result

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from ident.report.figures.torque_figure import torque_figure
 from ident.report.section import ReportData, ReportSection
-from ident.report.torque_figure import torque_figure
 
 
 def section(data: ReportData) -> ReportSection:

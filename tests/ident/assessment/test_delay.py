@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from ident.assessment.delay import LONGEST, WORTHWHILE_GAIN, delay_checks, search_delay
+from ident.assessment.delay.delay import LONGEST, WORTHWHILE_GAIN, delay_checks, search_delay
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel

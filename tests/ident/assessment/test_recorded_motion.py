@@ -9,7 +9,7 @@ import pytest
 
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import load_robot
-from ident.assessment.delay import search_delay
+from ident.assessment.delay.delay import search_delay
 from ident.assessment.excitation import excitation_reached
 from ident.assessment.recorded_motion import recorded_motion
 from ident.checks.recording_check import recording_info

@@ -17,8 +17,9 @@ from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import DataError, UsageError
 from ident.assessment.plausibility import CLEARLY_SMALLER, critical_variance_ratio
-from ident.estimators.energy_equations import energy_jackknife, reduce_energy
-from ident.estimators.energy_windows import (
+from ident.estimators.energy.equations import energy_jackknife, reduce_energy
+from ident.estimators.energy.power import PowerSamples
+from ident.estimators.energy.windows import (
     OVERLAP,
     EnergyWindows,
     describe_windows,
@@ -27,7 +28,6 @@ from ident.estimators.energy_windows import (
     moving_spans,
     window_borders,
 )
-from ident.estimators.power import PowerSamples
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.revalidate import revalidate

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import UsageError
-from ident.assessment.delay import search_delay
+from ident.assessment.delay.delay import search_delay
 from ident.identify.identification import IdentifyChoices
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model

@@ -15,8 +15,8 @@ from html_page import Page
 from drivers.errors import UsageError
 from ident.regression.comparison import TorqueSeries
 from ident.report import TruthTable, render_report, write_result_folder
+from ident.report.figures.traces import POINTS_PER_TRACE
 from ident.report.section import ReportData
-from ident.report.traces import POINTS_PER_TRACE
 from ident.result.schema import (
     BaseParameterResult,
     DelayFigures,

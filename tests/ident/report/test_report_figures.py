@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from ident.model.dynamic_model import build_model
 from ident.regression.comparison import TorqueSeries
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.report.figures.panels import Panel, panel_figure
 from ident.report.page import render_report
-from ident.report.panels import Panel, panel_figure
 from ident.report.recorded_runs import MotionSegment, RecordedRuns, TemperatureSeries
 from ident.report.section import ReportData
 from ident.report.sections import correlation, friction

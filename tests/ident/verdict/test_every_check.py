@@ -19,7 +19,7 @@ from daq.robot.loader import RobotFile, parse_robot
 from drivers.errors import ModelError
 from ident.assessment.recording_checks import recording_checks
 from ident.checks.recording_check import recording_info
-from ident.experiments.merged_result import merge_results
+from ident.experiments.merge.merged_result import merge_results
 from ident.export import mujoco_reading, pinocchio_reading
 from ident.export.arm import ExportedArm
 from ident.export.export import export_mjcf

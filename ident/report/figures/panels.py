@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ident.report.figures import (
+from ident.report.figures.figures import (
     BOTTOM,
     NARROW_TOP,
     TOP,

@@ -13,8 +13,8 @@ from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.plausibility import indefinite_share, sign_checks
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
-from ident.experiments.merge import CONTRADICTING, MergedEstimate, identifiable_columns, merge
-from ident.experiments.merge_input import MergeInput, merge_inputs, used_recordings
+from ident.experiments.merge.merge import CONTRADICTING, MergedEstimate, identifiable_columns, merge
+from ident.experiments.merge.merge_input import MergeInput, merge_inputs, used_recordings
 from ident.identify.checks import consistency_checks
 from ident.identify.revalidate import Revalidation, revalidate
 from ident.identify.summary import (

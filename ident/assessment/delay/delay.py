@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
-from ident.assessment.delay_equations import (
+from ident.assessment.delay.delay_equations import (
     FEWEST_BLOCKS,
     DelayEquations,
     DelayFit,

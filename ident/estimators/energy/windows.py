@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from drivers.errors import DataError
 from drivers.streams import FloatArray
-from ident.estimators.energy_equations import EnergyRows
+from ident.estimators.energy.equations import EnergyRows
 from ident.model.dynamic_model import DynamicModel
 from ident.model.energy import CHUNK, EnergyKernel, motor_velocity
 from ident.signals.filters import StreamedFilter, ZeroPhaseFilter

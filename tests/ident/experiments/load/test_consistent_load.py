@@ -10,8 +10,8 @@ from loaded_arm import LOAD, arm_runs, runs
 from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import RobotFileError
 from ident.estimators.feasible.pseudo_inertia import body_of, pseudo_inertia
-from ident.experiments.consistent_load import consistent_load
-from ident.experiments.payload import identify_payload
+from ident.experiments.load.consistent_load import consistent_load
+from ident.experiments.load.payload import identify_payload
 from ident.experiments.payload_summary import payload_result
 from ident.model.load import KnownLoad, moved_origin
 from ident.model.parameters import link_parameters

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.streams import FloatArray
-from ident.estimators.energy_equations import EnergyRows
-from ident.estimators.energy_windows import friction_motion, motor_power
+from ident.estimators.energy.equations import EnergyRows
+from ident.estimators.energy.windows import friction_motion, motor_power
 from ident.model.energy import CHUNK, EnergyKernel
 from ident.signals.filters import StreamedFilter, ZeroPhaseFilter
 from ident.signals.prepared import Segment

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from ident.assessment.plausibility import critical_variance_ratio, refitted
-from ident.estimators.energy_equations import EnergyEquations, energy_jackknife, independent_rows, reduce_energy
-from ident.estimators.energy_windows import EnergyWindows, describe_windows
+from ident.estimators.energy.equations import EnergyEquations, energy_jackknife, independent_rows, reduce_energy
+from ident.estimators.energy.windows import EnergyWindows, describe_windows
 from ident.estimators.estimator import Estimation, Estimator, Setup
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel

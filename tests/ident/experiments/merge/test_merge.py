@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import IdentificationError
-from ident.experiments.merge import Information, identifiable_columns, merge, usable, variance_ratio
+from ident.experiments.merge.merge import Information, identifiable_columns, merge, usable, variance_ratio
 from ident.linear_algebra.triangular import triangular
 from ident.regression.estimate import estimate_of
 from ident.regression.least_squares import excited_columns, ordinary_least_squares, weighted_least_squares

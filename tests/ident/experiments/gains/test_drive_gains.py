@@ -12,7 +12,7 @@ from daq.motion.trajectories import FourierSeries
 from daq.recording.recording import Channel
 from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import DataError
-from ident.experiments.drive_gains import identify_gains
+from ident.experiments.gains.drive_gains import identify_gains
 from ident.experiments.payload_summary import drives_text, gains_result
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model

@@ -9,10 +9,10 @@ import numpy as np
 
 from drivers.streams import FloatArray
 from ident.regression.comparison import TorqueSeries
-from ident.report.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain, shortened
+from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain, shortened
+from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.traces import broken_line, lay_out, packed, points_per_trace
 from ident.report.number_text import number, percent, whole
-from ident.report.panels import Panel, panel_figure
-from ident.report.traces import broken_line, lay_out, packed, points_per_trace
 from ident.result.schema import Fit
 
 PANEL = 150

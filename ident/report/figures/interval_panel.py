@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.report.figures import RESIDUAL, plain
-from ident.report.panels import Panel
+from ident.report.figures.figures import RESIDUAL, plain
+from ident.report.figures.panels import Panel
 
 ROW = 15
 """Height of a row [px]."""

@@ -18,7 +18,7 @@ from ident.estimators.feasible.interior_point import BoolArray
 from ident.estimators.feasible.prior import can_exist, link_priors, uniform_ball
 from ident.estimators.feasible.problem import build_problem, with_load
 from ident.estimators.feasible.pseudo_inertia import Body, body_of
-from ident.experiments.load_estimate import LoadEstimate, relative_error
+from ident.experiments.load.load_estimate import LoadEstimate, relative_error
 from ident.experiments.run_pair import FREE, LOADED, RunPair
 from ident.linear_algebra.triangular import triangular
 from ident.model.load import FIRST_MOMENTS, MASS, KnownLoad, load_effect, moved_origin

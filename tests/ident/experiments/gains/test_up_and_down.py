@@ -21,10 +21,10 @@ from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.errors import DataError, IdentificationError
 from dynid import command
-from ident.experiments.drive_gains import identify_gains
+from ident.experiments.gains.drive_gains import identify_gains
+from ident.experiments.gains.slow_passes import BINS, passes_of, sweeps_of
+from ident.experiments.gains.up_and_down import SlowGains, identify_slow_gains
 from ident.experiments.payload_summary import drives_text, slow_gains_result
-from ident.experiments.slow_passes import BINS, passes_of, sweeps_of
-from ident.experiments.up_and_down import SlowGains, identify_slow_gains
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad
 from ident.model.regressor import model_torque
@@ -222,7 +222,7 @@ def test_half_sum_and_difference_of_any_line(gravity, friction, low, length):
 
 
 def test_the_motion_of_the_docs_has_passes():
-    text = (Path(__file__).resolve().parents[3] / "docs" / "gains.md").read_text(encoding="utf-8")
+    text = (Path(__file__).resolve().parents[4] / "docs" / "gains.md").read_text(encoding="utf-8")
     block = next(each for each in re.findall(r"```yaml\n(.*?)```", text, re.DOTALL) if "kind: points" in each)
     robot = load_robot("ur10e").robot
     motion = parse_trajectory(block, robot, where="docs", folder=None).motion
@@ -273,7 +273,7 @@ def test_the_command(folder, capsys, monkeypatch):
 @pytest.mark.slow
 def test_the_example_runs(capsys, monkeypatch):
     """One seed, one friction: half sums are right where the load adds friction."""
-    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[3] / "studies")
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[4] / "studies")
     example = importlib.import_module("up_and_down")
     monkeypatch.setattr(example, "FRICTIONS", {"load": example.FRICTIONS["and 5 % of the load"]})
     monkeypatch.setattr(example, "RATE", 25.0)

@@ -9,7 +9,7 @@ import numpy as np
 from drivers.percentage import percent_text
 from ident.estimators.feasible.consistent import DETERMINED
 from ident.estimators.feasible.pseudo_inertia import Body, body_of
-from ident.experiments.consistent_load import ConsistentLoad
+from ident.experiments.load.consistent_load import ConsistentLoad
 from ident.experiments.run_pair import RunPair
 from ident.experiments.schema import ConsistentLoadResult, LinkBody, RunError, SignificanceResult
 from ident.model.parameters import INERTIAL

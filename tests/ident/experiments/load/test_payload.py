@@ -10,7 +10,7 @@ from loaded_arm import LOAD, RATE, runs
 
 from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import DataError, UsageError
-from ident.experiments.payload import identify_payload
+from ident.experiments.load.payload import identify_payload
 from ident.experiments.payload_summary import payload_result, payload_sentences
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad

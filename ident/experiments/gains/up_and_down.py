@@ -23,10 +23,10 @@ from daq.robot.schema import Robot
 from drivers.errors import DataError, IdentificationError
 from drivers.percentage import percentage_text
 from drivers.streams import FloatArray
-from ident.experiments.drive_gains import LEAST_GAP
-from ident.experiments.motor_signals import signal_of, torques_by
+from ident.experiments.gains.drive_gains import LEAST_GAP
+from ident.experiments.gains.motor_signals import signal_of, torques_by
+from ident.experiments.gains.slow_passes import Sweep, passes_of, sweeps_of
 from ident.experiments.run_pair import check_same_robot
-from ident.experiments.slow_passes import Sweep, passes_of, sweeps_of
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.linear_algebra.triangular import triangular
 from ident.model.base_parameters import base_parameters

@@ -25,8 +25,8 @@ from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
-from ident.experiments.consistent_load import ConsistentLoad, consistent_load
-from ident.experiments.load_estimate import (
+from ident.experiments.load.consistent_load import ConsistentLoad, consistent_load
+from ident.experiments.load.load_estimate import (
     LoadEstimate,
     SeparateRuns,
     change_between,

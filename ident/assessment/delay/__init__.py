@@ -1,0 +1,1 @@
+"""Delay of the recorded torque against the recorded position."""

@@ -1,0 +1,1 @@
+"""Drive gains, from a load of known mass."""

@@ -1,0 +1,1 @@
+"""The load on an arm's tool."""

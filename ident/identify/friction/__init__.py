@@ -1,0 +1,1 @@
+"""Which friction: what the user asks for, the choice of terms, the shapes and their error bars."""
