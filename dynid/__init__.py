@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from ident.tasks.excitation import ExcitationTrajectory as ExcitationTrajectory
     from ident.tasks.excitation import design_excitation as design_excitation
     from ident.tasks.excitation import load_trajectory as load_trajectory
+    from ident.tasks.friction import IdentifiedFriction as IdentifiedFriction
+    from ident.tasks.friction import friction as friction
     from ident.tasks.identification import IdentificationResult as IdentificationResult
     from ident.tasks.identification import identify as identify
     from ident.tasks.identification import load_result as load_result
@@ -86,6 +88,7 @@ _HOMES = {
     "ident.tasks.comparison": ("MethodComparison", "compare"),
     "ident.tasks.difference": ("diff",),
     "ident.tasks.excitation": ("ExcitationTrajectory", "design_excitation", "load_trajectory"),
+    "ident.tasks.friction": ("IdentifiedFriction", "friction"),
     "ident.tasks.identification": ("IdentificationResult", "identify", "load_result"),
     "ident.tasks.loads": ("IdentifiedGains", "IdentifiedPayload", "drive_gains", "payload"),
     "ident.tasks.prediction": ("Prediction", "predict"),

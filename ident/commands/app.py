@@ -10,6 +10,7 @@ from ident.commands import (
     diff,
     excite,
     export,
+    friction,
     identify,
     info,
     merge,
@@ -21,5 +22,20 @@ from ident.commands import (
 )
 
 app = typer.Typer()
-for command in (robot, check, excite, sweep, info, identify, validate, predict, compare, diff, merge, payload, export):
+for command in (
+    robot,
+    check,
+    excite,
+    sweep,
+    info,
+    identify,
+    validate,
+    predict,
+    compare,
+    diff,
+    merge,
+    payload,
+    friction,
+    export,
+):
     app.add_typer(command.app)

@@ -77,13 +77,13 @@ def split_data(
         UsageError: a window or a border without data.
         DataError: as `read_joint_signals`.
     """
-    runs = tuple(_run_window(recording, robot, chosen) for recording in recordings)
+    runs = tuple(run_window(recording, robot, chosen) for recording in recordings)
     if validation:
         if split is not None:
             raise UsageError(
                 "--split and --validate exclude each other", hint="name the held-out recording, or split one"
             )
-        held_out = tuple(_run_window(recording, robot, PreprocessChoices()) for recording in validation)
+        held_out = tuple(run_window(recording, robot, PreprocessChoices()) for recording in validation)
         return DataSplit(runs, held_out, ", ".join(run.signals.label for run in held_out))
     halves = [_split(run, split) for run in runs]
     share = "last 30 %" if split is None else f"part after {split:g} s"
@@ -94,8 +94,12 @@ def split_data(
     )
 
 
-def _run_window(recording: Recording, robot: Robot, chosen: PreprocessChoices) -> RunWindow:
-    """The window that the user chose, else the played motion."""
+def run_window(recording: Recording, robot: Robot, chosen: PreprocessChoices) -> RunWindow:
+    """The signals of a recording, and the window that the user chose, else the played motion.
+
+    Raises:
+        DataError: as `read_joint_signals`.
+    """
     signals = read_joint_signals(recording, robot)
     if chosen.start is not None or chosen.stop is not None:
         return RunWindow(signals, chosen.start, chosen.stop)

@@ -190,6 +190,21 @@ class FrictionSearch:
             self.add(motor, term, way)
             self._reweight(np.where(np.isin(np.arange(len(self._shares)), self._used), 1.0, 0.0))
 
+    def revise(self, motor: int) -> bool:
+        """Exchange one added term of a motor for another of its group that holds better beside the rest; whether so."""
+        for key, kept in list(self._added.items()):
+            others = [term for term, group in GROUPS.items() if key == (motor, group)]
+            del self._added[key]
+            errors = {term: self.held_out(motor, ways) for term in others if (ways := self.ways(motor, term))}
+            best = min(errors, key=lambda term: errors[term])
+            way = self.best(motor, self.ways(motor, best), self._total)[1]
+            exchanged = way is not None and len(others) > 1 and way.candidates != kept.candidates
+            self._added[key] = way if exchanged and way is not None else kept
+            if exchanged:
+                self._reweight(np.where(np.isin(np.arange(len(self._shares)), self._used), 1.0, 0.0))
+                return True
+        return False
+
     def terms(self, start: FrictionTerms) -> FrictionTerms:
         """The chosen terms, shapes from the grid marked as free, beside those of `start`."""
         for (motor, group), addition in self._added.items():

@@ -1,0 +1,65 @@
+"""The command `dynid friction`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from ident.commands.options import DELAY, FORCE, JSON
+
+app = typer.Typer()
+
+
+@app.command("friction")
+def find_friction(
+    recordings: list[Path] = typer.Argument(help="Recordings (.h5) of one arm, one joint moving at a time."),
+    friction: str = typer.Option("auto", "--friction", help="coulomb-viscous+power+temperature, …, or auto; see docs."),
+    robot: str = typer.Option(None, "--robot", help="Robot file in place of the recording's own."),
+    delay: str = DELAY,
+    out: Path = typer.Option(None, "-o", "--out", help="Folder for friction.json and report.html."),
+    force: bool = FORCE,
+    as_json: bool = JSON,
+) -> None:
+    """Identify the friction of single joints: over speed, temperature and load.
+
+    Example: dynid friction cold.h5 warm.h5 warmer.h5 -o friction
+    """
+    from daq.commands.console import print_table, progress_line
+    from daq.output_files import REPORT_FILE, check_output_folder
+    from daq.robot.loader import load_robot
+    from ident.commands.options import delay_option
+    from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+    from ident.result.friction_experiment import FRICTION_FILE
+    from ident.tasks.friction import friction as friction_task
+
+    folder = out if out is not None else Path(f"{recordings[0].stem}-friction")
+    inputs = [*recordings, *(load_robot(robot).files if robot else ())]
+    check_output_folder(folder, (FRICTION_FILE, REPORT_FILE), inputs, overwrite=force)
+    with progress_line(quiet=as_json) as progress:
+        found = friction_task(recordings, friction=friction, robot=robot, delay=delay_option(delay), progress=progress)
+        progress("report")
+        found.save(folder)
+    if as_json:
+        print(found.to_json())
+        return
+    result = found.result
+    print(f"delay: {result.delay_note}")
+    rows = [
+        (
+            joint.joint,
+            joint.coulomb,
+            None if joint.coulomb_std is None else WITHIN_95_PERCENT * joint.coulomb_std,
+            joint.viscous,
+            None if joint.viscous_std is None else WITHIN_95_PERCENT * joint.viscous_std,
+            joint.offset,
+            joint.rmse,
+            joint.terms_text,
+        )
+        for joint in result.joints
+    ]
+    headings = ("joint", "Coulomb", "±", "viscous", "±", "offset", "residual RMS", "further terms")
+    print_table("\nFriction [N·m, s/rad]", headings, rows)
+    for warning in result.warnings:
+        print(f"warning: {warning}")
+    print(f"\n{folder / FRICTION_FILE}\n{folder / REPORT_FILE}")

@@ -1,0 +1,80 @@
+"""Friction experiments: recordings in which one joint moves at a time, at many speeds, warm and cold, in several poses.
+
+As the AUBO paper's §2.2, without taking the joints out of the arm: each joint is swept while the others rest, the sweep
+is repeated while the arm warms up, and other poses or weights on the tool change the load torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile
+from drivers.errors import UsageError
+from ident.experiments.friction.joint_fit import fit_joint
+from ident.experiments.friction.joint_friction import JointFriction
+from ident.experiments.friction.single_joint import JointPeriods, joint_periods
+from ident.experiments.run_pair import check_same_robot
+from ident.identify.friction_choice import AUTO, check_friction
+from ident.identify.identification import IdentifyChoices
+from ident.identify.preparation import Progress
+from ident.signals.options import PreprocessChoices
+
+
+@dataclass(frozen=True)
+class FrictionExperiment:
+    """Friction of all joints that move alone.
+
+    Attributes:
+        robot_file: the arm.
+        recordings: names in messages.
+        asked: text of the friction terms.
+        periods: the data.
+        joints: in the robot's order.
+    """
+
+    robot_file: RobotFile
+    recordings: tuple[str, ...]
+    asked: str
+    periods: JointPeriods
+    joints: tuple[JointFriction, ...]
+
+
+def analyse_friction(
+    recordings: Sequence[Recording],
+    friction: str = AUTO,
+    robot_file: RobotFile | None = None,
+    delay: float | None = None,
+    progress: Progress = lambda step: None,
+) -> FrictionExperiment:
+    """Identify the friction of each joint that moves alone, gravity and inertia separately in each period.
+
+    Args:
+        recordings: of one arm, with whatever on the tool.
+        friction: terms as `--friction` has them, or "auto".
+        robot_file: in place of the first recording's.
+        delay: of the torque behind the position [s]; searched where None.
+        progress: called before each step.
+
+    Raises:
+        UsageError: no recording, or no such terms.
+        DataError: different arms, loops or coupled motors, no joint that moves alone.
+        IdentificationError: the movements do not tell the terms apart.
+    """
+    if not recordings:
+        raise UsageError("no recording to find friction from")
+    check_friction(friction)
+    for other in recordings[1:]:
+        check_same_robot(recordings[0], other)
+    robot_file = recordings[0].robot() if robot_file is None else robot_file
+    choices = IdentifyChoices(preprocess=PreprocessChoices(delay=delay or 0.0), search_delay=delay is None)
+    periods = joint_periods(recordings, robot_file, choices, progress)
+    names, section = periods.model.joint_names, robot_file.robot.friction
+    joints = []
+    for name, own in zip(names, periods.periods, strict=True):
+        if own:
+            progress(f"friction of {name}")
+            joints.append(fit_joint(periods.model, name, own, friction, section))
+    labels = tuple(one.label for one in recordings)
+    return FrictionExperiment(robot_file, labels, friction, periods, tuple(joints))

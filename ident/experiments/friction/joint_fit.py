@@ -1,0 +1,397 @@
+"""Friction of one joint from its periods: terms chosen, shapes and load torque settled, error bars.
+
+Every period has its own inertia and first moments (`single_joint`); friction is common to all. Terms and shapes are
+found as in an identification (`ident.identify.friction_selection`, `friction_fit`): by held-out error and partial
+F-test, by variable projection; the load torque is the gravity torque of the fit before (AUBO eq. 18). The covariance is
+a delete-block jackknife of all parameters together, shapes included to first order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.robot.schema import Friction, TemperatureFriction
+from drivers.errors import IdentificationError
+from drivers.streams import FloatArray
+from ident.experiments.friction.joint_friction import JointFriction, Span, friction_signal, shape_of
+from ident.experiments.friction.single_joint import JointPeriod
+from ident.identify.friction_candidates import (
+    EXPONENTS,
+    FOLDS,
+    STRIBECK_SHARES,
+    Candidate,
+    CandidateGrams,
+)
+from ident.identify.friction_choice import AUTO, chosen_friction, friction_columns
+from ident.identify.friction_fit import (
+    LOAD_TOLERANCE,
+    ROUNDS,
+    SHAPE_TOLERANCE,
+    moved_shapes,
+    shape_change,
+)
+from ident.identify.friction_selection import FrictionSearch, FrictionStep
+from ident.model.dynamic_model import DynamicModel
+from ident.model.friction_terms import (
+    TEMPERATURE_KINDS,
+    FrictionConditions,
+    FrictionTerms,
+    friction_terms,
+    no_terms,
+)
+from ident.model.parameters import Quantity
+from ident.regression.autocorrelation import independent_share, lag_one
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.regression.jackknife import BlockSums, block_count, block_length, jackknife_covariance, tolerant_moves
+
+LEAST_TEMPERATURE_SPAN = 5.0
+LEAST_CURVATURE_SPAN = 15.0
+"""Temperatures of a joint must differ by these [K] for a slope, and for AUBO eq. 5 with its curvature."""
+
+LEAST_LOAD_SHARE = 0.5
+"""The load torque must vary by this times the Coulomb friction: gears lose some per cent of the torque that they carry,
+so that with less the friction changes by less than what the other terms are wrong by."""
+
+SHARES_OF_A_FOLD = 4
+"""Parts of a fold, spread over the motion: each fold has slow and fast strokes."""
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """A least-squares solution: nuisance parameters of all periods, then friction of some kinds."""
+
+    terms: FrictionTerms
+    columns: FloatArray
+    parameters: FloatArray
+    residual: FloatArray
+    own: int
+    kinds: tuple[Quantity, ...]
+
+    def value(self, kind: str, motor: int) -> float | None:
+        """Of a kind; None where there is no such column. `motor` is 0."""
+        return float(self.parameters[self.own + self.kinds.index(kind)]) if kind in self.kinds else None
+
+
+def fit_joint(
+    model: DynamicModel, name: str, periods: Sequence[JointPeriod], friction: str, section: Friction
+) -> JointFriction:
+    """Friction of the joint of these periods.
+
+    Args:
+        model: of the arm.
+        name: of the joint.
+        periods: of it, one or more.
+        friction: text of `--friction`.
+        section: `friction` of the robot file, whose stated shapes are kept.
+
+    Raises:
+        IdentificationError: the periods do not determine even plain friction.
+    """
+    fit = _JointFit(model, name, periods, friction)
+    terms, steps = fit.chosen() if friction == AUTO else fit.given(section, friction)
+    solved, settled = fit.settled(terms)
+    return fit.result(solved, steps, settled)
+
+
+class _JointFit:
+    """The data of one joint, and what is tried on them."""
+
+    def __init__(self, model: DynamicModel, name: str, periods: Sequence[JointPeriod], friction: str) -> None:
+        self._model, self._name, self._periods = model, name, periods
+        self._prismatic = model.joints[model.joint_names.index(name)].prismatic
+        self._base: tuple[Quantity, ...] = tuple(
+            kind for kind in ("coulomb", "viscous") if kind in friction_columns(friction)
+        )
+        if not self._prismatic:  # else confounded with the weight
+            self._base += ("offset",)
+        self._torque = np.concatenate([one.filtered(one.torque[None])[0] for one in periods])
+        self._own = self._own_columns()
+        self._index = self._sample_index()
+        self._load = [np.zeros_like(one.velocity) for one in periods]
+        plain = self.solve(no_terms(1))
+        self._load = self._load_of(plain)
+        coulomb = plain.value("coulomb", 0) or 0.0
+        self.least_load_span = LEAST_LOAD_SHARE * abs(coulomb)
+        heat = [one.temperature for one in periods]
+        self._heated = all(values is not None for values in heat)
+        self.temperature = (
+            _span(np.concatenate([one.sampled(one.temperature) for one in periods if one.temperature is not None]))
+            if self._heated
+            else None
+        )
+        self._notes: list[str] = []
+        self._judge_spans()
+
+    def _own_columns(self) -> FloatArray:
+        """(R, o) inertia and gravity of each period, 0 in the rows of the others."""
+        blocks = [one.filtered(np.concatenate([one.acceleration[None], one.gravity])) for one in self._periods]
+        own = np.zeros((len(self._torque), sum(len(block) for block in blocks)))
+        row = column = 0
+        for block in blocks:
+            own[row : row + block.shape[1], column : column + len(block)] = block.T
+            row, column = row + block.shape[1], column + len(block)
+        return own
+
+    def _sample_index(self) -> npt.NDArray[np.int64]:
+        """(R,) samples counted along the motion, repeated ones alike, without holes."""
+        phases = np.concatenate([one.phase[one.counted] for one in self._periods])
+        return np.asarray(np.unique(phases, return_inverse=True)[1])
+
+    def _judge_spans(self) -> None:
+        """Whether temperature and load vary enough for their terms."""
+        load = self.load_span
+        self.loads = load.width >= self.least_load_span > 0.0
+        if not self.loads:
+            self._notes.append(
+                f"no load term: the load torque varies by {load.width:.3g} N·m, at least {self.least_load_span:.3g} "
+                "are needed (record other poses, or a weight on the tool)"
+            )
+        width = 0.0 if self.temperature is None else self.temperature.width
+        self.slope, self.curvature = width >= LEAST_TEMPERATURE_SPAN, width >= LEAST_CURVATURE_SPAN
+        if not self._heated:
+            self._notes.append("no temperature term: the temperature was not recorded")
+        elif not self.slope:
+            self._notes.append(
+                f"no temperature term: the temperature spans {width:.3g} K, at least {LEAST_TEMPERATURE_SPAN:g} are "
+                "needed (repeat the sweep from a cold start)"
+            )
+
+    @property
+    def load_span(self) -> Span:
+        """Of |τ_L| over all equations."""
+        return _span(
+            np.abs(np.concatenate([one.sampled(load) for one, load in zip(self._periods, self._load, strict=True)]))
+        )
+
+    def kinds(self, terms: FrictionTerms) -> tuple[Quantity, ...]:
+        """Friction columns for these terms."""
+        further: list[Quantity] = []
+        if terms.stribeck[0]:
+            further.append("stribeck")
+        if terms.load[0] != "none":
+            further.append("load")
+        if terms.temperature[0] != "none":
+            further += TEMPERATURE_KINDS[: 3 if terms.temperature[0] == "full" else 2]
+        if terms.sensitivities:
+            further += ["exponent"] if terms.free_exponent[0] else []
+            further += ["stribeck_velocity"] if terms.free_stribeck_velocity[0] else []
+        return (*self._base, *further)
+
+    def columns(self, candidates: Sequence[Candidate]) -> FloatArray:
+        """(R, k) filtered friction columns."""
+        stacked = []
+        for one, load in zip(self._periods, self._load, strict=True):
+            conditions = FrictionConditions(load[None], None if one.temperature is None else one.temperature[None])
+            signals = np.array(
+                [
+                    friction_signal(self._model, candidate.quantity, candidate.shape, one.velocity, conditions)
+                    for candidate in candidates
+                ]
+            )
+            stacked.append(one.filtered(signals).T)
+        return np.concatenate(stacked)
+
+    def solve(self, terms: FrictionTerms) -> _Solved:
+        """Least squares of all parameters.
+
+        Raises:
+            IdentificationError: columns depend on each other.
+        """
+        kinds = self.kinds(terms)
+        columns = np.concatenate(
+            [self._own, self.columns([Candidate(kind, shape_of(terms, kind)) for kind in kinds])], 1
+        )
+        scale = np.linalg.norm(columns, axis=0)
+        if np.any(scale == 0.0) or np.linalg.cond(columns / scale) > 1e8:
+            raise IdentificationError(
+                f"the movements of {self._name} do not tell its friction terms apart", hint="sweep more speeds"
+            )
+        parameters = np.linalg.lstsq(columns / scale, self._torque, rcond=None)[0] / scale
+        return _Solved(terms, columns, parameters, self._torque - columns @ parameters, self._own.shape[1], kinds)
+
+    def _load_of(self, solved: _Solved) -> list[FloatArray]:
+        """Gravity torque (N,) of each period by the estimated first moments."""
+        found, place = [], 0
+        for one in self._periods:
+            place += 1
+            values = solved.parameters[place : place + len(one.gravity)]
+            found.append(values @ one.gravity if not self._prismatic else values[0] * one.gravity[0])
+            place += len(one.gravity)
+        return found
+
+    def search(self, base: FrictionTerms) -> FrictionSearch:
+        """Choices among the candidates that the spans allow and some terms lack, beside these."""
+        solved = self.solve(base)
+        greatest = max(float(np.max(np.abs(one.velocity))) for one in self._periods)
+        heat = TEMPERATURE_KINDS[: self.slope * (2 + self.curvature)]
+        groups: tuple[tuple[bool, list[Candidate]], ...] = (
+            (base.exponent[0] == 1.0, [Candidate("viscous", exponent) for exponent in EXPONENTS]),
+            (not base.stribeck[0], [Candidate("stribeck", share * greatest) for share in STRIBECK_SHARES]),
+            (self.loads and base.load[0] == "none", [Candidate("load", 1.0), Candidate("load", 2.0)]),
+            (base.temperature[0] == "none", [Candidate(kind) for kind in heat]),
+        )
+        candidates = tuple(one for wanted, group in groups if wanted for one in group)
+        further = [self.columns(candidates)] if candidates else []
+        stacked = np.concatenate([solved.columns, *further, self._torque[:, None]], axis=1)
+        count = int(self._index.max()) + 1
+        fold = self._index * (FOLDS * SHARES_OF_A_FOLD) // count % FOLDS
+        grams = np.array([stacked[fold == part].T @ stacked[fold == part] for part in range(FOLDS)])
+        rows = np.bincount(fold, minlength=FOLDS).astype(np.float64)[:, None]
+        width = solved.columns.shape[1]
+        viscous = solved.own + solved.kinds.index("viscous") if "viscous" in solved.kinds else None
+        share = independent_share(self.autocorrelation(solved)) * count / len(self._index)
+        return FrictionSearch(
+            CandidateGrams((candidates,), (tuple(range(width)),), (grams,), rows, width),
+            range(width),
+            [viscous],
+            [0],
+            np.array([share]),
+        )
+
+    def chosen(self) -> tuple[FrictionTerms, tuple[FrictionStep, ...]]:
+        """Terms by held-out error and F-test."""
+        terms, steps = no_terms(1), []
+        while True:
+            search = self.search(terms)
+            steps += search.choose(0, self._name)
+            while search.revise(0):
+                steps += search.choose(0, self._name)
+            found = search.terms(terms)
+            if found == terms:
+                return terms, tuple(steps)
+            terms = self._without_curvature(found)  # with its shapes and load torque, others may count
+
+    def _without_curvature(self, terms: FrictionTerms) -> FrictionTerms:
+        """The terms settled, that of the temperature linear where its curvature is not significant."""
+        settled = self.settled(terms)[0]
+        if terms.temperature[0] != "full":
+            return settled.terms
+        values, covariance, kinds = self._estimated(settled)
+        place = kinds.index("temperature_curvature")
+        significant = abs(values[place]) > WITHIN_95_PERCENT * np.sqrt(covariance[place, place])
+        return settled.terms if significant else replace(settled.terms, temperature=("linear",))
+
+    def given(self, section: Friction, text: str) -> tuple[FrictionTerms, tuple[FrictionStep, ...]]:
+        """The terms of a text that the spans allow, free shapes from the best of a grid."""
+        terms = friction_terms(chosen_friction(section, text), (self._name,)) or no_terms(1)
+        terms = replace(
+            terms,
+            load=terms.load if self.loads else ("none",),
+            temperature=self._possible(terms.temperature[0]),
+        )
+        if not terms.shaped:
+            return terms, ()
+        without = replace(
+            terms,
+            exponent=(1.0,) if terms.free_exponent[0] else terms.exponent,
+            stribeck=(terms.stribeck[0] and not terms.free_stribeck_velocity[0],),
+        )
+        search = self.search(without)
+        search.start_shapes(0, terms.free_exponent[0], terms.free_stribeck_velocity[0])
+        return search.terms(without), ()
+
+    def _possible(self, asked: TemperatureFriction) -> tuple[TemperatureFriction]:
+        """The temperature term that the span allows."""
+        if asked == "none" or not self.slope:
+            return ("none",)
+        return (asked,) if self.curvature else ("linear",)
+
+    def settled(self, terms: FrictionTerms) -> tuple[_Solved, bool]:
+        """Load torque and shapes iterated until they do not change."""
+        solved = self.solve(terms)
+        for _ in range(ROUNDS):
+            load_change = change = 0.0
+            if terms.load[0] != "none":
+                before, self._load = self._load, self._load_of(solved)
+                size = max(float(np.max(np.abs(load))) for load in self._load)
+                moves = [float(np.max(np.abs(a - b))) for a, b in zip(before, self._load, strict=True)]
+                load_change = max(moves) / size
+                solved = self.solve(terms)
+            if terms.shaped:
+                solved, change = self._step(solved)
+                terms = solved.terms
+            if load_change < LOAD_TOLERANCE and change < SHAPE_TOLERANCE:
+                return solved, True
+        return solved, False
+
+    def _step(self, solved: _Solved) -> tuple[_Solved, float]:
+        """One Gauss-Newton step of the shapes, shortened until it improves the fit; largest relative change."""
+        linear = self.solve(replace(solved.terms, sensitivities=True))
+        for share in (1.0, 0.3, 0.09, 0.027):
+            moved = moved_shapes(solved.terms, linear.value, share)
+            change = shape_change(solved.terms, moved)
+            if change < SHAPE_TOLERANCE:
+                return solved, change
+            candidate = self.solve(moved)
+            if candidate.residual @ candidate.residual <= solved.residual @ solved.residual:
+                return candidate, change
+        return solved, 0.0
+
+    def autocorrelation(self, solved: _Solved) -> FloatArray:
+        """(1,) of the residuals at lag one, within the periods."""
+        counts = [int(one.counted.sum()) for one in self._periods]
+        return lag_one([part[None] for part in np.split(solved.residual, np.cumsum(counts)[:-1])])
+
+    def _estimated(self, solved: _Solved) -> tuple[FloatArray, FloatArray, tuple[Quantity, ...]]:
+        """Friction coefficients and estimated shapes (k,), their covariance (k, k), and their kinds."""
+        linear = self.solve(replace(solved.terms, sensitivities=True)) if solved.terms.shaped else solved
+        count = int(self._index.max()) + 1
+        length = block_length(self.autocorrelation(solved), count)
+        sums = BlockSums.empty(block_count(count, length), linear.columns.shape[1])
+        for block in range(len(sums.gram)):
+            rows = self._index // length == block
+            sums.gram[block] = linear.columns[rows].T @ linear.columns[rows]
+            sums.score[block] = linear.columns[rows].T @ linear.residual[rows]
+        covariance = jackknife_covariance(tolerant_moves(sums, sums.gram.sum(axis=0)))[linear.own :, linear.own :]
+        values = solved.parameters[solved.own :].tolist()
+        for index, kind in enumerate(linear.kinds[len(solved.kinds) :], len(solved.kinds)):
+            coefficient = solved.value("viscous" if kind == "exponent" else "stribeck", 0)
+            # The parameter is the coefficient times a change of the shape.
+            covariance[index] /= coefficient or np.nan
+            covariance[:, index] /= coefficient or np.nan
+            values.append(shape_of(solved.terms, kind))
+        return np.array(values), covariance, linear.kinds
+
+    def result(self, solved: _Solved, steps: tuple[FrictionStep, ...], settled: bool) -> JointFriction:
+        """Values with their covariance, spans, and points for plots."""
+        values, covariance, kinds = self._estimated(solved)
+        own = self._own @ solved.parameters[: solved.own]
+        heat = [
+            np.full_like(one.velocity, np.nan) if one.temperature is None else one.temperature for one in self._periods
+        ]
+        return JointFriction(
+            joint=self._name,
+            terms=solved.terms,
+            kinds=kinds,
+            values=values,
+            covariance=covariance,
+            speed=_span(np.abs(self._sampled([one.velocity for one in self._periods]))),
+            temperature=self.temperature,
+            load=self.load_span,
+            least_load_span=self.least_load_span,
+            rmse=float(np.sqrt(np.mean(solved.residual**2))),
+            samples=len(solved.residual),
+            periods=len(self._periods),
+            steps=steps,
+            settled=settled,
+            notes=tuple(self._notes),
+            points=np.array(
+                [
+                    self._sampled([one.velocity for one in self._periods]),
+                    self._sampled(heat),
+                    self._sampled(self._load),
+                    self._torque - own,
+                ]
+            ),
+        )
+
+    def _sampled(self, signals: Sequence[FloatArray]) -> FloatArray:
+        return np.concatenate([one.sampled(signal) for one, signal in zip(self._periods, signals, strict=True)])
+
+
+def _span(values: FloatArray) -> Span:
+    return Span(float(values.min()), float(values.max()))

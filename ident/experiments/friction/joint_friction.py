@@ -1,0 +1,110 @@
+"""Friction of one joint as an experiment finds it, and its torque."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.identify.friction_selection import FrictionStep
+from ident.model.dynamic_model import DynamicModel
+from ident.model.friction_terms import LOAD_POWERS, FrictionConditions, FrictionTerms
+from ident.model.joint_columns import JointColumn, column_signal
+from ident.model.parameters import Quantity
+
+ALONE = ((0, 1.0),)
+"""Motion and row of the column of a joint by itself."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """From the least to the greatest value."""
+
+    least: float
+    greatest: float
+
+    @property
+    def width(self) -> float:
+        """Their difference."""
+        return self.greatest - self.least
+
+
+@dataclass(frozen=True, eq=False)
+class JointFriction:
+    """Friction of one joint, k coefficients and shapes; P points for plots.
+
+    Attributes:
+        joint: name.
+        terms: of this one motor, shapes as estimated.
+        kinds: (k,) what the values are: kinds of friction columns, and of shapes that were estimated.
+        values: (k,).
+        covariance: (k, k) corrected for autocorrelated residuals.
+        speed: [rad/s or m/s].
+        temperature: [K]; None where it was not recorded.
+        load: of the gravity torque's absolute value [N·m or N].
+        least_load_span: of it, for a load term [N·m or N].
+        rmse: of the filtered torque's residual [N·m or N].
+        samples: equations.
+        periods: number of them.
+        steps: terms that were tried.
+        settled: whether shapes and load torque converged.
+        notes: what the recordings do not tell, in words.
+        points: (4, P) velocity, temperature [K] (nan where unknown), load torque, measured friction.
+    """
+
+    joint: str
+    terms: FrictionTerms
+    kinds: tuple[Quantity, ...]
+    values: FloatArray
+    covariance: FloatArray
+    speed: Span
+    temperature: Span | None
+    load: Span
+    least_load_span: float
+    rmse: float
+    samples: int
+    periods: int
+    steps: tuple[FrictionStep, ...]
+    settled: bool
+    notes: tuple[str, ...]
+    points: FloatArray
+
+
+def friction_signal(
+    model: DynamicModel, kind: Quantity, shape: float, velocity: FloatArray, conditions: FrictionConditions
+) -> FloatArray:
+    """Signal (N,) of a friction column of one joint.
+
+    Args:
+        model: says how the sign of the velocity is smoothed.
+        kind: of the column.
+        shape: exponent or Stribeck velocity.
+        velocity: (N,) [rad/s or m/s].
+        conditions: load torque and temperature, (1, N) each.
+    """
+    column = JointColumn(kind, ALONE, ALONE, shape)
+    signal = column_signal(model, column, velocity[None], np.zeros_like(velocity)[None], conditions)
+    return np.broadcast_to(np.asarray(signal), velocity.shape)
+
+
+def friction_torque(
+    model: DynamicModel, joint: JointFriction, velocity: FloatArray, kelvin: FloatArray, load: FloatArray
+) -> FloatArray:
+    """Friction torque (N,) of a joint at velocities, temperatures [K] and load torques (N,)."""
+    conditions = FrictionConditions(load[None], kelvin[None])
+    total = np.zeros_like(velocity)
+    for kind, value in zip(joint.kinds, joint.values.tolist(), strict=True):
+        if kind not in ("exponent", "stribeck_velocity"):
+            signal = friction_signal(model, kind, shape_of(joint.terms, kind), velocity, conditions)
+            total = total + value * signal
+    return total
+
+
+def shape_of(terms: FrictionTerms, kind: Quantity) -> float:
+    """Shape of a column of one joint with these terms."""
+    if kind in ("viscous", "exponent"):
+        return terms.exponent[0]
+    if kind in ("stribeck", "stribeck_velocity"):
+        return terms.stribeck_velocity[0]
+    return LOAD_POWERS[terms.load[0]] if kind == "load" else 1.0

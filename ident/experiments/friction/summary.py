@@ -1,0 +1,116 @@
+"""From friction experiments to the result that is written to disk, and to a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from daq.recording.recording import software_versions
+from drivers.units import ZERO_CELSIUS
+from ident.experiments.friction.experiment import FrictionExperiment
+from ident.experiments.friction.joint_fit import LEAST_TEMPERATURE_SPAN
+from ident.experiments.friction.joint_friction import JointFriction
+from ident.identify.summary import PLAIN_KINDS
+from ident.model.friction_terms import LOAD_POWERS, TEMPERATURE_KINDS, temperature_coefficients
+from ident.result.friction_experiment import FrictionExperimentResult, JointFrictionExperiment, ValueRange
+from ident.result.schema import FrictionStepResult
+from ident.result.tables import Table, table_of_rows
+
+
+def friction_result(experiment: FrictionExperiment) -> FrictionExperimentResult:
+    """Output of `dynid friction --json`."""
+    data = experiment.periods.data
+    names, moved = experiment.periods.model.joint_names, {joint.joint for joint in experiment.joints}
+    search = data.delay
+    return FrictionExperimentResult(
+        robot=experiment.robot_file.robot.name,
+        recordings=list(experiment.recordings),
+        torque_origin=data.runs[0].signals.torque_origin,
+        asked=experiment.asked,
+        delay=data.choices.delay,
+        delay_note="as given, not searched" if search is None else search.note,
+        joints=[_joint_result(joint) for joint in experiment.joints],
+        friction_steps=[
+            FrictionStepResult.model_validate(step, from_attributes=True)
+            for joint in experiment.joints
+            for step in joint.steps
+        ],
+        not_moved=[name for name in names if name not in moved],
+        versions=software_versions(),
+    )
+
+
+def _joint_result(joint: JointFriction) -> JointFrictionExperiment:
+    value = dict(zip(joint.kinds, joint.values.tolist(), strict=True))
+    std = dict(zip(joint.kinds, np.sqrt(np.diag(joint.covariance)).tolist(), strict=True))
+    terms = joint.terms
+    found: dict[str, Any] = {}
+    for kind in PLAIN_KINDS:
+        found |= {kind: value.get(kind), f"{kind}_std": std.get(kind)}
+    if "viscous" in value and terms.exponent[0] != 1.0:
+        found |= {"exponent": terms.exponent[0], "exponent_std": std.get("exponent")}
+    if "stribeck" in value:
+        found |= {
+            "stribeck_velocity": terms.stribeck_velocity[0],
+            "stribeck_velocity_std": std.get("stribeck_velocity"),
+        }
+    if "load" in value:
+        found["load_power"] = LOAD_POWERS[terms.load[0]]
+    if "temperature" in value:
+        places = [joint.kinds.index(kind) for kind in TEMPERATURE_KINDS if kind in value]
+        to_beta = np.array([temperature_coefficients(*unit) for unit in np.eye(3)])[: len(places)].T
+        covariance = to_beta @ joint.covariance[np.ix_(places, places)] @ to_beta.T
+        found["temperature"] = (to_beta @ joint.values[places]).tolist()
+        found["temperature_std"] = np.sqrt(np.diag(covariance)).tolist()
+    heat = joint.temperature
+    return JointFrictionExperiment(
+        joint=joint.joint,
+        **found,
+        temperature_term=terms.temperature[0],
+        kinds=list(joint.kinds),
+        values=joint.values.tolist(),
+        covariance=np.where(np.isfinite(joint.covariance), joint.covariance, np.inf).tolist(),
+        speed_range=ValueRange.model_validate(joint.speed),
+        temperature_range=None
+        if heat is None
+        else ValueRange(least=heat.least - ZERO_CELSIUS, greatest=heat.greatest - ZERO_CELSIUS),
+        load_range=ValueRange.model_validate(joint.load),
+        least_temperature_span=LEAST_TEMPERATURE_SPAN,
+        least_load_span=joint.least_load_span,
+        rmse=joint.rmse,
+        samples=joint.samples,
+        periods=joint.periods,
+        settled=joint.settled,
+        notes=list(joint.notes),
+    )
+
+
+def friction_table(result: FrictionExperimentResult) -> Table:
+    """One row per joint: coefficients and shapes with σ, what they hold for, and the residual."""
+    named = ("coulomb", "viscous", "exponent", "offset", "stribeck", "stribeck_velocity", "load")
+    units = ("N·m", "N·m·(s/rad)^α", "", "N·m", "N·m", "rad/s", "")
+    headings = [("joint", "")]
+    for name, unit in zip(named, units, strict=True):
+        headings += [(name, unit), (f"{name}_std", unit)]
+    headings += [(name, "") for index in (1, 2, 3) for name in (f"beta{index}", f"beta{index}_std")]
+    headings += [("fastest", "rad/s"), ("coldest", "°C"), ("warmest", "°C"), ("highest_load", "N·m"), ("rmse", "N·m")]
+    rows = []
+    for joint in result.joints:
+        heat = joint.temperature_range
+        beta: Sequence[float | None] = joint.temperature or (None,) * 3
+        deviations: Sequence[float | None] = joint.temperature_std or (None,) * 3
+        rows.append(
+            (
+                joint.joint,
+                *(getattr(joint, field) for name in named for field in (name, f"{name}_std")),
+                *(cell for pair in zip(beta, deviations, strict=True) for cell in pair),
+                joint.speed_range.greatest,
+                None if heat is None else heat.least,
+                None if heat is None else heat.greatest,
+                joint.load_range.greatest,
+                joint.rmse,
+            )
+        )
+    return table_of_rows("Friction by experiment", headings, rows)

@@ -1,0 +1,193 @@
+"""Page of friction experiments: friction over speed, temperature and load (AUBO Figs. 1 and 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from drivers.units import ZERO_CELSIUS
+from ident.experiments.friction.experiment import FrictionExperiment
+from ident.experiments.friction.joint_friction import JointFriction, friction_torque
+from ident.model.dynamic_model import DynamicModel
+from ident.report.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
+from ident.report.html_file import page_templates
+from ident.report.number_text import number
+from ident.report.panels import Panel, panel_figure
+from ident.report.section import Tile
+from ident.report.traces import packed
+from ident.result.friction_experiment import FrictionExperimentResult
+
+POINTS = 1200
+"""Per panel."""
+
+CURVE_POINTS = 80
+COLUMNS = 2
+PANEL = 210
+SPEED_SHARES = (0.1, 0.3, 0.6)
+"""Speeds of the curves over temperature and load, over the greatest one."""
+
+SPEED_WINDOW = 0.15
+"""Points of a speed are within this share of it."""
+
+
+def friction_page(result: FrictionExperimentResult, experiment: FrictionExperiment) -> str:
+    """The page: coefficients, curves with the data, terms that were tried."""
+    joints, model = experiment.joints, experiment.periods.model
+    heated = [joint for joint in joints if joint.temperature is not None]
+    loaded = [joint for joint in joints if joint.load.greatest > 0.0]
+    return (
+        page_templates()
+        .get_template("friction_page.html.j2")
+        .render(
+            result=result,
+            tiles=_tiles(result),
+            speed=_figure("speed-plot", model, joints, _speed_panel, SPEED_CAPTION),
+            temperature=_figure("temperature-plot", model, heated, _temperature_panel, TEMPERATURE_CAPTION),
+            load=_figure("load-plot", model, loaded, _load_panel, LOAD_CAPTION),
+        )
+    )
+
+
+SPEED_CAPTION = (
+    "Points: measured torque minus inertia and gravity as identified, coloured by the joint's temperature where it was "
+    "recorded. Lines: friction as identified at the lowest and the highest temperature, at the mean load term."
+)
+TEMPERATURE_CAPTION = (
+    "Friction in the direction of motion over temperature at three speeds: points within 15 % of the speed, and the "
+    "model there."
+)
+LOAD_CAPTION = (
+    "Friction in the direction of motion over the load torque at three speeds: points within 15 % of the speed, and "
+    "the model there at the mean temperature."
+)
+
+
+def _tiles(result: FrictionExperimentResult) -> list[Tile]:
+    heat = [joint.temperature_range for joint in result.joints if joint.temperature_range is not None]
+    widest = max((one.greatest - one.least for one in heat), default=None)
+    return [
+        Tile("Joints", str(len(result.joints)), f"of {len(result.joints) + len(result.not_moved)}"),
+        Tile("Recordings", str(len(result.recordings))),
+        Tile("Widest range of temperature", "–" if widest is None else f"{number(widest, 3)} K"),
+        Tile("Highest load torque", f"{number(max(joint.load_range.greatest for joint in result.joints), 3)} N·m"),
+    ]
+
+
+def _figure(
+    anchor: str,
+    model: DynamicModel,
+    joints: Sequence[JointFriction],
+    panel: Callable[[DynamicModel, JointFriction, bool], Panel],
+    caption: str,
+) -> Figure | None:
+    if not joints:
+        return None
+    panels = [panel(model, joint, index == 0) for index, joint in enumerate(joints)]
+    rows = [panels[start : start + COLUMNS] for start in range(0, len(panels), COLUMNS)]
+    return panel_figure(anchor, rows, caption)
+
+
+def _sample(joint: JointFriction) -> FloatArray:
+    """(4, ≤ POINTS) of the points, at random."""
+    count = joint.points.shape[1]
+    if count <= POINTS:
+        return joint.points
+    return joint.points[:, np.sort(np.random.default_rng(0).choice(count, POINTS, replace=False))]
+
+
+def _heading(joint: JointFriction) -> str:
+    return f"<b>{plain(shortened(joint.joint, 36))}</b>"
+
+
+def _speed_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Panel:
+    velocity, heat, load, torque = _sample(joint)
+    known = joint.temperature is not None
+    scale = {"color": packed(heat - ZERO_CELSIUS), "colorscale": "Portland"} if known else {"color": MEASURED}
+    traces: list[dict[str, Any]] = [_points("data", velocity, torque, {**scale, "size": 3}, first)]
+    level = np.sqrt(np.mean(np.square(load)))
+    span = joint.temperature
+    ends = [("model", np.nan)] if span is None else [("coldest", span.least), ("warmest", span.greatest)]
+    for (name, kelvin), colour in zip(ends, (MEASURED, PREDICTED), strict=False):
+        fast = joint.speed.greatest * np.linspace(0.0, 1.0, CURVE_POINTS + 1)[1:] ** 2
+        curve = np.concatenate([-fast[::-1], [np.nan], fast])
+        torque = friction_torque(model, joint, curve, np.full_like(curve, kelvin), np.full_like(curve, level))
+        traces.append(_line(name, curve, torque, colour, first))
+    return Panel(
+        joint.joint,
+        _heading(joint),
+        traces,
+        x={"title": {"text": "velocity [rad/s]"}},
+        y={"title": {"text": "N·m"}},
+        height=PANEL,
+    )
+
+
+def _temperature_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Panel:
+    assert joint.temperature is not None
+    axis = np.linspace(joint.temperature.least, joint.temperature.greatest, CURVE_POINTS)
+    level = np.full_like(axis, np.sqrt(np.mean(np.square(joint.points[2]))))
+
+    def at(speed: float) -> tuple[FloatArray, FloatArray]:
+        return axis - ZERO_CELSIUS, friction_torque(model, joint, np.full_like(axis, speed), axis, level)
+
+    return _speeds_panel(joint, first, joint.points[1] - ZERO_CELSIUS, at, "temperature [°C]")
+
+
+def _load_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Panel:
+    axis = np.linspace(joint.load.least, joint.load.greatest, CURVE_POINTS)
+    heat = np.full_like(axis, np.mean(joint.points[1]))
+
+    def at(speed: float) -> tuple[FloatArray, FloatArray]:
+        return axis, friction_torque(model, joint, np.full_like(axis, speed), heat, axis)
+
+    return _speeds_panel(joint, first, np.abs(joint.points[2]), at, "|load torque| [N·m]")
+
+
+def _speeds_panel(
+    joint: JointFriction,
+    first: bool,
+    abscissa: FloatArray,
+    curve: Callable[[float], tuple[FloatArray, FloatArray]],
+    title: str,
+) -> Panel:
+    """Points and curves at some speeds; friction without the offset, in the direction of motion."""
+    velocity, torque = joint.points[0], joint.points[3]
+    offset = joint.values[joint.kinds.index("offset")] if "offset" in joint.kinds else 0.0
+    dissipated = np.sign(velocity) * (torque - offset)
+    traces: list[dict[str, Any]] = []
+    for share, colour in zip(SPEED_SHARES, SERIES_COLOURS, strict=False):
+        speed = share * joint.speed.greatest
+        near = np.flatnonzero(np.abs(np.abs(velocity) - speed) < SPEED_WINDOW * speed)
+        if len(near) > POINTS // 3:
+            near = np.sort(np.random.default_rng(0).choice(near, POINTS // 3, replace=False))
+        x, model = curve(speed)
+        name = f"{percent(share)} of the greatest speed"
+        traces.append(_points(name, abscissa[near], dissipated[near], {"color": colour, "size": 3}, False))
+        traces.append(_line(name, x, model - offset, colour, first))
+    return Panel(
+        joint.joint, _heading(joint), traces, x={"title": {"text": title}}, y={"title": {"text": "N·m"}}, height=PANEL
+    )
+
+
+def percent(share: float) -> str:
+    """A share that is a round number of per cent."""
+    return f"{100 * share:.0f} %"
+
+
+def _points(name: str, x: FloatArray, y: FloatArray, marker: dict[str, Any], shown: bool) -> dict[str, Any]:
+    return {
+        "type": "scatter", "mode": "markers", "name": name, "legendgroup": name, "showlegend": shown,
+        "x": packed(x), "y": packed(y), "marker": {"opacity": 0.5, **marker},
+        "hovertemplate": "%{x:.3g}<br>%{y:.3g} N·m<extra></extra>",
+    }  # fmt: skip
+
+
+def _line(name: str, x: FloatArray, y: FloatArray, colour: str, shown: bool) -> dict[str, Any]:
+    return {
+        "type": "scatter", "mode": "lines", "name": name, "legendgroup": name, "showlegend": shown,
+        "x": packed(x), "y": packed(y), "line": {"color": colour, "width": 2},
+        "hovertemplate": "%{x:.3g}<br>%{y:.3g} N·m<extra></extra>",
+    }  # fmt: skip

@@ -1,0 +1,105 @@
+"""Friction experiments in one call."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+
+from daq.commands.console import json_text
+from daq.output_files import REPORT_FILE, write_folder
+from daq.robot.loader import RobotFile, load_robot
+from ident.experiments.friction.experiment import FrictionExperiment, analyse_friction
+from ident.experiments.friction.summary import friction_result, friction_table
+from ident.identify.friction_choice import AUTO
+from ident.identify.preparation import Progress
+from ident.report.friction_page import friction_page
+from ident.result.friction_experiment import FRICTION_FILE, FrictionExperimentResult
+from ident.result.tables import Table
+from ident.tasks.runs import Runs, recordings_of
+
+
+@dataclass(frozen=True)
+class IdentifiedFriction:
+    """Friction of an arm's joints by experiment.
+
+    Attributes:
+        experiment: all of its figures and data.
+
+    Example:
+        >>> import dynid
+        >>> dynid.IdentifiedFriction.table.__doc__.split(":")[0]
+        'One row per joint'
+    """
+
+    experiment: FrictionExperiment
+
+    @cached_property
+    def result(self) -> FrictionExperimentResult:
+        """What `friction.json` holds."""
+        return friction_result(self.experiment)
+
+    @property
+    def table(self) -> Table:
+        """One row per joint: coefficients and shapes with their σ, the ranges that they hold for, residual RMS."""
+        return friction_table(self.result)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the recordings do not tell."""
+        return tuple(self.result.warnings)
+
+    def to_json(self) -> str:
+        """Output of `dynid friction --json`."""
+        return json_text(self.result.model_dump())
+
+    def save(self, folder: str | PathLike[str]) -> None:
+        """Write `friction.json` and `report.html` into a folder, as `dynid friction -o` does; replaces those in it.
+
+        Raises:
+            UsageError: it is a file, or cannot be written.
+            DiskError: the disk is full or fails.
+        """
+        page = friction_page(self.result, self.experiment)
+        write_folder(Path(folder), {FRICTION_FILE: self.to_json() + "\n", REPORT_FILE: page})
+
+    def __str__(self) -> str:
+        return "\n".join([str(self.table), *(f"warning: {warning}" for warning in self.warnings)])
+
+    def _repr_html_(self) -> str:
+        return self.table._repr_html_()
+
+
+def friction(
+    runs: Runs,
+    *,
+    friction: str = AUTO,
+    robot: str | Path | RobotFile | None = None,
+    delay: float | None = None,
+    progress: Progress = lambda step: None,
+) -> IdentifiedFriction:
+    """Identify the friction of single joints from recordings in which one joint moves at a time (AUBO §2.2).
+
+    Each movement has its own gravity and inertia, so that poses and weights on the tool may differ.
+
+    Args:
+        runs: a recording, or several of one arm; each read already or a path.
+        friction: terms as `identify` takes them, such as "coulomb-viscous+power+temperature"; or "auto", which chooses
+            those of each joint by held-out error. Temperature and load terms need recordings that span enough.
+        robot: in place of the first recording's own robot file.
+        delay: of the torque behind the position [s]; searched where None.
+        progress: called with the name of each step before it begins.
+
+    Raises:
+        InputError: invalid recordings or options; loops or coupled motors; no joint that moves alone.
+        IdentificationError: the movements do not tell the terms apart.
+
+    Example:
+        >>> import dynid
+        >>> dynid.friction("sweep.h5")
+        Traceback (most recent call last):
+        drivers.errors.RecordingError: sweep.h5: no such file
+    """
+    robot_file = None if robot is None else load_robot(robot)
+    return IdentifiedFriction(analyse_friction(recordings_of(runs), friction, robot_file, delay, progress))
