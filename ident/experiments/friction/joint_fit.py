@@ -3,7 +3,9 @@
 Every period has its own inertia and first moments (`single_joint`); friction is common to all. Terms and shapes are
 found as in an identification (`ident.identify.friction_selection`, `friction_fit`): by held-out error and partial
 F-test, by variable projection; the load torque is the gravity torque of the fit before (AUBO eq. 18). The covariance is
-a delete-block jackknife of all parameters together, shapes included to first order.
+a delete-block jackknife of all parameters together, shapes and the load torque's dependence on the first moments
+included to first order. Errors repeat themselves along the motion (friction that the terms do not have) and along the
+position (torque ripple): of blocks of either kind, those count that give a parameter the larger variance.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ from ident.model.friction_terms import (
 from ident.model.parameters import Quantity
 from ident.regression.autocorrelation import independent_share, lag_one
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.regression.jackknife import BlockSums, block_count, block_length, jackknife_covariance, tolerant_moves
+from ident.regression.jackknife import BlockSums, block_length, jackknife_covariance, tolerant_moves
 
 LEAST_TEMPERATURE_SPAN = 5.0
 LEAST_CURVATURE_SPAN = 15.0
@@ -55,6 +57,9 @@ LEAST_CURVATURE_SPAN = 15.0
 LEAST_LOAD_SHARE = 0.5
 """The load torque must vary by this times the Coulomb friction: gears lose some per cent of the torque that they carry,
 so that with less the friction changes by less than what the other terms are wrong by."""
+
+POSITION_BLOCKS = 24
+"""Blocks of the jackknife over positions."""
 
 SHARES_OF_A_FOLD = 4
 """Parts of a fold, spread over the motion: each fold has slow and fast strokes."""
@@ -339,14 +344,14 @@ class _JointFit:
     def _estimated(self, solved: _Solved) -> tuple[FloatArray, FloatArray, tuple[Quantity, ...]]:
         """Friction coefficients and estimated shapes (k,), their covariance (k, k), and their kinds."""
         linear = self.solve(replace(solved.terms, sensitivities=True)) if solved.terms.shaped else solved
+        columns = linear.columns.copy()
+        columns[:, : linear.own] += self._load_slopes(solved)
         count = int(self._index.max()) + 1
         length = block_length(self.autocorrelation(solved), count)
-        sums = BlockSums.empty(block_count(count, length), linear.columns.shape[1])
-        for block in range(len(sums.gram)):
-            rows = self._index // length == block
-            sums.gram[block] = linear.columns[rows].T @ linear.columns[rows]
-            sums.score[block] = linear.columns[rows].T @ linear.residual[rows]
-        covariance = jackknife_covariance(tolerant_moves(sums, sums.gram.sum(axis=0)))[linear.own :, linear.own :]
+        along_motion = _jackknife(columns, linear.residual, self._index // length)
+        covariance = _jackknife(columns, linear.residual, self._position_blocks())
+        factor = np.sqrt(np.maximum(1.0, np.diag(along_motion) / np.diag(covariance)))
+        covariance = (covariance * np.outer(factor, factor))[linear.own :, linear.own :]
         values = solved.parameters[solved.own :].tolist()
         for index, kind in enumerate(linear.kinds[len(solved.kinds) :], len(solved.kinds)):
             coefficient = solved.value("viscous" if kind == "exponent" else "stribeck", 0)
@@ -355,6 +360,27 @@ class _JointFit:
             covariance[:, index] /= coefficient or np.nan
             values.append(shape_of(solved.terms, kind))
         return np.array(values), covariance, linear.kinds
+
+    def _load_slopes(self, solved: _Solved) -> FloatArray:
+        """(R, o) by how much load friction changes with the inertia and gravity parameters of the periods."""
+        coefficient, power = solved.value("load", 0), shape_of(solved.terms, "load")
+        slopes = np.zeros_like(self._own)
+        if coefficient is None:
+            return slopes
+        row = column = 0
+        for one, load in zip(self._periods, self._load, strict=True):
+            steepness = coefficient * power * np.abs(load) ** (power - 1.0) * np.sign(load)
+            block = one.filtered(self._model.coulomb_direction(one.velocity) * steepness * one.gravity)
+            column += 1  # the inertia's
+            slopes[row : row + block.shape[1], column : column + len(block)] = block.T
+            row, column = row + block.shape[1], column + len(block)
+        return slopes
+
+    def _position_blocks(self) -> npt.NDArray[np.int64]:
+        """(R,) block of each equation by the joint's position: torque ripple is the same in every stroke."""
+        position = self._sampled([one.position for one in self._periods])
+        width = np.ptp(position) / POSITION_BLOCKS
+        return np.asarray(np.minimum((position - position.min()) // width, POSITION_BLOCKS - 1), dtype=np.int64)
 
     def result(self, solved: _Solved, steps: tuple[FrictionStep, ...], settled: bool) -> JointFriction:
         """Values with their covariance, spans, and points for plots."""
@@ -391,6 +417,16 @@ class _JointFit:
 
     def _sampled(self, signals: Sequence[FloatArray]) -> FloatArray:
         return np.concatenate([one.sampled(signal) for one, signal in zip(self._periods, signals, strict=True)])
+
+
+def _jackknife(columns: FloatArray, residual: FloatArray, block: npt.NDArray[np.int64]) -> FloatArray:
+    """Delete-block covariance (p, p) of a least-squares solution with columns (R, p); R blocks by their numbers."""
+    sums = BlockSums.empty(int(block.max()) + 1, columns.shape[1])
+    for index in range(len(sums.gram)):
+        rows = block == index
+        sums.gram[index] = columns[rows].T @ columns[rows]
+        sums.score[index] = columns[rows].T @ residual[rows]
+    return jackknife_covariance(tolerant_moves(sums, sums.gram.sum(axis=0)))
 
 
 def _span(values: FloatArray) -> Span:

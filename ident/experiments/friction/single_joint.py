@@ -51,7 +51,7 @@ class JointPeriod:
 
     Attributes:
         recording: index of its recording.
-        velocity, acceleration, torque: (N,) of the joint [rad/s or m/s, rad/s² or m/s², N·m or N].
+        position, velocity, acceleration, torque: (N,) of the joint [rad, rad/s, rad/s², N·m or m, m/s, m/s², N].
         gravity: (g, N) columns of the gravity torque; g is 0 where gravity does not act.
         temperature: (N,) of the joint [K]; None where it was not recorded.
         parallel_filter: for torque and columns.
@@ -60,6 +60,7 @@ class JointPeriod:
     """
 
     recording: int
+    position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
     torque: FloatArray
@@ -155,6 +156,7 @@ def _of_segment(
         heat = None if segment.temperature is None else segment.temperature[joint, whole]
         yield JointPeriod(
             recording,
+            position[joint],
             velocity,
             segment.acceleration[joint, whole],
             segment.torque[joint, whole],
