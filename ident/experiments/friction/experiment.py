@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from drivers.errors import UsageError
+from drivers.reading_process import Progress
 from ident.experiments.friction.joint_fit import fit_joint
 from ident.experiments.friction.joint_friction import JointFriction
 from ident.experiments.friction.single_joint import JointPeriods, joint_periods
 from ident.experiments.run_pair import check_same_robot
 from ident.identify.friction_choice import AUTO, check_friction
 from ident.identify.identification import IdentifyChoices
-from ident.identify.preparation import Progress
 from ident.signals.options import PreprocessChoices
 
 

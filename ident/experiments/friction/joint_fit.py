@@ -19,6 +19,7 @@ import numpy.typing as npt
 from daq.robot.schema import Friction, TemperatureFriction
 from drivers.errors import IdentificationError
 from drivers.streams import FloatArray
+from ident.estimators.friction_steps import LOAD_TOLERANCE, SHAPE_TOLERANCE, moved_shapes, shape_change
 from ident.experiments.friction.joint_friction import JointFriction, Span, friction_signal, shape_of
 from ident.experiments.friction.single_joint import JointPeriod
 from ident.identify.friction_candidates import (
@@ -29,13 +30,7 @@ from ident.identify.friction_candidates import (
     CandidateGrams,
 )
 from ident.identify.friction_choice import AUTO, chosen_friction, friction_columns
-from ident.identify.friction_fit import (
-    LOAD_TOLERANCE,
-    ROUNDS,
-    SHAPE_TOLERANCE,
-    moved_shapes,
-    shape_change,
-)
+from ident.identify.friction_fit import ROUNDS
 from ident.identify.friction_selection import FrictionSearch, FrictionStep
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import (

@@ -20,10 +20,11 @@ import numpy.typing as npt
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from drivers.errors import DataError
+from drivers.reading_process import Progress
 from drivers.streams import FloatArray
 from ident.identify.data_split import DataSplit, run_window
 from ident.identify.identification import IdentifyChoices
-from ident.identify.preparation import PreparedData, Progress, prepare_data
+from ident.identify.preparation import PreparedData, prepare_data
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.parameters import INERTIAL
