@@ -1,7 +1,7 @@
 """Friction experiments on a simulated AUBO i5: is the true friction within the intervals?
 
-Friction of AUBO eq. 3-6 on three joints (values of the paper's size, invented), 121 ripple periods a revolution, encoder
-and torque noise. Each seed records the sweep of `dynid sweep` in two poses, cold and warm (25.5 to 40.6 °C, an
+Friction of AUBO eq. 3-6 on three joints (values of the paper's size, invented), 121 ripple periods per revolution,
+encoder and torque noise. Each seed records the sweep of `dynid sweep` in two poses, cold and warm (25.5 to 40.6 °C, an
 exponential), and asks how often the true value lies within the 95 % interval: with the terms given, and with those that
 `auto` chose.
 
@@ -163,9 +163,8 @@ def plant_run() -> None:
         print(f"\n{joint.joint}: {heat.least:.1f} to {heat.greatest:.1f} °C, RMS {joint.rmse:.3g} N·m")
         for name, value, std in estimates(joint):
             half = WITHIN_95_PERCENT * std
-            print(
-                f"  {name:10} {value:10.4g} ± {half:8.2g}  true {truth[name]:8.4g}  {(value - truth[name]) / std:+5.1f} σ"
-            )
+            off = (value - truth[name]) / std
+            print(f"  {name:10} {value:10.4g} ± {half:8.2g}  true {truth[name]:8.4g}  {off:+5.1f} σ")
 
 
 def _approach(motion: PointToPoint, position: FloatArray) -> PointToPoint:

@@ -30,6 +30,9 @@ def identify_recordings(
     split: float = typer.Option(None, "--split", help="Identify on the first SECONDS, validate on the rest."),
     robot: str = typer.Option(None, "--robot", help="Robot file in place of the recording's own."),
     friction: str = typer.Option(None, "--friction", help="coulomb-viscous+stribeck+load, …, or auto; see docs."),
+    friction_from: Path = typer.Option(
+        None, "--friction-from", help="Folder or friction.json of dynid friction: terms, shapes, temperature terms."
+    ),
     offset: bool = typer.Option(None, "--offset/--no-offset", help="A constant torque per joint."),
     motor_inertia: bool = typer.Option(None, "--motor-inertia/--no-motor-inertia", help="Columns for motor inertia."),
     smoothing: float = typer.Option(None, "--smoothing", help="ε [rad/s] of tanh(q̇/ε) in place of sign(q̇)."),
@@ -79,10 +82,12 @@ def identify_recordings(
     from daq.robot.loader import load_robot
     from ident.commands.options import delay_option, limits_option, names_option
     from ident.commands.print_result import print_result
+    from ident.result.friction_experiment import friction_path
     from ident.tasks.identification import identify
 
     folder = out if out is not None else Path(f"{recordings[0].stem}-model")
-    inputs = [*recordings, *validate_with, accept, *(load_robot(robot).files if robot else ())]
+    experiment = None if friction_from is None else friction_path(friction_from)
+    inputs = [*recordings, *validate_with, accept, experiment, *(load_robot(robot).files if robot else ())]
     check_output_folder(folder, (RESULT_FILE, REPORT_FILE), inputs, overwrite=force)
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
     with progress_line(quiet=as_json) as progress:
@@ -93,6 +98,7 @@ def identify_recordings(
             method=method,
             split=split,
             friction=friction,
+            friction_from=friction_from,
             offset=offset,
             motor_inertia=motor_inertia,
             smoothing=smoothing,

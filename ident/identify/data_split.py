@@ -12,6 +12,7 @@ from daq.robot.schema import Robot
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.assessment.validation import HELD_OUT_SHARE
+from ident.identify.held_friction import HeldFriction
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.played_motion import played_window
@@ -41,20 +42,33 @@ class RunWindow:
     @property
     def position(self) -> FloatArray:
         """Positions (N, n) within the window, as recorded; all of them where it holds none [rad or m]."""
+        return self._within(self.signals.position)
+
+    @property
+    def temperature(self) -> FloatArray | None:
+        """Temperatures (N, n) within the window [K], nan for joints without a sensor; None where none was recorded."""
+        return None if self.signals.temperature is None else self._within(self.signals.temperature)
+
+    def _within(self, values: FloatArray) -> FloatArray:
         time = self.signals.time - self.signals.time[:1]
         inside = (time >= (-np.inf if self.start is None else self.start)) & (
             time <= (np.inf if self.stop is None else self.stop)
         )
-        return self.signals.position[inside] if inside.any() else self.signals.position
+        return values[inside] if inside.any() else values
 
 
 @dataclass(frozen=True)
 class DataSplit:
-    """Recordings to identify from, recordings that are held out, and these in words."""
+    """Recordings to identify from, recordings that are held out, and these in words.
+
+    Attributes:
+        held: friction that is known beforehand, in all of them; None where none is.
+    """
 
     identification: tuple[RunWindow, ...]
     held_out: tuple[RunWindow, ...]
     validation_source: str
+    held: HeldFriction | None = None
 
 
 def split_data(

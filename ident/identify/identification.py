@@ -19,6 +19,7 @@ from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.estimators.method_choice import MethodChoice, chosen_method
 from ident.identify.friction.choice import check_friction, chosen_friction, friction_columns
 from ident.identify.friction.selection import FrictionStep
+from ident.identify.held_friction import HeldFriction, experiment_terms
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import friction_terms
@@ -30,6 +31,7 @@ from ident.regression.observability import Experiment, ExperimentChoices
 from ident.regression.observation_matrix import Reduction
 from ident.regression.pruning import SIGNIFICANT_RSD, Pruned
 from ident.regression.velocity_reversals import REVERSAL_SHARE, check_share
+from ident.result.friction_experiment import FrictionExperimentResult
 from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared
@@ -46,14 +48,18 @@ class ModelChoices:
         offset: whether every joint has an offset torque.
         motor_inertia: whether every joint has a motor inertia.
         smoothing: ε [rad/s] of tanh(q̇/ε); 0 for sign(q̇).
+        friction_from: friction experiment whose terms and shapes hold, and what the recordings cannot tell.
     """
 
     friction: str | None = None
     offset: bool | None = None
     motor_inertia: bool | None = None
     smoothing: float | None = None
+    friction_from: FrictionExperimentResult | None = None
 
     def __post_init__(self) -> None:
+        if self.friction is not None and self.friction_from is not None:
+            raise UsageError("--friction and --friction-from exclude each other", hint="the experiment has the terms")
         if self.friction is not None:
             check_friction(self.friction)
 
@@ -114,6 +120,9 @@ def apply_model_choices(model: DynamicModel, choices: ModelChoices, friction: Fr
     model = replace(model, terms=friction_terms(section, model.joint_names))
     everywhere, nowhere = (True,) * model.dof, (False,) * model.dof
     changes: dict[str, tuple[bool, ...]] = {}
+    if choices.friction_from is not None:
+        model = replace(model, terms=experiment_terms(choices.friction_from, model.name, model.joint_names))
+        changes |= {"viscous": everywhere, "coulomb": everywhere}
     if choices.friction is not None:
         for column in ("viscous", "coulomb"):
             changes[column] = everywhere if column in friction_columns(choices.friction) else nowhere
@@ -203,6 +212,7 @@ class Identification:
         checks: that were raised.
         friction: what was found of the friction before the regression.
         shape_std: σ of the friction's free shapes, by kind of their sensitivity and motor.
+        held: friction held at an experiment's values, in no parameter above; None without an experiment.
     """
 
     robot_file: RobotFile
@@ -228,6 +238,7 @@ class Identification:
     checks: tuple[Check, ...]
     friction: FrictionFit
     shape_std: dict[tuple[str, int], float]
+    held: HeldFriction | None = None
 
     @property
     def solution(self) -> LeastSquares:

@@ -20,6 +20,7 @@ from ident.identify.checks import identification_checks
 from ident.identify.data_split import split_data
 from ident.identify.friction.shapes import with_free_shapes
 from ident.identify.friction_fit import fit_friction
+from ident.identify.held_friction import hold_temperatures
 from ident.identify.identification import (
     ConsistentFit,
     Identification,
@@ -67,6 +68,10 @@ def identify(
     robot_file = recordings[0].robot() if robot_file is None else robot_file
     model = apply_model_choices(build_model(robot_file), choices.model, robot_file.robot.friction)
     data = split_data(recordings, validation, robot_file.robot, choices.preprocess, choices.split)
+    if choices.model.friction_from is not None:
+        temperatures = [(run.signals.label, run.temperature) for run in data.identification]
+        model, held = hold_temperatures(model, choices.model.friction_from, temperatures)
+        data = replace(data, held=held)
 
     progress("base parameters")
     positions = [(run.signals.label, run.position) for run in data.identification]
@@ -150,6 +155,7 @@ def identify(
         checks=(),
         friction=replace(friction, model=model),
         shape_std=shape_std,
+        held=data.held,
     )
 
     progress("plausibility")

@@ -9,6 +9,7 @@ from drivers.reading_process import Progress
 from drivers.streams import FloatArray
 from ident.assessment.delay.delay import DelaySearch, search_delay
 from ident.identify.data_split import DataSplit, RunWindow
+from ident.identify.held_friction import HeldFriction
 from ident.identify.identification import IdentifyChoices, PreparedRun
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
@@ -52,19 +53,19 @@ def prepare_data(
         choices: the user's.
         progress: called before the search for the delay.
     """
-    first = _prepare_run(kernel, data.identification[0], choices.preprocess, torques).prepared
+    first = _prepare_run(kernel, data.identification[0], choices.preprocess, torques, data.held).prepared
     resolved, delay = first.choices, None
     if choices.search_delay:
         progress("delay")
         delay = search_delay(kernel, first.segments, first.parallel_filter, torques)
         resolved = replace(resolved, delay=delay.used, joint_delays=delay.joint_delays)
-    runs = [_prepare_run(kernel, run, resolved, torques) for run in data.identification]
+    runs = [_prepare_run(kernel, run, resolved, torques, data.held) for run in data.identification]
     return PreparedData(
         runs=tuple(
             replace(run, prepared=leave_out_reversals(kernel, run.prepared, choices.reversal_share)) for run in runs
         ),
         validation_runs=tuple(
-            _prepare_run(kernel, run, resolved, predictable)
+            _prepare_run(kernel, run, resolved, predictable, data.held)
             for run, predictable in zip(data.held_out, held_out_torques, strict=True)
         ),
         delay=delay,
@@ -73,7 +74,11 @@ def prepare_data(
 
 
 def _prepare_run(
-    kernel: RegressorKernel, run: RunWindow, resolved: PreprocessChoices, torques: Sequence[int]
+    kernel: RegressorKernel,
+    run: RunWindow,
+    resolved: PreprocessChoices,
+    torques: Sequence[int],
+    held: HeldFriction | None,
 ) -> PreparedRun:
     choices = replace(resolved, start=run.start, stop=run.stop)
     temperature = run.signals.temperature
@@ -82,6 +87,9 @@ def _prepare_run(
     if run.played:
         steps = (_played(step) if step.name == "window" else step for step in prepared.steps)
         prepared = replace(prepared, steps=tuple(steps))
+    if held is not None:
+        held.model.require_temperature(None if temperature is None else temperature.T, run.signals.label)
+        prepared = held.taken_off(prepared)
     return PreparedRun(run.signals, choices, prepared, tuple(torques))
 
 

@@ -17,6 +17,7 @@ from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.delay.delay import DelaySearch
 from ident.identify.convergence import convergence_result
+from ident.identify.held_result import with_held_friction
 from ident.identify.identification import ConsistentFit, Identification, PreparedRun
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
@@ -63,7 +64,7 @@ def summarise(
     lengths = np.linalg.norm(factor, axis=0)
     held_out = validation or recordings  # without validation recordings, their last parts
     used = [model.joint_names[motor] for motor in identification.experiment.torques]
-    return Result(
+    result = Result(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         robot=robot.name,
         robot_file=identification.robot_file.text,
@@ -156,6 +157,7 @@ def summarise(
         estimate=estimate_result(identification.estimate, base.names),
         convergence=convergence_result(identification),
     )
+    return with_held_friction(result, identification)
 
 
 def _not_simulated(consistent: ConsistentFit) -> str:

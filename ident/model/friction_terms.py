@@ -28,6 +28,10 @@ from ident.model.parameters import Kind, Quantity
 REFERENCE_TEMPERATURE = 298.15
 """T0 [K]."""
 
+LEAST_TEMPERATURE_SPAN = 5.0
+LEAST_CURVATURE_SPAN = 15.0
+"""Temperatures of a joint must differ by these [K] to tell its slope, and AUBO eq. 5 with its curvature."""
+
 SLOWEST = 1e-3
 """Speed [rad/s or m/s] below which the slopes of |q̇|^α and √|q̇|, unbounded at rest, are those at this speed."""
 

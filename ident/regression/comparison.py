@@ -62,11 +62,13 @@ def compare_torques(
     for segment in segments:
         every = slice(None, None, parallel_filter.factor)
         motion = (segment.position, segment.velocity, segment.acceleration)
-        predicted = model_torque(model, columns, parameters, *motion, segment.temperature)
+        predicted, measured = model_torque(model, columns, parameters, *motion, segment.temperature), segment.torque
+        if segment.known_torque is not None:
+            predicted, measured = predicted + segment.known_torque, measured + segment.known_torque
         series.append(
             TorqueSeries(
                 time=segment.time[every],
-                measured=parallel_filter.apply(segment.torque),
+                measured=parallel_filter.apply(measured),
                 predicted=parallel_filter.apply(predicted),
                 velocity=segment.velocity[:, every],
                 used=segment.used[every],

@@ -12,12 +12,12 @@ from drivers.units import ZERO_CELSIUS
 from ident.experiments.friction.experiment import FrictionExperiment
 from ident.experiments.friction.joint_friction import JointFriction, friction_torque
 from ident.model.dynamic_model import DynamicModel
-from ident.report.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
+from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
+from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.traces import packed
 from ident.report.html_file import page_templates
 from ident.report.number_text import number
-from ident.report.panels import Panel, panel_figure
 from ident.report.section import Tile
-from ident.report.traces import packed
 from ident.result.friction_experiment import FrictionExperimentResult
 
 POINTS = 1200

@@ -111,14 +111,19 @@ class FrictionExperimentResult(BaseModel):
         return found
 
 
+def friction_path(path: str | PathLike[str]) -> Path:
+    """The friction.json that a path means: itself, or the one in a folder that `dynid friction` wrote."""
+    given = Path(path)
+    return given / FRICTION_FILE if given.is_dir() else given
+
+
 def read_friction_experiment(path: str | PathLike[str]) -> FrictionExperimentResult:
     """Read a friction.json, or that of a folder.
 
     Raises:
         ResultFileError: no such file, or it is none.
     """
-    given = Path(path)
-    file = given / FRICTION_FILE if given.is_dir() else given
+    file = friction_path(path)
     where = str(file)
     try:
         content = json.loads(read_text(file, RESULT_FILE, ResultFileError))

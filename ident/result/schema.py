@@ -83,6 +83,7 @@ class BaseParameterResult(_Part):
     essential_std: Number = Field(
         description="root of the full model's variance plus the square of what the pruning changed"
     )
+    origin: str = Field(default="", description="of a value that was held; empty where the recordings give it")
 
 
 class JointFrictionResult(_Part):
@@ -110,6 +111,7 @@ class JointFrictionResult(_Part):
     load_power: Number = Field(default=None, description="1 (linear) or 2 (quadratic)")
     temperature: list[Value] | None = Field(default=None, description="β1, β2, β3 of AUBO eq. 5, T in kelvin")
     temperature_std: list[Number] | None = None
+    temperature_origin: str = Field(default="", description="of values that were held; empty otherwise")
 
     @property
     def terms_text(self) -> str:
@@ -124,7 +126,8 @@ class JointFrictionResult(_Part):
             power = "²" if self.load_power == 2.0 else ""
             parts.append(f"load {_with_interval(self.load, self.load_std)} ·|τ_L|{power}")
         if self.temperature is not None:
-            parts.append("β " + ", ".join(f"{value:.4g}" for value in self.temperature))
+            held = f" (held, {self.temperature_origin})" if self.temperature_origin else ""
+            parts.append("β " + ", ".join(f"{value:.4g}" for value in self.temperature) + held)
         return "; ".join(parts)
 
 

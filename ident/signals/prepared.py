@@ -46,6 +46,7 @@ class Segment:
         resting: (n, N) motors at rest, among those of `reversing`; their torque is not compared with a prediction
             either (see `velocity_reversals`). None where not determined.
         temperature: (n, N) of the joints [K], nan for joints without a sensor; None where none was recorded.
+        known_torque: (n, N) friction known beforehand, which was taken off `torque` [N·m or N]; None where none was.
     """
 
     time: FloatArray
@@ -58,6 +59,7 @@ class Segment:
     reversing: npt.NDArray[np.bool_] | None = None
     resting: npt.NDArray[np.bool_] | None = None
     temperature: FloatArray | None = None
+    known_torque: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)

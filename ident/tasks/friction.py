@@ -13,7 +13,7 @@ from daq.robot.loader import RobotFile, load_robot
 from drivers.reading_process import Progress
 from ident.experiments.friction.experiment import FrictionExperiment, analyse_friction
 from ident.experiments.friction.summary import friction_result, friction_table
-from ident.identify.friction_choice import AUTO
+from ident.identify.friction.choice import AUTO
 from ident.report.friction_page import friction_page
 from ident.result.friction_experiment import FRICTION_FILE, FrictionExperimentResult
 from ident.result.tables import Table

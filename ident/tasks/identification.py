@@ -19,6 +19,7 @@ from ident.regression.comparison import TorqueSeries
 from ident.regression.observability import REST_TOLERANCE, ExperimentChoices
 from ident.regression.pruning import SIGNIFICANT_RSD
 from ident.report import RecordedRuns, ReportData, recorded_runs, write_result_folder
+from ident.result.friction_experiment import read_friction_experiment
 from ident.result.model import Model, result_path
 from ident.result.schema import Fit, Result, read_result, result_json
 from ident.result.tables import Cell, Table, table_of_rows
@@ -186,6 +187,7 @@ def identify(
     split: float | None = None,
     robot: str | Path | RobotFile | None = None,
     friction: str | None = None,
+    friction_from: str | PathLike[str] | None = None,
     offset: bool | None = None,
     motor_inertia: bool | None = None,
     smoothing: float | None = None,
@@ -222,6 +224,8 @@ def identify(
         friction: "none", "viscous", "coulomb" or "coulomb-viscous", and further terms with plus signs, as in
             "coulomb-viscous+stribeck+load" (power, stribeck, load, load-linear, temperature, temperature-linear); or
             "auto", which chooses the terms of each joint by held-out error; the robot file's where None.
+        friction_from: folder or friction.json of a friction experiment: its terms and shapes hold, and so do its
+            temperature terms where the recordings span too little temperature; the rest is estimated.
         offset: a constant torque per joint [N·m].
         motor_inertia: columns for motor inertia.
         smoothing: ε of tanh(q̇/ε) in place of sign(q̇) [rad/s].
@@ -259,9 +263,10 @@ def identify(
         True
     """
     check_significance(significance)
+    experiment = None if friction_from is None else read_friction_experiment(friction_from)
     choices = IdentifyChoices(
         method=method,
-        model=ModelChoices(friction, offset, motor_inertia, smoothing),
+        model=ModelChoices(friction, offset, motor_inertia, smoothing, experiment),
         preprocess=PreprocessChoices(
             position_cutoff=position_cutoff,
             torque_cutoff=torque_cutoff,

@@ -1,7 +1,7 @@
 """Friction of one joint from its periods: terms chosen, shapes and load torque settled, error bars.
 
 Every period has its own inertia and first moments (`single_joint`); friction is common to all. Terms and shapes are
-found as in an identification (`ident.identify.friction_selection`, `friction_fit`): by held-out error and partial
+found as in an identification (`ident.identify.friction.selection`, `friction_fit`): by held-out error and partial
 F-test, by variable projection; the load torque is the gravity torque of the fit before (AUBO eq. 18). The covariance is
 a delete-block jackknife of all parameters together, shapes and the load torque's dependence on the first moments
 included to first order. Errors repeat themselves along the motion (friction that the terms do not have) and along the
@@ -22,18 +22,20 @@ from drivers.streams import FloatArray
 from ident.estimators.friction_steps import LOAD_TOLERANCE, SHAPE_TOLERANCE, moved_shapes, shape_change
 from ident.experiments.friction.joint_friction import JointFriction, Span, friction_signal, shape_of
 from ident.experiments.friction.single_joint import JointPeriod
-from ident.identify.friction_candidates import (
+from ident.identify.friction.candidates import (
     EXPONENTS,
     FOLDS,
     STRIBECK_SHARES,
     Candidate,
     CandidateGrams,
 )
-from ident.identify.friction_choice import AUTO, chosen_friction, friction_columns
+from ident.identify.friction.choice import AUTO, chosen_friction, friction_columns
+from ident.identify.friction.selection import FrictionSearch, FrictionStep
 from ident.identify.friction_fit import ROUNDS
-from ident.identify.friction_selection import FrictionSearch, FrictionStep
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import (
+    LEAST_CURVATURE_SPAN,
+    LEAST_TEMPERATURE_SPAN,
     TEMPERATURE_KINDS,
     FrictionConditions,
     FrictionTerms,
@@ -44,10 +46,6 @@ from ident.model.parameters import Quantity
 from ident.regression.autocorrelation import independent_share, lag_one
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import BlockSums, block_length, jackknife_covariance, tolerant_moves
-
-LEAST_TEMPERATURE_SPAN = 5.0
-LEAST_CURVATURE_SPAN = 15.0
-"""Temperatures of a joint must differ by these [K] for a slope, and for AUBO eq. 5 with its curvature."""
 
 LEAST_LOAD_SHARE = 0.5
 """The load torque must vary by this times the Coulomb friction: gears lose some per cent of the torque that they carry,

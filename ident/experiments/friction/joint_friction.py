@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.streams import FloatArray
-from ident.identify.friction_selection import FrictionStep
+from ident.identify.friction.selection import FrictionStep
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import LOAD_POWERS, FrictionConditions, FrictionTerms
 from ident.model.joint_columns import JointColumn, column_signal

@@ -10,10 +10,9 @@ import numpy as np
 from daq.recording.recording import software_versions
 from drivers.units import ZERO_CELSIUS
 from ident.experiments.friction.experiment import FrictionExperiment
-from ident.experiments.friction.joint_fit import LEAST_TEMPERATURE_SPAN
 from ident.experiments.friction.joint_friction import JointFriction
 from ident.identify.summary import PLAIN_KINDS
-from ident.model.friction_terms import LOAD_POWERS, TEMPERATURE_KINDS, temperature_coefficients
+from ident.model.friction_terms import LEAST_TEMPERATURE_SPAN, LOAD_POWERS, TEMPERATURE_KINDS, temperature_coefficients
 from ident.result.friction_experiment import FrictionExperimentResult, JointFrictionExperiment, ValueRange
 from ident.result.schema import FrictionStepResult
 from ident.result.tables import Table, table_of_rows

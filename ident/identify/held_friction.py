@@ -1,0 +1,180 @@
+"""Friction from an experiment (`dynid friction`): its terms and shapes, and values that a recording cannot tell.
+
+The terms and shapes (α, v_s, power of the load) of the experiment hold for the identification. A joint's temperature
+terms need temperatures that differ; where those of the recordings do not, its values from the experiment are held: the
+torque that they make is taken off the measured one before the regression (AUBO eq. 8), and is in the model after it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.closest import did_you_mean
+from drivers.errors import DataError, UsageError
+from drivers.streams import FloatArray
+from ident.model.dynamic_model import DynamicModel
+from ident.model.friction_terms import (
+    FIRST_STRIBECK_VELOCITY,
+    LEAST_CURVATURE_SPAN,
+    LEAST_TEMPERATURE_SPAN,
+    TEMPERATURE_KINDS,
+    FrictionConditions,
+    FrictionTerms,
+)
+from ident.model.joint_columns import column_signal, joint_column
+from ident.model.parameters import KIND_SYMBOLS, Quantity, StandardParameter
+from ident.result.friction_experiment import FrictionExperimentResult, JointFrictionExperiment
+from ident.signals.prepared import Prepared, Segment, Step
+
+
+@dataclass(frozen=True, eq=False)
+class HeldJoint:
+    """Temperature terms of one motor, m coefficients.
+
+    Attributes:
+        motor: its index.
+        kinds: of the columns.
+        values: (m,).
+        covariance: (m, m) by the experiment.
+        term: "linear" or "full".
+        span: of the recordings' temperatures [K].
+    """
+
+    motor: int
+    kinds: tuple[Quantity, ...]
+    values: FloatArray
+    covariance: FloatArray
+    term: str
+    span: float
+
+
+@dataclass(frozen=True, eq=False)
+class HeldFriction:
+    """What an identification holds at the experiment's values.
+
+    Attributes:
+        model: with all terms of the experiment.
+        joints: whose temperature terms are held, the others estimated.
+        text: which, in words.
+    """
+
+    model: DynamicModel
+    joints: tuple[HeldJoint, ...]
+    text: str
+
+    def torque(self, segment: Segment) -> FloatArray:
+        """Friction torque (n, N) of the motors by the held terms."""
+        total = np.zeros_like(segment.torque)
+        conditions = FrictionConditions(None, segment.temperature)
+        for joint in self.joints:
+            for kind, value in zip(joint.kinds, joint.values.tolist(), strict=True):
+                column = joint_column(self.model, parameter_of(self.model, joint.motor, kind))
+                signal = column_signal(self.model, column, segment.velocity, segment.acceleration, conditions)
+                for motor, factor in column.rows:
+                    total[motor] += factor * value * signal
+        return total
+
+    def taken_off(self, prepared: Prepared) -> Prepared:
+        """The same data without the torque of the held terms."""
+        if not self.joints:
+            return prepared
+        segments = []
+        for segment in prepared.segments:
+            known = self.torque(segment)
+            segments.append(replace(segment, torque=segment.torque - known, known_torque=known))
+        step = Step("friction held", {"joints": len(self.joints)}, self.text)
+        return replace(prepared, segments=tuple(segments), steps=(*prepared.steps, step))
+
+
+def parameter_of(model: DynamicModel, motor: int, kind: Quantity) -> StandardParameter:
+    """The standard parameter of a motor's friction."""
+    joint, symbol = model.active[motor], KIND_SYMBOLS[kind]
+    return StandardParameter(f"{symbol}{joint + 1}", kind, joint, symbol)
+
+
+def experiment_terms(experiment: FrictionExperimentResult, robot: str, names: Sequence[str]) -> FrictionTerms:
+    """Terms of all motors, shapes fixed; joints without an experiment have none beside Coulomb and viscous friction.
+
+    Raises:
+        UsageError: the experiment is another robot's.
+    """
+    where = "--friction-from"
+    if experiment.robot != robot:
+        raise UsageError(f"the friction experiment is of {experiment.robot}, the recording of {robot}", where=where)
+    for joint in experiment.joints:
+        if joint.joint not in names:
+            raise UsageError(
+                f"no joint of {robot} is called '{joint.joint}'", where=where, hint=did_you_mean(joint.joint, names)
+            )
+    joints = {joint.joint: joint for joint in experiment.joints}
+    found: list[JointFrictionExperiment | None] = [joints.get(name) for name in names]
+    fixed = (False,) * len(names)
+    return FrictionTerms(
+        exponent=tuple(1.0 if one is None or one.exponent is None else one.exponent for one in found),
+        stribeck=tuple(one is not None and one.stribeck is not None for one in found),
+        stribeck_velocity=tuple(
+            FIRST_STRIBECK_VELOCITY if one is None or one.stribeck_velocity is None else one.stribeck_velocity
+            for one in found
+        ),
+        load=tuple(
+            "none" if one is None or one.load is None else "quadratic" if one.load_power == 2.0 else "linear"
+            for one in found
+        ),
+        temperature=tuple("none" if one is None else one.temperature_term for one in found),
+        free_exponent=fixed,
+        free_stribeck_velocity=fixed,
+    )
+
+
+def hold_temperatures(
+    model: DynamicModel,
+    experiment: FrictionExperimentResult,
+    temperatures: Sequence[tuple[str, FloatArray | None]],
+) -> tuple[DynamicModel, HeldFriction]:
+    """The model whose temperature terms the recordings can tell, and those that are held.
+
+    Args:
+        model: with the experiment's terms.
+        experiment: its values.
+        temperatures: of each recording its label and temperatures (N, n) [K].
+
+    Raises:
+        DataError: a temperature was not recorded; the experiment does not know the σ of what is to be held.
+    """
+    for label, kelvin in temperatures:
+        model.require_temperature(None if kelvin is None else kelvin.T, label)
+    terms = model.terms
+    assert terms is not None
+    values = {joint.joint: joint for joint in experiment.joints}
+    held = []
+    for motor, (name, term) in enumerate(zip(model.joint_names, terms.temperature, strict=True)):
+        if term == "none":
+            continue
+        of_joint = np.concatenate([kelvin[:, motor] for _, kelvin in temperatures if kelvin is not None])
+        span = float(np.ptp(of_joint))
+        if span >= (LEAST_CURVATURE_SPAN if term == "full" else LEAST_TEMPERATURE_SPAN):
+            continue
+        kinds = TEMPERATURE_KINDS[: 3 if term == "full" else 2]
+        coefficients, covariance = values[name].part(kinds)
+        if not np.all(np.isfinite(covariance)) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
+            raise DataError(
+                f"the experiment does not know how certain the temperature terms of {name} are",
+                where="--friction-from",
+                hint="repeat the sweep, and dynid friction",
+            )
+        held.append(HeldJoint(motor, kinds, coefficients, covariance, term, span))
+    motors = {joint.motor for joint in held}
+    kept = tuple("none" if motor in motors else term for motor, term in enumerate(terms.temperature))
+    spans = ", ".join(f"{model.joint_names[joint.motor]} {joint.span:.2g} K" for joint in held)
+    text = (
+        "temperature terms held at the friction experiment's values, for the recordings span too little temperature "
+        f"({spans}; {LEAST_TEMPERATURE_SPAN:g} K are needed, with curvature {LEAST_CURVATURE_SPAN:g}): their torque is "
+        "taken off before the regression"
+        if held
+        else "no value of the friction experiment is held, only its terms and shapes"
+    )
+    reduced = replace(model, terms=replace(terms, temperature=kept))
+    return reduced, HeldFriction(model, tuple(held), text)
