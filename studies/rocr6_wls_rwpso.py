@@ -40,7 +40,7 @@ from ident.model.true_parameters import truth_vector
 from ident.signals.options import Differentiation, PreprocessChoices
 from ident.signals.smoothing.five_point import five_point_cubic
 from ident.signals.smoothing.kalman import WHITE_CURVATURE, kalman_smoother
-from ident.signals.smoothing.noise_levels import noise_levels
+from ident.signals.smoothing.noise_levels import likeliest_cutoff
 from ident.simulation.forward_arm import ForwardArm
 from sim_drivers.synthetic.motion import random_fourier_motion
 
@@ -129,8 +129,8 @@ def preprocessing(data: Data, held_out: Data) -> None:
     smoothed = {"as recorded": data.torque, "five-point cubic, 3 passes": five_point_cubic(data.torque, 3)}
     kalman = []
     for torque in data.torque:
-        levels = noise_levels(torque, RATE, WHITE_CURVATURE, 1.0)
-        kalman.append(kalman_smoother(torque, RATE, levels.cutoff, WHITE_CURVATURE)[0])
+        cutoff = likeliest_cutoff(torque, RATE, WHITE_CURVATURE, 1.0)
+        kalman.append(kalman_smoother(torque, RATE, cutoff, WHITE_CURVATURE)[0])
     smoothed["Kalman smoother"] = np.array(kalman)
     print(f"\n{'torque':28} {'q̇, q̈':12} RMS error of the torque signal [N·m], then of WLS on the validation trajectory")
     for name, torque in smoothed.items():
