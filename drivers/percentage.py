@@ -11,11 +11,15 @@ LEAST, MOST = 0.001, 1e6
 """Percentages outside of these sizes are written as less or more than them."""
 
 
+def in_percent(ratio: float | None) -> float | None:
+    """A ratio in percent; None where there is none."""
+    return None if ratio is None or not math.isfinite(ratio) else 100.0 * ratio
+
+
 def percent_text(ratio: float | None, digits: int = 3) -> str:
     """A ratio in percent, with its unit; a dash where there is none."""
-    if ratio is None or not math.isfinite(ratio):
-        return DASH
-    return f"{percentage_text(100.0 * ratio, digits)} %"
+    percentage = in_percent(ratio)
+    return DASH if percentage is None else f"{percentage_text(percentage, digits)} %"
 
 
 def percentage_text(percentage: float | None, digits: int = 3) -> str:

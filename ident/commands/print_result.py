@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from daq.commands.console import print_table
-from drivers.percentage import percent_text
+from drivers.percentage import in_percent, percent_text
 from ident.result.schema import Fit, Merge, Result
 from ident.verdict.verdict import Verdict
 
@@ -37,7 +37,7 @@ def print_result(result: Result) -> None:
                 validation.rmse[i] if validation else None,
                 validation.low_speed_rmse[i] if validation else None,
                 validation.high_speed_rmse[i] if validation else None,
-                _percent(validation.joint_relative_error[i]) if validation else None,
+                in_percent(validation.joint_relative_error[i]) if validation else None,
             )
             for i, joint in enumerate(result.joints)
         ],
@@ -128,11 +128,7 @@ def print_fit(title: str, joints: Sequence[str], fit: Fit) -> None:
             fit.low_speed_rmse,
             fit.high_speed_rmse,
             fit.max_error,
-            map(_percent, fit.joint_relative_error),
+            map(in_percent, fit.joint_relative_error),
             strict=True,
         ),
     )
-
-
-def _percent(share: float | None) -> float | None:
-    return None if share is None else 100.0 * share

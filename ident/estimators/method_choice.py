@@ -75,7 +75,7 @@ def chosen_method(text: str) -> MethodChoice:
     method = all_methods().get(name)
     if method is None:
         *others, last = all_methods()
-        raise UsageError(f"no method is called '{name}'", hint=f"{', '.join(others)} or {last}")
+        raise UsageError(f"no method is called '{name}'", where="--method", hint=f"{', '.join(others)} or {last}")
     known = [field.name for field in fields(method.options)]
     given: dict[str, str] = {}
     for pair in pairs:

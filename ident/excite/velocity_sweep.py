@@ -71,7 +71,7 @@ def velocity_sweep(robot_file: RobotFile, check: MotionCheck, choices: SweepChoi
     for name in names:
         if name not in robot.joint_names:
             hint = did_you_mean(name, robot.joint_names)
-            raise UsageError(f"no joint of {robot.name} is called '{name}'", hint=hint)
+            raise UsageError(f"no joint of {robot.name} is called '{name}'", where="--joints", hint=hint)
     pose = _pose(robot_file, choices.pose)
     sweeps = []
     points, durations = [pose], []

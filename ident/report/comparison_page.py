@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ident.assessment.validation import LOW_SPEED
 from ident.experiments.method_comparison import JointGroup
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain
 from ident.report.figures.interval_panel import ROW
@@ -46,6 +47,7 @@ def comparison_page(
             tables=[table for table in tables if len(table)],
             figure=_figure(errors),
             failures=failures,
+            low_speed=LOW_SPEED,
         )
     )
 

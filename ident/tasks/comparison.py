@@ -15,6 +15,7 @@ from daq.commands.console import json_text
 from daq.output_files import REPORT_FILE, write_folder
 from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import IdentificationError, UsageError
+from drivers.percentage import in_percent
 from drivers.streams import FloatArray
 from ident.experiments.method_comparison import (
     JointGroup,
@@ -107,8 +108,8 @@ class MethodComparison:
         rows: list[tuple[Cell, ...]] = [
             (
                 model.label,
-                _percent(model.fit),
-                _percent(_mean([run.relative_error for run in model.runs])),
+                in_percent(model.fit),
+                in_percent(_mean([run.relative_error for run in model.runs])),
                 _mean([run.rmse for run in model.runs]),
                 _mean([run.low_speed_rmse for run in model.runs]),
                 _mean([run.high_speed_rmse for run in model.runs]),
@@ -120,7 +121,7 @@ class MethodComparison:
 
     @property
     def maxima(self) -> Table:
-        """Largest errors of each group of joints below and above 0.1 rad/s [N·m]: mean and σ over the recordings."""
+        """Largest errors of each group of joints below and above `LOW_SPEED` [N·m]: mean and σ over the recordings."""
         headings = [("model", "")]
         for group in self.groups:
             for speed in ("low", "high"):
@@ -292,10 +293,6 @@ def _models(
 def _mean(values: Sequence[float]) -> float | None:
     known = [value for value in values if np.isfinite(value)]
     return float(np.mean(known)) if known else None
-
-
-def _percent(share: float | None) -> float | None:
-    return None if share is None or not np.isfinite(share) else 100.0 * share
 
 
 def _deviation(values: Sequence[float]) -> float | None:

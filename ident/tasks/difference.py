@@ -8,6 +8,7 @@ from os import PathLike
 import numpy as np
 
 from drivers.errors import UsageError
+from drivers.percentage import in_percent
 from drivers.streams import FloatArray
 from ident.regression.estimate import Estimate
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest, chi_square_test
@@ -143,11 +144,11 @@ def _errors(one: Result, other: Result) -> Table:
         (
             joint,
             *(_entry(fit, "rmse", i) for fit in fits),
-            *(_percent(_entry(fit, "joint_relative_error", i)) for fit in fits),
+            *(in_percent(_entry(fit, "joint_relative_error", i)) for fit in fits),
         )
         for i, joint in enumerate(one.joints)
     ]
-    rows.append(("all", None, None, *(_percent(None if fit is None else fit.relative_error) for fit in fits)))
+    rows.append(("all", None, None, *(in_percent(None if fit is None else fit.relative_error) for fit in fits)))
     headings = [("joint", ""), ("first_rmse", "N·m"), ("second_rmse", "N·m"), ("first", "%"), ("second", "%")]
     return table_of_rows(f"Held-out errors: {one.validation_source}; {other.validation_source}", headings, rows)
 
@@ -155,10 +156,6 @@ def _errors(one: Result, other: Result) -> Table:
 def _entry(fit: Fit | None, quantity: str, joint: int) -> float | None:
     values: list[float | None] = [] if fit is None else getattr(fit, quantity)
     return values[joint] if joint < len(values) else None
-
-
-def _percent(share: float | None) -> float | None:
-    return None if share is None else 100.0 * share
 
 
 def _purposes(one: Result, other: Result) -> Table:

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
+from ident.assessment.validation import LOW_SPEED
 from ident.verdict.catalogue import CATALOGUE, markdown_table, raised
 from ident.verdict.check import PURPOSE_WORDS, PURPOSES, Check
 from ident.verdict.verdict import AT_BEST, GRADES, Errors, Verdict, judge, together
@@ -119,6 +120,10 @@ def test_a_note_spoils_nothing_and_all_else_spoils_something(kind) -> None:
     assert kind.remedy.endswith(".")
     assert not kind.meaning.endswith(".")
     assert kind.name == kind.name.lower().replace("_", "-")
+
+
+def test_the_catalogue_names_the_low_speed_of_the_errors() -> None:
+    assert f"below {LOW_SPEED:g} rad/s" in CATALOGUE["errors-near-standstill"].meaning
 
 
 def test_the_docs_have_the_catalogue() -> None:
