@@ -44,10 +44,10 @@ class ExcitationTrajectory:
 
     Example:
         >>> import dynid
-        >>> motion = dynid.design_excitation("ur5e", starts=1, workers=1, harmonics=2, period=6.0)
+        >>> motion = dynid.design_excitation("up6", starts=1, workers=1, harmonics=2, period=6.0)
         >>> q, dq, ddq = motion.evaluate([0.0, motion.duration / 2])
         >>> q.shape, bool(abs(dq[0]).max() < 1e-9)
-        ((2, 6), True)
+        ((2, 3), True)
     """
 
     def __init__(
@@ -194,7 +194,7 @@ def design_excitation(
 
     Example:
         >>> import dynid
-        >>> motion = dynid.design_excitation("ur5e", starts=1, workers=1, harmonics=2, period=6.0)
+        >>> motion = dynid.design_excitation("up6", starts=1, workers=1, harmonics=2, period=6.0)
         >>> motion.limits.columns[1].heading, motion.figures.worst_use <= 1.0
         ('position [%]', True)
     """
@@ -242,11 +242,11 @@ def load_trajectory(path: str | PathLike[str], robot: str | Path | RobotFile) ->
 
     Example:
         >>> import dynid, tempfile, pathlib
-        >>> motion = dynid.design_excitation("ur5e", starts=1, workers=1, harmonics=2, period=6.0)
+        >>> motion = dynid.design_excitation("up6", starts=1, workers=1, harmonics=2, period=6.0)
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = pathlib.Path(folder, "motion.yaml")
         ...     motion.save(path)
-        ...     abs(dynid.load_trajectory(path, "ur5e").duration - motion.duration) < 1e-9
+        ...     abs(dynid.load_trajectory(path, "up6").duration - motion.duration) < 1e-9
         True
     """
     robot_file = load_robot(robot)

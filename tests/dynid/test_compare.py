@@ -15,7 +15,7 @@ from dynid import command
 @pytest.fixture(scope="module")
 def runs() -> list[dynid.Recording]:
     """Four recordings of a small arm."""
-    return [dynid.simulate("up6", duration=10.0, seed=seed, rate=100.0) for seed in (1, 2, 3, 4)]
+    return [dynid.simulate("up6", duration=6.0, seed=seed, rate=100.0) for seed in (1, 2, 3, 4)]
 
 
 @pytest.fixture(scope="module")

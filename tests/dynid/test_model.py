@@ -194,11 +194,11 @@ def test_torque_std_of_the_essential_model_is_infinite_where_an_unexcited_parame
 
 
 def test_torque_std_covers_the_error_of_repeated_identifications():
-    q, dq, ddq = states("ur5e", 30)
-    truth = true_model("ur5e").torque(q, dq, ddq)
+    q, dq, ddq = states("rocr6", 30)
+    truth = true_model("rocr6").torque(q, dq, ddq)
     normalised = []
     for seed in range(4):
-        model = dynid.identify(dynid.simulate("ur5e", duration=10.0, seed=seed, rate=100.0)).model
+        model = dynid.identify(dynid.simulate("rocr6", duration=10.0, seed=seed, rate=100.0)).model
         deviations = model.torque_std(q, dq, ddq)
         normalised.append((model.torque(q, dq, ddq) - truth) / deviations)
     assert 0.6 < np.sqrt(np.median(np.square(normalised))) / 0.6745 < 1.5

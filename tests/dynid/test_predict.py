@@ -148,8 +148,8 @@ def test_the_page_and_the_tables_show_the_joints(prediction, tmp_path):
 
 def test_torques_of_coupled_motors_are_the_joints():
     run, other = (dynid.simulate("rocr6", duration=10.0, seed=seed, rate=100.0) for seed in (1, 2))
-    arm = dynid.simulate("sr400", duration=12.0, seed=3, rate=100.0)
-    for training, held_out in ((run, other), (arm, dynid.simulate("sr400", duration=6.0, seed=4, rate=100.0))):
+    arm = dynid.simulate("sr400", duration=8.0, seed=3, rate=100.0)
+    for training, held_out in ((run, other), (arm, dynid.simulate("sr400", duration=4.0, seed=4, rate=100.0))):
         predicted = dynid.predict(dynid.identify(training), held_out)
         error = np.linalg.norm(predicted.residual) / np.linalg.norm(predicted.measured)
         assert error < 0.1

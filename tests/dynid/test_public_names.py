@@ -114,7 +114,7 @@ def test_every_argument_of_a_public_function_is_described(name):
 
 @pytest.mark.parametrize("name", EXEMPLARY)
 def test_the_examples_run(name, monkeypatch):
-    for costly in ("simulate", "identify", "design_excitation"):
+    for costly in ("simulate", "identify", "design_excitation", "compare"):
         monkeypatch.setitem(vars(dynid), costly, _remembered(costly))
     value = getattr(dynid, name)
     value = inspect.unwrap(value)
