@@ -43,7 +43,7 @@ def test_both_sides_agree_on_few_samples(run, name):
 
 
 def test_simulations_of_three_makers_end_at_the_same_place():
-    results = simulation.run(0.5, 1)
+    results = simulation.run(0.2, 1)
     assert results["simulate_vs_pin_aba_loop_ur5e"] > 0
     assert all(np.isfinite(list(results.values())))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -66,13 +68,19 @@ def test_no_filter_has_no_memory() -> None:
     assert filter_memory(no_filter(4)) == 1
 
 
+@functools.cache
+def judged_white_noise() -> tuple[ResidualTests, ...]:
+    return tuple(judged(filtered_white(1200, seed), MEMORY) for seed in range(100))
+
+
 @pytest.mark.parametrize("name", ASSUMPTIONS)
 def test_level_of_each_test_on_filtered_white_noise(name: str) -> None:
     """p-values of true hypotheses are uniform."""
-    p_values = np.array([getattr(judged(filtered_white(1200, seed), MEMORY), name).p_value for seed in range(100)])
+    tests = [getattr(test, name) for test in judged_white_noise()]
+    p_values = np.array([test.p_value for test in tests])
     assert np.mean(p_values < 0.1) < 0.25
     assert np.mean(p_values < 0.5) > 0.3
-    assert not any(getattr(judged(filtered_white(1200, seed), MEMORY), name).violated for seed in range(20))
+    assert not any(test.violated for test in tests[:20])
 
 
 def test_residuals_of_a_real_model_lie_apart() -> None:

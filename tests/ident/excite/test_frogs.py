@@ -57,7 +57,7 @@ def test_an_arms_motion_grows_with_the_papers_criterion():
     def after_some(result) -> None:
         if result.best is not None:
             found.append(result.best)
-        if len(found) > 30:
+        if len(found) > 15:
             raise KeyboardInterrupt
 
     search(problem, maker(), SearchChoices(starts=1, workers=1, solver="sfla"), progress=after_some)

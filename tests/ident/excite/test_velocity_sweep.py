@@ -40,7 +40,7 @@ def test_speeds_rise_and_fall_and_forth_is_as_fast_as_back(sweep):
 
 def test_limits_hold_everywhere(sweep):
     robot_file, designed = sweep
-    time = np.linspace(0.0, designed.motion.duration, 200_001)
+    time = np.linspace(0.0, designed.motion.duration, 50_001)
     position, velocity, acceleration = designed.motion.evaluate(time)
     for row, limits in enumerate(robot_file.robot.joints):
         assert limits.position[0] < position[row].min()

@@ -26,8 +26,8 @@ METHODS = ("irls", "irls:weights=huber", "irls:weights=tukey", "irls:consistent=
 
 @pytest.fixture(scope="module")
 def clean(three_joint) -> Recording:
-    motion = random_fourier_motion(build_model(three_joint), 20.0, seed=1)
-    return simulate_recording(three_joint, motion, 40.0, seed=1)
+    motion = random_fourier_motion(build_model(three_joint), 15.0, seed=1)
+    return simulate_recording(three_joint, motion, 30.0, seed=1)
 
 
 @pytest.fixture(scope="module")
