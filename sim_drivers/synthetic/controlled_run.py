@@ -16,7 +16,8 @@ SIGNAL_UNITS = {"current": "A", "voltage": "V", "torque": "N*m"}
 def record_plant(robot_file: RobotFile, plant: Plant, motion: Motion, rate: float) -> Recording:
     """Play a motion on a plant and record positions, the drives' signal and temperatures.
 
-    The plant keeps its heat from one call to the next: an arm that warms up is the same plant again.
+    The reference is new in every control period, however slow the recording is. The plant keeps its heat from one call
+    to the next: an arm that warms up is the same plant again.
 
     Args:
         robot_file: of the plant; its drives have one kind of signal.
@@ -26,12 +27,16 @@ def record_plant(robot_file: RobotFile, plant: Plant, motion: Motion, rate: floa
     """
     names = robot_file.robot.joint_names
     (signal,) = {robot_file.robot.drive(name).signal for name in names}
-    time = np.arange(round(motion.duration * rate)) / rate
+    period = plant.settings.control_steps * plant.settings.step
+    # A reference held over several control periods makes the torque a sawtooth, of which samples see one phase.
+    targets = max(1, int(np.ceil(round(1.0 / (rate * period), 9))))
+    time = np.arange(round(motion.duration * rate) * targets) / (rate * targets)
     samples = []
-    for q, v, a in zip(*(values.T for values in motion.evaluate(time)), strict=True):
+    for index, (q, v, a) in enumerate(zip(*(values.T for values in motion.evaluate(time)), strict=True), start=1):
         plant.set_target(q, v, a)
-        plant.advance(1.0 / rate)
-        samples.append(plant.measure())
+        plant.advance(1.0 / (rate * targets))
+        if index % targets == 0:
+            samples.append(plant.measure())
     stamps = np.array([sample.time for sample in samples])
     values = {
         "position": ([sample.position for sample in samples], "rad"),
