@@ -2,9 +2,9 @@
 
     python studies/aubo_coverage.py [seeds [methods, as wls,iirls]]
 
-Another excitation and other noise for each seed, played cold, in between and warm (`aubo_session`), without the Stribeck
-term, which the model does not have, and with it. Then the correlation of the errors of α and its neighbours over the
-seeds, largest of the joints.
+Another excitation and other noise for each seed, played cold, in between and warm (`aubo_session`), without the
+Stribeck term, which the model does not have, and with it. Then the correlation of the errors of α and its neighbours
+over the seeds, largest of the joints.
 """
 
 from __future__ import annotations

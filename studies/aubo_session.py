@@ -2,9 +2,9 @@
 
 Bodies, motor inertia, noise and limits are those of the built-in file. Friction is AUBO eq. 3 to 6 with a bristle and a
 Stribeck term, which no model here describes, near zero velocity. Coulomb friction and the wrist's viscous coefficients
-are of the size of the paper's Table II; α, f_L and β are printed nowhere and invented: from 25.5 to 40.6 °C, friction at
-1 rad/s falls by 12 to 15 % in the main axes, from 26.4 to 29.5 °C by 3 % in the wrist; at 50 N·m, load adds 3.75 N·m to
-the upper arm's.
+are of the size of the paper's Table II; α, f_L and β are printed nowhere and invented: at 1 rad/s, friction falls by 11
+to 13 % in the main axes from 25.5 to 40.6 °C, and by 3 to 4 % in the wrist from 26.4 to 29.5 °C; load
+of 50 N·m adds 3.75 N·m to the upper arm's.
 """
 
 from __future__ import annotations
