@@ -127,7 +127,9 @@ class JointFrictionResult(_Part):
             parts.append(f"load {_with_interval(self.load, self.load_std)} ·|τ_L|{power}")
         if self.temperature is not None:
             held = f" (held, {self.temperature_origin})" if self.temperature_origin else ""
-            parts.append("β " + ", ".join(f"{value:.4g}" for value in self.temperature) + held)
+            deviations = self.temperature_std or [None] * len(self.temperature)
+            beta = (_with_interval(*pair) for pair in zip(self.temperature, deviations, strict=True))
+            parts.append(f"β {', '.join(beta)}{held}")
         return "; ".join(parts)
 
 

@@ -150,6 +150,7 @@ OF_FILES = {"out", "json", "help", "force", "page", "comment", "up_and_down"}
         ("merge", dynid.merge),
         ("payload", dynid.payload),
         ("gains", dynid.drive_gains),
+        ("friction", dynid.friction),
         ("info", dynid.info),
         ("excite", dynid.design_excitation),
         ("import", dynid.import_recording),

@@ -136,10 +136,11 @@ def _of_joint(model: DynamicModel, joint: int, data: PreparedData) -> Iterator[J
 def _of_segment(
     model: DynamicModel, joint: int, recording: int, prepared: Prepared, segment: Segment
 ) -> Iterator[JointPeriod]:
-    assert segment.resting is not None
-    assert segment.reversing is not None
-    others = np.delete(~segment.resting, joint, axis=0).any(axis=0)
-    alone = ~segment.resting[joint] & ~others & segment.used
+    nowhere = np.zeros(segment.velocity.shape, dtype=np.bool_)
+    resting = nowhere if segment.resting is None else segment.resting
+    reversing = nowhere if segment.reversing is None else segment.reversing
+    others = np.delete(~resting, joint, axis=0).any(axis=0)
+    alone = ~resting[joint] & ~others & segment.used
     factor = prepared.parallel_filter.factor
     margin = round(MARGIN / prepared.cutoffs.torque * segment.rate)
     for start, stop in _spans(~others):
@@ -147,7 +148,7 @@ def _of_segment(
         if not len(inside):
             continue
         whole = slice(max(0, int(inside[0]) - margin), min(len(alone), int(inside[-1]) + 1 + margin))
-        counted = (alone & ~segment.reversing[joint])[whole]
+        counted = (alone & ~reversing[joint])[whole]
         velocity, position = segment.velocity[joint, whole], segment.position[:, whole]
         moved = velocity[counted]
         stroke = float(np.ptp(position[joint][counted])) if len(moved) else 0.0

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chromium import BrowserPage, chromium, chromium_path
+from friction_experiment_arm import GIVEN, sweeps
 from loaded_arm import LOAD
 from loaded_arm import runs as loaded_runs
 from page_layout import COLLIDING_TEXTS, OVERFLOW
@@ -29,6 +30,7 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.report import ReportData, TruthTable, write_result_folder
+from ident.tasks.friction import friction
 from ident.tasks.identification import identify
 from ident.tasks.loads import drive_gains, payload
 from ident.tasks.prediction import predict
@@ -104,6 +106,11 @@ def gains_page(folder: Path) -> Path:
     return folder / REPORT_FILE
 
 
+def friction_page(folder: Path) -> Path:
+    friction(sweeps(), friction=GIVEN, delay=0.0).save(folder)
+    return folder / REPORT_FILE
+
+
 PAGES: dict[str, Callable[[Path], Path]] = {
     "identification": identification_page,
     "excitation": excitation_page,
@@ -111,6 +118,7 @@ PAGES: dict[str, Callable[[Path], Path]] = {
     "prediction": prediction_page,
     "payload": payload_page,
     "gains": gains_page,
+    "friction": friction_page,
 }
 """What writes each page into a folder; a new page is one line here."""
 

@@ -1,0 +1,68 @@
+"""`dynid friction` and `dynid identify --friction-from` as a user calls them."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import pytest
+from friction_experiment_arm import GIVEN, sweeps
+from html_page import Page
+
+from daq.recording.writer import write_recording
+from dynid import command
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("sweeps")
+    for index, recording in enumerate(sweeps()):
+        write_recording(path / f"sweep{index}.h5", recording)
+    return path
+
+
+def run(line: list[str], capsys, monkeypatch) -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["dynid", *line])
+    with pytest.raises(SystemExit) as left:
+        command.main()
+    output = capsys.readouterr()
+    return int(left.value.code or 0), output.out, output.err
+
+
+def test_friction_in_words_as_json_and_as_a_page(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    names = [f"sweep{index}.h5" for index in range(4)]
+    options = ["--friction", GIVEN, "--delay", "0"]
+    status, out, err = run(["friction", *names, *options], capsys, monkeypatch)
+    assert (status, err) == (0, "")
+    assert out.endswith("\nsweep0-friction/friction.json\nsweep0-friction/report.html\n")
+    assert "j2" in out
+    status, as_json, _ = run(["friction", *names, *options, "--json", "--force"], capsys, monkeypatch)
+    content = json.loads(as_json)
+    assert content == json.loads((folder / "sweep0-friction" / "friction.json").read_text(encoding="utf-8"))
+    assert [joint["joint"] for joint in content["joints"]] == ["j1", "j2"]
+    page = Page((folder / "sweep0-friction" / "report.html").read_text(encoding="utf-8"))
+    assert set(page.figures) == {"speed-plot", "temperature-plot", "load-plot"}
+    assert "What the recordings cover" in page.words
+    line = ["identify", "sweep0.h5", "--friction-from", "sweep0-friction", "--delay", "0", "-o", "model", "--json"]
+    status, as_json, _ = run(line, capsys, monkeypatch)
+    origins = {entry["name"]: entry["origin"] for entry in json.loads(as_json)["base_parameters"]}
+    assert status == 0
+    assert origins["Fts1"] == "friction experiment"
+    assert origins["Fs1"] == ""
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("friction sweep0.h5 --friction sticky", "no friction model is called 'sticky'"),
+        ("friction missing.h5", "missing.h5: no such file"),
+        ("identify sweep0.h5 --friction-from missing.json", "missing.json: no such file"),
+        ("identify sweep0.h5 --friction-from sweep1.h5", "sweep1.h5"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(folder, capsys, monkeypatch, line, message):
+    monkeypatch.chdir(folder)
+    status, out, err = run([*line.split(), "-o", "elsewhere"], capsys, monkeypatch)
+    assert (status, out) == (2, "")
+    assert message in err
