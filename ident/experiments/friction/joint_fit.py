@@ -265,7 +265,9 @@ class _JointFit:
 
     def _without_curvature(self, terms: FrictionTerms) -> FrictionTerms:
         """The terms settled, that of the temperature linear where its curvature is not significant."""
-        settled = self.settled(terms)[0]
+        # Terms were added one by one: beside all others, other shapes may fit better.
+        ends = [self.settled(start)[0] for start in (terms, self._started(terms))]
+        settled = min(ends, key=lambda end: float(end.residual @ end.residual))
         if terms.temperature[0] != "full":
             return settled.terms
         values, covariance, kinds = self._estimated(settled)
@@ -281,8 +283,12 @@ class _JointFit:
             load=terms.load if self.loads else ("none",),
             temperature=self._possible(terms.temperature[0]),
         )
+        return self._started(terms), ()
+
+    def _started(self, terms: FrictionTerms) -> FrictionTerms:
+        """The terms with free shapes from the best of a grid, all shapes at once."""
         if not terms.shaped:
-            return terms, ()
+            return terms
         without = replace(
             terms,
             exponent=(1.0,) if terms.free_exponent[0] else terms.exponent,
@@ -290,7 +296,7 @@ class _JointFit:
         )
         search = self.search(without)
         search.start_shapes(0, terms.free_exponent[0], terms.free_stribeck_velocity[0])
-        return search.terms(without), ()
+        return search.terms(without)
 
     def _possible(self, asked: TemperatureFriction) -> tuple[TemperatureFriction]:
         """The temperature term that the span allows."""
