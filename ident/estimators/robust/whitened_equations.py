@@ -140,6 +140,8 @@ def shrunk(covariance: FloatArray, independent: float) -> FloatArray:
     pairs = np.outer(deviations, deviations)
     correlation = np.divide(covariance, pairs, out=np.zeros_like(covariance), where=pairs > 0)
     np.fill_diagonal(correlation, 0.0)
+    if np.max(np.abs(correlation)) > 1.0 + 1e-6:  # rounding residue, where residuals vanish
+        return np.diag(deviations**2)
     by_chance = np.square(1.0 - correlation**2) * (correlation != 0)
     total = float(np.sum(correlation**2))
     share = float(np.sum(by_chance)) / max(independent, 1.0) / total if total > 0 else 0.0

@@ -151,4 +151,6 @@ def test_chance_correlations_are_shrunk_and_true_ones_stay():
     assert np.allclose(np.diag(few), np.diag(raw))
     assert np.all(np.abs(few[beside]) < 0.6 * np.abs(raw[beside]))
     assert np.allclose(shrunk(true, 1e6), true, atol=1e-5)
+    rounded = np.array([[1.0, 1e-3], [1e-3, 1e-320]])
+    assert np.array_equal(shrunk(rounded, 40), np.diag(np.diag(rounded)))
     assert np.all(np.linalg.eigvalsh(shrunk(white[:, :4] @ white[:, :4].T / 4, 4)) > 0)
