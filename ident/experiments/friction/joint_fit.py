@@ -20,7 +20,8 @@ from daq.robot.schema import Friction, TemperatureFriction
 from drivers.errors import IdentificationError
 from drivers.streams import FloatArray
 from ident.estimators.friction_steps import LOAD_TOLERANCE, SHAPE_TOLERANCE, moved_shapes, shape_change
-from ident.experiments.friction.joint_friction import JointFriction, Span, friction_signal, shape_of
+from ident.experiments.friction.joint_data import JointData
+from ident.experiments.friction.joint_friction import JointFriction, Span, shape_of
 from ident.experiments.friction.single_joint import JointPeriod
 from ident.identify.friction.candidates import (
     EXPONENTS,
@@ -37,22 +38,18 @@ from ident.model.friction_terms import (
     LEAST_CURVATURE_SPAN,
     LEAST_TEMPERATURE_SPAN,
     TEMPERATURE_KINDS,
-    FrictionConditions,
     FrictionTerms,
     friction_terms,
     no_terms,
 )
 from ident.model.parameters import Quantity
-from ident.regression.autocorrelation import independent_share, lag_one
+from ident.regression.autocorrelation import independent_share
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import BlockSums, block_length, jackknife_covariance, tolerant_moves
 
 LEAST_LOAD_SHARE = 0.5
 """The load torque must vary by this times the Coulomb friction: gears lose some per cent of the torque that they carry,
 so that with less the friction changes by less than what the other terms are wrong by."""
-
-POSITION_BLOCKS = 24
-"""Blocks of the jackknife over positions."""
 
 SHARES_OF_A_FOLD = 4
 """Parts of a fold, spread over the motion: each fold has slow and fast strokes."""
@@ -99,71 +96,48 @@ class _JointFit:
     """The data of one joint, and what is tried on them."""
 
     def __init__(self, model: DynamicModel, name: str, periods: Sequence[JointPeriod], friction: str) -> None:
-        self._model, self._name, self._periods = model, name, periods
-        self._prismatic = model.joints[model.joint_names.index(name)].prismatic
+        self._data, self._name = JointData(model, periods), name
         self._base: tuple[Quantity, ...] = tuple(
             kind for kind in ("coulomb", "viscous") if kind in friction_columns(friction)
         )
-        if not self._prismatic:  # else confounded with the weight
+        if not model.joints[model.joint_names.index(name)].prismatic:  # else confounded with the weight
             self._base += ("offset",)
-        self._torque = np.concatenate([one.filtered(one.torque[None])[0] for one in periods])
-        self._own = self._own_columns()
-        self._index = self._sample_index()
         self._load = [np.zeros_like(one.velocity) for one in periods]
         plain = self.solve(no_terms(1))
-        self._load = self._load_of(plain)
+        self._load = self._data.load_torques(plain.parameters)
         coulomb = plain.value("coulomb", 0) or 0.0
         self.least_load_span = LEAST_LOAD_SHARE * abs(coulomb)
-        heat = [one.temperature for one in periods]
-        self._heated = all(values is not None for values in heat)
-        self.temperature = (
-            _span(np.concatenate([one.sampled(one.temperature) for one in periods if one.temperature is not None]))
-            if self._heated
-            else None
-        )
-        self._notes: list[str] = []
+        heat = [one.temperature for one in periods if one.temperature is not None]
+        self.temperature = _span(self._data.sampled(heat)) if len(heat) == len(periods) else None
+        self._notes: dict[str, str] = {}
         self._judge_spans()
-
-    def _own_columns(self) -> FloatArray:
-        """(R, o) inertia and gravity of each period, 0 in the rows of the others."""
-        blocks = [one.filtered(np.concatenate([one.acceleration[None], one.gravity])) for one in self._periods]
-        own = np.zeros((len(self._torque), sum(len(block) for block in blocks)))
-        row = column = 0
-        for block in blocks:
-            own[row : row + block.shape[1], column : column + len(block)] = block.T
-            row, column = row + block.shape[1], column + len(block)
-        return own
-
-    def _sample_index(self) -> npt.NDArray[np.int64]:
-        """(R,) samples counted along the motion, repeated ones alike, without holes."""
-        phases = np.concatenate([one.phase[one.counted] for one in self._periods])
-        return np.asarray(np.unique(phases, return_inverse=True)[1])
 
     def _judge_spans(self) -> None:
         """Whether temperature and load vary enough for their terms."""
-        load = self.load_span
-        self.loads = load.width >= self.least_load_span > 0.0
-        if not self.loads:
-            self._notes.append(
-                f"no load term: the load torque varies by {load.width:.3g} N·m, at least {self.least_load_span:.3g} "
-                "are needed (record other poses, or a weight on the tool)"
+        load, least = self.load_span, self.least_load_span
+        self.loads = load.width >= least and load.width > 0.0
+        if not any(len(one.gravity) for one in self._data.periods):
+            self._notes["load"] = "no load term: gravity does not act on this joint"
+        elif not self.loads:
+            self._notes["load"] = (
+                f"no load term: the load torque varies by {load.width:.3g} N·m, at least {least:.3g} are needed "
+                "(record other poses, or a weight on the tool)"
             )
         width = 0.0 if self.temperature is None else self.temperature.width
         self.slope, self.curvature = width >= LEAST_TEMPERATURE_SPAN, width >= LEAST_CURVATURE_SPAN
-        if not self._heated:
-            self._notes.append("no temperature term: the temperature was not recorded")
-        elif not self.slope:
-            self._notes.append(
-                f"no temperature term: the temperature spans {width:.3g} K, at least {LEAST_TEMPERATURE_SPAN:g} are "
-                "needed (repeat the sweep from a cold start)"
+        if self.temperature is None:
+            self._notes["temperature"] = "no temperature term: the temperature was not recorded"
+        elif not self.curvature:
+            what, needed = ("curvature", LEAST_CURVATURE_SPAN) if self.slope else ("term", LEAST_TEMPERATURE_SPAN)
+            self._notes["temperature"] = (
+                f"no temperature {what}: the temperature spans {width:.3g} K, at least {needed:g} are needed (repeat "
+                "the sweep from a cold start)"
             )
 
     @property
     def load_span(self) -> Span:
         """Of |τ_L| over all equations."""
-        return _span(
-            np.abs(np.concatenate([one.sampled(load) for one, load in zip(self._periods, self._load, strict=True)]))
-        )
+        return _span(np.abs(self._data.sampled(self._load)))
 
     def kinds(self, terms: FrictionTerms) -> tuple[Quantity, ...]:
         """Friction columns for these terms."""
@@ -179,20 +153,6 @@ class _JointFit:
             further += ["stribeck_velocity"] if terms.free_stribeck_velocity[0] else []
         return (*self._base, *further)
 
-    def columns(self, candidates: Sequence[Candidate]) -> FloatArray:
-        """(R, k) filtered friction columns."""
-        stacked = []
-        for one, load in zip(self._periods, self._load, strict=True):
-            conditions = FrictionConditions(load[None], None if one.temperature is None else one.temperature[None])
-            signals = np.array(
-                [
-                    friction_signal(self._model, candidate.quantity, candidate.shape, one.velocity, conditions)
-                    for candidate in candidates
-                ]
-            )
-            stacked.append(one.filtered(signals).T)
-        return np.concatenate(stacked)
-
     def solve(self, terms: FrictionTerms) -> _Solved:
         """Least squares of all parameters.
 
@@ -200,31 +160,22 @@ class _JointFit:
             IdentificationError: columns depend on each other.
         """
         kinds = self.kinds(terms)
-        columns = np.concatenate(
-            [self._own, self.columns([Candidate(kind, shape_of(terms, kind)) for kind in kinds])], 1
-        )
+        candidates = [Candidate(kind, shape_of(terms, kind)) for kind in kinds]
+        columns = np.concatenate([self._data.own, self._data.columns(candidates, self._load)], axis=1)
         scale = np.linalg.norm(columns, axis=0)
         if np.any(scale == 0.0) or np.linalg.cond(columns / scale) > 1e8:
             raise IdentificationError(
                 f"the movements of {self._name} do not tell its friction terms apart", hint="sweep more speeds"
             )
-        parameters = np.linalg.lstsq(columns / scale, self._torque, rcond=None)[0] / scale
-        return _Solved(terms, columns, parameters, self._torque - columns @ parameters, self._own.shape[1], kinds)
-
-    def _load_of(self, solved: _Solved) -> list[FloatArray]:
-        """Gravity torque (N,) of each period by the estimated first moments."""
-        found, place = [], 0
-        for one in self._periods:
-            place += 1
-            values = solved.parameters[place : place + len(one.gravity)]
-            found.append(values @ one.gravity if not self._prismatic else values[0] * one.gravity[0])
-            place += len(one.gravity)
-        return found
+        parameters = np.linalg.lstsq(columns / scale, self._data.torque, rcond=None)[0] / scale
+        return _Solved(
+            terms, columns, parameters, self._data.torque - columns @ parameters, self._data.own.shape[1], kinds
+        )
 
     def search(self, base: FrictionTerms) -> FrictionSearch:
         """Choices among the candidates that the spans allow and some terms lack, beside these."""
         solved = self.solve(base)
-        greatest = max(float(np.max(np.abs(one.velocity))) for one in self._periods)
+        greatest = max(float(np.max(np.abs(one.velocity))) for one in self._data.periods)
         heat = TEMPERATURE_KINDS[: self.slope * (2 + self.curvature)]
         groups: tuple[tuple[bool, list[Candidate]], ...] = (
             (base.exponent[0] == 1.0, [Candidate("viscous", exponent) for exponent in EXPONENTS]),
@@ -233,15 +184,15 @@ class _JointFit:
             (base.temperature[0] == "none", [Candidate(kind) for kind in heat]),
         )
         candidates = tuple(one for wanted, group in groups if wanted for one in group)
-        further = [self.columns(candidates)] if candidates else []
-        stacked = np.concatenate([solved.columns, *further, self._torque[:, None]], axis=1)
-        count = int(self._index.max()) + 1
-        fold = self._index * (FOLDS * SHARES_OF_A_FOLD) // count % FOLDS
+        further = [self._data.columns(candidates, self._load)] if candidates else []
+        stacked = np.concatenate([solved.columns, *further, self._data.torque[:, None]], axis=1)
+        count = self._data.count
+        fold = self._data.index * (FOLDS * SHARES_OF_A_FOLD) // count % FOLDS
         grams = np.array([stacked[fold == part].T @ stacked[fold == part] for part in range(FOLDS)])
         rows = np.bincount(fold, minlength=FOLDS).astype(np.float64)[:, None]
         width = solved.columns.shape[1]
         viscous = solved.own + solved.kinds.index("viscous") if "viscous" in solved.kinds else None
-        share = independent_share(self.autocorrelation(solved)) * count / len(self._index)
+        share = independent_share(self._data.autocorrelation(solved.residual)) * count / len(self._data.index)
         return FrictionSearch(
             CandidateGrams((candidates,), (tuple(range(width)),), (grams,), rows, width),
             range(width),
@@ -278,6 +229,10 @@ class _JointFit:
     def given(self, section: Friction, text: str) -> tuple[FrictionTerms, tuple[FrictionStep, ...]]:
         """The terms of a text that the spans allow, free shapes from the best of a grid."""
         terms = friction_terms(chosen_friction(section, text), (self._name,)) or no_terms(1)
+        if terms.load[0] == "none":
+            self._notes.pop("load", None)
+        if terms.temperature[0] == "none" or (terms.temperature[0] == "linear" and self.slope):
+            self._notes.pop("temperature", None)
         terms = replace(
             terms,
             load=terms.load if self.loads else ("none",),
@@ -310,7 +265,7 @@ class _JointFit:
         for _ in range(ROUNDS):
             load_change = change = 0.0
             if terms.load[0] != "none":
-                before, self._load = self._load, self._load_of(solved)
+                before, self._load = self._load, self._data.load_torques(solved.parameters)
                 size = max(float(np.max(np.abs(load))) for load in self._load)
                 moves = [float(np.max(np.abs(a - b))) for a, b in zip(before, self._load, strict=True)]
                 load_change = max(moves) / size
@@ -335,20 +290,17 @@ class _JointFit:
                 return candidate, change
         return solved, 0.0
 
-    def autocorrelation(self, solved: _Solved) -> FloatArray:
-        """(1,) of the residuals at lag one, within the periods."""
-        counts = [int(one.counted.sum()) for one in self._periods]
-        return lag_one([part[None] for part in np.split(solved.residual, np.cumsum(counts)[:-1])])
-
     def _estimated(self, solved: _Solved) -> tuple[FloatArray, FloatArray, tuple[Quantity, ...]]:
         """Friction coefficients and estimated shapes (k,), their covariance (k, k), and their kinds."""
         linear = self.solve(replace(solved.terms, sensitivities=True)) if solved.terms.shaped else solved
         columns = linear.columns.copy()
-        columns[:, : linear.own] += self._load_slopes(solved)
-        count = int(self._index.max()) + 1
-        length = block_length(self.autocorrelation(solved), count)
-        along_motion = _jackknife(columns, linear.residual, self._index // length)
-        covariance = _jackknife(columns, linear.residual, self._position_blocks())
+        coefficient = solved.value("load", 0)
+        if coefficient is not None:
+            power = shape_of(solved.terms, "load")
+            columns[:, : linear.own] += self._data.load_slopes(coefficient, power, self._load)
+        length = block_length(self._data.autocorrelation(solved.residual), self._data.count)
+        along_motion = _jackknife(columns, linear.residual, self._data.index // length)
+        covariance = _jackknife(columns, linear.residual, self._data.position_blocks())
         factor = np.sqrt(np.maximum(1.0, np.diag(along_motion) / np.diag(covariance)))
         covariance = (covariance * np.outer(factor, factor))[linear.own :, linear.own :]
         values = solved.parameters[solved.own :].tolist()
@@ -360,33 +312,13 @@ class _JointFit:
             values.append(shape_of(solved.terms, kind))
         return np.array(values), covariance, linear.kinds
 
-    def _load_slopes(self, solved: _Solved) -> FloatArray:
-        """(R, o) by how much load friction changes with the inertia and gravity parameters of the periods."""
-        coefficient, power = solved.value("load", 0), shape_of(solved.terms, "load")
-        slopes = np.zeros_like(self._own)
-        if coefficient is None:
-            return slopes
-        row = column = 0
-        for one, load in zip(self._periods, self._load, strict=True):
-            steepness = coefficient * power * np.abs(load) ** (power - 1.0) * np.sign(load)
-            block = one.filtered(self._model.coulomb_direction(one.velocity) * steepness * one.gravity)
-            column += 1  # the inertia's
-            slopes[row : row + block.shape[1], column : column + len(block)] = block.T
-            row, column = row + block.shape[1], column + len(block)
-        return slopes
-
-    def _position_blocks(self) -> npt.NDArray[np.int64]:
-        """(R,) block of each equation by the joint's position: torque ripple is the same in every stroke."""
-        position = self._sampled([one.position for one in self._periods])
-        width = np.ptp(position) / POSITION_BLOCKS
-        return np.asarray(np.minimum((position - position.min()) // width, POSITION_BLOCKS - 1), dtype=np.int64)
-
     def result(self, solved: _Solved, steps: tuple[FrictionStep, ...], settled: bool) -> JointFriction:
         """Values with their covariance, spans, and points for plots."""
         values, covariance, kinds = self._estimated(solved)
-        own = self._own @ solved.parameters[: solved.own]
+        own = self._data.own @ solved.parameters[: solved.own]
         heat = [
-            np.full_like(one.velocity, np.nan) if one.temperature is None else one.temperature for one in self._periods
+            np.full_like(one.velocity, np.nan) if one.temperature is None else one.temperature
+            for one in self._data.periods
         ]
         return JointFriction(
             joint=self._name,
@@ -394,28 +326,25 @@ class _JointFit:
             kinds=kinds,
             values=values,
             covariance=covariance,
-            speed=_span(np.abs(self._sampled([one.velocity for one in self._periods]))),
+            speed=_span(np.abs(self._data.sampled([one.velocity for one in self._data.periods]))),
             temperature=self.temperature,
             load=self.load_span,
             least_load_span=self.least_load_span,
             rmse=float(np.sqrt(np.mean(solved.residual**2))),
             samples=len(solved.residual),
-            periods=len(self._periods),
+            periods=len(self._data.periods),
             steps=steps,
             settled=settled,
-            notes=tuple(self._notes),
+            notes=tuple(self._notes.values()),
             points=np.array(
                 [
-                    self._sampled([one.velocity for one in self._periods]),
-                    self._sampled(heat),
-                    self._sampled(self._load),
-                    self._torque - own,
+                    self._data.sampled([one.velocity for one in self._data.periods]),
+                    self._data.sampled(heat),
+                    self._data.sampled(self._load),
+                    self._data.torque - own,
                 ]
             ),
         )
-
-    def _sampled(self, signals: Sequence[FloatArray]) -> FloatArray:
-        return np.concatenate([one.sampled(signal) for one, signal in zip(self._periods, signals, strict=True)])
 
 
 def _jackknife(columns: FloatArray, residual: FloatArray, block: npt.NDArray[np.int64]) -> FloatArray:
