@@ -9,13 +9,16 @@ import pytest
 from friction_experiment_arm import GIVEN, arm, sweeps
 
 from daq.recording.recording import Recording
-from daq.robot.loader import load_robot
+from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import DataError, DynidError, ResultFileError, UsageError
+from ident.excite.motion_check import ArmMotionCheck
+from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
 from ident.experiments.friction.experiment import analyse_friction
 from ident.experiments.friction.joint_friction import friction_torque
 from ident.experiments.friction.summary import friction_result
 from ident.result.friction_experiment import read_friction_experiment
 from ident.tasks.friction import friction
+from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.simulated_run import simulate
 
 FIELDS = ("coulomb", "viscous", "offset", "load")
@@ -133,3 +136,45 @@ def test_what_cannot_be_analysed_is_refused():
         with pytest.raises(kind, match=message) as error:
             analyse_friction(recordings, **options)
         assert "\n" not in str(error.value)
+
+
+VERTICAL = """
+name: portal
+model:
+  mounting: free
+  mdh:
+    - {joint: turn, alpha: 0, d: 0, r: 0.3}
+    - {joint: lift, antecedent: turn, alpha: 0, d: 0.2, r: 0, type: prismatic}
+joints:
+  - {name: turn, position: [-2.5, 2.5], velocity: 2, acceleration: 8, torque: 100}
+  - {name: lift, position: [0, 0.8], velocity: 1, acceleration: 5, torque: 300}
+drives:
+  - {joint: turn, gain: 10}
+  - {joint: lift, gain: 80}
+truth:
+  links:
+    turn: {mass: 4, com: [0.1, 0.02, 0.02], inertia: [0.02, 0, 0, 0.06, 0, 0.06]}
+    lift: {mass: 3, com: [0.1, 0.02, 0.03], inertia: [0.01, 0, 0, 0.03, 0, 0.03]}
+  joints:
+    turn: {viscous: 3, coulomb: 4, offset: 0.3, motor_inertia: 0.3}
+    lift: {viscous: 25, coulomb: 12, offset: 0, motor_inertia: 2}
+  noise:
+    rate: 100
+    torque_std: {turn: 0.05, lift: 0.1}
+"""
+
+
+def test_a_vertical_axis_and_a_prismatic_joint_carry_what_they_carry():
+    robot_file = parse_robot(VERTICAL, where="portal", folder=None)
+    choices = SweepChoices(stroke=0.6, slowest=0.1, speeds=4)
+    motion = velocity_sweep(robot_file, ArmMotionCheck(robot_file), choices).motion
+    turn, lift = friction([simulate_recording(robot_file, motion, motion.duration, 1)], delay=0.0).result.joints
+    assert "gravity does not act on this joint" in " ".join(turn.notes)
+    assert turn.load_range.greatest == 0.0
+    assert lift.offset is None
+    truth = robot_file.robot.truth.joints
+    for joint in (turn, lift):
+        for name in ("coulomb", "viscous"):
+            value, std = getattr(joint, name), getattr(joint, f"{name}_std")
+            assert abs(value - getattr(truth[joint.joint], name)) < 5.0 * std
+    assert abs(turn.offset - 0.3) < 5.0 * turn.offset_std
