@@ -1,6 +1,6 @@
 """LS, IRLS and I-IRLS on a simulated AUBO i5 that warms up, as AUBO .3.3 and .3.4: tables of docs/aubo.md.
 
-    python studies/aubo_iirls.py [validation runs]
+    python studies/aubo_iirls.py [validation runs [ways, as experiment,estimated]]
 
 A session (`aubo_session`): one excitation identifies, 25 other motions validate, while the joints warm up. Two ways to
 know the temperature's part of the friction:
@@ -25,7 +25,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from aubo_session import COLD, PERIOD, RATE, WARM, aubo, excitation, played, sweep, temperatures
 
+from daq.motion.trajectories import Motion
 from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.robot.loader import RobotFile
 from drivers.streams import FloatArray
 from drivers.units import ZERO_CELSIUS
 from ident.experiments.method_comparison import paired_difference
@@ -42,6 +44,8 @@ MODELS = {
 }
 SWEEP_FRICTION = "coulomb-viscous+power+load+temperature"
 IDENTIFICATION_SEED, VALIDATION_SEED = 1, 100
+TEMPERATURES = (COLD, 0.5 * (COLD + WARM), WARM)
+"""Of the housings at the beginning of the sweeps, and of the excitation where it is played three times [°C]."""
 SMOOTHED = 21
 """Samples of the velocity's Savitzky-Golay filter, 0.1 s."""
 
@@ -154,50 +158,47 @@ def print_table(title: str, rows: Sequence[tuple[Case, list[ComparedModel]]]) ->
     sys.stdout.flush()
 
 
-def main(count: int = 25) -> None:
-    """Print the tables."""
-    arm = aubo()
-    motion = excitation(arm, IDENTIFICATION_SEED, candidates=30)
-    cold, mild, warm = (
-        played(arm, motion, celsius, seed) for seed, celsius in enumerate((COLD, 0.5 * (COLD + WARM), WARM), start=1)
-    )
-    held_out = [
-        played(
-            arm, excitation(arm, VALIDATION_SEED + k, candidates=1), temperatures(k / (count - 1)), VALIDATION_SEED + k
-        )
-        for k in range(count)
-    ]
-    speed = np.concatenate([_velocity(run.streams[JOINTS_STREAM].channels["position"].values) for run in held_out])
-    print(f"{count} validation runs of {PERIOD:g} s; rms speed {np.sqrt(np.mean(speed**2, axis=0)).round(2)} rad/s")
-
+def by_experiment(
+    arm: RobotFile, motion: Motion, held_out: Sequence[Recording]
+) -> list[tuple[Case, list[ComparedModel]]]:
+    """Identified cold; the temperature's part of the friction from sweeps."""
     friction = sweep(arm)
-    sweeps = [
-        played(arm, friction, celsius, seed) for seed, celsius in enumerate((COLD, 0.5 * (COLD + WARM), WARM), start=11)
-    ]
-    known = identify(sweeps, held_out[:1], IdentifyChoices(model=ModelChoices(SWEEP_FRICTION), search_delay=False))
+    sweeps = [played(arm, friction, celsius, seed) for seed, celsius in enumerate(TEMPERATURES, start=11)]
+    choices = IdentifyChoices(model=ModelChoices(SWEEP_FRICTION), search_delay=False)
+    known = identify(sweeps, held_out[:1], choices)
     print(f"friction experiment: {len(sweeps)} sweeps of {friction.duration:.0f} s")
     for kind in TEMPERATURE_KINDS[1:]:
         columns = [index for index, of_kind in enumerate(known.base.kinds) if of_kind == kind]
         values = ", ".join(f"{known.solution.parameters[i]:.4f} ± {1.96 * known.std[i]:.4f}" for i in columns)
         print(f"  {kind}: {values}")
-
-    compensated = [without_temperature(run, known) for run in held_out]
-    rows = [
-        (
-            case,
-            compared(
-                case,
-                "",
-                [without_temperature(cold, known)] if case.warm else [cold],
-                compensated if case.warm else held_out,
-            ),
-        )
+    cold = played(arm, motion, COLD, 1)
+    less = without_temperature(cold, known), [without_temperature(run, known) for run in held_out]
+    return [
+        (case, compared(case, "", [less[0] if case.warm else cold], less[1] if case.warm else held_out))
         for case in CASES
     ]
-    print_table("f_T from a friction experiment; identified cold", rows)
-    rows = [(case, compared(case, "+temperature" * case.warm, [cold, mild, warm], held_out)) for case in CASES]
-    print_table("f_T estimated with the rest; identified cold, in between and warm", rows)
+
+
+def estimated(arm: RobotFile, motion: Motion, held_out: Sequence[Recording]) -> list[tuple[Case, list[ComparedModel]]]:
+    """Identified cold, in between and warm, with the temperature's coefficients."""
+    runs = [played(arm, motion, celsius, seed) for seed, celsius in enumerate(TEMPERATURES, start=1)]
+    return [(case, compared(case, "+temperature" * case.warm, runs, held_out)) for case in CASES]
+
+
+def main(count: int = 25, ways: str = "experiment,estimated") -> None:
+    """Print the tables."""
+    arm = aubo()
+    motion = excitation(arm, IDENTIFICATION_SEED, candidates=30)
+    held_out = []
+    for k in range(count):
+        other = excitation(arm, VALIDATION_SEED + k, candidates=1)
+        held_out.append(played(arm, other, temperatures(k / (count - 1)), VALIDATION_SEED + k))
+    speed = np.concatenate([_velocity(run.streams[JOINTS_STREAM].channels["position"].values) for run in held_out])
+    print(f"{count} validation runs of {PERIOD:g} s; rms speed {np.sqrt(np.mean(speed**2, axis=0)).round(2)} rad/s")
+    for way in ways.split(","):
+        rows = (by_experiment if way == "experiment" else estimated)(arm, motion, held_out)
+        print_table(f"f_T, {way}", rows)
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 25, *sys.argv[2:3])
