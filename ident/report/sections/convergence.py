@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import cycle
 from typing import Any
 
@@ -11,6 +12,8 @@ from ident.report.section import ReportData, ReportSection
 from ident.result.schema import Convergence, LoopResult
 
 PANEL = 180
+FEW = 6
+"""Iterations whose ticks are all shown: between them plotly would put fractions."""
 
 
 def section(data: ReportData) -> ReportSection | None:
@@ -34,16 +37,19 @@ def _figure(convergence: Convergence) -> Figure | None:
     for loop in convergence.loops:
         if loop.values:
             by_name.setdefault(loop.name, []).append(loop)
-    panels = [_panel(loops) for loops in by_name.values()]
+    joints = list(dict.fromkeys(loop.joint for loop in convergence.loops if loop.joint and loop.values))
+    first = next((name for name, loops in by_name.items() if loops[0].joint), "")
+    colours = dict(zip(joints, cycle(SERIES_COLOURS), strict=False))
+    panels = [_panel(loops, colours, legend=name == first) for name, loops in by_name.items()]
     if not panels:
         return None
     rows = [panels[start : start + 2] for start in range(0, len(panels), 2)]
     caption = "Each loop over its iterations, innermost first; a loop has converged where its values no longer change."
-    return panel_figure("convergence-plot", rows, caption, showlegend=False)
+    return panel_figure("convergence-plot", rows, caption, showlegend=bool(first))
 
 
-def _panel(loops: list[LoopResult]) -> Panel:
-    """One loop, or the same one of several joints."""
+def _panel(loops: list[LoopResult], colours: Mapping[str, str], *, legend: bool) -> Panel:
+    """One loop, or the same one of several joints, each in its colour."""
     name, unit = loops[0].name, loops[0].unit
     known = [value for loop in loops for value in loop.values if value is not None]
     changes = all(value > 0 for value in known) and max(known, default=1.0) > 30.0 * min(known, default=1.0)
@@ -54,17 +60,20 @@ def _panel(loops: list[LoopResult]) -> Panel:
             "name": loop.joint or name,
             "x": list(range(1, len(loop.values) + 1)),
             "y": loop.values,
-            "line": {"color": colour, "width": 1},
-            "marker": {"size": 5, "color": colour},
+            "line": {"color": colours.get(loop.joint, SERIES_COLOURS[0]), "width": 1},
+            "marker": {"size": 5, "color": colours.get(loop.joint, SERIES_COLOURS[0])},
+            "legendgroup": loop.joint or name,
+            "showlegend": legend and bool(loop.joint),
             "hovertemplate": f"{plain(loop.joint)} iteration %{{x}}: %{{y:.3g}}<extra></extra>",
         }
-        for loop, colour in zip(loops, cycle(SERIES_COLOURS), strict=False)
+        for loop in loops
     ]
+    few = max(len(loop.values) for loop in loops) <= FEW
     return Panel(
         name,
         f"<b>{plain(name)}</b>",
         traces,
-        x={"title": {"text": "iteration"}, "zeroline": False},
+        x={"title": {"text": "iteration"}, "zeroline": False, **({"dtick": 1} if few else {})},
         y={**(LOG_AXIS if changes else {}), "title": {"text": unit or ("relative" if not loops[0].joint else "")}},
         height=PANEL,
     )
