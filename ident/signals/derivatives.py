@@ -14,8 +14,8 @@ from ident.signals.filters import butterworth as butterworth_filter
 from ident.signals.filters import no_filter
 from ident.signals.motion_masks import BAND_POWER
 from ident.signals.options import Cutoffs, PreprocessChoices
-from ident.signals.prepared import Step
-from ident.signals.segments import SmoothMotion, UniformSegment, central_difference
+from ident.signals.prepared import SmoothMotion, Step
+from ident.signals.segments import UniformSegment, central_difference
 from ident.signals.smoothing.five_point import five_point_cubic, half_gain_frequency, passes_for
 from ident.signals.smoothing.kalman import WHITE_SNAP, kalman_smoother
 from ident.signals.smoothing.noise_levels import likeliest_cutoff, sample_noise

@@ -15,6 +15,7 @@ from drivers.errors import DataError
 from drivers.gains import DriveGain, joint_torque
 from drivers.ranges import RECORDED_POSITION, RECORDED_TORQUE, RECORDED_VELOCITY
 from drivers.streams import FloatArray
+from ident.signals.joint_target import joint_target
 from ident.signals.joint_temperature import joint_temperature
 
 JOINT_QUANTITIES = ("position", "velocity", "current", "voltage", "torque")
@@ -73,6 +74,7 @@ class JointSignals:
         velocity: (N, n) [rad/s or m/s]; None where it was not recorded.
         replaced: outliers in place of which stands what their neighbours say.
         temperature: (N, n) of the joints [K], nan for joints without a sensor; None where none was recorded.
+        target: (N, n) positions that the controller aimed at [rad or m], nan where no number; None where not recorded.
 
     Raises:
         DataError: a value is not finite; names the first such sample and its joint.
@@ -88,6 +90,7 @@ class JointSignals:
     gains_used: tuple[str, ...] = ()
     replaced: tuple[ReplacedSamples, ...] = ()
     temperature: FloatArray | None = None
+    target: FloatArray | None = None
 
     def __post_init__(self) -> None:
         optional = {} if self.velocity is None else {"velocity": self.velocity}
@@ -145,6 +148,7 @@ def read_joint_signals(recording: Recording, robot: Robot) -> JointSignals:
         gains_used,
         replaced,
         joint_temperature(recording, tuple(robot.joint_names)),
+        joint_target(stream, tuple(robot.joint_names)),
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from drivers.errors import DataError, DynidError, UsageError
 from drivers.streams import FloatArray
-from ident.signals.derivatives import choose_smoother, smooth_motion
+from ident.signals.derivatives import Smoother, choose_smoother, smooth_motion
 from ident.signals.filters import ZeroPhaseFilter, chebyshev_decimation, unit_gain
 from ident.signals.joint_signals import JointSignals
 from ident.signals.motion_masks import motion_band
@@ -27,7 +27,7 @@ from ident.signals.options import (
     parallel_filter,
     resolve,
 )
-from ident.signals.prepared import Prepared, Segment, Step
+from ident.signals.prepared import Prepared, Segment, SmoothMotion, Step
 from ident.signals.resampling import (
     Irregularity,
     check_stamps,
@@ -85,6 +85,7 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
     moving, rest_velocity, motion_step = moving_segments(decimated, motions, choices)
     segments, ends_step = without_ends(moving, cutoffs)
     segments = _with_temperature(segments, signals)
+    segments = _with_target(segments, aligned, signals, smoother, choices.position_decimate)
     parallel = parallel_filter(cutoffs, choices.filter_kind, rate)
     parallel_step = Step(
         "parallel filter",
@@ -114,6 +115,45 @@ def _with_temperature(segments: tuple[Segment, ...], signals: JointSignals) -> t
         replace(segment, temperature=np.array([np.interp(segment.time, signals.time, column) for column in columns]))
         for segment in segments
     )
+
+
+def _with_target(
+    segments: tuple[Segment, ...],
+    aligned: Sequence[UniformSegment],
+    signals: JointSignals,
+    smoother: Smoother,
+    decimation: int,
+) -> tuple[Segment, ...]:
+    """The segments with the motion of the targets, filtered like the positions, where they were recorded without a gap.
+
+    Args:
+        segments: the last.
+        aligned: signals before decimation, which the segments are parts of.
+        signals: as recorded.
+        smoother: of the positions.
+        decimation: of the positions.
+    """
+    if signals.target is None:
+        return segments
+    chebyshev = unit_gain(chebyshev_decimation(decimation)) if decimation > 1 else None
+    motions = []
+    for segment in aligned:
+        rows = np.array([np.interp(segment.time, signals.time, column) for column in signals.target.T])
+        rows = rows if chebyshev is None else chebyshev.apply(rows)
+        time = segment.time[::decimation]
+        if np.all(np.isfinite(rows)) and len(time) >= SHORTEST_SEGMENT:
+            motions.append((time, smoother.apply(rows, 2)))
+
+    def with_target(segment: Segment) -> Segment:
+        for time, motion in motions:
+            start = int(np.searchsorted(time, segment.time[0] - 0.5 / segment.rate))
+            if time[0] <= segment.time[0] and segment.time[-1] <= time[-1]:
+                part = slice(start, start + len(segment.time))
+                target = SmoothMotion(*(np.ascontiguousarray(signal[:, part]) for signal in motion))
+                return replace(segment, target=target)
+        return segment
+
+    return tuple(with_target(segment) for segment in segments)
 
 
 def window_of(time: FloatArray, start: float | None, stop: float | None) -> slice:

@@ -30,6 +30,15 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False)
+class SmoothMotion:
+    """The smoothed positions of a segment (n, N) with their derivatives: [rad, rad/s, rad/s² or m…]."""
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Segment:
     """Consecutive samples without gaps on a uniform grid.
 
@@ -47,6 +56,7 @@ class Segment:
             either (see `velocity_reversals`). None where not determined.
         temperature: (n, N) of the joints [K], nan for joints without a sensor; None where none was recorded.
         known_torque: (n, N) friction known beforehand, which was taken off `torque` [N·m or N]; None where none was.
+        target: motion that the controller aimed at, smoothed like the positions; None where it was not recorded.
     """
 
     time: FloatArray
@@ -60,6 +70,7 @@ class Segment:
     resting: npt.NDArray[np.bool_] | None = None
     temperature: FloatArray | None = None
     known_torque: FloatArray | None = None
+    target: SmoothMotion | None = None
 
 
 @dataclass(frozen=True, eq=False)

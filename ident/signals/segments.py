@@ -12,7 +12,7 @@ from drivers.errors import DataError
 from drivers.streams import FloatArray
 from ident.signals.motion_masks import SHORTEST_REST, default_rest_velocity, moving_mask
 from ident.signals.options import Cutoffs, PreprocessChoices
-from ident.signals.prepared import Segment, Step
+from ident.signals.prepared import Segment, SmoothMotion, Step
 
 END_PERIODS = 2.0
 """Periods of the positions' cut-off that are left out at both ends of a segment. A low-pass cannot see how the motion
@@ -36,15 +36,6 @@ class UniformSegment:
     torque: FloatArray
     velocity: FloatArray | None
     rate: float
-
-
-@dataclass(frozen=True, eq=False)
-class SmoothMotion:
-    """The smoothed positions of a segment (n, N) with their derivatives: [rad, rad/s, rad/s² or m…]."""
-
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
 
 
 def central_difference(rows: FloatArray, rate: float) -> FloatArray:

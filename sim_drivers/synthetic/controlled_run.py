@@ -14,7 +14,7 @@ SIGNAL_UNITS = {"current": "A", "voltage": "V", "torque": "N*m"}
 
 
 def record_plant(robot_file: RobotFile, plant: Plant, motion: Motion, rate: float) -> Recording:
-    """Play a motion on a plant and record positions, the drives' signal and temperatures.
+    """Play a motion on a plant and record positions, their targets, the drives' signal and temperatures.
 
     The reference is new in every control period, however slow the recording is. The plant keeps its heat from one call
     to the next: an arm that warms up is the same plant again.
@@ -40,6 +40,7 @@ def record_plant(robot_file: RobotFile, plant: Plant, motion: Motion, rate: floa
     stamps = np.array([sample.time for sample in samples])
     values = {
         "position": ([sample.position for sample in samples], "rad"),
+        "target_position": ([sample.target_position for sample in samples], UNITS["target_position"]),
         signal: ([sample.current for sample in samples], SIGNAL_UNITS[signal]),
         "temperature": ([sample.temperature for sample in samples], UNITS["temperature"]),
     }

@@ -6,6 +6,7 @@ motion that has the same course but not the same noise, take that away: θ solve
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
@@ -19,6 +20,7 @@ from drivers.streams import FloatArray
 from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.simulated_arm import check_whole_arm, simulated_motions
+from ident.estimators.target_motion import WEAKEST, first_stage_f, independent_rows, target_motions
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.estimators.triangular_estimation import restricted_solution, triangular_system
 from ident.linear_algebra.triangular import QrAccumulator, triangular
@@ -31,14 +33,14 @@ from ident.regression.least_squares import (
 )
 from ident.regression.moment_equations import SegmentRows, moment_jackknife
 from ident.regression.observation_matrix import Reduction
-from ident.signals.prepared import Prepared, Segment
+from ident.signals.prepared import Prepared, Segment, Step
 from ident.signals.repetition import own_period
 
 ITERATIONS = 30
 SETTLED = 0.01
 """Largest change of a parameter, over its classical deviation."""
 
-Instruments = Literal["auto", "repetition", "simulation"]
+Instruments = Literal["auto", "repetition", "target", "simulation"]
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,8 @@ class IvOptions:
     instruments: Annotated[
         Instruments,
         Field(
-            description="motion of the instruments: another repetition of the recorded one, or that of the simulated "
-            "arm; auto takes repetitions where there are any"
+            description="motion of the instruments: another repetition of the recorded one, the recorded target "
+            "positions', or that of the simulated arm; auto takes the first of these that there is"
         ),
     ] = "auto"
     bandwidth: Annotated[
@@ -57,6 +59,26 @@ class IvOptions:
         within(LOOP_BANDWIDTH),
         Field(description="of the simulated position loop [rad/s]; twenty times the motion's band if absent"),
     ] = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """Where the instruments come from.
+
+    Attributes:
+        words: for the list of steps.
+        motions: of each run, its segments with the motion of the instruments; empty where it is to be simulated.
+        factors: of each joint, the triangular factor of [Z W τ]; empty likewise.
+    """
+
+    words: str
+    motions: list[tuple[Segment, ...]]
+    factors: list[FloatArray]
+
+    @property
+    def loop(self) -> str:
+        """What is iterated."""
+        return "weights" if self.motions else "simulation, weights and fit"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -101,29 +123,30 @@ class InstrumentalEstimator(TorqueEstimator):
 
     def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
         """Weights, and a simulated motion, follow the parameters, iterated."""
-        repeated = self._repeated(runs)
         reduction, solution = plain, self.solve(plain, active)
-        motions = repeated or []
+        source = self._source(runs, plain, solution)
+        motions, factors = source.motions, source.factors
         changes: list[float] = []
         while len(changes) < ITERATIONS and (not changes or changes[-1] > SETTLED):
-            if repeated is None:
+            if not source.motions:
                 motions = simulated_motions(self.setup, runs, reduction, solution, self.options.bandwidth)
-            if repeated is None or not changes:
                 factors = self._factors(runs, motions, plain)
             weights = inverse_deviations(plain, residual_deviations(plain, solution.parameters, len(solution.active)))
+            system = _triangle(factors, plain, weights, active)
             solved = triangular_system(
-                plain, _projected(factors, plain, weights, active), weights, active, "iv", len(changes) + 1
+                plain, system[: len(active), len(active) :], weights, active, "iv", len(changes) + 1
             )
             moved = np.abs(solved.solution.parameters - solution.parameters)[list(active)]
             changes.append(float(np.max(moved / solved.solution.std[list(active)])))
             reduction, solution = solved.reduction, solved.solution
-        name = "weights" if repeated else "simulation, weights and fit"
+        strength = _strength(system, active, independent_rows(runs, plain.rows))
         return InstrumentalEstimation(
             self.setup.kernel,
             reduction,
             solution,
-            (Loop(name, "σ", tuple(changes), changes[-1] <= SETTLED),),
-            passes=1 + 2 * (1 if repeated else len(changes)),
+            (Loop(source.loop, "σ", tuple(changes), changes[-1] <= SETTLED),),
+            passes=1 + 2 * (1 if source.motions else len(changes)),
+            steps=(_step(source, strength),),
             instruments=tuple(motions),
         )
 
@@ -141,24 +164,35 @@ class InstrumentalEstimator(TorqueEstimator):
         """Two-stage least squares: fewer columns, the same instruments."""
         return restricted_solution(estimation.reduction, estimation.solution, columns)
 
-    def _repeated(self, runs: Sequence[Prepared]) -> list[tuple[Segment, ...]] | None:
-        """The repetitions; None where a simulated motion is to be used.
+    def _source(self, runs: Sequence[Prepared], plain: Reduction, solution: LeastSquares) -> _Source:
+        """The first motion in the order of `auto` that instruments can be made of.
 
         Raises:
-            IdentificationError: a motion does not repeat itself, and repetitions were asked for.
+            IdentificationError: there is none of the kind that was asked for, or it makes weak instruments.
         """
-        if self.options.instruments == "simulation":
-            return None
-        found = [[repeated_segment(segment) for segment in run.segments] for run in runs]
-        if all(segment is not None for segments in found for segment in segments):
-            return [tuple(segment for segment in segments if segment is not None) for segments in found]
-        if self.options.instruments == "repetition":
+        wanted, weak = self.options.instruments, ""
+        if wanted in ("auto", "repetition") and (repeated := _repetitions(runs)) is not None:
+            return _Source("the same motion one period later", repeated, self._factors(runs, repeated, plain))
+        if wanted == "repetition":
             raise IdentificationError(
                 "a recorded motion does not repeat itself without a gap",
                 hint="record two periods or more, or use --method iv:instruments=simulation",
             )
+        targets = target_motions(runs) if wanted in ("auto", "target") else None
+        if targets is not None:
+            factors = self._factors(runs, targets, plain)
+            system = _triangle(factors, plain, solution.weights, solution.active)
+            strength = _strength(system, solution.active, independent_rows(runs, plain.rows))
+            if strength >= WEAKEST:
+                return _Source("the motion of the recorded target positions", targets, factors)
+            weak = f"the recorded target positions make weak instruments (F {strength:.3g}, at least {WEAKEST:g})"
+        if wanted == "target":
+            raise IdentificationError(
+                weak or "a recording holds no target positions of all joints",
+                hint="use --method iv:instruments=simulation, or wls",
+            )
         check_whole_arm(self.setup, "iv")
-        return None
+        return _Source("that of the simulated arm" + f"; {weak}" * bool(weak), [], [])
 
     def _factors(
         self, runs: Sequence[Prepared], motions: Sequence[Sequence[Segment]], plain: Reduction
@@ -173,10 +207,21 @@ class InstrumentalEstimator(TorqueEstimator):
         return [part.factor() for part in sums]
 
 
-def _projected(
+def _repetitions(runs: Sequence[Prepared]) -> list[tuple[Segment, ...]] | None:
+    """Of each run, its segments one period later; None where one does not repeat itself."""
+    found = [[repeated_segment(segment) for segment in run.segments] for run in runs]
+    if any(segment is None for segments in found for segment in segments):
+        return None
+    return [tuple(segment for segment in segments if segment is not None) for segments in found]
+
+
+def _triangle(
     factors: Sequence[FloatArray], plain: Reduction, weights: FloatArray, active: Sequence[int]
 ) -> FloatArray:
-    """(a, b + 1) W and τ of all joints, weighted, projected on the instruments of the active columns."""
+    """Triangular factor (a + b + 1) of [Z W τ] of all joints, weighted; Z has the active columns.
+
+    Its first a rows are W and τ projected on the instruments.
+    """
     width = plain.column_count
     blocks = []
     for joint, factor, weight in zip(plain.joints, factors, weights, strict=True):
@@ -186,8 +231,20 @@ def _projected(
         block[:, [width + column for column in columns]] = factor[:, count : 2 * count]
         block[:, -1] = factor[:, -1]
         blocks.append(weight * block)
-    chosen = [*active, *range(width, 2 * width + 1)]
-    return triangular(np.vstack(blocks)[:, chosen])[: len(active), len(active) :]
+    return triangular(np.vstack(blocks)[:, [*active, *range(width, 2 * width + 1)]])
+
+
+def _strength(system: FloatArray, active: Sequence[int], rows: float) -> float:
+    """First-stage F of the active columns."""
+    count = len(active)
+    chosen = [*range(count), *(count + column for column in active)]
+    return first_stage_f(triangular(system[:, chosen]), count, rows)
+
+
+def _step(source: _Source, strength: float) -> Step:
+    """What the instruments were, and how strong."""
+    text = f"{source.words}; first-stage F of the weakest combination {strength:.3g}"
+    return Step("instruments", {"first_stage_f": min(strength, sys.float_info.max)}, text)
 
 
 def _estimator(options: IvOptions, setup: Setup) -> Estimator:
@@ -197,7 +254,7 @@ def _estimator(options: IvOptions, setup: Setup) -> Estimator:
 
 
 METHOD = Method(
-    "instrumental variables: the regressor of a repetition, or of the simulated arm, as instruments",
+    "instrumental variables: the regressor of a repetition, of the targets, or of the simulated arm, as instruments",
     "torque",
     IvOptions,
     _estimator,
