@@ -148,7 +148,7 @@ def read_joint_signals(recording: Recording, robot: Robot) -> JointSignals:
         gains_used,
         replaced,
         joint_temperature(recording, tuple(robot.joint_names)),
-        joint_target(stream, tuple(robot.joint_names)),
+        joint_target(stream, tuple(robot.joint_names), position),
     )
 
 

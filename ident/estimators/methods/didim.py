@@ -2,22 +2,25 @@
 
 The torque of a simulated arm in a position loop is compared with the measured one. With gains that follow the model,
 the simulated motion hardly depends on the parameters, and Gauss-Newton is least squares on the regressor of that
-motion, repeated. The controller is a stand-in (`ident.simulation.closed_loop`), its reference the recorded motion.
+motion, repeated. The controller is a stand-in (`ident.simulation.closed_loop`), its reference the recorded motion or
+the recorded target positions.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
+from drivers.errors import IdentificationError
 from drivers.ranges import LOOP_BANDWIDTH
 from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.simulated_arm import check_whole_arm, simulated_motions
+from ident.estimators.target_motion import target_motions
 from ident.estimators.torque_estimator import TorqueEstimator, reduce_torques
 from ident.regression.comparison import compare_torques
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun, block_jackknife
@@ -40,6 +43,10 @@ class DidimOptions:
         within(LOOP_BANDWIDTH),
         Field(description="of the simulated position loop [rad/s]; twenty times the motion's band if absent"),
     ] = None
+    reference: Annotated[
+        Literal["recorded", "target"],
+        Field(description="what the simulated loop follows: the recorded motion, or the recorded target positions"),
+    ] = "recorded"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,18 +65,19 @@ class DidimEstimator(TorqueEstimator):
     """Weighted least squares along the motion of the simulated arm.
 
     Attributes:
-        bandwidth: of the position loop [rad/s]; from the motion where None.
+        options: of the simulated loop.
     """
 
-    bandwidth: float | None
+    options: DidimOptions
 
     def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
         """Simulate, fit, and so on."""
         setup = self.setup
+        references = self._references(runs)
         reduction, solution = plain, self.solve(plain, active)
         changes: list[float] = []
         while len(changes) < ITERATIONS and (not changes or changes[-1] > SETTLED):
-            motions = simulated_motions(setup, runs, reduction, solution, self.bandwidth)
+            motions = simulated_motions(setup, references, reduction, solution, self.options.bandwidth)
             simulated = [replace(run, segments=segments) for run, segments in zip(runs, motions, strict=True)]
             reduction = reduce_torques(setup.kernel, simulated, setup.experiment.torques)
             refined = self.solve(reduction, active)
@@ -85,6 +93,21 @@ class DidimEstimator(TorqueEstimator):
             passes=1 + len(changes),
             motions=tuple(motions),
         )
+
+    def _references(self, runs: Sequence[Prepared]) -> Sequence[Prepared]:
+        """The runs with the motion that the simulated loop follows.
+
+        Raises:
+            IdentificationError: a recording has no targets, and they were asked for.
+        """
+        if self.options.reference == "recorded":
+            return runs
+        targets = target_motions(runs)
+        if targets is None:
+            raise IdentificationError(
+                "a recording holds no target positions of all joints", hint="use --method didim:reference=recorded"
+            )
+        return [replace(run, segments=segments) for run, segments in zip(runs, targets, strict=True)]
 
     def covariance(self, runs: Sequence[FilteredRun], estimation: Estimation) -> CorrectedCovariance:
         """Delete-block jackknife of the last fit, the simulated motion held."""
@@ -109,11 +132,11 @@ class DidimEstimator(TorqueEstimator):
 
 def _estimator(options: DidimOptions, setup: Setup) -> Estimator:
     check_whole_arm(setup, "didim")
-    return DidimEstimator(setup, weighted_least_squares, options.bandwidth)
+    return DidimEstimator(setup, weighted_least_squares, options)
 
 
 METHOD = Method(
-    "torque of a simulated arm that follows the recorded motion, compared with the measured one",
+    "torque of a simulated arm that follows the recorded motion or its targets, compared with the measured one",
     "torque",
     DidimOptions,
     _estimator,

@@ -374,6 +374,32 @@ def test_choices_that_this_recording_cannot_fulfil(
     assert error.value.hint or error.value.where
 
 
+@pytest.mark.parametrize(
+    "choices",
+    [
+        PreprocessChoices(),
+        PreprocessChoices(position_decimate=3, delay=0.004, start=1.0, stop=19.0),
+        PreprocessChoices(differentiation="savitzky-golay"),
+    ],
+)
+def test_targets_are_filtered_like_positions(recording: tuple[np.ndarray, ...], choices: PreprocessChoices) -> None:
+    """Targets that are the positions come out as the motion, in every segment and at every rate."""
+    keep = np.ones(len(recording[0]), dtype=bool)
+    keep[1500:1700] = False
+    time, position, torque = (values[keep] for values in recording[:3])
+    signals = JointSignals("", JOINTS[:3], time, position, torque, "given", target=position)
+    prepared = prepare_signals(signals, choices)
+    assert len(prepared.segments) == 2
+    for segment in prepared.segments:
+        assert segment.target is not None
+        for quantity in ("position", "velocity", "acceleration"):
+            np.testing.assert_allclose(getattr(segment.target, quantity), getattr(segment, quantity), atol=1e-6)
+    hole = position.copy()
+    hole[-1000, 0] = np.nan
+    parts = prepare_signals(replace(signals, target=hole), choices).segments
+    assert [segment.target is None for segment in parts] == [False, True]
+
+
 def test_an_empty_window_is_refused() -> None:
     with pytest.raises(UsageError, match="empty"):
         PreprocessChoices(start=3.0, stop=2.0)
