@@ -1,11 +1,13 @@
 """Bias and coverage of the estimators under coloured noise, and their held-out error on the public recordings.
 
     python studies/estimators_bias.py [seeds [methods, separated by commas]]
+    python studies/estimators_bias.py SEEDS METHODS controlled      (the controlled arm alone)
 
-A simulated UR5e follows one periodic motion exactly, three periods of 10 s; every seed draws other noise: on positions
-an encoder's steps and coloured noise, on torques AR(1) noise. Preprocessed by default, and poorly, with cut-offs far
-above the motion's band. `bias` is the error of the torque of the mean of all seeds' parameters along another motion,
-relative to that torque, `error` the median over the seeds of the same; `bias/σ` the root mean square over the
+A simulated UR5e follows one periodic motion exactly, three periods of 10 s, and then once more under a position
+controller that believes in 90 % of the arm's parameters, whose targets are recorded; every seed draws other noise: on
+positions an encoder's steps and coloured noise, on torques AR(1) noise. Preprocessed by default, and poorly, with cut-
+offs far above the motion's band. `bias` is the error of the torque of the mean of all seeds' parameters along another
+motion, relative to that torque, `error` the median over the seeds of the same; `bias/σ` the root mean square over the
 parameters of their mean error over the spread of the seeds (1/√seeds where there is no bias); `inside` the share of
 true values in the 95 % intervals. Then the held-out error (last 30 %) of the public recordings in `DYNID_DATA`.
 With 20 seeds some ten minutes of processor time.
@@ -26,6 +28,7 @@ import numpy as np
 from reversals import public_recordings
 from scipy.signal import lfilter
 
+from daq.motion.trajectories import FourierSeries
 from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import DynidError
 from drivers.streams import FloatArray
@@ -46,6 +49,8 @@ from ident.regression.velocity_reversals import REVERSAL_SHARE, leave_out_revers
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
+from sim_drivers.plant.plant import Plant, PlantSettings
+from sim_drivers.synthetic.controlled_run import record_plant
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
@@ -53,6 +58,8 @@ METHODS = (
     *("ols", "wls", "ridge", "tls", "ml", "iv:instruments=repetition", "iv:instruments=simulation", "didim"),
     "output-error",
 )
+TARGET_METHODS = ("iv:instruments=target", "didim:reference=target")
+"""Need the controller's targets."""
 PERIOD, DURATION = 10.0, 30.0
 ENCODER = 2e-5
 POSITION_STD, POSITION_CORRELATION = 5e-5, 0.7
@@ -96,14 +103,34 @@ def noisy(exact: JointSignals, seed: int) -> JointSignals:
 
 def exact_signals(robot_file: RobotFile) -> JointSignals:
     """Of the arm with perfect sensors."""
+    motion = random_fourier_motion(build_model(robot_file), PERIOD, seed=1)
+    recording = simulate_recording(with_perfect_sensors(robot_file), motion, DURATION, seed=0)
+    return read_joint_signals(recording, robot_file.robot)
+
+
+def with_perfect_sensors(robot_file: RobotFile) -> RobotFile:
+    """The arm without noise."""
     robot = robot_file.robot
     silent = robot.truth.noise.model_copy(
         update={"encoder_resolution": 0.0, "torque_std": {}, "ripple_amplitude": {}, "torque_delay": 0.0}
     )
     truth = robot.truth.model_copy(update={"noise": silent})
-    perfect = robot_file.model_copy(update={"robot": robot.model_copy(update={"truth": truth})})
-    motion = random_fourier_motion(build_model(robot_file), PERIOD, seed=1)
-    return read_joint_signals(simulate_recording(perfect, motion, DURATION, seed=0), robot)
+    return robot_file.model_copy(update={"robot": robot.model_copy(update={"truth": truth})})
+
+
+def controlled_signals(robot_file: RobotFile) -> JointSignals:
+    """Of the arm under a controller, with perfect sensors, and the controller's targets."""
+    perfect = with_perfect_sensors(robot_file)
+    once = random_fourier_motion(build_model(robot_file), PERIOD, seed=1)
+    periods = round(DURATION / PERIOD)
+    harmonics = [np.zeros((once.sine.shape[0], periods * once.sine.shape[1])) for _ in range(2)]
+    for every, amplitudes in zip(harmonics, (once.sine, once.cosine), strict=True):
+        every[:, periods - 1 :: periods] = amplitudes
+    motion = FourierSeries(DURATION, once.offset, *harmonics)
+    start = motion.evaluate(np.zeros(1))[0][:, 0]
+    plant = Plant(perfect, PlantSettings(nominal_share=0.9), position=start)
+    recording = record_plant(perfect, plant, motion, robot_file.robot.truth.noise.rate)
+    return read_joint_signals(recording, robot_file.robot)
 
 
 def fitted(robot_file: RobotFile, signals: JointSignals, choices: PreprocessChoices, method: str) -> Fit:
@@ -123,12 +150,11 @@ def fitted(robot_file: RobotFile, signals: JointSignals, choices: PreprocessChoi
     return Fit(parameters, np.sqrt(np.diag(corrected.covariance)), seconds)
 
 
-def compare(robot_file: RobotFile, seeds: int, methods: Sequence[str]) -> None:
-    """Print a table for each preprocessing."""
+def compare(robot_file: RobotFile, exact: JointSignals, seeds: int, methods: Sequence[str]) -> None:
+    """Print a table for each preprocessing of signals without noise."""
     model = build_model(robot_file)
     base = base_parameters(model)
     truth = base.projection @ truth_vector(robot_file)
-    exact = exact_signals(robot_file)
     other = random_fourier_motion(model, PERIOD, seed=2).evaluate(np.arange(0.0, PERIOD, 0.02))
     torque = model_torque(model, base.columns, truth, *other)
 
@@ -176,13 +202,19 @@ def held_out(methods: Sequence[str], folder: Path) -> None:
         print(f"{method:28}{line}", flush=True)
 
 
-def main(seeds: int = 20, methods: Sequence[str] = METHODS) -> None:
+def main(seeds: int = 20, methods: Sequence[str] = (), *, controlled_only: bool = False) -> None:
     """Print the tables."""
+    robot_file = load_robot("ur5e")
+    if seeds > 1 and not controlled_only:
+        compare(robot_file, exact_signals(robot_file), seeds, methods or METHODS)
     if seeds > 1:
-        compare(load_robot("ur5e"), seeds, methods)
+        print("\nunder a controller, targets recorded")
+        compare(robot_file, controlled_signals(robot_file), seeds, methods or (*METHODS, *TARGET_METHODS))
+    if controlled_only:
+        return
     folder = Path(os.environ.get("DYNID_DATA", "../shared/data"))
     if folder.is_dir():
-        held_out(methods, folder)
+        held_out(methods or METHODS, folder)
     else:
         print(f"\nno public recordings: {folder} is no folder")
 
@@ -190,5 +222,6 @@ def main(seeds: int = 20, methods: Sequence[str] = METHODS) -> None:
 if __name__ == "__main__":
     main(
         int(sys.argv[1]) if len(sys.argv) > 1 else 20,
-        sys.argv[2].split(",") if len(sys.argv) > 2 else METHODS,
+        sys.argv[2].split(",") if len(sys.argv) > 2 else (),
+        controlled_only=sys.argv[3:] == ["controlled"],
     )

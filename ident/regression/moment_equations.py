@@ -25,6 +25,7 @@ from ident.regression.comparison import TorqueSeries
 from ident.regression.jackknife import (
     BlockSums,
     CorrectedCovariance,
+    DistinctSamples,
     block_count,
     block_length,
     distinct_samples,
@@ -124,6 +125,36 @@ def moment_jackknife(
     autocorrelation = residual_autocorrelation(series)
     samples = distinct_samples(series)
     length = block_length(autocorrelation, samples.count)
+    moves = moment_moves(samples, length, sources, solution, penalty)
+    return CorrectedCovariance(
+        covariance=jackknife_covariance(moves),
+        block_length=length,
+        blocks=len(moves),
+        autocorrelation=autocorrelation,
+        effective_rows=solution.rows * independent_share(autocorrelation[solution.weights > 0]) * samples.share,
+        repetitions=1.0 / samples.share,
+    )
+
+
+def moment_moves(
+    samples: DistinctSamples,
+    length: int,
+    sources: Sequence[Iterable[MomentRows]],
+    solution: LeastSquares,
+    penalty: FloatArray | None = None,
+) -> FloatArray:
+    """(B, a) how far leaving out each block moves a solution of moment equations.
+
+    Args:
+        samples: of every segment.
+        length: of a block [samples].
+        sources: the equations of every segment, in the same order.
+        solution: of them, with the weights (n,) of the joints' rows.
+        penalty: P (a, a) of the active columns; 0 where None.
+
+    Raises:
+        IdentificationError: the instruments do not follow the regressor.
+    """
     sums = BlockSums.empty(block_count(samples.count, length), len(solution.active))
     place = np.full(len(solution.parameters), -1)
     place[list(solution.active)] = np.arange(len(solution.active))
@@ -137,15 +168,7 @@ def moment_jackknife(
         normal = normal + penalty
     if not np.all(np.diag(normal) > 0.0):
         raise IdentificationError("the instruments do not follow the motion that was recorded", hint="use --method wls")
-    moves = tolerant_moves(BlockSums(sums.gram, sums.score - sums.score.mean(axis=0)), normal)
-    return CorrectedCovariance(
-        covariance=jackknife_covariance(moves),
-        block_length=length,
-        blocks=len(sums.gram),
-        autocorrelation=autocorrelation,
-        effective_rows=solution.rows * independent_share(autocorrelation[used]) * samples.share,
-        repetitions=1.0 / samples.share,
-    )
+    return tolerant_moves(BlockSums(sums.gram, sums.score - sums.score.mean(axis=0)), normal)
 
 
 def _add(

@@ -24,6 +24,9 @@ from ident.estimators.target_motion import WEAKEST, first_stage_f, independent_r
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.estimators.triangular_estimation import restricted_solution, triangular_system
 from ident.linear_algebra.triangular import QrAccumulator, triangular
+from ident.regression.comparison import compare_torques
+from ident.regression.exogeneity import exogeneity_test
+from ident.regression.hypothesis_tests import LEVEL, p_text
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun
 from ident.regression.least_squares import (
     LeastSquares,
@@ -123,7 +126,8 @@ class InstrumentalEstimator(TorqueEstimator):
 
     def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
         """Weights, and a simulated motion, follow the parameters, iterated."""
-        reduction, solution = plain, self.solve(plain, active)
+        ordinary = self.solve(plain, active)
+        reduction, solution = plain, ordinary
         source = self._source(runs, plain, solution)
         motions, factors = source.motions, source.factors
         changes: list[float] = []
@@ -145,10 +149,42 @@ class InstrumentalEstimator(TorqueEstimator):
             reduction,
             solution,
             (Loop(source.loop, "σ", tuple(changes), changes[-1] <= SETTLED),),
-            passes=1 + 2 * (1 if source.motions else len(changes)),
-            steps=(_step(source, strength),),
+            passes=1 + 2 * (1 if source.motions else len(changes)) + 5,
+            steps=(_step(source, strength), self._exogeneity(runs, motions, solution, ordinary)),
             instruments=tuple(motions),
         )
+
+    def _exogeneity(
+        self,
+        runs: Sequence[Prepared],
+        motions: Sequence[Sequence[Segment]],
+        solution: LeastSquares,
+        ordinary: LeastSquares,
+    ) -> Step:
+        """Whether least squares differs by more than noise."""
+        kernel = self.setup.kernel
+        series = [
+            part
+            for run in runs
+            for part in compare_torques(
+                kernel.model, kernel.columns, solution.parameters, run.segments, run.parallel_filter
+            )
+        ]
+        pairs = [
+            (
+                SegmentRows(kernel, segment, run.parallel_filter, other),
+                SegmentRows(kernel, segment, run.parallel_filter),
+            )
+            for run, others in zip(runs, motions, strict=True)
+            for segment, other in zip(run.segments, others, strict=True)
+        ]
+        test = exogeneity_test(series, (solution, [pair[0] for pair in pairs]), (ordinary, [pair[1] for pair in pairs]))
+        verdict = "the regressor's noise biases wls" if test.p_value < LEVEL else "not statistically significant"
+        text = (
+            f"wls differs by up to {test.ratio:.3g} σ of the difference ({self.setup.base.names[test.column]}), "
+            f"{p_text(test.p_value)} (Durbin, Wu, Hausman): {verdict}"
+        )
+        return Step("exogeneity", {"largest_ratio": test.ratio, "p_value": test.p_value}, text)
 
     def covariance(self, runs: Sequence[FilteredRun], estimation: Estimation) -> CorrectedCovariance:
         """Delete-block jackknife, the instruments held."""

@@ -50,7 +50,7 @@ def identified(recording: Recording, method: str) -> Identification:
 
 
 def words(found: Identification) -> str:
-    (step,) = found.estimation.steps
+    step, _ = found.estimation.steps
     assert step.name == "instruments"
     return step.text
 

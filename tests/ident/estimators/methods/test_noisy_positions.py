@@ -149,6 +149,16 @@ def test_a_repetition_is_the_same_motion_with_other_noise(three_joint):
     assert other.used.sum() > 0.9 * segment.used.sum()
 
 
+def test_least_squares_beside_instruments_shows_noise_of_the_regressor(three_joint):
+    """Durbin, Wu and Hausman's H0 holds with cut-offs from the data, and not where W is full of noise."""
+    p_values = []
+    for choices in ((2e-4, POOR), (1e-5, DEFAULT)):
+        found = identified(three_joint.text, "iv:instruments=repetition", *choices)
+        (step,) = (one for one in found.estimation.steps if one.name == "exogeneity")
+        p_values.append(step.settings["p_value"])
+    assert p_values[0] < 0.05 < p_values[1]
+
+
 def test_ridge_counts_its_bias_into_the_intervals(three_joint):
     """A heavy penalty pulls parameters to 0; the intervals hold the truth all the same."""
     found = identified(three_joint.text, "ridge:weight=1.0", 1e-5)
