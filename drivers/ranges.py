@@ -76,6 +76,7 @@ SMOOTHING = Range(0.0, 10.0, "rad/s")
 EXPONENT = Range(0.05, 4.0)
 """Of the velocity in viscous friction; measured ones lie between 0.3 and 1.5."""
 STRIBECK_VELOCITY = Range(1e-4, 10.0, "rad/s or m/s")
+PRESLIDING_TRAVEL = Range(1e-6, 1.0, "rad or m")
 """Where the Stribeck term has fallen to 1/e; of gears mostly 0.01 to 0.5 rad/s."""
 PERCENT = Range(1e-3, 100.0, "%")
 """A standard deviation relative to its parameter: wanted, or a threshold of significance."""

@@ -60,6 +60,9 @@ def identify_recordings(
         "--leave-out-reversals",
         help="Leave out velocity reversals: motors slower than this share of their RMS velocity; default 0.05.",
     ),
+    presliding: bool = typer.Option(
+        False, "--presliding", help="Find pre-sliding travels, for predict and validate --presliding."
+    ),
     start: float = typer.Option(None, "--start", help="Leave out samples before this time [s from the first stamp]."),
     stop: float = typer.Option(None, "--stop", help="Leave out samples after this time [s from the first stamp]."),
     keep_rest: bool = typer.Option(
@@ -114,6 +117,7 @@ def identify_recordings(
             torques_of=names_option(torques_of, "--torques-of") or (),
             rest_tolerance=rest_tolerance,
             leave_out_reversals=reversals,
+            presliding=presliding,
             start=start,
             stop=stop,
             keep_rest=keep_rest,

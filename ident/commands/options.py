@@ -13,6 +13,9 @@ from daq.commands.options import JSON as JSON
 from drivers.errors import UsageError
 
 ROBOT = typer.Argument(help="Built-in robot or robot file.")
+PRESLIDING = typer.Option(
+    False, "--presliding", help="Dry friction near velocity reversals by the travels of identify --presliding."
+)
 SIGNIFICANCE = typer.Option(15.0, "--significance", help="Threshold of the relative standard deviation [%].")
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import FORCE, JSON
+from ident.commands.options import FORCE, JSON, PRESLIDING
 
 app = typer.Typer()
 
@@ -17,6 +17,7 @@ def predict_torque(
     recording: Path = typer.Argument(help="Recording of the same arm (.h5)."),
     out: Path = typer.Option(None, "-o", "--out", help="Recording to write (.h5)."),
     parameters: str = typer.Option("consistent", "--parameters", help="consistent, full or essential."),
+    presliding: bool = PRESLIDING,
     page: Path = typer.Option(None, "--page", help="Page with plots to write (.html)."),
     force: bool = FORCE,
     as_json: bool = JSON,
@@ -34,7 +35,7 @@ def predict_torque(
     check_outputs([file, page], [recording, result_path(model)], overwrite=force)
     with progress_line(quiet=as_json) as progress:
         progress("prediction")
-        prediction = predict(model, recording, parameters=parameters)  # type: ignore[arg-type]  # the task checks it
+        prediction = predict(model, recording, parameters=parameters, presliding=presliding)  # type: ignore[arg-type]  # the task checks it
         progress(f"writing {file}")
         prediction.save(file, overwrite=force)
         if page is not None:
@@ -47,6 +48,7 @@ def predict_torque(
                 "file": str(file),
                 "page": None if page is None else str(page),
                 "parameters": parameters,
+                "presliding": presliding,
                 "samples": len(prediction.time),
                 "segments": len(prediction.segments.segments),
                 "rate_hz": prediction.segments.segments[0].rate,

@@ -20,6 +20,7 @@ from ident.estimators.method_choice import MethodChoice, chosen_method
 from ident.identify.friction.choice import check_friction, chosen_friction, friction_columns
 from ident.identify.friction.selection import FrictionStep
 from ident.identify.held_friction import HeldFriction, experiment_terms
+from ident.identify.presliding import PreslidingFit
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import friction_terms
@@ -78,6 +79,7 @@ class IdentifyChoices:
         experiment: joints that must be locked, and motors whose torques are used.
         reversals: equations of a motor slower than this share of its root mean square are left out; 0 keeps all, None
             is `REVERSAL_SHARE` for methods with an equation per motor.
+        presliding: find pre-sliding travels (`ident.identify.presliding`).
     """
 
     method: str = "wls"
@@ -88,6 +90,7 @@ class IdentifyChoices:
     significant_rsd: float = SIGNIFICANT_RSD
     experiment: ExperimentChoices = field(default_factory=ExperimentChoices)
     reversals: float | None = None
+    presliding: bool = False
 
     def __post_init__(self) -> None:
         check_share(self.reversal_share)
@@ -213,6 +216,7 @@ class Identification:
         friction: what was found of the friction before the regression.
         shape_std: σ of the friction's free shapes, by kind of their sensitivity and motor.
         held: friction held at an experiment's values, in no parameter above; None without an experiment.
+        presliding: pre-sliding travels; None where not asked for.
     """
 
     robot_file: RobotFile
@@ -239,6 +243,7 @@ class Identification:
     friction: FrictionFit
     shape_std: dict[tuple[str, int], float]
     held: HeldFriction | None = None
+    presliding: PreslidingFit | None = None
 
     @property
     def solution(self) -> LeastSquares:

@@ -29,9 +29,11 @@ from ident.identify.identification import (
     apply_model_choices,
 )
 from ident.identify.preparation import PreparedData, compare_run, prepare_data
+from ident.identify.presliding import PreslidingFit, find_travels, low_speed_error, with_presliding
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.presliding import dry_friction
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
 from ident.regression.estimate import estimate_of
@@ -158,6 +160,10 @@ def identify(
         held=data.held,
     )
 
+    if choices.presliding:
+        progress("presliding")
+        identification = replace(identification, presliding=_presliding(identification))
+
     progress("plausibility")
     return replace(identification, checks=tuple(identification_checks(identification, recordings)))
 
@@ -173,6 +179,20 @@ def _consistent_fit(
         fit=fit_figures(_flat(compare_run(kernel, parameters.base, run) for run in data.runs)),
         validation=fit_figures(_flat(compare_run(kernel, parameters.base, run) for run in data.validation_runs)),
     )
+
+
+def _presliding(identification: Identification) -> PreslidingFit:
+    """Pre-sliding travels beside the full model, and its held-out error near standstill with them."""
+    found = identification
+    runs, held_out = (
+        [(run.prepared.segments, run.prepared.parallel_filter) for run in runs]
+        for runs in (found.runs, found.validation_runs)
+    )
+    dry = dry_friction(found.model, found.base, found.solution.parameters)
+    travels = find_travels(dry, runs, found.fit_series, found.corrected.block_length)
+    by_name = {one.parameter: one.travel for one in travels}
+    changed = with_presliding(dry, by_name, held_out, found.validation_series)
+    return PreslidingFit(travels, low_speed_error(found.validation_series), low_speed_error(changed))
 
 
 def _simulated(

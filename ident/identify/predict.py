@@ -72,24 +72,28 @@ class RecordingPrediction:
     steps: tuple[str, ...]
 
 
-def predict_recording(model: Model, robot_file: RobotFile, recording: Recording) -> RecordingPrediction:
+def predict_recording(
+    model: Model, robot_file: RobotFile, recording: Recording, *, presliding: bool = False
+) -> RecordingPrediction:
     """Predict the torques of a recording, filters and delay as at the identification, samples at rest included.
 
     Args:
         model: what predicts.
         robot_file: of its result; its drive gains turn a recorded signal into torque.
         recording: of the same arm.
+        presliding: dry friction near velocity reversals by the result's pre-sliding travels.
 
     Raises:
         DataError: the recording lacks positions, a joint, or a gain.
         ModelError: a parameter without a value acts on the motion.
         ResultFileError: the result holds no covariance.
+        UsageError: it holds no pre-sliding travels, where asked for.
     """
     signals = _signals(recording, robot_file)
     model.require_temperature(signals.temperature, signals.label)
     choices = replace(stored_choices(model.result), keep_rest=True)
     prepared = prepare(signals, choices)
-    segments = tuple(_predicted(model, prepared, segment, signals) for segment in prepared.segments)
+    segments = tuple(_predicted(model, prepared, segment, signals, presliding) for segment in prepared.segments)
     deviations = model.result.residuals.joint_std
     known = len(deviations) == model.dof and all(value is not None for value in deviations)
     noise = model.coupling.T**2 @ np.square(np.array(deviations, dtype=np.float64)) if known else None
@@ -99,6 +103,7 @@ def predict_recording(model: Model, robot_file: RobotFile, recording: Recording)
         torque_origin=signals.torque_origin,
         steps=(
             *(f"{step.name}: {step.text}" for step in prepared.steps if step.name != "parallel filter"),
+            *(["presliding: dry friction by Dahl's model near velocity reversals"] if presliding else []),
             f"residual: measured and predicted torque, zero-phase low-pass of {prepared.cutoffs.torque:.4g} Hz, "
             "all samples kept",
         ),
@@ -125,7 +130,9 @@ def _signals(recording: Recording, robot_file: RobotFile) -> JointSignals:
     )
 
 
-def _predicted(model: Model, prepared: Prepared, segment: Segment, signals: JointSignals) -> SegmentPrediction:
+def _predicted(
+    model: Model, prepared: Prepared, segment: Segment, signals: JointSignals, presliding: bool
+) -> SegmentPrediction:
     """The segment without its ends, where the filters are not valid."""
     used = segment.used
 
@@ -136,6 +143,10 @@ def _predicted(model: Model, prepared: Prepared, segment: Segment, signals: Join
     celsius = None if segment.temperature is None else rows(segment.temperature) - ZERO_CELSIUS
     gravity, coriolis, friction = model.gravity(q), model.coriolis(q, dq), model.friction(dq, q, celsius)
     torque = model.torque(q, dq, ddq, celsius)
+    change = np.zeros_like(segment.position)
+    if presliding:
+        change = model.presliding_torque(segment.position.T, segment.velocity.T, segment.rate).T
+        friction, torque = friction + rows(change), torque + rows(change)
     measured = residual = None
     if signals.torque_origin:
         at_joints = model.coupling.T @ segment.torque
@@ -144,7 +155,9 @@ def _predicted(model: Model, prepared: Prepared, segment: Segment, signals: Join
         heat = None if segment.temperature is None else segment.temperature.T - ZERO_CELSIUS
         residual = rows(
             every_sample.apply(
-                at_joints - model.torque(segment.position.T, segment.velocity.T, segment.acceleration.T, heat).T
+                at_joints
+                - change
+                - model.torque(segment.position.T, segment.velocity.T, segment.acceleration.T, heat).T
             )
         )
     return SegmentPrediction(

@@ -13,12 +13,14 @@ from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.validation import FitFigures, fit_figures, overfitting_checks
+from ident.identify.presliding import with_presliding
 from ident.identify.summary import held_out_errors
+from ident.model.presliding import dry_friction
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
 from ident.regression.observability import REST_TOLERANCE, predictable_torques
 from ident.regression.velocity_reversals import leave_out_rest
-from ident.result.schema import Fit, Result
+from ident.result.schema import Fit, Result, presliding_of
 from ident.result.stored_model import stored_model
 from ident.signals.joint_signals import read_joint_signals
 from ident.signals.options import PreprocessChoices
@@ -62,13 +64,20 @@ class Revalidation:
         return None if self.consistent_series is None else fit_figures(self.consistent_series)
 
 
-def revalidate(result: Result, recording: Recording) -> Revalidation:
+def revalidate(result: Result, recording: Recording, *, presliding: bool = False) -> Revalidation:
     """Predict a recording's torques with a stored model, filters and delay as at its identification.
+
+    Args:
+        result: the model.
+        recording: of the same arm.
+        presliding: dry friction near velocity reversals by the result's pre-sliding travels.
 
     Raises:
         ResultFileError: the stored parameters do not belong to the stored robot file.
         DataError: the recording lacks what is needed.
+        UsageError: the result holds no pre-sliding travels, where asked for.
     """
+    travels = presliding_of(result).by_parameter if presliding else {}
     stored_parts = stored_model(result)
     model, base = stored_parts.model, stored_parts.base
     stored = {parameter.name: parameter for parameter in result.base_parameters}
@@ -86,6 +95,9 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
 
     def compared(values: FloatArray) -> tuple[TorqueSeries, ...]:
         series = compare_torques(model, base.columns, values, prepared.segments, prepared.parallel_filter)
+        if travels:
+            run = (prepared.segments, prepared.parallel_filter)
+            series = with_presliding(dry_friction(model, base, values), travels, [run], series)
         return tuple(only_predicted(part, torques) for part in series)
 
     consistent = result.consistent

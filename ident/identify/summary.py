@@ -16,6 +16,7 @@ from daq.robot.schema import Robot
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.delay.delay import DelaySearch
+from ident.assessment.validation import LOW_SPEED
 from ident.identify.convergence import convergence_result
 from ident.identify.held_result import with_held_friction
 from ident.identify.identification import ConsistentFit, Identification, PreparedRun
@@ -24,6 +25,7 @@ from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import LOAD_POWERS, TEMPERATURE_KINDS, temperature_coefficients
 from ident.model.parameters import Kind
 from ident.regression.estimate import Estimate
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observability import Experiment, describe, whole_arm
 from ident.regression.pruning import Pruned, relative_std
@@ -42,6 +44,7 @@ from ident.result.schema import (
     JointDelayFigures,
     JointFrictionResult,
     ModelOptions,
+    Presliding,
     ProcessingStep,
     RecordingUse,
     Residuals,
@@ -82,6 +85,7 @@ def summarise(
                 *identification.estimation.steps,
                 _experiment_step(identification),
                 *_friction_step(identification),
+                *_presliding_step(identification),
             )
         ],
         delay=delay_figures(identification.choices.preprocess.delay, identification.delay),
@@ -156,6 +160,9 @@ def summarise(
         experiments=[experiment_result(model, identification.experiment)],
         estimate=estimate_result(identification.estimate, base.names),
         convergence=convergence_result(identification),
+        presliding=None
+        if identification.presliding is None
+        else Presliding.model_validate(identification.presliding, from_attributes=True),
     )
     return with_held_friction(result, identification)
 
@@ -246,6 +253,22 @@ def _friction_step(identification: Identification) -> tuple[Step, ...]:
     text = f"shapes and load torque of the friction, estimated from the identification data, {outcome} "
     text += f"{friction.rounds} round{'s' * (friction.rounds > 1)}"
     return (Step("friction", {"rounds": friction.rounds, "settled": friction.settled}, text),)
+
+
+def _presliding_step(identification: Identification) -> tuple[Step, ...]:
+    """Pre-sliding travels among the steps; none where not asked for."""
+    found = identification.presliding
+    if found is None:
+        return ()
+    travels = ", ".join(
+        f"{one.parameter} {one.travel:.2g} ± {WITHIN_95_PERCENT * one.std:.1g}" for one in found.travels
+    )
+    text = (
+        f"travel [rad or m] by Coulomb parameter: {travels or 'presliding lowers no error'}; held-out error of joints "
+    )
+    text += f"slower than {LOW_SPEED:g} rad/s {percent_text(found.error)} with it, "
+    text += f"{percent_text(found.static_error)} without"
+    return (Step("presliding", {one.parameter: one.travel for one in found.travels}, text),)
 
 
 def held_out_errors(joints: Sequence[str], fit: Fit | None) -> Errors:

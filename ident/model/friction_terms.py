@@ -15,8 +15,8 @@ and `temperature_coefficients` gives the paper's β.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
@@ -116,10 +116,12 @@ class FrictionConditions:
     Attributes:
         load_torque: (n, m) of the motors [N·m or N].
         temperature: (n, m) of the motors' joints [K].
+        presliding: states (…, m) in place of sign(q̇), by the motion (joint, factor) that rubs; see `presliding`.
     """
 
     load_torque: FloatArray | None = None
     temperature: FloatArray | None = None
+    presliding: Mapping[tuple[tuple[int, float], ...], FloatArray] = field(default_factory=dict)
 
 
 def friction_terms(friction: Friction, joint_names: Sequence[str]) -> FrictionTerms | None:

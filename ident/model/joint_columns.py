@@ -93,8 +93,16 @@ def column_signal(
     if column.quantity == "viscous":
         return power_law(rate, column.shape)
     if column.quantity == "coulomb":
-        return model.coulomb_direction(rate)
+        return _direction(model, column, rate, conditions)
     return _further_signal(model, column, rate, conditions)
+
+
+def _direction(
+    model: DynamicModel, column: JointColumn, rate: FloatArray, conditions: FrictionConditions
+) -> FloatArray:
+    """sign(q̇) (m,), or the presliding state (…, m) where there is one."""
+    state = conditions.presliding.get(column.motion)
+    return model.coulomb_direction(rate) if state is None else state
 
 
 def _further_signal(
@@ -106,13 +114,14 @@ def _further_signal(
         speed = np.maximum(np.abs(rate), np.finfo(np.float64).tiny)
         return np.asarray(np.sign(rate) * speed**column.shape * np.log(speed))
     if column.quantity in ("stribeck", "stribeck_velocity"):
-        signal = model.coulomb_direction(rate) * stribeck_share(rate, column.shape)
+        signal = _direction(model, column, rate, conditions) * stribeck_share(rate, column.shape)
         # ∂/∂v_s of exp(−(q̇/v_s)²)
-        return signal if column.quantity == "stribeck" else signal * 2.0 * np.square(rate) / column.shape**3
+        return np.asarray(signal if column.quantity == "stribeck" else signal * 2.0 * np.square(rate) / column.shape**3)
     if column.quantity == "load":
         if conditions.load_torque is None:
             raise _lacking(model, motor, "the position, which its load-dependent friction follows")
-        return np.asarray(model.coulomb_direction(rate) * np.abs(conditions.load_torque[motor]) ** column.shape)
+        direction = _direction(model, column, rate, conditions)
+        return np.asarray(direction * np.abs(conditions.load_torque[motor]) ** column.shape)
     if conditions.temperature is None:
         raise _lacking(model, motor, "its temperature, which its friction depends on")
     factor = temperature_factor(column.quantity, conditions.temperature[motor])

@@ -22,11 +22,12 @@ from ident.model.base_parameters import base_parameters
 from ident.model.friction_terms import REFERENCE_TEMPERATURE
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.model.parameters import FRICTION_KINDS
+from ident.model.presliding import dry_friction
 from ident.model.regressor import CHUNK, regressor
 from ident.regression.observability import describe
 from ident.regression.pruning import pruned_covariance
 from ident.result.arrays import outward, samples
-from ident.result.schema import Result, read_result
+from ident.result.schema import Result, presliding_of, read_result
 from ident.result.simulated_motion import STEP, Controller, SimulatedMotion, simulated_motion
 from ident.result.stored_model import StoredModel, stored_estimate, stored_model
 from ident.result.tables import Table, table_of_rows
@@ -210,6 +211,27 @@ class Model:
         if self._missing:
             self._require(self._columns(*motion, kelvin))
         return outward(self._dynamics.torque(*motion, kelvin), single=single)
+
+    def presliding_torque(self, q: npt.ArrayLike, dq: npt.ArrayLike, rate: float) -> FloatArray:
+        """What presliding adds to `torque` along a motion in time [N·m]; shape of `q`.
+
+        Near a velocity reversal, dry friction follows Dahl's model in place of sign(q̇), its travels found by
+        `identify(…, presliding=True)`. It slides at the first motion.
+
+        Args:
+            q: (N, n) positions on a uniform grid of time [rad].
+            dq: the same of velocities [rad/s].
+            rate: [Hz].
+
+        Raises:
+            DataError: a wrong shape, or a value is not finite.
+            UsageError: the result holds no pre-sliding travels.
+        """
+        travels = presliding_of(self.result).by_parameter
+        (position, velocity), single = samples(self.joint_names, q=q, dq=dq)
+        dry = dry_friction(self._stored.model, self._base, self._values)
+        change = self._dynamics.coupling.T @ dry.torque_change(travels, position, velocity, rate)
+        return outward(change, single=single)
 
     def gravity(self, q: npt.ArrayLike) -> FloatArray:
         """Gravity's part g(q) of the torque [N·m]; shape of `q`.

@@ -22,9 +22,9 @@ from pydantic import (
 
 from daq.output_files import replace_files
 from daq.robot.section import within
-from drivers.errors import ResultFileError
+from drivers.errors import ResultFileError, UsageError
 from drivers.input_files import RESULT_FILE, read_text
-from drivers.ranges import EXPONENT, RESULT_VALUE, SMOOTHING, STRIBECK_VELOCITY
+from drivers.ranges import EXPONENT, PRESLIDING_TRAVEL, RESULT_VALUE, SMOOTHING, STRIBECK_VELOCITY
 from ident.model.friction_terms import FrictionTerms
 from ident.model.parameters import Kind
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
@@ -449,6 +449,40 @@ class Convergence(_Part):
     )
 
 
+class PreslidingTravel(_Part):
+    """The pre-sliding travel of one motion."""
+
+    parameter: str = Field(description="name of the motion's Coulomb parameter")
+    travel: Annotated[float, AfterValidator(within(PRESLIDING_TRAVEL))] = Field(description="rad or m")
+    std: Number = Field(description="σ, other parameters held")
+
+
+class Presliding(_Part):
+    """Dahl's state in place of sign(q̇), for prediction."""
+
+    travels: list[PreslidingTravel] = Field(description="where presliding lowers the error")
+    static_error: Number = Field(description="relative, of held-out torques of joints below 0.1 rad/s, without it")
+    error: Number = Field(description="the same with it")
+
+    @property
+    def by_parameter(self) -> dict[str, float]:
+        """Travels [rad or m] by the name of the Coulomb parameter."""
+        return {one.parameter: one.travel for one in self.travels}
+
+
+def presliding_of(result: Result) -> Presliding:
+    """The pre-sliding travels of a result.
+
+    Raises:
+        UsageError: it was identified without.
+    """
+    if result.presliding is None:
+        raise UsageError(
+            "this result holds no pre-sliding travels", where="--presliding", hint="identify again with --presliding"
+        )
+    return result.presliding
+
+
 _LISTS_OF_JOINTS = (
     "joint_relative_error",
     "rmse",
@@ -504,6 +538,7 @@ class Result(_Part):
     merge: Merge | None = None
     estimate: EstimateResult | None = None
     convergence: Convergence | None = Field(default=None, description="null for methods that solve in one step")
+    presliding: Presliding | None = Field(default=None, description="null without --presliding")
 
     @model_validator(mode="after")
     def _lists_of_joints(self) -> Self:

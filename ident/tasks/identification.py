@@ -203,6 +203,7 @@ def identify(
     torques_of: Sequence[str] = (),
     rest_tolerance: float | None = None,
     leave_out_reversals: float | None = None,
+    presliding: bool = False,
     start: float | None = None,
     stop: float | None = None,
     keep_rest: bool = False,
@@ -243,6 +244,8 @@ def identify(
         rest_tolerance: range of positions within which a joint counts as locked [rad or m]; 0.005 where None.
         leave_out_reversals: leave out velocity reversals: motors slower than this share
             of their RMS velocity; 0 leaves out none, None is 0.05 for methods with an equation per joint.
+        presliding: also find each joint's pre-sliding travel, which `predict` and `validate` can use near velocity
+            reversals; all parameters are those without it.
         start: leave out samples before this time [s from the first stamp].
         stop: leave out samples after this time [s from the first stamp].
         keep_rest: keep segments in which no joint moves, and torques of motors at rest.
@@ -289,6 +292,7 @@ def identify(
             REST_TOLERANCE if rest_tolerance is None else rest_tolerance,
         ),
         reversals=leave_out_reversals,
+        presliding=presliding,
     )
     limits = None if accept is None else limits_of(accept)
     progress("reading")

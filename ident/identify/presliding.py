@@ -1,0 +1,131 @@
+"""The pre-sliding travel of each joint, from the identification's equations near velocity reversals.
+
+Everything else is held at the identified model. The equations away from reversals do not depend on the travel, so that
+all of them are compared: those that the regression left out decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.assessment.validation import LOW_SPEED
+from ident.model.presliding import DryFriction
+from ident.regression.comparison import TorqueSeries
+from ident.regression.jackknife import block_count, distinct_samples
+from ident.signals.filters import ZeroPhaseFilter
+from ident.signals.prepared import Segment
+
+TRAVELS = np.geomspace(1e-5, 0.1, 41)
+"""Travels that are tried [rad or m]; between them the cost is a parabola over their logarithm."""
+
+Run = tuple[Sequence[Segment], ZeroPhaseFilter]
+"""Segments of a recording and the filter of its torques."""
+
+
+@dataclass(frozen=True)
+class PreslidingTravel:
+    """The travel of one motion.
+
+    Attributes:
+        parameter: name of its Coulomb parameter.
+        travel: δ of Dahl's model [rad or m].
+        std: σ by the delete-block jackknife, all other parameters held [rad or m].
+    """
+
+    parameter: str
+    travel: float
+    std: float
+
+
+@dataclass(frozen=True)
+class PreslidingFit:
+    """Travels, and what they are worth on held-out data.
+
+    Attributes:
+        travels: of the motions in which presliding lowers the error on blocks that had no part in finding the travel.
+        static_error: relative error of held-out torques of joints slower than `LOW_SPEED`, without presliding.
+        error: the same with it.
+    """
+
+    travels: tuple[PreslidingTravel, ...]
+    static_error: float
+    error: float
+
+
+def find_travels(
+    dry: DryFriction, runs: Sequence[Run], series: Sequence[TorqueSeries], length: int
+) -> tuple[PreslidingTravel, ...]:
+    """The travels by which Dahl's model leaves least of the residuals; motions one after the other.
+
+    Args:
+        dry: dry friction of the identified model.
+        runs: the identification data.
+        series: their torques, a series per segment.
+        length: of the jackknife's blocks [filtered samples].
+    """
+    samples = distinct_samples(series)
+    blocks, count = [indices // length for indices in samples.indices], block_count(samples.count, length)
+    segments = [(segment, run_filter) for of_run, run_filter in runs for segment in of_run]
+    conditions = [dry.conditions(segment.position) for segment, _ in segments]
+    residuals = [np.where(np.isfinite(part.residual), part.residual, 0.0) for part in series]
+    found = []
+    for name in dry.columns:
+        motors, costs, changes = dry.motors(name), np.zeros((len(TRAVELS), count)), []
+        for (segment, run_filter), given, part, residual, of_block in zip(
+            segments, conditions, series, residuals, blocks, strict=True
+        ):
+            change = dry.change(name, TRAVELS, segment.velocity, segment.rate, given)
+            counted = (part.counted & np.isfinite(part.predicted))[motors]
+            filtered = np.array([np.where(counted, run_filter.apply(rows), 0.0) for rows in change])
+            gain = np.sum(filtered * (filtered - 2.0 * residual[motors]), axis=1)
+            costs += np.array([np.bincount(of_block[part.used], row[part.used], count) for row in gain])
+            changes.append(filtered)
+        place = _least(costs.sum(axis=1))
+        without_each = [_least(costs.sum(axis=1) - block) for block in costs.T]
+        held_out = sum(block[round(other)] for block, other in zip(costs.T, without_each, strict=True))
+        if place in (0.0, len(TRAVELS) - 1.0) or held_out >= 0.0:
+            continue
+        for residual, filtered in zip(residuals, changes, strict=True):
+            residual[motors] -= filtered[round(place)]
+        step = np.log(TRAVELS[1] / TRAVELS[0])
+        deviation = np.sqrt((count - 1) / count * np.sum(np.square(np.array(without_each) - place)))
+        travel = float(TRAVELS[0] * np.exp(step * place))
+        found.append(PreslidingTravel(name, travel, float(step * deviation * travel)))
+    return tuple(found)
+
+
+def with_presliding(
+    dry: DryFriction, travels: Mapping[str, float], runs: Sequence[Run], series: Sequence[TorqueSeries]
+) -> tuple[TorqueSeries, ...]:
+    """The series with the predictions changed by presliding."""
+    segments = [(segment, run_filter) for of_run, run_filter in runs for segment in of_run]
+    return tuple(
+        replace(
+            part,
+            predicted=part.predicted
+            + run_filter.apply(dry.torque_change(travels, segment.position, segment.velocity, segment.rate)),
+        )
+        for (segment, run_filter), part in zip(segments, series, strict=True)
+    )
+
+
+def low_speed_error(series: Sequence[TorqueSeries]) -> float:
+    """Relative error of the torques of joints slower than `LOW_SPEED`; nan where there is none."""
+    squares = np.zeros(2)
+    for part in series:
+        slow = part.counted & np.isfinite(part.predicted) & (np.abs(part.velocity) < LOW_SPEED)
+        squares += np.sum(np.square(part.residual[slow])), np.sum(np.square(part.measured[slow]))
+    return float(np.sqrt(squares[0] / squares[1])) if squares[1] > 0 else float("nan")
+
+
+def _least(costs: FloatArray) -> float:
+    """Index, between whole ones, of the least of costs over `TRAVELS`."""
+    least = int(np.argmin(costs))
+    if not 0 < least < len(costs) - 1:
+        return float(least)
+    before, at, after = costs[least - 1 : least + 2]
+    return least + 0.5 * float(before - after) / float(before - 2.0 * at + after)
