@@ -1,145 +1,94 @@
-"""Presliding in place of sign(q̇) on recorded and simulated arms: held-out errors near reversals, travels found.
+"""What presliding is worth near velocity reversals: a table of docs/identification.md.
 
     python studies/presliding.py [NAME…]
+
+Held-out error [%] below 0.1 rad/s and of all samples, without and with presliding, and the travels found: public
+recordings (their folder in DYNID_DATA), and `plant`, a simulated UR5e on the bristles of its plant, which break away
+after a known travel. A few minutes.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-import numpy.typing as npt
+import yaml
 from consistency import public
-from friction_models import choices_of
+from friction_models import choices_of, errors
 
-from drivers.streams import FloatArray
-from ident.assessment.validation import LOW_SPEED
-from ident.identify.identification import Identification, PreparedRun
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile, load_robot, parse_robot
+from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
-from ident.model.inverse_dynamics import InverseDynamics
-from ident.model.joint_columns import column_signal, combined
-from ident.regression.comparison import TorqueSeries
+from ident.identify.presliding import with_presliding
+from ident.model.dynamic_model import build_model
+from ident.model.presliding import dry_friction
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from sim_drivers.plant.plant import Plant
+from sim_drivers.synthetic.controlled_run import record_plant
+from sim_drivers.synthetic.motion import random_fourier_motion
 
-DRY = ("coulomb", "stribeck", "load")
-TRAVELS = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 41)])
-
-
-def dahl(velocity, rate, travel):
-    sign = np.sign(velocity)
-    if travel == 0.0:
-        return sign
-    decay = np.exp(-np.abs(velocity) / (rate * travel))
-    z = np.empty_like(velocity)
-    state = sign[np.flatnonzero(sign)[0]]
-    for index in range(len(velocity)):
-        state = sign[index] + (state - sign[index]) * decay[index]
-        z[index] = state
-    return z
+FRICTION = ("coulomb-viscous", "coulomb-viscous+power", "coulomb-viscous+power+stribeck+load", "auto")
+PLANT_TRAVELS = (5e-5, 5e-4, 2e-3, 5e-3)
+"""Of the simulated bristles [rad]; the first is that of the robot file."""
+RATE = 500.0
+PERIOD = 20.0
 
 
-def maxwell(velocity, rate, travel):
-    sign = np.sign(velocity)
-    if travel == 0.0:
-        return sign
-    step = velocity / (rate * travel)
-    z = np.empty_like(velocity)
-    state = sign[np.flatnonzero(sign)[0]]
-    for index in range(len(velocity)):
-        state = min(1.0, max(-1.0, state + step[index]))
-        z[index] = state
-    return z
+def line(name: str, found: Identification) -> str:
+    """The table's row."""
+    presliding = found.presliding
+    assert presliding is not None
+    runs = [(run.prepared.segments, run.prepared.parallel_filter) for run in found.validation_runs]
+    dry = dry_friction(found.model, found.base, found.solution.parameters)
+    travels = {one.parameter: one.travel for one in presliding.travels}
+    changed = replace(found, validation_series=with_presliding(dry, travels, runs, found.validation_series))
+    (whole, _, slow), (whole_with, _, slow_with) = errors(found), errors(changed)
+    texts = [
+        f"{one.parameter} {1e3 * one.travel:.3g} ± {1e3 * WITHIN_95_PERCENT * one.std:.1g}"
+        for one in presliding.travels
+    ]
+    return f"| {name} | {slow:.2f} → {slow_with:.2f} | {whole:.2f} → {whole_with:.2f} | {', '.join(texts)} |"
 
 
-def corrections(found, runs, element):
-    """For each motion: motors, and corrections (T, motors, M) concatenated over segments."""
-    dynamics = InverseDynamics(found.model, found.base, found.solution.parameters)
-    groups = {}
-    for column, value in dynamics.joint_columns:
-        if column.quantity in DRY and not np.isnan(value):
-            groups.setdefault(column.motion, []).append((column, value))
-    result = {}
-    for motion, columns in groups.items():
-        motors = sorted({m for c, _ in columns for m, _ in c.rows})
-        parts = []
-        for run in runs:
-            for segment in run.prepared.segments:
-                rate = combined(motion, segment.velocity)
-                conditions = dynamics.conditions(segment.position, segment.temperature)
-                dry = np.zeros((len(motors), len(rate)))
-                for column, value in columns:
-                    signal = value * column_signal(found.model, column, segment.velocity, segment.acceleration, conditions)
-                    for motor, factor in column.rows:
-                        dry[motors.index(motor)] += factor * signal
-                magnitude = dry * np.sign(rate)
-                filt = run.prepared.parallel_filter
-                rows = [
-                    filt.apply(magnitude * (element(rate, segment.rate, travel) - np.sign(rate))) for travel in TRAVELS
-                ]
-                parts.append(np.array(rows))
-        result[motion] = motors, np.concatenate(parts, axis=2)
-    return result
+def arm_on_bristles(travel: float) -> RobotFile:
+    """A UR5e whose bristles break away after this travel [rad]."""
+    robot = yaml.safe_load(load_robot("ur5e").text)
+    for joint in robot["truth"]["joints"].values():
+        joint["pre_sliding"] = travel
+    return parse_robot(yaml.safe_dump(robot), where="ur5e", folder=None)
 
 
-def joined(series, name):
-    return np.concatenate([np.asarray(getattr(part, name)) for part in series], axis=1)
+def controlled(robot_file: RobotFile, seed: int) -> tuple[Recording, Plant]:
+    """A motion of the arm under its controller."""
+    motion = random_fourier_motion(build_model(robot_file), PERIOD, seed)
+    plant = Plant(robot_file, seed=seed, position=motion.evaluate(np.zeros(1))[0][:, 0])
+    return record_plant(robot_file, plant, motion, RATE), plant
 
 
-def search(residual, counted, table):
-    chosen = dict.fromkeys(table, 0)
-    for _ in range(4):
-        before = dict(chosen)
-        for motion, (motors, rows) in table.items():
-            rest = residual.copy()
-            for other, (m, r) in table.items():
-                if other != motion:
-                    rest[m] -= r[chosen[other]]
-            cost = [np.sum(((rest[motors] - row) ** 2)[counted[motors]]) for row in rows]
-            chosen[motion] = int(np.argmin(cost))
-        if chosen == before:
-            break
-    return chosen
-
-
-def apply(residual, table, chosen):
-    out = residual.copy()
-    for motion, (m, r) in table.items():
-        out[m] -= r[chosen[motion]]
-    return out
-
-
-def errors(measured, residual, counted, speed):
-    slow = counted & (np.abs(speed) < LOW_SPEED)
-    return [100 * np.linalg.norm(residual[k]) / np.linalg.norm(measured[k]) for k in (counted, counted & ~slow, slow)]
-
-
-def study(name, recording, validation, choices):
-    found = identify([recording], validation, choices)
-    m, r, c, v = (joined(found.validation_series, n) for n in ("measured", "residual", "counted", "velocity"))
-    rf, cf = joined(found.fit_series, "residual"), joined(found.fit_series, "counted")
-    vf = joined(found.fit_series, "velocity")
-    print(name, "static", " ".join(f"{e:7.3f}" for e in errors(m, r, c, v)), " per joint slow rmse", np.round([np.sqrt(np.mean(r[j][c[j] & (abs(v[j]) < LOW_SPEED)]**2)) for j in range(len(r))], 3), "slow share", np.round((c & (abs(v) < LOW_SPEED)).sum(1) / c.sum(1), 3))
-    for element in (dahl, maxwell):
-        tf = corrections(found, found.runs, element)
-        tv = corrections(found, found.validation_runs, element)
-        chosen = search(rf, cf, tf)
-        oracle = search(r, c, tv)
-        for label, which in (("found", chosen), ("oracle", oracle)):
-            rr = apply(r, tv, which)
-            print(f"  {element.__name__:8} {label:7}", " ".join(f"{e:7.3f}" for e in errors(m, rr, c, v)), [f"{TRAVELS[k]:.2g}" for k in which.values()],
-              np.round([np.sqrt(np.mean(rr[j][c[j] & (abs(v[j]) < LOW_SPEED)]**2)) for j in range(len(r))], 3), flush=True)
-
-
-def main(names):
-    folder = Path(os.environ.get("DYNID_DATA", "/work/shared/data"))
-    for name in names or ["ur10", "panda", "tx40"]:
+def main(names: list[str]) -> None:
+    """Print the table."""
+    print("| | below 0.1 rad/s | all | travels [10⁻³ rad] |\n|---|---|---|---|")
+    folder = Path(os.environ.get("DYNID_DATA", "../shared/data"))
+    for name in names or ["ur10", "panda", "tx40", "plant"]:
+        if name == "plant":
+            for travel in PLANT_TRAVELS:
+                robot_file = arm_on_bristles(travel)
+                (run, plant), (other, _) = (controlled(robot_file, seed) for seed in (1, 2))
+                joints = robot_file.robot.truth.joints.values()
+                actual = np.array([joint.coulomb + joint.stribeck for joint in joints]) / plant._friction._stiffness
+                row = line(f"UR5e, {1e3 * travel:g}", identify([run], [other], IdentifyChoices(presliding=True)))
+                print(f"{row} break-away {np.array2string(1e3 * actual, precision=3)}", flush=True)
+            continue
         recording, choices = public(folder, name)
-        for friction in ("coulomb-viscous", "coulomb-viscous+power+stribeck+load", "auto"):
-            study(f"{name} {friction}", recording, [], choices_of(choices, friction))
+        for friction in FRICTION:
+            found = identify([recording], [], replace(choices_of(choices, friction), presliding=True))
+            print(line(f"{name}, `{friction}`", found), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,109 @@
+"""Pre-sliding travels: found where there are some, stored, and used by prediction and validation on request."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.recording.recording import JOINTS_STREAM
+from drivers.errors import UsageError
+from ident.identify.identification import IdentifyChoices
+from ident.identify.identify import identify
+from ident.identify.predict import predict_recording
+from ident.identify.presliding import low_speed_error
+from ident.identify.revalidate import revalidate
+from ident.identify.summary import summarise
+from ident.model.base_parameters import base_parameters
+from ident.model.dynamic_model import build_model
+from ident.model.presliding import dry_friction
+from ident.model.true_parameters import truth_vector
+from ident.result.model import Model
+from ident.result.schema import Result, result_json
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
+
+TRAVELS = {"Fs1": 4e-3, "Fs2": 1.5e-2}
+"""Of the true arm; the third joint has none."""
+
+
+@pytest.fixture(scope="module")
+def recordings(three_joint):
+    """Two motions of an arm whose friction changes sign over a travel."""
+    model = build_model(three_joint)
+    base = base_parameters(model)
+    dry = dry_friction(model, base, base.projection @ truth_vector(three_joint))
+    gains = np.array([three_joint.robot.drive(name).gain for name in model.joint_names])
+    made = []
+    for seed in (1, 2):
+        motion = random_fourier_motion(model, 10.0, seed)
+        recording = simulate_recording(three_joint, motion, 20.0, seed)
+        stream = recording.streams[JOINTS_STREAM]
+        position, velocity, _ = motion.evaluate(stream.time - stream.time[0])
+        rate = (len(stream.time) - 1) / (stream.time[-1] - stream.time[0])
+        change = dry.torque_change(TRAVELS, position, velocity, rate)
+        current = stream.channels["current"]
+        changed = replace(current, values=current.values + change.T / gains)
+        stream = replace(stream, channels={**stream.channels, "current": changed})
+        made.append((recording, replace(recording, streams={**recording.streams, JOINTS_STREAM: stream})))
+    return made
+
+
+@pytest.fixture(scope="module")
+def found(recordings):
+    (_, run), (_, other) = recordings
+    return identify([run], [other], IdentifyChoices(presliding=True, reversals=0.2))
+
+
+@pytest.fixture(scope="module")
+def result(found, recordings):
+    (_, run), (_, other) = recordings
+    return Result.model_validate_json(result_json(summarise(found, [run], [other])))
+
+
+def test_true_travels_are_found_and_lower_the_held_out_error(found):
+    travels = {one.parameter: one for one in found.presliding.travels}
+    for name, truth in TRAVELS.items():
+        assert travels[name].travel == pytest.approx(truth, rel=0.1)
+        assert 0.0 < travels[name].std < 0.1 * truth
+    assert found.presliding.error < 0.2 * found.presliding.static_error
+
+
+def test_friction_that_changes_at_once_has_no_travel(recordings):
+    (run, _), (other, _) = recordings
+    presliding = identify([run], [other], IdentifyChoices(presliding=True)).presliding
+    assert all(one.travel < 2e-4 for one in presliding.travels)
+    assert presliding.error < 1.05 * presliding.static_error
+
+
+def test_a_stored_result_repeats_the_error_on_request(result, found, recordings):
+    other = recordings[1][1]
+    assert result.presliding.by_parameter == {one.parameter: one.travel for one in found.presliding.travels}
+    assert any(step.name == "presliding" and "Fs1" in step.text for step in result.preprocessing)
+    with_travels = revalidate(result, other, presliding=True)
+    assert low_speed_error(with_travels.series) == pytest.approx(found.presliding.error, rel=1e-9)
+    assert low_speed_error(revalidate(result, other).series) == pytest.approx(found.presliding.static_error, rel=1e-9)
+    assert with_travels.consistent.relative_error < revalidate(result, other).consistent.relative_error
+
+
+def test_prediction_adds_the_change_to_the_friction(result, recordings, three_joint):
+    other, model = recordings[1][1], Model(result, "full")
+    (static,) = predict_recording(model, three_joint, other).segments
+    (sliding,) = predict_recording(model, three_joint, other, presliding=True).segments
+    assert np.allclose(sliding.torque - sliding.parts["friction"], static.torque - static.parts["friction"])
+    change = sliding.torque - static.torque
+    assert np.max(np.abs(change[:, 0])) > 5.0  # twice Coulomb friction, right after a reversal
+    away = model.presliding_torque(static.position, static.velocity, static.rate)
+    assert np.allclose(away[200:], change[200:], atol=1e-6)  # the state forgets where it began
+    assert np.std(sliding.residual) < np.std(static.residual)
+
+
+def test_a_result_without_travels_is_refused(result, recordings, three_joint):
+    plain = result.model_copy(update={"presliding": None})
+    for refused in (
+        lambda: revalidate(plain, recordings[1][1], presliding=True),
+        lambda: predict_recording(Model(plain), three_joint, recordings[1][1], presliding=True),
+    ):
+        with pytest.raises(UsageError, match="no pre-sliding travels"):
+            refused()
