@@ -19,8 +19,11 @@ from ident.regression.jackknife import block_count, distinct_samples
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
 
-TRAVELS = np.geomspace(1e-5, 0.1, 41)
-"""Travels that are tried [rad or m]; between them the cost is a parabola over their logarithm."""
+TRAVELS = np.geomspace(1e-5, 1e-2, 31)
+"""Travels that are tried [rad or m]; between them the cost is a parabola over their logarithm.
+
+The least error at either end is no presliding: static friction does as well, or another model error takes its place.
+"""
 
 Run = tuple[Sequence[Segment], ZeroPhaseFilter]
 """Segments of a recording and the filter of its torques."""
