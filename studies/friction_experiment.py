@@ -24,8 +24,10 @@ from daq.motion.trajectories import PointToPoint
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.streams import FloatArray
+from drivers.units import ZERO_CELSIUS
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
+from ident.experiments.friction.joint_friction import friction_torque
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.friction_experiment import JointFrictionExperiment
 from sim_drivers.plant.plant import Plant
@@ -155,16 +157,24 @@ def plant_run() -> None:
     for _ in range(2):
         for motion in motions:
             recordings.append(record_plant(robot_file, plant, _approach(motion, plant.measure().position), RATE))
-    result = dynid.friction(recordings, friction=GIVEN, robot=arm(plain=True)).result
-    print(result.delay_note, result.warnings)
-    for joint in result.joints:
+    found = dynid.friction(recordings, friction=GIVEN, robot=arm(plain=True))
+    print(found.result.delay_note, found.warnings)
+    for joint, fitted in zip(found.result.joints, found.experiment.joints, strict=True):
         truth, heat = true_values(robot_file, joint.joint), joint.temperature_range
         assert heat is not None
-        print(f"\n{joint.joint}: {heat.least:.1f} to {heat.greatest:.1f} °C, RMS {joint.rmse:.3g} N·m")
-        for name, value, std in estimates(joint):
-            half = WITHIN_95_PERCENT * std
-            off = (value - truth[name]) / std
-            print(f"  {name:10} {value:10.4g} ± {half:8.2g}  true {truth[name]:8.4g}  {off:+5.1f} σ")
+        kelvin = 0.5 * (heat.least + heat.greatest) + ZERO_CELSIUS
+        speed = np.linspace(0.1, 1.0, 10) * joint.speed_range.greatest
+        level = np.full_like(speed, joint.load_range.greatest / 2.0)
+        even = truth["offset"] if joint.offset is None else joint.offset
+        curve = (
+            friction_torque(found.experiment.periods.model, fitted, speed, np.full_like(speed, kelvin), level) - even
+        )
+        true = truth["coulomb"] + truth["viscous"] * speed ** truth["exponent"] + truth["load"] * level**2
+        true += np.sqrt(speed) * (truth["beta1"] + truth["beta2"] * kelvin)
+        print(
+            f"{joint.joint}: {heat.least:.1f} to {heat.greatest:.1f} °C, residual RMS {joint.rmse:.3g} N·m; friction at "
+            f"half the load off by at most {np.max(np.abs(curve / true - 1.0)):.1%} from 10 to 100 % of {speed[-1]:.2f} rad/s"
+        )
 
 
 def _approach(motion: PointToPoint, position: FloatArray) -> PointToPoint:
