@@ -166,15 +166,13 @@ def plant_run() -> None:
         speed = np.linspace(0.1, 1.0, 10) * joint.speed_range.greatest
         level = np.full_like(speed, joint.load_range.greatest / 2.0)
         even = truth["offset"] if joint.offset is None else joint.offset
-        curve = (
-            friction_torque(found.experiment.periods.model, fitted, speed, np.full_like(speed, kelvin), level) - even
-        )
+        model, warmth = found.experiment.periods.model, np.full_like(speed, kelvin)
+        curve = friction_torque(model, fitted, speed, warmth, level) - even
         true = truth["coulomb"] + truth["viscous"] * speed ** truth["exponent"] + truth["load"] * level**2
         true += np.sqrt(speed) * (truth["beta1"] + truth["beta2"] * kelvin)
-        print(
-            f"{joint.joint}: {heat.least:.1f} to {heat.greatest:.1f} °C, residual RMS {joint.rmse:.3g} N·m; friction at "
-            f"half the load off by at most {np.max(np.abs(curve / true - 1.0)):.1%} from 10 to 100 % of {speed[-1]:.2f} rad/s"
-        )
+        worst = np.max(np.abs(curve / true - 1.0))
+        print(f"{joint.joint}: {heat.least:.1f} to {heat.greatest:.1f} °C, residual RMS {joint.rmse:.3g} N·m")
+        print(f"  friction at half the load off by at most {worst:.1%}, 10 to 100 % of {speed[-1]:.2f} rad/s")
 
 
 def _approach(motion: PointToPoint, position: FloatArray) -> PointToPoint:
