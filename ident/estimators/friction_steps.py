@@ -66,6 +66,23 @@ def moved_shapes(terms: FrictionTerms, value: Callable[[str, int], float | None]
     )
 
 
+def braking(terms: FrictionTerms, value: Callable[[str, int], float | None]) -> bool:
+    """Whether the friction around an estimated exponent brakes: Fv and Fs are not negative (AUBO eq. 16).
+
+    On a poor motion a flat power law and Coulomb friction of opposite signs fit as well as one of them alone.
+
+    Args:
+        terms: with the exponents that are estimated.
+        value: parameter of a kind and a motor; None where it was not estimated.
+    """
+    return all(
+        (value(kind, motor) or 0.0) >= 0.0
+        for motor, free in enumerate(terms.free_exponent)
+        if free
+        for kind in ("viscous", "coulomb")
+    )
+
+
 def shape_change(before: FrictionTerms, after: FrictionTerms) -> float:
     """Largest relative change of a shape."""
     old, new = (np.array([*terms.exponent, *terms.stribeck_velocity]) for terms in (before, after))

@@ -20,6 +20,7 @@ from ident.estimators.friction_steps import (
     LOAD_TOLERANCE,
     SHAPE_TOLERANCE,
     SHORTER,
+    braking,
     load_change,
     moved_shapes,
     shape_change,
@@ -113,6 +114,11 @@ class _Solved:
         return None
 
     @property
+    def brakes(self) -> bool:
+        """Whether friction with an estimated exponent brakes."""
+        return self.model.terms is None or braking(self.model.terms, self.value)
+
+    @property
     def load_torque(self) -> LoadTorque:
         """What the links' parameters say of gravity."""
         links = [column for column, kind in enumerate(self.base.kinds) if kind == "inertial"]
@@ -177,21 +183,25 @@ class _Fit:
         known = all(values is not None and bool(np.all(np.isfinite(values))) for values in heat)
         candidates = candidates_of(model, greatest_speeds(model, self._runs), temperature=known)
         shares = np.array([independent_share(one[None]) for one in residual_autocorrelation(series)]) * samples.share
-        viscous = [
-            next(
-                (
-                    column
-                    for column, (kind, joint) in enumerate(zip(solved.base.kinds, solved.base.joints, strict=True))
-                    if kind == "viscous" and joint == at and column in solved.solution.active
-                ),
-                None,
-            )
-            for at in model.active
-        ]
+        own = {
+            kind: [
+                next(
+                    (
+                        column
+                        for column, (kept, joint) in enumerate(zip(solved.base.kinds, solved.base.joints, strict=True))
+                        if kept == kind and joint == at and column in solved.solution.active
+                    ),
+                    None,
+                )
+                for at in model.active
+            ]
+            for kind in ("viscous", "coulomb")
+        }
         return FrictionSearch(
             candidate_grams(kernel, self._runs, folds, candidates),
             solved.solution.active,
-            viscous,
+            own["viscous"],
+            own["coulomb"],
             self._experiment.torques,
             shares,
         )
@@ -228,7 +238,7 @@ class _Fit:
             if change < SHAPE_TOLERANCE:
                 return solved, change
             candidate = self.solve(replace(solved.model, terms=moved))
-            if candidate.misfit <= solved.misfit:
+            if candidate.misfit <= solved.misfit and (candidate.brakes or not solved.brakes):
                 return candidate, change
             share *= SHORTER
         return solved, 0.0

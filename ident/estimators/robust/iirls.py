@@ -19,6 +19,7 @@ from ident.estimators.friction_steps import (
     LOAD_TOLERANCE,
     SHAPE_TOLERANCE,
     SHORTER,
+    braking,
     load_change,
     moved_shapes,
     shape_change,
@@ -133,7 +134,7 @@ class FullFrictionEstimator(RobustEstimator):
             if change < SHAPE_TOLERANCE:
                 return fit, change
             candidate = loops.iterated(_reshaped(fit.kernel, moved), fit.solution.parameters, fit.covariance)
-            if candidate.spread <= fit.spread * (1.0 + 1e-9):
+            if candidate.spread <= fit.spread * (1.0 + 1e-9) and (_brakes(candidate) or not _brakes(fit)):
                 return candidate, change
             share *= SHORTER
 
@@ -184,6 +185,21 @@ def _terms(fit: RobustFit) -> FrictionTerms:
     terms = fit.kernel.model.terms
     assert terms is not None
     return terms
+
+
+def _brakes(fit: RobustFit) -> bool:
+    """Whether friction with an estimated exponent brakes."""
+    model, columns = fit.kernel.model, fit.kernel.columns
+    place: dict[tuple[str, int], int] = {
+        (parameter.kind, parameter.joint): index
+        for index, parameter in enumerate(model.parameters[column] for column in columns)
+    }
+
+    def value(kind: str, motor: int) -> float | None:
+        index = place.get((kind, model.active[motor]))
+        return None if index is None else float(fit.solution.parameters[index])
+
+    return braking(_terms(fit), value)
 
 
 def _reshaped(kernel: RegressorKernel, terms: FrictionTerms) -> RegressorKernel:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from daq.robot.schema import Friction, TemperatureFriction
 from drivers.errors import IdentificationError
 from drivers.streams import FloatArray
-from ident.estimators.friction_steps import LOAD_TOLERANCE, SHAPE_TOLERANCE, moved_shapes, shape_change
+from ident.estimators.friction_steps import LOAD_TOLERANCE, SHAPE_TOLERANCE, braking, moved_shapes, shape_change
 from ident.experiments.friction.joint_data import JointData
 from ident.experiments.friction.joint_friction import JointFriction, Span, shape_of
 from ident.experiments.friction.single_joint import JointPeriod
@@ -191,12 +191,13 @@ class _JointFit:
         grams = np.array([stacked[fold == part].T @ stacked[fold == part] for part in range(FOLDS)])
         rows = np.bincount(fold, minlength=FOLDS).astype(np.float64)[:, None]
         width = solved.columns.shape[1]
-        viscous = solved.own + solved.kinds.index("viscous") if "viscous" in solved.kinds else None
+        own: dict[str, int] = {kind: solved.own + place for place, kind in enumerate(solved.kinds)}
         share = independent_share(self._data.autocorrelation(solved.residual)) * count / len(self._data.index)
         return FrictionSearch(
             CandidateGrams((candidates,), (tuple(range(width)),), (grams,), rows, width),
             range(width),
-            [viscous],
+            [own.get("viscous")],
+            [own.get("coulomb")],
             [0],
             np.array([share]),
         )
@@ -286,7 +287,8 @@ class _JointFit:
             if change < SHAPE_TOLERANCE:
                 return solved, change
             candidate = self.solve(moved)
-            if candidate.residual @ candidate.residual <= solved.residual @ solved.residual:
+            better = candidate.residual @ candidate.residual <= solved.residual @ solved.residual
+            if better and (braking(moved, candidate.value) or not braking(solved.terms, solved.value)):
                 return candidate, change
         return solved, 0.0
 

@@ -74,7 +74,7 @@ class FrictionSearch:
     Args:
         grams: of the data.
         active: base columns that the data identify.
-        viscous: of each motor its viscous base column; None where it has none.
+        viscous, coulomb: of each motor its base column of this kind; None where it has none.
         used: motors whose torque is used.
         shares: (n,) of each motor's equations, how many independent ones they are worth.
     """
@@ -84,10 +84,12 @@ class FrictionSearch:
         grams: CandidateGrams,
         active: Sequence[int],
         viscous: Sequence[int | None],
+        coulomb: Sequence[int | None],
         used: Sequence[int],
         shares: FloatArray,
     ) -> None:
-        self._grams, self._active, self._viscous, self._used, self._shares = grams, active, viscous, used, shares
+        self._grams, self._active, self._used, self._shares = grams, active, used, shares
+        self._viscous, self._coulomb = viscous, coulomb
         self._added: dict[tuple[int, str], _Addition] = {}
         self._reweight(np.isin(np.arange(len(grams.grams)), used).astype(np.float64))
 
@@ -143,9 +145,20 @@ class FrictionSearch:
         found: tuple[float, _Addition | None, FloatArray] = (float("inf"), None, np.zeros(len(gram) - 1))
         for way in ways:
             parameters = solve_columns(gram, self._columns(motor, way))
-            if parameters is not None and (error := squared_error(gram, parameters)) < found[0]:
+            if parameters is None or not self._brakes(motor, way, parameters):
+                continue
+            if (error := squared_error(gram, parameters)) < found[0]:
                 found = (error, way, parameters)
         return found
+
+    def _brakes(self, motor: int, way: _Addition, parameters: FloatArray) -> bool:
+        """Whether the power law of a motor, where it has one, and Coulomb friction beside it are not negative."""
+        additions = (way, *(addition for (at, _), addition in self._added.items() if at == motor))
+        of = self._grams.candidates[motor]
+        powers = {place for addition in additions for place in addition.candidates if of[place].quantity == "viscous"}
+        columns = [self._grams.index(motor, place) for place in powers]
+        dry = self._coulomb[motor]
+        return not columns or all(parameters[column] >= 0.0 for column in (*columns, *([] if dry is None else [dry])))
 
     def held_out(self, motor: int, ways: Sequence[_Addition]) -> float:
         """Squared error on each fold of what fits the other folds best, summed."""
