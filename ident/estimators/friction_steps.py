@@ -9,12 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
 from drivers.ranges import EXPONENT, STRIBECK_VELOCITY, Range
+from drivers.streams import FloatArray
+from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import FrictionTerms
+from ident.model.friction_terms import FrictionTerms, LoadTorque
 from ident.model.regressor import LoadTorqueKernel
 from ident.signals.prepared import Prepared
 
@@ -30,9 +33,55 @@ ROOT_DISTANCE = 0.02
 SHORTER = 0.3
 """By which a step is shortened that does not improve the fit."""
 
+MOST_SHORTER_STEPS = 4
+"""Lengths of a step that are tried."""
+
 LOAD_TOLERANCE = 1e-3
 SHAPE_TOLERANCE = 1e-4
 """Relative changes below which load torque and shapes count as settled."""
+
+
+Fit = TypeVar("Fit")
+
+
+def own_column(model: DynamicModel, columns: Sequence[int], kind: str, motor: int) -> int | None:
+    """Place among standard `columns` of a motor's own parameter of a kind; None where it is not among them."""
+    standard, joint = model.parameters, model.active[motor]
+    found = (
+        place
+        for place, column in enumerate(columns)
+        if standard[column].kind == kind and standard[column].joint == joint
+    )
+    return next(found, None)
+
+
+def gravity_of(base: BaseParameters, parameters: FloatArray) -> LoadTorque:
+    """What the links' parameters among base parameters (b,) say of gravity (AUBO eq. 18)."""
+    links = [place for place, kind in enumerate(base.kinds) if kind == "inertial"]
+    return LoadTorque(tuple(base.columns[place] for place in links), tuple(parameters[links].tolist()))
+
+
+def shortened_step(
+    terms: FrictionTerms, value: Callable[[str, int], float | None], improved: Callable[[FrictionTerms], Fit | None]
+) -> tuple[Fit | None, float]:
+    """The first of ever shorter Gauss-Newton steps that improves the fit, and its largest relative change of a shape.
+
+    Args:
+        terms: before.
+        value: as of `moved_shapes`.
+        improved: the fit with other terms; None where it is no better.
+
+    Returns:
+        No fit where the change is below `SHAPE_TOLERANCE`, and no fit and 0 where no step improves it.
+    """
+    for shorter in range(MOST_SHORTER_STEPS):
+        moved = moved_shapes(terms, value, SHORTER**shorter)
+        change = shape_change(terms, moved)
+        if change < SHAPE_TOLERANCE:
+            return None, change
+        if (fit := improved(moved)) is not None:
+            return fit, change
+    return None, 0.0
 
 
 def moved_shapes(terms: FrictionTerms, value: Callable[[str, int], float | None], share: float) -> FrictionTerms:

@@ -19,11 +19,11 @@ from ident.assessment.excitation import excited_base_columns
 from ident.estimators.friction_steps import (
     LOAD_TOLERANCE,
     SHAPE_TOLERANCE,
-    SHORTER,
     braking,
+    gravity_of,
     load_change,
-    moved_shapes,
-    shape_change,
+    own_column,
+    shortened_step,
 )
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.data_split import DataSplit
@@ -107,11 +107,13 @@ class _Solved:
 
     def value(self, kind: str, motor: int) -> float | None:
         """Of a motor's own parameter of a kind; None where it was not estimated."""
-        joint = self.model.active[motor]
-        for column, (kept, at) in enumerate(zip(self.base.kinds, self.base.joints, strict=True)):
-            if kept == kind and at == joint:
-                return float(self.solution.parameters[column]) if column in self.solution.active else None
-        return None
+        column = self.column(kind, motor)
+        return None if column is None else float(self.solution.parameters[column])
+
+    def column(self, kind: str, motor: int) -> int | None:
+        """Base column of a motor's own parameter of a kind; None where it was not estimated."""
+        column = own_column(self.model, self.base.columns, kind, motor)
+        return column if column in self.solution.active else None
 
     @property
     def brakes(self) -> bool:
@@ -121,10 +123,7 @@ class _Solved:
     @property
     def load_torque(self) -> LoadTorque:
         """What the links' parameters say of gravity."""
-        links = [column for column, kind in enumerate(self.base.kinds) if kind == "inertial"]
-        return LoadTorque(
-            tuple(self.base.columns[column] for column in links), tuple(self.solution.parameters[links].tolist())
-        )
+        return gravity_of(self.base, self.solution.parameters)
 
 
 class _Fit:
@@ -183,25 +182,11 @@ class _Fit:
         known = all(values is not None and bool(np.all(np.isfinite(values))) for values in heat)
         candidates = candidates_of(model, greatest_speeds(model, self._runs), temperature=known)
         shares = np.array([independent_share(one[None]) for one in residual_autocorrelation(series)]) * samples.share
-        own = {
-            kind: [
-                next(
-                    (
-                        column
-                        for column, (kept, joint) in enumerate(zip(solved.base.kinds, solved.base.joints, strict=True))
-                        if kept == kind and joint == at and column in solved.solution.active
-                    ),
-                    None,
-                )
-                for at in model.active
-            ]
-            for kind in ("viscous", "coulomb")
-        }
         return FrictionSearch(
             candidate_grams(kernel, self._runs, folds, candidates),
             solved.solution.active,
-            own["viscous"],
-            own["coulomb"],
+            [solved.column("viscous", motor) for motor in range(model.dof)],
+            [solved.column("coulomb", motor) for motor in range(model.dof)],
             self._experiment.torques,
             shares,
         )
@@ -231,17 +216,14 @@ class _Fit:
         terms = solved.model.terms
         assert terms is not None
         linear = self.solve(replace(solved.model, terms=replace(terms, sensitivities=True)))
-        share = 1.0
-        for _ in range(4):
-            moved = moved_shapes(terms, linear.value, share)
-            change = shape_change(terms, moved)
-            if change < SHAPE_TOLERANCE:
-                return solved, change
+
+        def improved(moved: FrictionTerms) -> _Solved | None:
             candidate = self.solve(replace(solved.model, terms=moved))
-            if candidate.misfit <= solved.misfit and (candidate.brakes or not solved.brakes):
-                return candidate, change
-            share *= SHORTER
-        return solved, 0.0
+            better = candidate.misfit <= solved.misfit and (candidate.brakes or not solved.brakes)
+            return candidate if better else None
+
+        found, change = shortened_step(terms, linear.value, improved)
+        return found or solved, change
 
 
 def _folds(indices: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.int64]:

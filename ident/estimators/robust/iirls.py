@@ -20,15 +20,17 @@ from ident.estimators.friction_steps import (
     SHAPE_TOLERANCE,
     SHORTER,
     braking,
+    gravity_of,
     load_change,
     moved_shapes,
+    own_column,
     shape_change,
 )
 from ident.estimators.robust.irls import RobustEstimator, estimation, reweighting
 from ident.estimators.robust.reweighting import PARAMETER_TOLERANCE, Reweighting, RobustFit, Solve
 from ident.estimators.robust.sensitivities import ShapeSystem
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import FrictionTerms, LoadTorque
+from ident.model.friction_terms import FrictionTerms
 from ident.model.parameters import FRICTION_KINDS
 from ident.model.regressor import RegressorKernel
 from ident.regression.least_squares import LeastSquares
@@ -153,7 +155,7 @@ class FullFrictionEstimator(RobustEstimator):
     def _fourth_loop(self, loops: Reweighting, fit: RobustFit, rounds: _Rounds) -> RobustFit:
         """Load torque from the gravity parameters, until it settles."""
         for _ in range(MOST_LOAD_ROUNDS):
-            terms = replace(_terms(fit), load_torque=load_torque(self.setup, fit))
+            terms = replace(_terms(fit), load_torque=gravity_of(self.setup.base, fit.solution.parameters))
             rounds.loads.append(load_change(fit.kernel.model, loops.runs, _terms(fit), terms))
             if rounds.loads[-1] < LOAD_TOLERANCE:
                 return fit
@@ -174,13 +176,6 @@ def friction_columns(setup: Setup) -> frozenset[int]:
     )
 
 
-def load_torque(setup: Setup, fit: RobustFit) -> LoadTorque:
-    """What the links' parameters of a fit say of gravity (AUBO eq. 18)."""
-    links = [place for place, kind in enumerate(setup.base.kinds) if kind == "inertial"]
-    columns = tuple(fit.kernel.columns[place] for place in links)
-    return LoadTorque(columns, tuple(fit.solution.parameters[links].tolist()))
-
-
 def _terms(fit: RobustFit) -> FrictionTerms:
     terms = fit.kernel.model.terms
     assert terms is not None
@@ -189,15 +184,10 @@ def _terms(fit: RobustFit) -> FrictionTerms:
 
 def _brakes(fit: RobustFit) -> bool:
     """Whether friction with an estimated exponent brakes."""
-    model, columns = fit.kernel.model, fit.kernel.columns
-    place: dict[tuple[str, int], int] = {
-        (parameter.kind, parameter.joint): index
-        for index, parameter in enumerate(model.parameters[column] for column in columns)
-    }
 
     def value(kind: str, motor: int) -> float | None:
-        index = place.get((kind, model.active[motor]))
-        return None if index is None else float(fit.solution.parameters[index])
+        column = own_column(fit.kernel.model, fit.kernel.columns, kind, motor)
+        return None if column is None else float(fit.solution.parameters[column])
 
     return braking(_terms(fit), value)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.streams import FloatArray
 from ident.estimators.estimator import Estimation
-from ident.estimators.friction_steps import COEFFICIENT_OF
+from ident.estimators.friction_steps import COEFFICIENT_OF, own_column
 from ident.estimators.robust.reweighting import Reweighting, RobustFit
 from ident.estimators.robust.weighted_pass import weighted_pass
 from ident.model.parameters import DISSIPATIVE_KINDS
@@ -107,13 +107,10 @@ class ShapeSystem:
 
     def value(self, parameters: FloatArray, kind: str, motor: int) -> float | None:
         """Of a motor's own parameter of a kind, among parameters (b + s,); None where it was not estimated."""
-        model = self.shapes.kernel.model
-        for place, column in enumerate(self.shapes.kernel.columns):
-            parameter = model.parameters[column]
-            if parameter.kind == kind and parameter.joint == model.active[motor]:
-                known = place not in self.shapes.columns or place in self._excited
-                return float(parameters[place]) if known else None
-        return None
+        place = own_column(self.shapes.kernel.model, self.shapes.kernel.columns, kind, motor)
+        if place is None or (place in self.shapes.columns and place not in self._excited):
+            return None
+        return float(parameters[place])
 
     @property
     def _excited(self) -> list[int]:

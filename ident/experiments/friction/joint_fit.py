@@ -19,7 +19,7 @@ import numpy.typing as npt
 from daq.robot.schema import Friction, TemperatureFriction
 from drivers.errors import IdentificationError
 from drivers.streams import FloatArray
-from ident.estimators.friction_steps import LOAD_TOLERANCE, SHAPE_TOLERANCE, braking, moved_shapes, shape_change
+from ident.estimators.friction_steps import LOAD_TOLERANCE, SHAPE_TOLERANCE, braking, shortened_step
 from ident.experiments.friction.joint_data import JointData
 from ident.experiments.friction.joint_friction import JointFriction, Span, shape_of
 from ident.experiments.friction.single_joint import JointPeriod
@@ -281,16 +281,15 @@ class _JointFit:
     def _step(self, solved: _Solved) -> tuple[_Solved, float]:
         """One Gauss-Newton step of the shapes, shortened until it improves the fit; largest relative change."""
         linear = self.solve(replace(solved.terms, sensitivities=True))
-        for share in (1.0, 0.3, 0.09, 0.027):
-            moved = moved_shapes(solved.terms, linear.value, share)
-            change = shape_change(solved.terms, moved)
-            if change < SHAPE_TOLERANCE:
-                return solved, change
+
+        def improved(moved: FrictionTerms) -> _Solved | None:
             candidate = self.solve(moved)
             better = candidate.residual @ candidate.residual <= solved.residual @ solved.residual
-            if better and (braking(moved, candidate.value) or not braking(solved.terms, solved.value)):
-                return candidate, change
-        return solved, 0.0
+            brakes = braking(moved, candidate.value) or not braking(solved.terms, solved.value)
+            return candidate if better and brakes else None
+
+        found, change = shortened_step(solved.terms, linear.value, improved)
+        return found or solved, change
 
     def _estimated(self, solved: _Solved) -> tuple[FloatArray, FloatArray, tuple[Quantity, ...]]:
         """Friction coefficients and estimated shapes (k,), their covariance (k, k), and their kinds."""
