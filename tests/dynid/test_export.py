@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 
+import command_line
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import dynid
-from dynid import command
 from ident.result.schema import Result
 
 
@@ -96,11 +95,7 @@ def test_friction_without_a_value_is_refused_unless_the_robot_file_knows_it(mode
 
 
 def run(capsys, monkeypatch, *arguments: object) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["dynid", "export", *map(str, arguments)])
-    with pytest.raises(SystemExit) as ended:
-        command.main()
-    captured = capsys.readouterr()
-    return int(ended.value.code or 0), captured.out, captured.err
+    return command_line.run(monkeypatch, capsys, "export", *arguments)
 
 
 def test_the_command_writes_all_formats_and_says_what_simulation_is_worth(saved, tmp_path, capsys, monkeypatch):

@@ -17,7 +17,7 @@ RATE = 100.0
 POSES = {"low": [0.0, 0.0], "high": [1.2, 0.8]}
 GIVEN = "coulomb-viscous+power+load+temperature-linear"
 
-ARM = """
+TWO_JOINTS = """
 name: arm
 model:
   mounting: free
@@ -30,7 +30,12 @@ joints:
 drives:
   - {joint: j1, gain: 10}
   - {joint: j2, gain: 8}
-truth:
+"""
+"""Geometry, limits and drives."""
+
+ARM = (
+    TWO_JOINTS
+    + """truth:
   links:
     j1: {mass: 4, com: [0.2, 0.02, 0.02], inertia: [0.02, 0, 0, 0.06, 0, 0.06]}
     j2: {mass: 2, com: [0.25, 0.02, 0.03], inertia: [0.004, 0, 0, 0.03, 0, 0.03]}
@@ -41,6 +46,7 @@ truth:
     rate: 100
     torque_std: {j1: 0.05, j2: 0.05}
 """
+)
 
 
 def arm(*, told: bool = False) -> RobotFile:

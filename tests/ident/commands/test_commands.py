@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import html
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
+import command_line
 import h5py
 import numpy as np
 import pytest
@@ -16,7 +16,6 @@ from daq.recording.reader import read_recording
 from daq.recording.recording import Event
 from daq.recording.writer import write_recording
 from daq.robot.loader import load_robot
-from dynid import command
 from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
@@ -76,11 +75,7 @@ def folder(tmp_path_factory) -> Path:
 
 def run(monkeypatch, capsys, folder: Path, *arguments: str) -> tuple[int, str, str]:
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
-    with pytest.raises(SystemExit) as stopped:
-        command.main()
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), captured.out, captured.err
+    return command_line.run(monkeypatch, capsys, *arguments)
 
 
 def test_info_writes_a_page_once(monkeypatch, capsys, folder):

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
+import command_line
 import pytest
 from compiled_arm import self_test
 from loop_arms import four_bar_arm
@@ -14,7 +14,6 @@ from true_results import true_result
 import dynid
 from daq.robot.loader import load_robot
 from drivers.errors import ModelError
-from dynid import command
 from ident.result.schema import write_result
 
 
@@ -28,11 +27,7 @@ def model(tmp_path_factory) -> Path:
 
 def run(monkeypatch, capsys, *arguments: object) -> tuple[int, str, str]:
     """Exit status, standard output, standard error."""
-    monkeypatch.setattr(sys, "argv", ["dynid", "export", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        command.main()
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), captured.out, captured.err
+    return command_line.run(monkeypatch, capsys, "export", *arguments)
 
 
 @pytest.mark.realtime

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import pytest
+from command_line import run
 from friction_experiment_arm import GIVEN, sweeps
 from html_page import Page
 
 from daq.recording.writer import write_recording
-from dynid import command
 
 
 @pytest.fixture(scope="module")
@@ -21,23 +20,15 @@ def folder(tmp_path_factory):
     return path
 
 
-def run(line: list[str], capsys, monkeypatch) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["dynid", *line])
-    with pytest.raises(SystemExit) as left:
-        command.main()
-    output = capsys.readouterr()
-    return int(left.value.code or 0), output.out, output.err
-
-
 def test_friction_in_words_as_json_and_as_a_page(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     names = [f"sweep{index}.h5" for index in range(4)]
     options = ["--friction", GIVEN, "--delay", "0"]
-    status, out, err = run(["friction", *names, *options], capsys, monkeypatch)
+    status, out, err = run(monkeypatch, capsys, "friction", *names, *options)
     assert (status, err) == (0, "")
     assert out.endswith("\nsweep0-friction/friction.json\nsweep0-friction/report.html\n")
     assert "j2" in out
-    status, as_json, _ = run(["friction", *names, *options, "--json", "--force"], capsys, monkeypatch)
+    status, as_json, _ = run(monkeypatch, capsys, "friction", *names, *options, "--json", "--force")
     content = json.loads(as_json)
     assert content == json.loads((folder / "sweep0-friction" / "friction.json").read_text(encoding="utf-8"))
     assert [joint["joint"] for joint in content["joints"]] == ["j1", "j2"]
@@ -45,7 +36,7 @@ def test_friction_in_words_as_json_and_as_a_page(folder, capsys, monkeypatch):
     assert set(page.figures) == {"speed-plot", "temperature-plot", "load-plot"}
     assert "What the recordings cover" in page.words
     line = ["identify", "sweep0.h5", "--friction-from", "sweep0-friction", "--delay", "0", "-o", "model", "--json"]
-    status, as_json, _ = run(line, capsys, monkeypatch)
+    status, as_json, _ = run(monkeypatch, capsys, *line)
     origins = {entry["name"]: entry["origin"] for entry in json.loads(as_json)["base_parameters"]}
     assert status == 0
     assert origins["Fts1"] == "friction experiment"
@@ -63,6 +54,6 @@ def test_friction_in_words_as_json_and_as_a_page(folder, capsys, monkeypatch):
 )
 def test_bad_input_is_refused_in_one_line(folder, capsys, monkeypatch, line, message):
     monkeypatch.chdir(folder)
-    status, out, err = run([*line.split(), "-o", "elsewhere"], capsys, monkeypatch)
+    status, out, err = run(monkeypatch, capsys, *line.split(), "-o", "elsewhere")
     assert (status, out) == (2, "")
     assert message in err

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
+import command_line
 import pytest
 
 import dynid
-from dynid import command
 
 
 @pytest.fixture(scope="module")
@@ -27,11 +26,7 @@ def folder(tmp_path_factory) -> Path:
 
 def run(monkeypatch, capsys, folder: Path, *arguments: str) -> tuple[int, str, str]:
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
-    with pytest.raises(SystemExit) as stopped:
-        command.main()
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), captured.out, captured.err
+    return command_line.run(monkeypatch, capsys, *arguments)
 
 
 def test_predict_writes_a_recording_that_info_reads_and_a_page(monkeypatch, capsys, folder):

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import h5py
 import pytest
+from command_line import run
 from html_page import Page
 from loaded_arm import runs
 
 from daq.recording.writer import write_recording
-from dynid import command
 from ident.model.parameters import INERTIAL
 
 
@@ -28,17 +27,9 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
-def run(arguments: list[str], capsys, monkeypatch) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
-    with pytest.raises(SystemExit) as left:
-        command.main()
-    output = capsys.readouterr()
-    return int(left.value.code or 0), output.out, output.err
-
-
 def test_payload_in_words_and_as_a_page(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
-    status, out, err = run(["payload", "free.h5", "loaded.h5", "--mass", "2.8"], capsys, monkeypatch)
+    status, out, err = run(monkeypatch, capsys, "payload", "free.h5", "loaded.h5", "--mass", "2.8")
     assert out.endswith("\nloaded-payload/payload.json\nloaded-payload/report.html\n")
     content = json.loads((folder / "loaded-payload" / "payload.json").read_text(encoding="utf-8"))
     page = Page((folder / "loaded-payload" / "report.html").read_text(encoding="utf-8"))
@@ -63,7 +54,7 @@ def test_payload_in_words_and_as_a_page(folder, capsys, monkeypatch):
 
 def test_payload_as_json(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
-    status, out, _ = run(["payload", "free.h5", "loaded.h5", "--json", "-o", "load"], capsys, monkeypatch)
+    status, out, _ = run(monkeypatch, capsys, "payload", "free.h5", "loaded.h5", "--json", "-o", "load")
     content = json.loads(out)
     assert content == json.loads((folder / "load" / "payload.json").read_text(encoding="utf-8"))
     assert status == 0
@@ -75,7 +66,7 @@ def test_payload_as_json(folder, capsys, monkeypatch):
 
 def test_gains_in_words_and_as_a_page(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
-    status, out, err = run(["gains", "free.h5", "loaded.h5", "--mass", "2.8"], capsys, monkeypatch)
+    status, out, err = run(monkeypatch, capsys, "gains", "free.h5", "loaded.h5", "--mass", "2.8")
     assert out.endswith("\nloaded-gains/gains.json\nloaded-gains/report.html\n")
     content = json.loads((folder / "loaded-gains" / "gains.json").read_text(encoding="utf-8"))
     page = Page((folder / "loaded-gains" / "report.html").read_text(encoding="utf-8"))
@@ -90,7 +81,7 @@ def test_gains_as_json(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     arguments = ["gains", "free.h5", "loaded.h5", "--mass", "2.8", "--json", "-o", "gains"]
     status, out, _ = run(
-        [*arguments, "--com", "0.03,-0.02,0.08", "--inertia", "0.01,0.001,0,0.012,0,0.009"], capsys, monkeypatch
+        monkeypatch, capsys, *arguments, "--com", "0.03,-0.02,0.08", "--inertia", "0.01,0.001,0,0.012,0,0.009"
     )
     content = json.loads(out)
     assert status == 0
@@ -118,7 +109,7 @@ def test_gains_as_json(folder, capsys, monkeypatch):
 )
 def test_bad_input_is_one_line_and_status_2(arguments, said, folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
-    status, out, err = run([*arguments, "-o", "untouched"], capsys, monkeypatch)
+    status, out, err = run(monkeypatch, capsys, *arguments, "-o", "untouched")
     assert not Path("untouched").exists()
     assert status == 2
     assert said in err

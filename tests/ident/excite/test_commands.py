@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from command_line import run
 
 from daq.motion.limits import motion_extremes
 from daq.motion.trajectory_file import load_trajectory
 from daq.robot.loader import load_robot
-from dynid import command
 from ident.excite import design as design_module
 
 QUICK = ("--starts", "1", "--harmonics", "2")
@@ -32,14 +31,6 @@ def folder(tmp_path, monkeypatch, three_joint) -> Path:
     (tmp_path / "bad.json").write_text("{")
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def run(monkeypatch, capsys, *arguments: str) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
-    with pytest.raises(SystemExit) as stopped:
-        command.main()
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), captured.out, captured.err
 
 
 def test_it_designs_writes_and_prints(monkeypatch, capsys, folder):

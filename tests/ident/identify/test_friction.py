@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from friction_experiment_arm import TWO_JOINTS
 
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.errors import DataError, ModelError, UsageError
@@ -25,20 +26,9 @@ from sim_drivers.synthetic.motion import random_fourier_motion
 
 DURATION = 15.0
 
-ARM = """
-name: arm
-model:
-  mounting: free
-  mdh:
-    - {joint: j1, alpha: pi/2, d: 0, r: 0.3}
-    - {joint: j2, antecedent: j1, alpha: 0, d: 0.4, r: 0.1}
-joints:
-  - {name: j1, position: [-2.5, 2.5], velocity: 2, acceleration: 8, torque: 100}
-  - {name: j2, position: [-2.5, 2.5], velocity: 2, acceleration: 8, torque: 60}
-drives:
-  - {joint: j1, gain: 10}
-  - {joint: j2, gain: 8}
-truth:
+ARM = (
+    TWO_JOINTS
+    + """truth:
   links:
     j1: {mass: 4, com: [0.2, 0.02, 0.02], inertia: [0.02, 0, 0, 0.06, 0, 0.06]}
     j2: {mass: 2, com: [0.15, 0.02, 0.03], inertia: [0.004, 0, 0, 0.03, 0, 0.03]}
@@ -51,6 +41,7 @@ truth:
     rate: 200
     torque_std: {j1: 0.05, j2: 0.05}
 """
+)
 
 
 def arm(**friction: object) -> RobotFile:

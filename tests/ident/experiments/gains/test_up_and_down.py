@@ -5,12 +5,12 @@ from __future__ import annotations
 import importlib
 import json
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,7 +20,6 @@ from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.errors import DataError, IdentificationError
-from dynid import command
 from ident.experiments.gains.drive_gains import identify_gains
 from ident.experiments.gains.slow_passes import BINS, passes_of, sweeps_of
 from ident.experiments.gains.up_and_down import SlowGains, identify_slow_gains
@@ -242,30 +241,22 @@ def folder(tmp_path_factory, recordings) -> Path:
     return folder
 
 
-def run(arguments: list[str], capsys, monkeypatch) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
-    with pytest.raises(SystemExit) as left:
-        command.main()
-    output = capsys.readouterr()
-    return int(left.value.code or 0), output.out, output.err
-
-
 def test_the_command(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     arguments = ["gains", "free.h5", "loaded.h5", "--up-and-down", "--mass", "2"]
-    status, out, err = run(arguments, capsys, monkeypatch)
+    status, out, err = run(monkeypatch, capsys, *arguments)
     assert (status, err) == (0, "")
     for expected in ("half sums", "Friction at that speed", "centre of mass [m]", "for the robot file:\ndrives:"):
         assert expected in out
-    status, out, _ = run([*arguments, "--com", "0.08,0.03,0.05", "--json", "--force"], capsys, monkeypatch)
+    status, out, _ = run(monkeypatch, capsys, *arguments, "--com", "0.08,0.03,0.05", "--json", "--force")
     content = json.loads(out)
     assert content["kind"] == "gains-up-and-down"
     assert content["gains"][0]["gain"] is None
     assert content["gains"][2]["gain"] == pytest.approx(4.2, rel=0.01)
-    status, out, err = run(["gains", "free.h5", "loaded.h5", "--up-and-down"], capsys, monkeypatch)
+    status, out, err = run(monkeypatch, capsys, "gains", "free.h5", "loaded.h5", "--up-and-down")
     assert (status, out) == (2, "")
     assert "without the load's mass" in err
-    status, out, _ = run(["gains", "--help"], capsys, monkeypatch)
+    status, out, _ = run(monkeypatch, capsys, "gains", "--help")
     assert status == 0
     assert "[kg]" in out  # brackets are no markup
 
