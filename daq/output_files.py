@@ -122,7 +122,7 @@ def unfinished_name(path: Path) -> Path:
 
 
 def unfinished_files(path: Path) -> list[Path]:
-    """What was to take a file's place and lies beside it: it is being written, or whoever wrote it was killed."""
+    """What was to take a file's place and lies beside it: it is being written, or its writer was killed."""
     token = "[0-9a-f]" * 16
     return sorted(path.parent.glob(f"{glob.escape(_beginning(path))}{token}{glob.escape(path.suffix)}"))
 
@@ -195,7 +195,7 @@ def replace_files(texts: Mapping[Path, str]) -> None:
     """Write text files as UTF-8, all of them or none: an error before the end leaves the old ones.
 
     They are written beside their places and renamed when all are on the disk, the first one last; a link is replaced,
-    not followed. Whoever is killed between two renamings leaves the last files new and the first ones old.
+    not followed. A process killed between two renamings leaves the last files new and the first ones old.
 
     Raises:
         UsageError: one cannot be written.

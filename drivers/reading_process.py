@@ -65,7 +65,7 @@ def read_apart(
         refusal: error that is raised where a limit is exceeded.
         time_limit: processor time [s].
         waiting_limit: time by the clock [s]; `WAITING_LIMIT`, or four times `time_limit` where that is longer, if None.
-        progress: told what `read` tells.
+        progress: called with what `read` reports.
 
     Raises:
         InputError: `refusal`, where reading took too much time or memory, or crashed; or what `read` raises.

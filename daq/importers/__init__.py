@@ -76,7 +76,7 @@ def import_file(
         path: of the file, or of a ROS 2 bag's folder.
         robot: whose joints the columns are matched to.
         choices: the user's choices.
-        progress: told what is being done.
+        progress: called with what is being done.
 
     Returns:
         A recording in SI, columns in the robot's order, every assumption and repair as an event.

@@ -23,7 +23,7 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 METADATA = "metadata.yaml"
 STORAGE_SUFFIXES = (".db3", ".mcap")
 PROGRESS_STEP = 10_000
-"""Messages after which the progress is told."""
+"""Messages between two reports of progress."""
 SECOND = 1e9
 """[ns]"""
 _FIELDS = ("position", "velocity", "effort")
@@ -65,7 +65,7 @@ def read_rosbag(
         path: a bag's folder, its metadata.yaml, or a bare .db3 or .mcap file.
         joints: the robot's joint names; they are matched message by message, others are left out.
         choices: `topic` where several carry JointState; `by_order` where the names differ.
-        progress: told how many messages were read.
+        progress: called with how many messages were read.
 
     Raises:
         UsageError: `columns` are given; a bag has none.
