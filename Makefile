@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 WORKERS ?= 2
-# How long each measurement of `make realtime` lasts, and how long `make soak` tries damaged files [s].
+# How long each measurement of `make realtime` lasts, and how long `make soak` tries [s].
 REALTIME ?= 60
 SOAK ?= 600
 
@@ -13,8 +13,9 @@ SOAK ?= 600
 demo: $(INSTALLED)
 	$(BIN)/dynid demo --out demo --force
 
+# Property tests draw the same examples in every run; `make soak` draws new ones.
 test: $(INSTALLED)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --hypothesis-profile=ci -n $(WORKERS) --dist worksteal
 
 lint: $(INSTALLED)
 	$(BIN)/ruff format --check .
@@ -35,7 +36,8 @@ bench: $(INSTALLED)
 realtime: $(INSTALLED)
 	$(BIN)/python -m benchmarks.realtime $(REALTIME)
 
-# Damaged files against the commands, hostile streams against the drivers: what is found becomes a test in tests/found.
+# Damaged files against the commands, then the property tests with many random examples: a file that is found becomes a
+# case of tests/found, an example that is found an @example of its test.
 soak: $(INSTALLED)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/soak $(SOAK)
 

@@ -2,25 +2,44 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
+from hypothesis.database import DirectoryBasedExampleDatabase
 from simulated_clock import SimulatedClock, simulated_time
 
 from drivers.clock import Clock
 
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+# "ci", the default, draws the same examples in every run; "soak" (`make soak`) new ones, and keeps those that fail.
 # A busy computer makes any single example slow: time is no property that a test of values may fail by.
-settings.register_profile("dynid", deadline=None)
-settings.load_profile("dynid")
+UNTIMED = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow], "print_blob": True}
+settings.register_profile("ci", derandomize=True, database=None, **UNTIMED)
+settings.register_profile(
+    "soak",
+    derandomize=False,
+    database=DirectoryBasedExampleDatabase(REPOSITORY / ".hypothesis" / "examples"),
+    **UNTIMED,
+)
+settings.load_profile("ci")
+
+# Collection makes millions of objects and loses none: looking for garbage takes a third of its time.
+gc.disable()
 
 # A shell's background job ignores Ctrl-C, and so would all programs that tests start and end by it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-REPOSITORY = Path(__file__).resolve().parents[1]
+
+def pytest_collection_finish() -> None:
+    """Look for garbage again, but not among the tests."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")
