@@ -9,6 +9,7 @@ import typer
 from ident.commands.options import (
     ACCEPT,
     DELAY,
+    ESSENTIAL,
     FORCE,
     JSON,
     MAX_ERROR,
@@ -68,6 +69,7 @@ def identify_recordings(
     keep_rest: bool = typer.Option(
         False, "--keep-rest", help="Keep samples at rest: segments in which no joint moves, motors at rest."
     ),
+    essential: str = ESSENTIAL,
     significance: float = SIGNIFICANCE,
     accept: Path = ACCEPT,
     max_error: float = MAX_ERROR,
@@ -121,6 +123,7 @@ def identify_recordings(
             start=start,
             stop=stop,
             keep_rest=keep_rest,
+            essential=essential,  # type: ignore[arg-type]
             significance=significance,
             accept=limits,
             progress=progress,

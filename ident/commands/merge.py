@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import FORCE, JSON, SIGNIFICANCE
+from ident.commands.options import ESSENTIAL, FORCE, JSON, SIGNIFICANCE
 
 app = typer.Typer()
 
@@ -16,6 +16,7 @@ def merge_models(
     models: list[Path] = typer.Argument(help="result.json files of one arm, or the folders that hold them."),
     out: Path = typer.Option(Path("merged-model"), "-o", "--out", help="Folder for result.json and report.html."),
     validate_with: Path = typer.Option(None, "--validate", help="Held-out recording (.h5), used by none of them."),
+    essential: str = ESSENTIAL,
     significance: float = SIGNIFICANCE,
     force: bool = FORCE,
     as_json: bool = JSON,
@@ -34,7 +35,12 @@ def merge_models(
     check_output_folder(out, (RESULT_FILE, REPORT_FILE), inputs, overwrite=force)
     with progress_line(quiet=as_json) as progress:
         progress("merging")
-        merged = merge(models, validation=validate_with, significance=significance)
+        merged = merge(
+            models,
+            validation=validate_with,
+            essential=essential,  # type: ignore[arg-type]
+            significance=significance,
+        )
         progress("report")
         merged.save(out)
     if as_json:

@@ -16,6 +16,9 @@ ROBOT = typer.Argument(help="Built-in robot or robot file.")
 PRESLIDING = typer.Option(
     False, "--presliding", help="Dry friction near velocity reversals by the travels of identify --presliding."
 )
+ESSENTIAL = typer.Option(
+    "rsd", "--essential", help="Which parameters leave the essential model: rsd (--significance) or f-test."
+)
 SIGNIFICANCE = typer.Option(15.0, "--significance", help="Threshold of the relative standard deviation [%].")
 
 

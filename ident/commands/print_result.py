@@ -19,9 +19,9 @@ def print_result(result: Result) -> None:
         _print_merge(result.merge)
     print_table(
         f"\nBase parameters ({result.method}); σ corrected for autocorrelated residuals",
-        ("name", "value", "σ", "RSD [%]", "significant", "unit"),
+        ("name", "value", "σ", "RSD [%]", "F", "significant", "unit"),
         [
-            (p.name, p.value, p.std, p.rsd_percent, "yes" if p.significant else "no", p.unit)
+            (p.name, p.value, p.std, p.rsd_percent, p.f_value, "yes" if p.significant else "no", p.unit)
             for p in result.base_parameters
         ],
     )

@@ -70,6 +70,7 @@ def _entries(model: DynamicModel, identification: Identification, joint: HeldJoi
                 value=value,
                 std=std,
                 rsd_percent=relative,
+                f_value=(value / std) ** 2 if std else None,
                 classical_std=std,
                 significant=relative is not None and relative < identification.choices.significant_rsd,
                 essential_value=value,

@@ -30,7 +30,7 @@ from ident.regression.jackknife import CorrectedCovariance
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observability import Experiment, ExperimentChoices
 from ident.regression.observation_matrix import Reduction
-from ident.regression.pruning import SIGNIFICANT_RSD, Pruned
+from ident.regression.pruning import DEFAULT_RULE, SIGNIFICANT_RSD, EssentialRule, Pruned, check_rule
 from ident.regression.velocity_reversals import REVERSAL_SHARE, check_share
 from ident.result.friction_experiment import FrictionExperimentResult
 from ident.signals.joint_signals import JointSignals
@@ -75,6 +75,7 @@ class IdentifyChoices:
         preprocess: filters, window, delay; `preprocess.delay` is not used where `search_delay` is set.
         search_delay: find the torque's delay from the data.
         split: end of the identification part of a single recording [s from its first stamp]; None takes the first 70 %.
+        essential: rule that ends the elimination of parameters from the essential model.
         significant_rsd: threshold of significance [%].
         experiment: joints that must be locked, and motors whose torques are used.
         reversals: equations of a motor slower than this share of its root mean square are left out; 0 keeps all, None
@@ -87,12 +88,14 @@ class IdentifyChoices:
     preprocess: PreprocessChoices = field(default_factory=PreprocessChoices)
     search_delay: bool = True
     split: float | None = None
+    essential: EssentialRule = DEFAULT_RULE
     significant_rsd: float = SIGNIFICANT_RSD
     experiment: ExperimentChoices = field(default_factory=ExperimentChoices)
     reversals: float | None = None
     presliding: bool = False
 
     def __post_init__(self) -> None:
+        check_rule(self.essential)
         check_share(self.reversal_share)
         options = (("--leave-out-reversals", self.reversals), ("--torques-of", self.experiment.torques_of))
         for option, given in options if self.estimator.equations == "energy" else ():

@@ -112,6 +112,7 @@ def identify(
         inflation,
         corrected.effective_rows,
         lambda columns: estimator.restricted(estimation, columns),
+        choices.essential,
         choices.significant_rsd,
     )
 

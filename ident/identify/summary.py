@@ -28,7 +28,7 @@ from ident.regression.estimate import Estimate
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observability import Experiment, describe, whole_arm
-from ident.regression.pruning import Pruned, relative_std
+from ident.regression.pruning import Pruned, partial_f, relative_std
 from ident.result.consistent_model import consistent_model, fit_result, link_results
 from ident.result.schema import (
     BaseParameterResult,
@@ -308,6 +308,7 @@ def _options(identification: Identification) -> dict[str, float | int | str | bo
     return {
         **asdict(choices.preprocess),
         "split": choices.split,
+        "essential": choices.essential,
         "significant_rsd": choices.significant_rsd,
         "reversals": choices.reversal_share,
         "rest_tolerance": choices.experiment.rest_tolerance,
@@ -328,7 +329,7 @@ def parameter_results(
         threshold: of significance [%].
     """
     essential = pruned.solution
-    rsd = relative_std(solution.parameters, std)
+    rsd, f_values = relative_std(solution.parameters, std), partial_f(solution.parameters, std)
     essential_std = np.hypot(std, essential.parameters - solution.parameters)  # the diagonal of `pruned_covariance`
 
     def entry(i: int) -> BaseParameterResult:
@@ -342,6 +343,7 @@ def parameter_results(
             value=float(solution.parameters[i]) if estimated else None,
             std=float(std[i]),
             rsd_percent=float(rsd[i]),
+            f_value=float(f_values[i]),
             classical_std=float(solution.std[i]),
             significant=bool(rsd[i] < threshold),
             essential_value=float(essential.parameters[i]) if kept else None,

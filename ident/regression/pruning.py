@@ -1,4 +1,8 @@
-"""Essential parameters: backward elimination of those that the data cannot determine (SR400 .4.3 point 5).
+"""Essential parameters: backward elimination of those that the data cannot determine.
+
+SR400 (.4.3 point 5) eliminates every parameter whose relative standard deviation is 15 % or more. It does not say
+whether at once or one at a time; here one at a time, the worst first, with a new estimate after each, since parameters
+that share a column become surer without one another. AUBO (Table II) eliminates by the F-statistic.
 
 The parameters to drop are selected on the same data, and they are not exactly 0: standard deviations of the submodel
 contain neither and are too small. The essential model's error is the full model's error plus the difference between the
@@ -8,11 +12,14 @@ product of that difference, whatever the selection was (`pruned_covariance`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 
+from drivers.errors import UsageError
 from drivers.streams import FloatArray
 from ident.regression.least_squares import LeastSquares
 
@@ -20,7 +27,14 @@ SIGNIFICANT_RSD = 15.0
 """Relative standard deviation [%] at and above which a parameter is not significant (SR400 .4.3 point 5)."""
 
 F_LEVEL = 0.05
-"""Level of the partial F-test that stops the elimination."""
+"""Level of the partial F-test (AUBO .IV: threshold 3.85). One parameter passes it at a relative deviation of 51 %."""
+
+EssentialRule = Literal["rsd", "f-test"]
+"""What ends the elimination: SR400's threshold of the relative standard deviation, or AUBO's F-test."""
+
+RULES: tuple[EssentialRule, ...] = get_args(EssentialRule)
+
+DEFAULT_RULE: EssentialRule = "rsd"
 
 
 @dataclass(frozen=True)
@@ -56,41 +70,71 @@ def pruned_covariance(covariance: FloatArray, difference: FloatArray) -> FloatAr
     return np.asarray(covariance + np.outer(difference, difference))
 
 
+def partial_f(parameters: FloatArray, std: FloatArray) -> FloatArray:
+    """Partial F of each parameter: (value / standard deviation)², of one degree of freedom (AUBO Table II).
+
+    It is the loss of fit when this parameter alone is removed and all others are refitted, in residual variances. With
+    corrected standard deviations it counts what is independent of autocorrelated residuals. NaN where a parameter was
+    not estimated.
+    """
+    result = np.full(len(parameters), np.nan)
+    known = np.isfinite(std) & (std > 0)
+    result[known] = (parameters[known] / std[known]) ** 2
+    return result
+
+
+def check_rule(rule: str) -> EssentialRule:
+    """The rule of that name.
+
+    Raises:
+        UsageError: there is none.
+    """
+    if rule not in RULES:
+        raise UsageError(f"there is no '{rule}'", where="essential", hint="use " + " or ".join(RULES))
+    return rule
+
+
 def prune(
     solution: LeastSquares,
     inflation: FloatArray,
     effective_rows: float,
     refit: Callable[[tuple[int, ...]], LeastSquares],
+    rule: EssentialRule = DEFAULT_RULE,
     threshold: float = SIGNIFICANT_RSD,
 ) -> Pruned:
     """Drop the parameter with the largest relative standard deviation, refit, and so on.
 
-    It ends when every parameter left is below the threshold, or when a partial F-test says that the next removal would
-    lose fit. With one parameter removed at a time, F = (value / standard deviation)².
+    The largest relative standard deviation is also the smallest partial F, 1e4 / RSD². Both rules therefore remove the
+    same parameters in the same order and differ only in where they stop.
 
     Args:
         solution: of the full model.
         inflation: (b,) corrected over classical standard deviation of the full model, kept for its submodels.
         effective_rows: independent rows, for the test's degrees of freedom.
         refit: solves for a subset of the base columns.
+        rule: where to stop. "rsd" removes until all are below `threshold`; "f-test" until the next removal would lose
+            fit at `F_LEVEL`, whatever the threshold is.
         threshold: [%].
     """
-    from scipy.stats import f as f_distribution
-
     dropped: list[int] = []
     while len(solution.active) > 1:
-        std = solution.std * inflation
-        rsd = relative_std(solution.parameters, std)
         active = list(solution.active)
-        worst = active[int(np.argmax(rsd[active]))]
-        if rsd[worst] < threshold:
-            return Pruned(solution, tuple(dropped), f"all below {threshold:g} %")
         freedom = max(1.0, effective_rows - len(active))
-        statistic = float((solution.parameters[worst] / std[worst]) ** 2)
-        limit = float(f_distribution.isf(F_LEVEL, 1, freedom))
-        if statistic > limit:
-            reason = f"partial F-test: removing one more would lose fit (F = {statistic:.1f} > {limit:.2f})"
+        limit = threshold if rule == "rsd" else _f_limit(freedom)
+        rsd = relative_std(solution.parameters, solution.std * inflation)
+        worst = active[int(np.argmax(rsd[active]))]
+        if rsd[worst] < limit:
+            reason = f"all below {threshold:g} %"
+            if rule == "f-test":
+                reason = f"partial F-test: removing one more would lose fit (RSD below {limit:.1f} %)"
             return Pruned(solution, tuple(dropped), reason)
         dropped.append(worst)
         solution = refit(tuple(column for column in active if column != worst))
     return Pruned(solution, tuple(dropped), "one parameter left")
+
+
+def _f_limit(freedom: float) -> float:
+    """Relative standard deviation [%] at which the partial F-test of one parameter is just significant."""
+    from scipy.stats import f as f_distribution
+
+    return 100.0 / math.sqrt(float(f_distribution.isf(F_LEVEL, 1, freedom)))

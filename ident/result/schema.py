@@ -77,6 +77,9 @@ class BaseParameterResult(_Part):
     value: Number = Field(description="of the full model; null where the recording does not excite it")
     std: Number
     rsd_percent: Number
+    f_value: Number = Field(
+        default=None, description="partial F: loss of fit without this parameter, AUBO Table II; (value / std)²"
+    )
     classical_std: Number = Field(description="for white residuals, SR400 eq. 14")
     significant: bool = Field(description="relative standard deviation below the threshold")
     essential_value: Number = Field(description="of the essential model; null where the parameter was left out")

@@ -17,7 +17,7 @@ from ident.identify.identify import identify as identify_recordings
 from ident.identify.summary import summarise
 from ident.regression.comparison import TorqueSeries
 from ident.regression.observability import REST_TOLERANCE, ExperimentChoices
-from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.regression.pruning import DEFAULT_RULE, SIGNIFICANT_RSD, EssentialRule
 from ident.report import RecordedRuns, ReportData, recorded_runs, write_result_folder
 from ident.result.friction_experiment import read_friction_experiment
 from ident.result.model import Model, result_path
@@ -89,13 +89,14 @@ class IdentificationResult:
 
     @cached_property
     def parameters(self) -> Table:
-        """The base parameters: values, σ (corrected for autocorrelated residuals), significance, expressions."""
+        """The base parameters: values, σ (corrected for autocorrelated residuals), partial F, expressions."""
         headings = [
             ("name", ""),
             ("value", ""),
             ("std", ""),
             ("unit", ""),
             ("rsd", "%"),
+            ("f_value", ""),
             ("significant", ""),
             ("essential_value", ""),
             ("kind", ""),
@@ -109,6 +110,7 @@ class IdentificationResult:
                 p.std,
                 p.unit,
                 p.rsd_percent,
+                p.f_value,
                 p.significant,
                 p.essential_value,
                 p.kind,
@@ -207,6 +209,7 @@ def identify(
     start: float | None = None,
     stop: float | None = None,
     keep_rest: bool = False,
+    essential: EssentialRule = DEFAULT_RULE,
     significance: float = SIGNIFICANT_RSD,
     accept: Limits | None = None,
     progress: Progress = lambda step: None,
@@ -249,6 +252,8 @@ def identify(
         start: leave out samples before this time [s from the first stamp].
         stop: leave out samples after this time [s from the first stamp].
         keep_rest: keep segments in which no joint moves, and torques of motors at rest.
+        essential: what ends the elimination of parameters from the essential model: "rsd" removes those whose relative
+            standard deviation reaches `significance` (SR400), "f-test" those without a significant partial F (AUBO).
         significance: threshold of the relative standard deviation [%].
         accept: limits that the model must keep on held-out data, such as {"relative_error": 0.08}, or the path of a
             YAML file with them; the outcome is the result's `acceptance`.
@@ -285,6 +290,7 @@ def identify(
         ),
         search_delay=delay is None,
         split=split,
+        essential=essential,
         significant_rsd=significance,
         experiment=ExperimentChoices(
             _names(locked, "locked"),

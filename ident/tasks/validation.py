@@ -11,7 +11,7 @@ from ident.assessment.validation import fit_figures
 from ident.experiments.merge.merged_result import merge_results
 from ident.identify.acceptance import validation_figures
 from ident.identify.revalidate import revalidate, validation_verdict
-from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.regression.pruning import DEFAULT_RULE, SIGNIFICANT_RSD, EssentialRule, check_rule
 from ident.result.consistent_model import fit_result
 from ident.result.model import Model, result_path
 from ident.result.schema import Fit, Result, read_result
@@ -145,13 +145,18 @@ def validate(
 
 
 def merge(
-    results: Sequence[Identified], *, validation: Run | None = None, significance: float = SIGNIFICANT_RSD
+    results: Sequence[Identified],
+    *,
+    validation: Run | None = None,
+    essential: EssentialRule = DEFAULT_RULE,
+    significance: float = SIGNIFICANT_RSD,
 ) -> IdentificationResult:
     """One model from several experiments on one arm, each weighted by its covariance (SR400 .4.3 point 7).
 
     Args:
         results: results, models, or the folders or files of them.
         validation: a held-out recording, used by none of them.
+        essential: what ends the elimination of parameters from the essential model, as in `identify`.
         significance: threshold of the relative standard deviation [%].
 
     Raises:
@@ -167,11 +172,12 @@ def merge(
         True
     """
     check_significance(significance)
+    check_rule(essential)
     named = [
         (_label(identified, position), result_of(identified)) for position, identified in enumerate(results, start=1)
     ]
     held_out = None if validation is None else recording_of(validation)
-    merged, validated = merge_results(named, held_out, significance)
+    merged, validated = merge_results(named, held_out, essential, significance)
     return IdentificationResult(merged, (), validated.series if validated is not None else ())
 
 

@@ -29,7 +29,7 @@ from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.regression.estimate import Estimate
-from ident.regression.pruning import SIGNIFICANT_RSD, Pruned, prune
+from ident.regression.pruning import DEFAULT_RULE, SIGNIFICANT_RSD, EssentialRule, Pruned, prune
 from ident.result.consistent_model import consistent_model, fit_result, link_results, simulated_motion_error
 from ident.result.schema import (
     Consistency,
@@ -55,13 +55,17 @@ CHECKED_AGAIN = ("indefinite-inertia", "no-consistent-model", "simulation-failed
 
 
 def merge_results(
-    results: Sequence[tuple[str, Result]], held_out: Recording | None = None, threshold: float = SIGNIFICANT_RSD
+    results: Sequence[tuple[str, Result]],
+    held_out: Recording | None = None,
+    essential: EssentialRule = DEFAULT_RULE,
+    threshold: float = SIGNIFICANT_RSD,
 ) -> tuple[Result, Revalidation | None]:
     """One model from several.
 
     Args:
         results: each with its name in messages.
         held_out: a recording to validate with.
+        essential: rule that ends the elimination of parameters from the essential model.
         threshold: of significance [%].
 
     Returns:
@@ -80,8 +84,15 @@ def merge_results(
     std[list(merged.solution.active)] = np.sqrt(np.diag(merged.covariance))
     inflation = np.divide(std, merged.solution.std, out=np.ones(base.count), where=np.isfinite(std))
     rows = sum(source.result.residuals.effective_rows or 0.0 for source in inputs)
-    pruned = prune(merged.solution, inflation, rows, lambda columns: merge(informations, columns).solution, threshold)
-    result, consistent = _result(model, base, inputs, merged, std, pruned, threshold)
+    pruned = prune(
+        merged.solution,
+        inflation,
+        rows,
+        lambda columns: merge(informations, columns).solution,
+        essential,
+        threshold,
+    )
+    result, consistent = _result(model, base, inputs, merged, std, pruned, essential, threshold)
     if held_out is None:
         return _judged(result, consistency_checks(model.link_names, consistent, None, None, "")), None
     validated = revalidate(result, held_out)
@@ -98,6 +109,7 @@ def _result(
     merged: MergedEstimate,
     std: FloatArray,
     pruned: Pruned,
+    essential: EssentialRule,
     threshold: float,
 ) -> tuple[Result, ConsistentParameters | None]:
     first, solution = inputs[0].result, merged.solution
@@ -123,7 +135,14 @@ def _result(
         urdf=first.urdf,
         joints=first.joints,
         method=f"merge of {' and '.join(source.result.method for source in inputs)}",
-        options={**first.options, "start": None, "stop": None, "split": None, "significant_rsd": threshold},
+        options={
+            **first.options,
+            "start": None,
+            "stop": None,
+            "split": None,
+            "essential": essential,
+            "significant_rsd": threshold,
+        },
         model_options=first.model_options,
         preprocessing=[
             step.model_copy(update={"text": f"{source.label}: {step.text}"})
