@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.database import DirectoryBasedExampleDatabase
+from hypothesis.internal.conjecture import providers
 from simulated_clock import SimulatedClock, simulated_time
 
 from drivers.clock import Clock
@@ -34,6 +35,12 @@ gc.disable()
 
 # A shell's background job ignores Ctrl-C, and so would all programs that tests start and end by it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep Hypothesis from drawing constants of the modules imported so far: examples would depend on earlier tests."""
+    if config.getoption("--hypothesis-profile") != "soak":
+        providers._get_local_constants = lambda: providers._local_constants
 
 
 def pytest_collection_finish() -> None:

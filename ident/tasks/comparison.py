@@ -226,7 +226,7 @@ def compare(
     Example:
         >>> import dynid
         >>> run, other = (dynid.simulate("ur5e", duration=10.0, seed=seed) for seed in (1, 2))
-        >>> dynid.compare(run, validation=other).differences.columns[1].heading
+        >>> dynid.compare(run, ("ols", "wls"), validation=other).differences.columns[1].heading
         'difference [N·m]'
     """
     for names, option, example in ((methods, "methods", '("ols", "wls")'), (friction, "friction", '("coulomb",)')):
