@@ -120,7 +120,9 @@ def _from_torque(motion: RecordedMotion) -> Sufficiency:
     solution = weighted_least_squares(motion.reduction, active)
     series = compare_torques(motion.model, motion.base.columns, solution.parameters, segments, parallel_filter)
     corrected = block_jackknife(motion.kernel, [FilteredRun(segments, parallel_filter, series)], solution)
-    ratio = float(np.median(np.sqrt(np.diag(corrected.covariance) / np.diag(solution.covariance))))
+    classical = np.diag(solution.covariance)  # 0 where the model leaves no residual, as of a torque that is 0
+    ratios = np.sqrt(np.diag(corrected.covariance)[classical > 0.0] / classical[classical > 0.0])
+    ratio = float(np.median(ratios)) if len(ratios) else 1.0
     prior = Prior(
         parameters=solution.parameters,
         noise=np.maximum(solution.joint_std * ratio, least_noise(motion.model.limits)),

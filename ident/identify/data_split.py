@@ -9,10 +9,11 @@ import numpy as np
 
 from daq.recording.recording import Recording
 from daq.robot.schema import Robot
-from drivers.errors import UsageError
+from drivers.errors import DataError, UsageError
 from drivers.streams import FloatArray
 from ident.assessment.validation import HELD_OUT_SHARE
 from ident.identify.held_friction import HeldFriction
+from ident.regression.least_squares import LEAST_TORQUE
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.played_motion import played_window
@@ -43,6 +44,11 @@ class RunWindow:
     def position(self) -> FloatArray:
         """Positions (N, n) within the window, as recorded; all of them where it holds none [rad or m]."""
         return self._within(self.signals.position)
+
+    @property
+    def torque(self) -> FloatArray:
+        """Torques (N, n) within the window, as recorded; all of them where it holds none [N·m or N]."""
+        return self._within(self.signals.torque)
 
     @property
     def temperature(self) -> FloatArray | None:
@@ -119,6 +125,29 @@ def run_window(recording: Recording, robot: Robot, chosen: PreprocessChoices) ->
         return RunWindow(signals, chosen.start, chosen.stop)
     start, stop = played_window(recording)
     return RunWindow(signals, start, stop, played=start is not None)
+
+
+def check_torques(runs: Sequence[RunWindow], torques: Sequence[int], names: Sequence[str]) -> None:
+    """Refuse a torque that is used and never changes: it was not measured.
+
+    Args:
+        runs: to identify from.
+        torques: indices of the motors whose torques are used.
+        names: of all joints.
+
+    Raises:
+        DataError: such torques, by name.
+    """
+    changes = np.max([np.ptp(run.torque, axis=0) for run in runs], axis=0) > LEAST_TORQUE
+    constant = [names[motor] for motor in torques if not changes[motor]]
+    if constant:
+        measured = [names[motor] for motor in torques if changes[motor]]
+        raise DataError(
+            f"the torque of {', '.join(constant)} does not change while the arm moves: it was not measured",
+            where=", ".join(run.signals.label for run in runs),
+            hint="check the column of the torque or current"
+            + (f", or leave it out: --torques-of {','.join(measured)}" if measured else ""),
+        )
 
 
 def _split(run: RunWindow, split: float | None) -> tuple[RunWindow, RunWindow]:

@@ -17,7 +17,7 @@ from ident.estimators.energy.estimator import estimable
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.identify.checks import identification_checks
-from ident.identify.data_split import split_data
+from ident.identify.data_split import check_torques, split_data
 from ident.identify.friction.shapes import with_free_shapes
 from ident.identify.friction_fit import fit_friction
 from ident.identify.held_friction import hold_temperatures
@@ -78,6 +78,7 @@ def identify(
     progress("base parameters")
     positions = [(run.signals.label, run.position) for run in data.identification]
     experiment = find_experiment(model, positions, choices.experiment)
+    check_torques(data.identification, experiment.torques, model.joint_names)
     tolerance = choices.experiment.rest_tolerance
     predictable = [
         predictable_torques(model, [experiment], run.signals.label, run.position, tolerance) for run in data.held_out

@@ -23,6 +23,9 @@ that is shorter than this share of the longest: the derivative of a position tha
 ROUNDING = 1e-7
 """A residual below this share of the joint's torque is rounding, and no measure of its noise."""
 
+LEAST_TORQUE = 1e-9
+"""[N·m or N] No sensor resolves so little: a torque that is recorded as 0 gets no larger weight than this."""
+
 WLS_TOLERANCE = 1e-8
 WLS_ITERATIONS = 100
 
@@ -122,7 +125,7 @@ def rounding_floor(reduction: Reduction) -> FloatArray:
     torque = np.array(
         [np.linalg.norm(joint.factor[:, len(joint.columns)]) / max(joint.rows, 1) ** 0.5 for joint in reduction.joints]
     )
-    return np.asarray(ROUNDING * np.maximum(torque, max(1e-9 * float(np.max(torque)), np.finfo(float).tiny)))
+    return np.asarray(ROUNDING * np.maximum(torque, max(1e-9 * float(np.max(torque)), LEAST_TORQUE)))
 
 
 def inverse_deviations(reduction: Reduction, joint_std: FloatArray) -> FloatArray:

@@ -23,7 +23,7 @@ def joint_temperature(recording: Recording, joint_names: tuple[str, ...]) -> Flo
     for stream in (joints, *others):
         channel = stream.channels.get(QUANTITY)
         for column, name in enumerate(channel.columns if channel is not None else ()):
-            if channel is None or name not in joint_names or not np.isnan(values[0, joint_names.index(name)]):
+            if channel is None or name not in joint_names or not np.all(np.isnan(values[:, joint_names.index(name)])):
                 continue
             read = np.isfinite(channel.values[:, column])
             if np.any(read):

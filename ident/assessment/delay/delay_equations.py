@@ -16,6 +16,7 @@ import numpy.typing as npt
 from drivers.streams import FloatArray
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import rows_by_block
+from ident.regression.least_squares import LEAST_TORQUE, ROUNDING
 from ident.regression.velocity_reversals import STICKING_SHARE, reversal_mask
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
@@ -32,7 +33,6 @@ RECORDED, SHIFTED, SLOPE, DRIFTING, CURVATURE = range(5)
 derivative."""
 
 _TORQUES = 5
-_ROUNDING = 1e-7
 _INDEPENDENT = 1e-10
 _WEIGHT_STEPS = 5
 _CONVEX = 1e-3
@@ -233,9 +233,9 @@ def _newton_step(normal: FloatArray, right: FloatArray, curvature: FloatArray) -
     inverse = _inverse(normal[:base, :base])
     across = normal[:base, base:]
     first = normal[base:, base:] - across.T @ inverse @ across
-    lengths = np.sqrt(np.maximum(np.diag(first), np.finfo(np.float64).tiny))
+    scale = _positive(np.sqrt(np.maximum(np.diag(first), 0.0)))
     second = first + curvature
-    convex = float(np.linalg.eigvalsh(second / np.outer(lengths, lengths))[0]) > _CONVEX if len(curvature) else True
+    convex = float(np.linalg.eigvalsh(second / np.outer(scale, scale))[0]) > _CONVEX if len(curvature) else True
     delays = _inverse(second if convex else first) @ (right[base:] - across.T @ inverse @ right[:base])
     return np.concatenate([inverse @ (right[:base] - across @ delays), delays])
 
@@ -327,7 +327,7 @@ def _inverse_deviation(
 ) -> FloatArray:
     """One over the root mean square of the residuals, no smaller than the torque's rounding."""
     torque = np.sqrt(np.array([_square(gram, _unit(gram, SHIFTED)) for gram in grams]) / np.maximum(rows, 1.0))
-    floor = _ROUNDING * np.maximum(torque, 1e-9 * torque.max())
+    floor = ROUNDING * np.maximum(torque, max(1e-9 * float(torque.max()), LEAST_TORQUE))
     deviation = np.maximum(np.sqrt(sums / np.maximum(rows, 1.0)), floor)
     used = used & (rows > 0) & (deviation > 0.0)
     return np.asarray(np.divide(1.0, deviation, out=np.zeros_like(deviation), where=used))
@@ -335,8 +335,12 @@ def _inverse_deviation(
 
 def _inverse(normal: FloatArray) -> FloatArray:
     """Inverse of a normal matrix, column-normalised first; 0 for unknowns that the data do not determine."""
-    lengths = np.sqrt(np.maximum(np.diag(normal), 0.0))
-    scale = np.where(lengths > 0.0, lengths, 1.0)
+    scale = _positive(np.sqrt(np.maximum(np.diag(normal), 0.0)))
     values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
     inverse = np.where(values > _INDEPENDENT, 1.0 / np.maximum(values, _INDEPENDENT), 0.0)
     return np.asarray((vectors * inverse) @ vectors.T / np.outer(scale, scale))
+
+
+def _positive(lengths: FloatArray) -> FloatArray:
+    """The lengths of columns, 1 for columns without any."""
+    return np.where(lengths > 0.0, lengths, 1.0)

@@ -126,7 +126,10 @@ def minimise(
     duals = _Duals.central(conditions, y, max(1.0, ratio) * least)
     for step in range(MOST_STEPS):
         now = max(1.0, ratio) * least
-        rows, right = duals.newton(conditions, y, now)
+        try:
+            rows, right = duals.newton(conditions, y, now)
+        except np.linalg.LinAlgError:  # a matrix on its boundary, within rounding: no step leads on
+            break
         # A step is a least-squares problem; by QR it keeps the digits that the squared Hessian would lose.
         stacked = np.vstack([system[:, variables], rows[:, variables]])
         factor = triangular(np.column_stack([stacked, np.concatenate([residual, right])]))

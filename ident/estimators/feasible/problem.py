@@ -45,6 +45,9 @@ UNKNOWN_TORQUE = 100.0
 
 LINK_SIZE = len(INERTIAL)
 
+ROOT_RANK = 3e-8
+"""Singular values of an estimate's root below this share of the largest are rounding: its square's are."""
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -234,7 +237,8 @@ def _joint_sizes(
             pulls[index] = ROTOR_SHARE
         else:
             sizes[index] = FRICTION_SHARE * torque / _signal_size(model, parameter, torque, limits.velocity)
-    deviations = np.sqrt(np.diag(np.linalg.pinv(estimate.root.T @ estimate.root)))
+    # The diagonal of pinv(RᵀR) itself may come out a rounding below 0 where the rank is low.
+    deviations = np.linalg.norm(np.linalg.pinv(estimate.root, rcond=ROOT_RANK), axis=1)
     for place, (column, value) in enumerate(zip(estimate.active, estimate.values, strict=True)):
         index = base.columns[column]
         if parameters[index].kind != "inertial" and np.count_nonzero(base.projection[column]) == 1:

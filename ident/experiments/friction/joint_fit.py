@@ -46,6 +46,7 @@ from ident.model.parameters import Quantity
 from ident.regression.autocorrelation import independent_share
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import BlockSums, block_length, jackknife_covariance, tolerant_moves
+from ident.regression.least_squares import LEAST_TORQUE
 
 LEAST_LOAD_SHARE = 0.5
 """The load torque must vary by this times the Coulomb friction: gears lose some per cent of the torque that they carry,
@@ -110,6 +111,8 @@ class _JointFit:
         heat = [one.temperature for one in periods if one.temperature is not None]
         self.temperature = _span(self._data.sampled(heat)) if len(heat) == len(periods) else None
         self._notes: dict[str, str] = {}
+        if np.ptp(self._data.torque) <= LEAST_TORQUE:
+            self._notes["torque"] = "the torque does not change while this joint moves: it was not measured"
         self._judge_spans()
 
     def _judge_spans(self) -> None:
@@ -302,7 +305,9 @@ class _JointFit:
         length = block_length(self._data.autocorrelation(solved.residual), self._data.count)
         along_motion = _jackknife(columns, linear.residual, self._data.index // length)
         covariance = _jackknife(columns, linear.residual, self._data.position_blocks())
-        factor = np.sqrt(np.maximum(1.0, np.diag(along_motion) / np.diag(covariance)))
+        variance = np.diag(covariance)
+        ratio = np.divide(np.diag(along_motion), variance, out=np.ones(len(variance)), where=variance > 0.0)
+        factor = np.sqrt(np.maximum(1.0, ratio))
         covariance = (covariance * np.outer(factor, factor))[linear.own :, linear.own :]
         values = solved.parameters[solved.own :].tolist()
         for index, kind in enumerate(linear.kinds[len(solved.kinds) :], len(solved.kinds)):

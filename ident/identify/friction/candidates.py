@@ -20,6 +20,7 @@ from ident.model.joint_columns import JointColumn, column_signal, combined, join
 from ident.model.parameters import Quantity, StandardParameter
 from ident.model.regressor import LoadTorqueKernel, RegressorKernel
 from ident.regression.observation_matrix import filtered_samples
+from ident.signals.motion_masks import REST_FLOOR
 from ident.signals.prepared import Prepared, Segment
 
 EXPONENTS = (0.2, 0.3, 0.4, 0.55, 0.65, 0.75, 0.87, 1.2, 1.4, 1.7)
@@ -143,11 +144,14 @@ def motor_motion(model: DynamicModel, motor: int) -> JointColumn:
 
 
 def greatest_speeds(model: DynamicModel, runs: Sequence[Prepared]) -> FloatArray:
-    """Greatest speed (n,) of each motor [rad/s or m/s]."""
+    """Greatest speed (n,) of each motor, at least `REST_FLOOR` [rad/s or m/s]: shapes are shares of it."""
     motions = [motor_motion(model, motor).motion for motor in range(model.dof)]
     return np.array(
         [
-            max(float(np.max(np.abs(combined(motion, part.velocity)))) for run in runs for part in run.segments)
+            max(
+                REST_FLOOR,
+                *(float(np.max(np.abs(combined(motion, part.velocity)))) for run in runs for part in run.segments),
+            )
             for motion in motions
         ]
     )

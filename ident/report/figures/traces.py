@@ -112,5 +112,6 @@ def points_per_trace(dof: int) -> int:
 
 def packed(values: npt.ArrayLike) -> dict[str, str]:
     """Values (M,) as plotly.js' typed array; nan stays nan, a gap in a line."""
-    raw = np.asarray(values, dtype="<f4").tobytes()
+    most = float(np.finfo(np.float32).max)  # absurd recorded values must not overflow
+    raw = np.clip(np.asarray(values, dtype=np.float64), -most, most).astype("<f4").tobytes()
     return {"dtype": "f4", "bdata": base64.b64encode(raw).decode("ascii")}
