@@ -100,6 +100,10 @@ POPULATION = Range(1, 100_000)
 GENERATIONS = Range(1, 1_000_000)
 LEARNING_FACTOR = Range(0.0, 100.0)
 """Of a swarm's moves towards good points."""
+FRICTION_SHARE = Range(1e-3, 10.0)
+"""Largest torque of a friction term over the joint's torque limit."""
+LEAP = Range(1e-6, 1e3)
+"""Longest leap of a frog over the width of the search range."""
 WEIGHT = Range(0.0, 100.0)
 """Of inertia in a swarm."""
 BOX_SHARE = Range(1e-6, 1e3)

@@ -30,11 +30,17 @@ PRODUCTS = 0.5
 IMPOSSIBLE = 1.0
 """Penalty, over the cost of no model, of a link whose pseudo-inertia is as negative as its prior's is positive."""
 
+LEAST = 1e-3
+"""Of the prior's mass and moments of inertia, whatever the factor of the box."""
+
+POSITIVE = (0, 4, 7, 9)
+"""Places of mass and moments of inertia among a body's physical parameters."""
+
 JOINTS = 2.0
 """Of the least-squares estimate's size: a joint's own parameter at most."""
 
 
-def physical_space(setup: Setup, feasible: bool) -> Callable[[LeastSquares, QuadraticCost], Space]:
+def physical_space(setup: Setup, feasible: bool, share: float = 1.0) -> Callable[[LeastSquares, QuadraticCost], Space]:
     """Mass, centre of mass and inertia of each link, and joint parameters, as far as they act on the torque.
 
     Links have a box about their prior (robot file, URDF, or a bar of the density that fits best); joint parameters from
@@ -43,6 +49,7 @@ def physical_space(setup: Setup, feasible: bool) -> Callable[[LeastSquares, Quad
     Args:
         setup: the data.
         feasible: add to the cost what makes a link impossible, `IMPOSSIBLE` times its violation.
+        share: factor of every range about the prior; masses and moments of inertia stay above `LEAST` of the prior's.
     """
     model, projection = setup.kernel.model, setup.base.projection
     parameters, links = model.parameters, len(model.joints)
@@ -64,6 +71,7 @@ def physical_space(setup: Setup, feasible: bool) -> Callable[[LeastSquares, Quad
             size = JOINTS * float(np.max(np.abs(values[seen]), initial=0.0))
             upper[place] = size
             lower[place] = -size if parameters[place].kind == "offset" else 0.0
+        lower, upper = _scaled(reference, lower, upper, share, SIZE * links)
         names = physical_names(model)
         chosen = [place for place in _acting(of_active, reference, links) if lower[place] < upper[place]]
         physical = PhysicalCost(PhysicalParameters.of(model, reference, [names[c] for c in chosen]), cost, of_active)
@@ -112,6 +120,17 @@ def _body_box(body: FloatArray, mean_mass: float, longest: float) -> tuple[Float
     lower[[4, 7, 9]], upper[[4, 7, 9]] = MASSES[0] * moments, largest
     lower[[5, 6, 8]], upper[[5, 6, 8]] = -products, products
     return lower, upper
+
+
+def _scaled(
+    reference: FloatArray, lower: FloatArray, upper: FloatArray, share: float, of_links: int
+) -> tuple[FloatArray, FloatArray]:
+    """Ranges (p,) times a factor about the reference; the first `of_links` are bodies' parameters."""
+    least, most = reference + share * (lower - reference), reference + share * (upper - reference)
+    for entry in POSITIVE:
+        place = slice(entry, of_links, SIZE)
+        least[place] = np.maximum(least[place], LEAST * reference[place])
+    return least, most
 
 
 def identified_step(parameters: tuple[Identified, ...], point: FloatArray) -> Step:

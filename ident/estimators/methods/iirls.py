@@ -7,8 +7,10 @@ from typing import Annotated
 
 from pydantic import Field
 
+from drivers.errors import UsageError
+from drivers.ranges import FRICTION_SHARE
 from ident.estimators.estimator import Estimator, Setup
-from ident.estimators.method import Method
+from ident.estimators.method import Method, within
 from ident.estimators.robust.iirls import FullFrictionEstimator
 from ident.estimators.robust.weight_functions import WeightName
 
@@ -24,10 +26,28 @@ class IirlsOptions:
         False
     )
     decoupled: Annotated[bool, Field(description="estimate inertial and friction parameters in turn (ID-IRLS)")] = False
+    largest_friction: Annotated[
+        float | None,
+        within(FRICTION_SHARE),
+        Field(
+            description="bounds of the friction (AUBO eq. 16): a term's largest share of the joint's torque limit; "
+            "dissipative terms are then not negative; no bounds if absent"
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        if self.consistent and self.largest_friction is not None:
+            raise UsageError(
+                "consistent=true and largest_friction exclude each other",
+                where="--method iirls",
+                hint="consistent parameters have no negative friction either",
+            )
 
 
 def _estimator(options: IirlsOptions, setup: Setup) -> Estimator:
-    return FullFrictionEstimator(setup, options.weights, options.consistent, options.decoupled)
+    return FullFrictionEstimator(
+        setup, options.weights, options.consistent, options.decoupled, options.largest_friction
+    )
 
 
 METHOD = Method(

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from drivers.ranges import GENERATIONS, LEARNING_FACTOR, POPULATION, SEARCH_TIME, SEED
+from drivers.ranges import BOX_SHARE, GENERATIONS, LEAP, LEARNING_FACTOR, POPULATION, SEARCH_TIME, SEED
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.physical_space import physical_space
@@ -29,6 +29,12 @@ class FrogOptions:
     random: Annotated[Literal["leap", "coordinate"], Field(description="what has a random number of its own")] = (
         FrogLeaping.random
     )
+    largest_leap: Annotated[
+        float | None, within(LEAP), Field(description="D_max, longest leap in widths of the box; no limit if absent")
+    ] = FrogLeaping.largest_leap
+    box: Annotated[float, within(BOX_SHARE), Field(description="factor of every search range about the prior body")] = (
+        1.0
+    )
     feasible: Annotated[bool, Field(description="penalise links that cannot exist")] = False
     seconds: Annotated[float | None, within(SEARCH_TIME), Field(description="time limit [s]; none if absent")] = None
     seed: Annotated[int, within(SEED), Field(description="of the random numbers")] = 0
@@ -43,14 +49,13 @@ class FrogOptions:
         Raises:
             UsageError: they contradict each other.
         """
-        return FrogLeaping(self.frogs, self.memeplexes, self.leaps, self.reach, random=self.random)
+        return FrogLeaping(self.frogs, self.memeplexes, self.leaps, self.reach, self.largest_leap, self.random)
 
 
 def _estimator(options: FrogOptions, setup: Setup) -> Estimator:
     budget = Budget(options.generations, options.seconds)
-    return SearchEstimator(
-        setup, weighted_least_squares, physical_space(setup, options.feasible), options.optimiser, budget, options.seed
-    )
+    space = physical_space(setup, options.feasible, options.box)
+    return SearchEstimator(setup, weighted_least_squares, space, options.optimiser, budget, options.seed)
 
 
 METHOD = Method(

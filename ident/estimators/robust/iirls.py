@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.estimators.estimator import Estimation, Loop, Setup
 from ident.estimators.friction_steps import (
@@ -26,6 +27,7 @@ from ident.estimators.friction_steps import (
     own_column,
     shape_change,
 )
+from ident.estimators.robust.friction_bounds import friction_bounds
 from ident.estimators.robust.irls import RobustEstimator, estimation, reweighting
 from ident.estimators.robust.reweighting import PARAMETER_TOLERANCE, Reweighting, RobustFit, Solve
 from ident.estimators.robust.sensitivities import ShapeSystem
@@ -35,7 +37,7 @@ from ident.model.parameters import FRICTION_KINDS
 from ident.model.regressor import RegressorKernel
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observation_matrix import Reduction
-from ident.signals.prepared import Prepared
+from ident.signals.prepared import Prepared, Step
 
 MOST_SHAPE_ROUNDS = 15
 MOST_DECOUPLED_ROUNDS = 40
@@ -65,9 +67,12 @@ class FullFrictionEstimator(RobustEstimator):
 
     Attributes:
         decoupled: whether inertial and friction parameters are estimated in turn.
+        largest_friction: a term's largest share of the joint's torque limit, with which the friction is that of a
+            feasible domain (eq. 16; `friction_bounds`); None for no bounds.
     """
 
     decoupled: bool
+    largest_friction: float | None = None
 
     def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
         """Iterate all four loops from weighted least squares."""
@@ -78,14 +83,20 @@ class FullFrictionEstimator(RobustEstimator):
         if terms is not None and terms.loaded:
             fit = self._fourth_loop(loops, fit, rounds)
         inner = estimation(fit, loops, "iirls")
+        if self.largest_friction is not None:
+            inner = replace(inner, steps=(*inner.steps, self._bounds_step(fit, self.largest_friction)))
         solution = replace(
             inner.solution, parameters=fit.solution.parameters, settled=fit.settled and all(rounds.settled)
         )
         return replace(inner, solution=solution, loops=(*inner.loops, *_outer_loops(rounds, fit.kernel.model)))
 
     def solver(self, active: Sequence[int]) -> Solve:
-        """As for IRLS; decoupled, the parameters that are no friction, friction as it was."""
+        """As for IRLS, within the bounds; decoupled, the parameters that are no friction, friction as it was."""
         together = super().solver(active)
+        if self.largest_friction is not None and not self.decoupled:
+            # The bounds follow the shapes and the load torque, which are those of the kernel.
+            bounds = lru_cache(maxsize=1)(partial(friction_bounds, self.setup, share=self.largest_friction))
+            return lambda kernel, reduction, before: bounds(kernel).solution(reduction, active)
         if not self.decoupled:
             return together
         others = [column for column in active if column not in friction_columns(self.setup)]
@@ -101,6 +112,12 @@ class FullFrictionEstimator(RobustEstimator):
             return replace(solution, parameters=parameters)
 
         return solve
+
+    def _bounds_step(self, fit: RobustFit, largest: float) -> Step:
+        reached = friction_bounds(self.setup, fit.kernel, largest).reached(fit.solution.parameters)
+        names = ", ".join(self.setup.base.names[place] for place in reached) or "none"
+        text = f"each term at most {percent_text(largest)} of the joint's torque limit, none negative but the offset"
+        return Step("friction bounds", {"largest_friction": largest}, f"{text} (AUBO eq. 16); at a bound: {names}")
 
     def _third_loop(self, loops: Reweighting, fit: RobustFit, rounds: _Rounds) -> RobustFit:
         """Shapes, and decoupled all friction, until they settle."""
@@ -144,7 +161,10 @@ class FullFrictionEstimator(RobustEstimator):
         """All friction by the torque that the other parameters leave (eq. 15 and 16), then these."""
         friction = [column for column in loops.active if column in friction_columns(self.setup)]
         system = ShapeSystem.at(loops, fit)
-        parameters = system.friction_alone(friction, fit.solution.parameters)
+        bounds = None
+        if self.largest_friction is not None:
+            bounds = friction_bounds(self.setup, fit.kernel, self.largest_friction)
+        parameters = system.friction_alone(friction, fit.solution.parameters, bounds)
         start = parameters[: len(fit.kernel.columns)]
         terms = fit.kernel.model.terms
         if terms is None or not terms.shaped:

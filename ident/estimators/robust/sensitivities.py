@@ -10,6 +10,7 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.estimators.estimator import Estimation
 from ident.estimators.friction_steps import COEFFICIENT_OF, own_column
+from ident.estimators.robust.friction_bounds import FrictionBounds
 from ident.estimators.robust.reweighting import Reweighting, RobustFit
 from ident.estimators.robust.weighted_pass import weighted_pass
 from ident.model.parameters import DISSIPATIVE_KINDS
@@ -86,10 +87,12 @@ class ShapeSystem:
         """Parameters (b + s,) of least squares on the active columns and the sensitivities."""
         return ordinary_least_squares(self.reduction, [*active, *self._excited]).parameters
 
-    def friction_alone(self, friction: Sequence[int], parameters: FloatArray) -> FloatArray:
+    def friction_alone(
+        self, friction: Sequence[int], parameters: FloatArray, bounds: FrictionBounds | None = None
+    ) -> FloatArray:
         """The same for friction, all other parameters (b,) as they are (eq. 15 and 16).
 
-        Coefficients of dissipative friction do not become negative.
+        Coefficients of dissipative friction do not become negative, nor pass the bounds, where there are some.
         """
         from scipy.optimize import lsq_linear
 
@@ -102,7 +105,12 @@ class ShapeSystem:
         standard = self.shapes.kernel.model.parameters
         kinds = [standard[self.shapes.kernel.columns[column]].kind for column in columns]
         least = np.where([kind in DISSIPATIVE_KINDS for kind in kinds], 0.0, -np.inf)
-        known[columns] = lsq_linear(factor[:, columns] / lengths, target, (least, np.inf)).x / lengths
+        most = np.full(len(columns), np.inf)
+        if bounds is not None:
+            own = slice(0, len(friction))
+            least[own] = np.maximum(least[own], bounds.least[list(friction)] * lengths[own])
+            most[own] = bounds.most[list(friction)] * lengths[own]
+        known[columns] = lsq_linear(factor[:, columns] / lengths, target, (least, most), method="bvls").x / lengths
         return known
 
     def value(self, parameters: FloatArray, kind: str, motor: int) -> float | None:

@@ -53,6 +53,41 @@ def test_every_sample_that_was_taken_out_is_counted(lost, period):
     assert quality.samples + quality.lost == round(quality.duration / period) + 1
 
 
+def _arrivals(sent: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Stamps of a busy computer: what was sent while it did something else arrives at once, 10 µs apart."""
+    pauses = generator.choice([0.0003, 0.004, 0.03], size=4 * len(sent), p=[0.5, 0.45, 0.05])
+    awake = np.cumsum(pauses * generator.uniform(0.5, 1.5, len(pauses)))
+    arrived = awake[np.searchsorted(awake, sent)]
+    for index in range(1, len(arrived)):
+        arrived[index] = max(arrived[index], arrived[index - 1] + 1e-5)
+    return arrived
+
+
+@pytest.mark.parametrize("rate", [100.0, 250.0, 500.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_bursts_of_arrivals_are_neither_a_rate_nor_a_loss(rate, seed):
+    """One over the median interval is 821 Hz of 500 Hz, and the pauses are 1,863 samples, where none was lost."""
+    generator = np.random.default_rng(seed)
+    sent = np.arange(int(20 * rate)) / rate
+    quality = stream_quality(_arrivals(sent, generator))
+    assert quality.rate_hz == pytest.approx(rate, rel=0.01)
+    assert quality.lost <= 1e-3 * len(sent)  # nothing comes after the last pauses that could make up for them
+    # A second in which nothing came is a loss nevertheless.
+    quality = stream_quality(_arrivals(sent[(sent < 9.0) | (sent >= 10.0)], generator))
+    assert quality.lost == pytest.approx(rate, rel=0.15)
+    assert quality.rate_hz == pytest.approx(rate, rel=0.01)
+
+
+@pytest.mark.parametrize("jitter", [0.05, 0.2])
+def test_losses_between_jittering_stamps_are_counted(jitter):
+    generator = np.random.default_rng(1)
+    time = (np.arange(5000) + jitter * generator.uniform(-1.0, 1.0, 5000)) / 250.0
+    gone = np.sort(generator.choice(np.arange(100, 4900), 40, replace=False))
+    quality = stream_quality(np.delete(time, gone))
+    assert quality.rate_hz == pytest.approx(250.0, rel=0.01)
+    assert quality.lost == 40
+
+
 def test_duplicates_and_stamps_that_go_back():
     quality = stream_quality(np.array([0.0, 0.01, 0.01, 0.02, 0.015, 0.03, 0.04]))
     assert quality.duplicates == 2

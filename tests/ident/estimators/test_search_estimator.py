@@ -8,6 +8,7 @@ import pytest
 from drivers.errors import UsageError
 from ident.estimators.method_choice import chosen_method
 from ident.estimators.search_estimator import centred_reduction
+from ident.estimators.swarm.frog_leaping import FrogLeaping
 from ident.estimators.swarm.particle_swarm import ParticleSwarm, RandomWeight
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
@@ -106,11 +107,36 @@ def test_settings_reach_the_optimiser() -> None:
     options = chosen_method("wls-rwpso:particles=9:c1=1:c2=2:least=0.1:most=0.2:spread=0.05").options
     assert options.swarm == ParticleSwarm(9, RandomWeight(0.1, 0.2, 0.05), 1.0, 2.0)
     assert chosen_method("wls-pso:weight=1.3").options.swarm.weight.value == 1.3
+    assert chosen_method("sfla:largest_leap=0.3").options.optimiser == FrogLeaping(largest_leap=0.3)
+
+
+@pytest.mark.parametrize(("box", "near"), [(0.01, True), (1.0, False)])
+def test_frogs_keep_to_the_box_that_was_asked_for(found, box, near) -> None:
+    """Ranges of masses go from 5 % of the prior's to three times the larger one of it and the mean, times `box`."""
+    masses = []
+    for seed in (0, 1):
+        (step,) = [
+            step
+            for step in found(f"sfla:generations=3:box={box}:seed={seed}").estimation.steps
+            if step.name == "physical parameters"
+        ]
+        masses.append(np.array([step.settings[f"m{link}"] for link in (1, 2, 3)]))
+    limit = 3.0 * 0.01 * np.maximum(masses[0], masses[0].mean())
+    assert bool(np.all(np.abs(masses[1] - masses[0]) <= 1.05 * limit)) == near
 
 
 @pytest.mark.parametrize(
     "text",
-    ["sfla:memeplexes=0", "sfla:frogs=5", "sfla:random=x", "wls-pso:particles=1", "wls-rwpso:least=2", "ls-pso:box=0"],
+    [
+        "sfla:memeplexes=0",
+        "sfla:frogs=5",
+        "sfla:random=x",
+        "wls-pso:particles=1",
+        "wls-rwpso:least=2",
+        "ls-pso:box=0",
+        "sfla:box=0",
+        "sfla:largest_leap=0",
+    ],
 )
 def test_bad_settings_are_refused_before_any_work(text: str) -> None:
     with pytest.raises(UsageError) as refused:

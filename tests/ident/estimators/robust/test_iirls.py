@@ -7,6 +7,8 @@ import pytest
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, parse_robot
+from drivers.errors import UsageError
+from ident.estimators.robust.friction_bounds import FrictionBounds
 from ident.estimators.robust.sensitivities import shape_columns
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
@@ -111,3 +113,52 @@ def test_sensitivities_are_derivatives_by_the_shapes(full):
     speed = np.abs(states[1][2])
     expected = np.sign(states[1][2]) * speed ** kernel.model.terms.exponent[2] * np.log(speed)
     assert np.allclose(rows[2, base + 1], expected, rtol=1e-6, atol=1e-8)
+
+
+def test_bounds_that_no_friction_reaches_change_nothing(faulty, full):
+    bounded = identified(faulty, "iirls:largest_friction=1")
+    assert np.array_equal(bounded.solution.parameters, full.solution.parameters)
+    assert "at a bound: none" in bounded.estimation.steps[-1].text
+
+
+@pytest.mark.parametrize("decoupled", ["", ":decoupled=true"])
+def test_friction_stays_within_its_bounds(faulty, full, decoupled):
+    """A bound just below the largest Coulomb friction over its torque limit (AUBO eq. 16)."""
+    limits = np.array([joint.torque for joint in full.robot_file.robot.joints])
+    free = dict(zip(full.base.names, full.solution.parameters, strict=True))
+    share = 0.95 * max(free[f"Fs{k}"] / limit for k, limit in enumerate(limits, start=1))
+    found = identified(faulty, f"iirls:largest_friction={share}{decoupled}")
+    value = dict(zip(found.base.names, found.solution.parameters, strict=True))
+    for k, limit in enumerate(share * limits, start=1):
+        assert 0.0 <= value[f"Fs{k}"] <= limit * (1 + 1e-9)
+        assert abs(value[f"Fo{k}"]) <= limit * (1 + 1e-9)
+        assert value[f"Fv{k}"] >= 0.0
+    assert "at a bound: none" not in found.estimation.steps[-1].text
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_bounded_least_squares_is_the_best_within_the_bounds(dense_reduction, seed):
+    """Karush, Kuhn and Tucker: the slope vanishes inside and points outwards at a bound; other columns are free."""
+    generator = np.random.default_rng(seed)
+    W = generator.standard_normal((60, 6)) * np.array([1.0, 100.0, 0.01, 1.0, 1.0, 3.0])
+    torque = W @ (generator.standard_normal(6) / np.array([1.0, 100.0, 0.01, 1.0, 1.0, 3.0]))
+    bounds = FrictionBounds(
+        np.array([0.0, 0.0, -np.inf, -0.3, 0.0, -np.inf]), np.array([0.5, np.inf, np.inf, 0.3, 0.2, np.inf])
+    )
+    found = bounds.solution(dense_reduction([(W, torque)]), (0, 1, 2, 3, 4)).parameters
+    assert found[5] == 0.0  # not active
+    slope = (W.T @ (W @ found - torque) / np.linalg.norm(W, axis=0))[:5]
+    for place in range(5):
+        if found[place] == bounds.least[place]:
+            assert slope[place] > -1e-8
+        elif found[place] == bounds.most[place]:
+            assert slope[place] < 1e-8
+        else:
+            assert bounds.least[place] < found[place] < bounds.most[place]
+            assert slope[place] == pytest.approx(0.0, abs=1e-7)
+    assert set(bounds.reached(found)) == set(np.flatnonzero((found == bounds.least) | (found == bounds.most)))
+
+
+def test_bounds_and_consistent_parameters_exclude_each_other(faulty):
+    with pytest.raises(UsageError, match="exclude each other"):
+        identified(faulty, "iirls:consistent=true:largest_friction=1")

@@ -1,0 +1,99 @@
+"""Feasible domain of the friction within I-IRLS (AUBO eq. 16).
+
+The paper names bounds f_max of every coefficient and no values. Here no term of a joint's friction exceeds a share of
+the joint's torque limit (of the largest measured torque, where the robot file has none) at the highest speed and load
+torque of the data, and what dissipates does not drive: f_c, f_v and f_L are not negative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.estimators.estimator import Setup
+from ident.estimators.friction_steps import own_column
+from ident.model.friction_terms import LOAD_POWERS
+from ident.model.parameters import DISSIPATIVE_KINDS
+from ident.model.regressor import LoadTorqueKernel, RegressorKernel
+from ident.regression.least_squares import LeastSquares, ordinary_least_squares
+from ident.regression.observation_matrix import Reduction
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionBounds:
+    """Least and largest values (b,) of base parameters; infinite for those that are no friction of one joint."""
+
+    least: FloatArray
+    most: FloatArray
+
+    def solution(self, reduction: Reduction, active: Sequence[int]) -> LeastSquares:
+        """Least squares within the bounds; its covariance is that without them.
+
+        Raises:
+            IdentificationError: the system does not determine the parameters.
+        """
+        from scipy.optimize import lsq_linear
+
+        free, columns = ordinary_least_squares(reduction, active), list(active)
+        values, least, most = free.parameters[columns], self.least[columns], self.most[columns]
+        if np.all((least <= values) & (values <= most)):
+            return free
+        factor = reduction.joints[0].factor
+        lengths = np.linalg.norm(factor[:, columns], axis=0)
+        found = lsq_linear(
+            factor[:, columns] / lengths, factor[:, -1], (least * lengths, most * lengths), method="bvls"
+        )
+        parameters = free.parameters.copy()
+        parameters[columns] = np.clip(found.x / lengths, least, most)
+        return replace(free, parameters=parameters)
+
+    def reached(self, parameters: FloatArray) -> tuple[int, ...]:
+        """Base parameters (b,) that are at a bound."""
+        return tuple(np.flatnonzero((parameters == self.least) | (parameters == self.most)).tolist())
+
+
+def friction_bounds(setup: Setup, kernel: RegressorKernel, share: float) -> FrictionBounds:
+    """The bounds on a robot's data.
+
+    A base parameter that is a combination, such as an offset that holds a sliding joint's weight, has none.
+
+    Args:
+        setup: the data.
+        kernel: with the friction's present shapes and load torque.
+        share: of the joint's torque limit that one term can reach.
+    """
+    model, base = kernel.model, setup.base
+    speed, load, torque = _largest(setup, kernel)
+    signals = {"coulomb": np.ones(model.dof), "viscous": speed, "load": load, "offset": np.ones(model.dof)}
+    if model.terms is not None:
+        signals["viscous"] = speed ** np.array(model.terms.exponent)
+        signals["load"] = load ** np.array([LOAD_POWERS.get(kind, 1.0) for kind in model.terms.load])
+    limits = {joint.name: joint.torque for joint in setup.robot_file.robot.joints}
+    least, most = np.full(base.count, -np.inf), np.full(base.count, np.inf)
+    for motor, name in enumerate(model.joint_names):
+        limit = share * (limits.get(name) or float(torque[motor]))
+        for kind, signal in signals.items():
+            place = own_column(model, kernel.columns, kind, motor)
+            if place is None or base.expressions[place] != base.names[place] or signal[motor] <= 0.0:
+                continue
+            most[place] = limit / signal[motor]
+            least[place] = 0.0 if kind in DISSIPATIVE_KINDS else -limit
+    return FrictionBounds(least, most)
+
+
+def _largest(setup: Setup, kernel: RegressorKernel) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Largest speed, load torque and measured torque (n,) of the data."""
+    model = kernel.model
+    loads = None if model.terms is None or model.terms.load_torque is None else LoadTorqueKernel(model)
+    speed, load, torque = np.zeros(model.dof), np.zeros(model.dof), np.zeros(model.dof)
+    for run in setup.runs:
+        for segment in run.segments:
+            speed = np.maximum(speed, np.max(np.abs(segment.velocity), axis=1))
+            torque = np.maximum(torque, np.nanmax(np.abs(segment.torque), axis=1))
+            if loads is not None:
+                held = loads.torque(segment.position[:, :: run.parallel_filter.factor])
+                load = np.maximum(load, np.max(np.abs(held), axis=1))
+    return speed, load, torque
