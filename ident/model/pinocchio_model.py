@@ -33,11 +33,27 @@ def pinocchio_model(model: DynamicModel, inertial: FloatArray | None = None) -> 
         if index in limits_of:
             result.lowerPositionLimit[index], result.upperPositionLimit[index] = limits_of[index].position
         if inertial is not None:
-            values = inertial[10 * index : 10 * index + 10]
-            dynamic = np.array([values[INERTIAL.index(symbol)] for symbol in PINOCCHIO_ORDER])
-            result.inertias[identifier] = pin.Inertia.FromDynamicParameters(dynamic)
+            result.inertias[identifier] = _body(inertial[10 * index : 10 * index + 10])
     result.gravity.linear = model.gravity
     return result
+
+
+def _body(values: FloatArray) -> Any:
+    """A `pinocchio.Inertia` of ten standard parameters.
+
+    Raises:
+        ValueError: first moments without a mass, which no centre of mass has.
+    """
+    import pinocchio as pin
+
+    dynamic = np.array([values[INERTIAL.index(symbol)] for symbol in PINOCCHIO_ORDER])
+    if dynamic[0] != 0.0:
+        return pin.Inertia.FromDynamicParameters(dynamic)
+    if np.any(dynamic[1:4]):
+        raise ValueError("a link without mass has first moments")
+    # Pinocchio would divide by the mass.
+    xx, xy, yy, xz, yz, zz = dynamic[4:]
+    return pin.Inertia(0.0, np.zeros(3), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
 
 
 def pinocchio_regressor(
