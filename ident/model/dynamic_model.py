@@ -81,6 +81,11 @@ class DynamicModel:
         return tuple(self.joints[index].name for index in self.active)
 
     @property
+    def sliding(self) -> tuple[bool, ...]:
+        """Whether each joint with a motor slides: forces [N] and metres in place of torques and radians."""
+        return tuple(self.joints[index].prismatic for index in self.active)
+
+    @property
     def link_names(self) -> tuple[str, ...]:
         """Names of all joints of the tree, in order."""
         return tuple(joint.name for joint in self.joints)

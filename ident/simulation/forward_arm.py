@@ -38,10 +38,12 @@ class ForwardArm:
 
     Attributes:
         dof: number n of joints with a motor.
-        viscous: (n, n) V [N·m·s/rad] of linear viscous friction.
+        viscous: (n, n) V [N·m·s/rad] of linear viscous friction that brakes.
         offset: (n,) constant torque, part of the bias [N·m].
         directions: (m, n) D, the joint motions that dry friction acts on.
         dry: (m,) f, Coulomb friction in each of them [N·m].
+        joint_names: (n,).
+        sliding: (n,) whether a joint slides, with N and m in place of N·m and rad.
     """
 
     def __init__(self, inverse: InverseDynamics, kelvin: FloatArray | None = None) -> None:
@@ -55,8 +57,8 @@ class ForwardArm:
         self._kelvin = None if kelvin is None else kelvin[:, None]
         self._smooth: list[_Term] = []
         self._further_dry: list[tuple[int, _Term]] = []
-        self.dof = model.dof
-        self.viscous = np.zeros((self.dof, self.dof))
+        self.dof, self.joint_names, self.sliding = model.dof, model.joint_names, model.sliding
+        self.viscous, self._accelerating = np.zeros((self.dof, self.dof)), np.zeros((self.dof, self.dof))
         self.offset = np.zeros(self.dof)
         directions, dry = [], []
         identity = np.eye(self.dof)
@@ -67,7 +69,8 @@ class ForwardArm:
             at_joints = inverse.coupling.T @ at_motors
             motion = np.array(combined(column.motion, identity), dtype=np.float64)
             if column.quantity == "viscous" and column.shape == 1.0:
-                self.viscous += np.outer(at_joints, motion)
+                matrix = self.viscous if at_joints @ motion >= 0.0 else self._accelerating
+                matrix += np.outer(at_joints, motion)
             elif column.quantity == "viscous" or column.quantity in TEMPERATURE_KINDS:
                 self._smooth.append(_Term(column, at_joints, motion))
             elif column.quantity == "offset":
@@ -87,6 +90,11 @@ class ForwardArm:
         self._rotors = inverse.rotor_inertia
         self._arms = _rigid_arms(model, inverse)
 
+    @property
+    def accelerated(self) -> tuple[str, ...]:
+        """Names of the joints that negative linear viscous friction accelerates."""
+        return tuple(self.joint_names[joint] for joint in np.flatnonzero(self._accelerating.any(axis=1)))
+
     def inertia(self, position: FloatArray) -> FloatArray:
         """M (n, n) [kg·m²] at a position (n,), motor inertia included."""
         total = self._rotors.copy()
@@ -100,9 +108,10 @@ class ForwardArm:
         What grows with the velocity is in V. What falls, a term with a negative coefficient, is the torque: as a
         viscous coefficient it would be unstable.
         """
+        torque = self._accelerating @ velocity
         if not self._smooth:
-            return self.viscous, np.zeros(self.dof)
-        matrix, torque = self.viscous.copy(), np.zeros(self.dof)
+            return self.viscous, torque
+        matrix = self.viscous.copy()
         conditions = FrictionConditions(temperature=self._kelvin)
         for term in self._smooth:
             speed = np.array([max(abs(float(term.motion @ velocity)), SLOWEST)])

@@ -25,6 +25,7 @@ import numpy as np
 
 from drivers.errors import DataError, ModelError
 from drivers.streams import FloatArray
+from ident.simulation.divergence import diverged, divergence
 from ident.simulation.dry_friction import dry_friction
 from ident.simulation.forward_arm import ForwardArm
 
@@ -33,9 +34,6 @@ PRECISION = 1e-9
 
 ROUNDS = 10
 """Evaluations of the bias per step at most."""
-
-FASTEST = 1e4
-"""[rad/s or m/s] A velocity beyond which a simulation has diverged."""
 
 Drive = Callable[[float, FloatArray, FloatArray], FloatArray]
 """Joint torques (n,) [N·m] for the step that begins at a time [s] with these positions and velocities (n,)."""
@@ -73,7 +71,7 @@ def integrate(
 
     Raises:
         ModelError: the inertia matrix is not positive definite, a loop does not close, or the motion diverges; says
-            when.
+            when and why.
     """
     step = duration / steps
     count = len(position)
@@ -95,11 +93,8 @@ def integrate(
             ) from error
         except DataError as error:  # a loop
             raise ModelError(f"at {now:.4g} s {error.message}", where=error.where, hint=error.hint) from error
-        if not np.all(np.abs(velocities[index + 1]) < FASTEST):
-            raise ModelError(
-                f"the simulated motion diverges at {now + step:.4g} s (velocity beyond {FASTEST:g} rad/s)",
-                hint="give a smaller torque, softer controller gains or a shorter step",
-            )
+        if diverged(velocities[index + 1]):
+            raise divergence(arm, now + step, positions[index], velocities[: index + 2], torques[: index + 1])
     torques[steps] = torques[steps - 1]
     return Motion(time, positions, velocities, torques)
 

@@ -164,11 +164,22 @@ def test_what_cannot_be_simulated_is_refused_in_words():
     unknown = dynid.Model(true_result(arm("ur5e"), {name: None}), "full")
     with pytest.raises(dynid.ModelError, match=f"{name} has no value"):
         unknown.simulate(still, still, None, 1.0)
-    with pytest.raises(dynid.ModelError, match=r"diverges at 0\.00\d s"):
+    with pytest.raises(dynid.ModelError, match=r"diverges at 0\.00\d s: \w+ passes 10000 rad/s.*kg·m².*1e\+09 N·m"):
         full.simulate(still, still, np.full(6, 1e9), 1.0)
     light = {p.name: -5.0 for p in full.result.base_parameters if p.name.startswith("ZZ")}
     with pytest.raises(dynid.ModelError, match="not positive definite at 0 s"):
         dynid.Model(true_result(arm("ur5e"), light), "full").simulate(still, still, None, 1.0)
+
+
+def test_a_divergence_names_its_cause():
+    slide = model("slide")
+    with pytest.raises(dynid.ModelError, match=r"slide passes 10000 m/s, its inertia 2 kg there.* N .*sign at every"):
+        slide.simulate([0.1], [0.0], lambda t, q, dq: -1e4 * q - 1e4 * dq, 1.0)
+    full = model("ur5e")
+    name = next(p.name for p in full.result.base_parameters if p.kind == "viscous" and p.joint == "wrist_3_joint")
+    driven = dynid.Model(true_result(arm("ur5e"), {name: -300.0}), "full")
+    with pytest.raises(dynid.ModelError, match=r"wrist_3_joint passes.*viscous friction is negative"):
+        driven.simulate(np.zeros(6), np.full(6, 0.5), None, 1.0)
 
 
 def test_an_arm_that_leaves_its_loop_is_refused_with_the_time():
