@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Mapping
 from typing import Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
@@ -10,6 +12,9 @@ from daq.robot.section import Finite, Positive, Section, Vector3
 
 TOTAL_MASS = "total_mass"
 """Name, in `known`, of the mass of all links that move."""
+
+OF_LINK = re.compile(r"(?:M|M[XYZ]|[XYZ]{2})(\d+)")
+"""Names of a link's parameters, and its number."""
 
 LEAST_POINTS = 4
 """Corners of the smallest body."""
@@ -81,3 +86,62 @@ class Prior(Section):
     links: dict[str, PriorLink] = Field(default_factory=dict, description="joint → the link that it moves")
     distance: Literal["entropic", "euclidean"] = "entropic"
     weight: Positive = Field(default=0.1, description="of each link's distance, in equations of unit variance")
+
+
+def known_problems(known: Mapping[str, Known]) -> list[str]:
+    """What contradicts itself in `known`, a sentence each: no body has these masses, moments and inertias at once."""
+    low = {name: one.min if one.value is None else one.value for name, one in known.items()}
+    high = {name: one.max if one.value is None else one.value for name, one in known.items()}
+    links = sorted({int(match[1]) for name in known if (match := OF_LINK.fullmatch(name))})
+    problems = [
+        f"known.M{link}: a mass of {most:g} kg or less is no body's"
+        for link in links
+        if (most := high.get(f"M{link}")) is not None and most <= 0
+    ]
+    masses = {f"M{link}": least for link in links if (least := low.get(f"M{link}")) is not None and least > 0}
+    total = high.get(TOTAL_MASS)
+    if total is not None and total <= 0:
+        problems.append(f"known.{TOTAL_MASS}: {total:g} kg is no mass")
+    elif total is not None and sum(masses.values()) >= total:
+        named = ", ".join(f"known.{name}" for name in masses)
+        problems.append(
+            f"no body satisfies these at once: {named}, known.{TOTAL_MASS}: links of {sum(masses.values()):g} kg or "
+            f"more in an arm of {total:g} kg or less"
+        )
+    for link in links:
+        problems += _moment_problems(link, low, high)
+    return problems
+
+
+def _moment_problems(link: int, low: Mapping[str, float | None], high: Mapping[str, float | None]) -> Iterator[str]:
+    """Moments of inertia about a link's joint that no body has.
+
+    Each is below the sum of the other two, and above what the link's mass at its centre has already.
+    """
+    names = [f"{axis}{axis}{link}" for axis in "XYZ"]
+    for place, name in enumerate(names):
+        first, second = (other for other in names if other != name)
+        most, others = low.get(name), (high.get(first), high.get(second))
+        if most is not None and others[0] is not None and others[1] is not None and most >= others[0] + others[1]:
+            yield (
+                f"no body satisfies these at once: known.{name}, known.{first}, known.{second}: a moment of inertia of "
+                f"{most:g} kg·m² is not below the sum of the other two, {others[0]:g} and {others[1]:g}"
+            )
+        moment, mass = high.get(name), high.get(f"M{link}")
+        if moment is None or mass is None or mass <= 0:
+            continue
+        across = [f"M{axis}{link}" for axis in "XYZ" if axis != "XYZ"[place]]
+        named = [name, f"M{link}", *(one for one in across if one in low)]
+        least = sum(_least_square(low.get(one), high.get(one)) for one in across) / mass
+        if moment <= least:
+            yield (
+                f"no body satisfies these at once: {', '.join(f'known.{one}' for one in named)}: the mass at its "
+                f"centre alone has a moment of inertia of {least:g} kg·m²"
+            )
+
+
+def _least_square(low: float | None, high: float | None) -> float:
+    """The least square of a value between two limits."""
+    if low is not None and low > 0:
+        return low**2
+    return high**2 if high is not None and high < 0 else 0.0

@@ -15,7 +15,7 @@ from daq.robot.lengths import with_lengths
 from daq.robot.loops import BASE as BASE
 from daq.robot.loops import Loop, check_coupling, check_drives, check_pairs, passive_joints
 from daq.robot.magnitudes import PositionLimit, TableAngle, VelocityLimit
-from daq.robot.prior import Known, Prior
+from daq.robot.prior import Known, Prior, known_problems
 from daq.robot.references import OF_JOINTS, JointNames, name_problems, row_problems
 from daq.robot.section import (
     Angle,
@@ -295,6 +295,8 @@ class Robot(Section):
         driven = tuple(drive.joint for drive in self.drives)
         if problems := name_problems(self._names(passive, driven)):
             raise SeveralProblems(problems)
+        if contradictions := known_problems(self.known):
+            raise SeveralProblems(contradictions)
         check_drives(driven, passive)
         check_coupling(self.model.coupling, self.joint_names, passive)
         paired = [drive.joint for drive in self.drives if drive.pair_inertia]

@@ -137,9 +137,17 @@ def consistent_parameters(
 
 
 def bounded_precision(estimate: Estimate) -> Estimate:
-    """The estimate, its torques no more exact than `PRECISION` of their size."""
-    size = float(np.linalg.norm(estimate.root @ estimate.values))
-    return replace(estimate, root=estimate.root * min(1.0, PRECISION / max(size, 1e-300)))
+    """The estimate, its torques no more exact than autocorrelated residuals leave them, or `PRECISION` of their size.
+
+    The factor behind an estimate counts every residual as independent; its covariance, corrected by the jackknife, says
+    what they are worth. Otherwise a prior would fade as the sampling rate grows.
+    """
+    covariance = np.where(np.isfinite(estimate.covariance), estimate.covariance, 0.0)
+    spread = estimate.root @ covariance @ estimate.root.T
+    inflation = float(np.trace(spread)) / max(1, len(spread))
+    root = estimate.root / np.sqrt(max(1.0, inflation))
+    size = float(np.linalg.norm(root @ estimate.values))
+    return replace(estimate, root=root * min(1.0, PRECISION / max(size, 1e-300)))
 
 
 def feasible_fit(problem: Problem, estimate: Estimate, projection: FloatArray, where: str) -> FeasibleFit:

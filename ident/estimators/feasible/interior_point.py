@@ -40,6 +40,9 @@ LONG_STEP = 0.6
 FAST, SLOW = 0.15, 0.5
 """Factors by which the weights fall."""
 
+RECENTRED = 2.0
+"""Factor on the weights where the duals are replaced by those of the iterate."""
+
 DEEP = 1.0
 """Margin, in units of the conditions, with which a start is searched."""
 
@@ -128,20 +131,24 @@ def minimise(
         now = max(1.0, ratio) * least
         try:
             rows, right = duals.newton(conditions, y, now)
-        except np.linalg.LinAlgError:  # a matrix on its boundary, within rounding: no step leads on
-            break
-        # A step is a least-squares problem; by QR it keeps the digits that the squared Hessian would lose.
-        stacked = np.vstack([system[:, variables], rows[:, variables]])
-        factor = triangular(np.column_stack([stacked, np.concatenate([residual, right])]))
-        root, image = factor[:-1, :-1], factor[:-1, -1]
-        decrement = 0.5 * float(image @ image)
-        if not np.isfinite(decrement):
-            break
-        if ratio <= 1.0 and decrement <= DECREMENT * float(np.max(least, initial=1.0)):
-            return Minimum(y, root, step)
-        direction = np.zeros_like(y)
-        direction[variables] = -solve_triangular(root, image)
-        length, duals = duals.stepped(conditions, y, now, direction)
+            # A step is a least-squares problem; by QR it keeps the digits that the squared Hessian would lose.
+            stacked = np.vstack([system[:, variables], rows[:, variables]])
+            factor = triangular(np.column_stack([stacked, np.concatenate([residual, right])]))
+            root, image = factor[:-1, :-1], factor[:-1, -1]
+            decrement = 0.5 * float(image @ image)
+            if not np.isfinite(decrement):
+                break
+            if ratio <= 1.0 and decrement <= DECREMENT * float(np.max(least, initial=1.0)):
+                return Minimum(y, root, step)
+            direction = np.zeros_like(y)
+            direction[variables] = -solve_triangular(root, image)
+            length, duals = duals.stepped(conditions, y, now, direction)
+        except np.linalg.LinAlgError:  # a dual that lost its last digits: those of the iterate take its place
+            if not conditions.hold(y):
+                break
+            ratio *= RECENTRED
+            duals = _Duals.central(conditions, y, max(1.0, ratio) * least)
+            continue
         y = y + length * direction
         residual = system @ y - target
         ratio = duals.ratio(conditions, y) * (FAST if length >= LONG_STEP else SLOW)

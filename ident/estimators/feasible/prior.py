@@ -15,13 +15,15 @@ from daq.robot.loader import RobotFile
 from daq.robot.prior import PriorLink
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
+from ident.assessment.arm_mass import mass_of_size
+from ident.assessment.torque_level import arm_length
 from ident.estimators.feasible.pseudo_inertia import pseudo_inertia, standard_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.urdf import urdf_inertias
-from ident.model.parameters import link_parameters
+from ident.model.parameters import INERTIAL, link_parameters
 
-SLENDERNESS = 0.05
-"""Radius of an assumed link over the length of the whole arm."""
+SLENDERNESS, TAPER = 0.04, 0.05
+"""Radius of an assumed link: so much of the whole arm's length, and of the length that the link carries."""
 
 LEAST_SPREAD = 1e-3
 """[m]; bodies of a URDF whose mass is spread less far than this about their centre count as assumed."""
@@ -30,10 +32,10 @@ LEAST_RADIUS = 0.03
 """[m] of assumed links."""
 
 DENSITY = 1000.0
-"""[kg/m³] of assumed links where the data do not show how heavy the arm is."""
+"""[kg/m³] of assumed bodies where neither the data nor the arm's size shows how heavy they are."""
 
-DENSITIES = (100.0, 8000.0)
-"""[kg/m³] between which the data may choose: hollow, and solid steel."""
+TOOL_SHARE = 0.1
+"""Of the arm's length: how far a tool or a gripper may move the last link's centre of mass."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,14 @@ class LinkPriors:
         links: (k, 10) standard parameters; each link's pseudo-inertia is positive definite.
         sources: (k,) where each comes from: "robot file", "robot file (mass)", "robot file (mass, centre of mass)",
             "urdf" or "assumed".
+        mass_std: (k,) how far each mass may plausibly be from that [kg].
+        centre_std: (k,) the same of each centre of mass [m].
     """
 
     links: FloatArray
     sources: tuple[str, ...]
+    mass_std: FloatArray
+    centre_std: FloatArray
 
 
 def link_priors(model: DynamicModel, robot_file: RobotFile, system: FloatArray, target: FloatArray) -> LinkPriors:
@@ -57,7 +63,8 @@ def link_priors(model: DynamicModel, robot_file: RobotFile, system: FloatArray, 
         model: the arm.
         robot_file: its file; the links of its `prior`, else those of its URDF, are used where they can exist.
         system: (m, p) weighted combinations of standard parameters that the data show, their errors of unit variance.
-        target: (m,) their values; the assumed links get the density that fits these best.
+        target: (m,) their values; the assumed links get the density that fits these best, within what arms of this
+            size weigh (`mass_of_size`).
 
     Raises:
         RobotFileError: a body of `prior` cannot exist.
@@ -75,7 +82,37 @@ def link_priors(model: DynamicModel, robot_file: RobotFile, system: FloatArray, 
         if name in robot.prior.links and robot.prior.links[name].mass is not None:
             where = f"{robot.name}: prior.links.{name}"
             links[index], sources[index] = _described(links[index], robot.prior.links[name], where)
-    return LinkPriors(links, tuple(sources))
+    masses = links[:, INERTIAL.index("M")]
+    return LinkPriors(links, tuple(sources), np.maximum(masses, masses.mean()), _centre_std(model))
+
+
+def apparent_mass(model: DynamicModel, links: FloatArray, system: FloatArray, target: FloatArray) -> float | None:
+    """Mass [kg] of all links if they were these (k, 10), all heavier or lighter by one factor; None if below 0.
+
+    The factor fits the data best; arguments as of `link_priors`. The joints' own parameters may take what they like, so
+    that only what is left of the links' torques shows it.
+    """
+    factor = _factor(links, system, target)
+    return float(factor * np.sum(links[:, INERTIAL.index("M")])) if factor > 0 else None
+
+
+def _factor(links: FloatArray, system: FloatArray, target: FloatArray) -> float:
+    columns = np.column_stack([system[:, : links.size] @ links.ravel(), system[:, links.size :]])
+    lengths = np.linalg.norm(columns, axis=0)
+    lengths[lengths == 0] = 1.0
+    return float(np.linalg.lstsq(columns / lengths, target, rcond=None)[0][0] / lengths[0])
+
+
+def _centre_std(model: DynamicModel) -> FloatArray:
+    """(k,) [m]: half the way to the farthest joint that a link carries, its thickness, and a tool on the last."""
+    length = arm_length(model)
+    extents = np.zeros(len(model.joints))
+    for joint in model.joints:
+        if joint.parent >= 0:
+            extents[joint.parent] = max(extents[joint.parent], float(np.linalg.norm(joint.translation)))
+    spread = 0.5 * extents + max(SLENDERNESS * length, LEAST_RADIUS)
+    spread[model.tool_link] += TOOL_SHARE * length
+    return spread
 
 
 def _described(link: FloatArray, known: PriorLink, where: str) -> tuple[FloatArray, str]:
@@ -127,15 +164,18 @@ def _assumed_links(model: DynamicModel, system: FloatArray, target: FloatArray) 
     for joint in model.joints:
         if joint.parent >= 0:
             children[joint.parent].append(joint.translation)
-    reach = sum(float(np.linalg.norm(joint.translation)) for joint in model.joints)
-    radius = max(SLENDERNESS * reach, LEAST_RADIUS)
-    bars = np.array([_bars(ends, radius) for ends in children])
-    # The joints' own parameters may take what they like; only what is left of the links' torques shows their density.
-    columns = np.column_stack([system[:, : bars.size] @ bars.ravel(), system[:, bars.size :]])
-    lengths = np.linalg.norm(columns, axis=0)
-    lengths[lengths == 0] = 1.0
-    density = float(np.linalg.lstsq(columns / lengths, target, rcond=None)[0][0] / lengths[0])
-    return bars * (np.clip(density, *DENSITIES) if density > 0 else DENSITY)
+    carried = np.zeros(len(model.joints))
+    for joint in reversed(model.joints):
+        if joint.parent >= 0:
+            behind = carried[model.joints.index(joint)] + float(np.linalg.norm(joint.translation))
+            carried[joint.parent] = max(carried[joint.parent], behind)
+    radii = np.maximum(SLENDERNESS * arm_length(model) + TAPER * carried, LEAST_RADIUS)
+    bars = np.array([_bars(ends, radius) for ends, radius in zip(children, radii.tolist(), strict=True)])
+    mass, size = float(np.sum(bars[:, INERTIAL.index("M")])), mass_of_size(model)
+    density = _factor(bars, system, target)
+    if size is None:
+        return bars * (density if density > 0 else DENSITY)
+    return bars * ((np.clip(density * mass, size.least, size.most) if density > 0 else size.expected) / mass)
 
 
 def _bars(ends: Sequence[FloatArray], radius: float) -> FloatArray:

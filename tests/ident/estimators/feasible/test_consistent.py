@@ -212,9 +212,16 @@ def test_undetermined_parameters_come_from_the_prior_and_say_so() -> None:
     ("text", "message"),
     [
         ("known: {M7: 1}", "is no parameter"),
-        ("known: {M2: -1}", "no value that a body"),
+        ("known: {M2: -1}", "known.M2: a mass of -1 kg or less is no body's"),
         ("known: {Fv2: -1}", "no value that a body"),
-        ("known: {M6: {max: -1}}", "no body satisfies these at once: known.M6"),
+        ("known: {M6: {max: -1}}", "known.M6: a mass of -1 kg or less is no body's"),
+        ("known: {M4: 0.5, total_mass: 0.4}", "no body satisfies these at once: known.M4, known.total_mass"),
+        ("known: {XX2: 0.1, YY2: 0.1, ZZ2: {min: 0.3}}", "no body satisfies these at once: known.ZZ2, known.XX2"),
+        ("known: {M2: 1, MX2: -1, ZZ2: 0.5}", "no body satisfies these at once: known.ZZ2, known.M2, known.MX2"),
+        (
+            "known: {M6: 1, MX6: 1}\nprior: {links: {wrist_3_joint: {com_box: [[0, -1, -1], [0.1, 1, 1]]}}}",
+            "no body satisfies these at once: prior.links.wrist_3_joint.com_box",
+        ),
         ("known: {M6: {min: 5}, total_mass: {max: 3}}", "no body satisfies these at once: known.M6, known.total_mass"),
         ("known: {total_mass: {min: 2, max: 1}}", "min 2 is not below max 1"),
         ("known: {total_mass: {}}", "or 'min', 'max' or both"),

@@ -1,0 +1,70 @@
+"""What arms of a size weigh, from data sheets of 42 commercial arms: a scale for bodies that the data leave open.
+
+A power law through mass m [kg] and reach r [m], least squares of log m on log r, gives m = 49·r^3.0 with a standard
+deviation of a factor of 2.2; the arms lie between 0.17 (WidowX 250) and 4.0 (TX40) times it:
+
+    UR3e 11.2/0.5 · UR5e 20.6/0.85 · UR10e 33.5/1.3 · UR16e 33.1/0.9 · UR20 64/1.75 · Franka FR3 17.8/0.855 · KUKA
+    iiwa 7 23.9/0.8 · iiwa 14 29.9/0.82 · LWR 4 16/0.79 · KR 3 26.5/0.541 · KR 6 R900 52/0.901 · KR 10 R1100
+    54/1.101 · KR 16 R1610 245/1.612 · KR 210 R2700 1077/2.696 · KR 500 R2830 2385/2.826 · Kinova Gen3 8.2/0.902 ·
+    Stäubli TX40 27/0.515 · TX2-60 51.4/0.67 · TX2-90 114/1.0 · ABB IRB 120 25/0.58 · IRB 1200 54/0.9 · IRB 1600
+    250/1.45 · IRB 2600 284/1.65 · IRB 4600 425/2.05 · IRB 6700 1280/2.65 · GoFa 5 28/0.95 · YuMi, one arm 9.5/0.559
+    · Fanuc LR Mate 200iD 25/0.717 · M-10iD/12 145/1.441 · M-20iD/25 250/1.831 · R-2000iC/210F 1090/2.655 ·
+    M-2000iA/1200 8600/3.734 · Doosan M1013 33/1.3 · Techman TM5-900 22.6/0.9 · AUBO i5 24/0.886 · xArm 6 12.2/0.7 ·
+    Yaskawa GP7 34/0.927 · GP25 250/1.73 · GP180 970/2.702 · Meca500 4.5/0.33 · WidowX 250 2.3/0.65 · SO-101 0.9/0.4
+
+(kg/m, manufacturers' data sheets, base included.) The joints' frames of an arm are 1.4 reaches long, base to wrist.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ident.assessment.torque_level import arm_length
+from ident.model.dynamic_model import DynamicModel
+
+DENSITY = 49.0
+"""[kg/m³] mass of an arm over its reach cubed."""
+
+LENGTHS_PER_REACH = 1.4
+"""Length of an arm from frame to frame over its reach: 1.41 of the UR5e, 1.42 of the Panda, 1.50 of the TX40."""
+
+LEAST, MOST = 0.1, 5.0
+"""Mass over the law's that an arm can have: a little beyond the lightest and the heaviest of the table."""
+
+WHOLE_ARM = 5
+"""An arm of fewer moving joints may be a part of one, or a SCARA: its frames do not show how long its last link is."""
+
+UNKNOWN_END = 6.0
+"""By so much more may it weigh: the first three joints of a Motoman UP6 19 times the law's."""
+
+LINK_SHARE = 0.6
+"""Share of a whole arm's mass that one link has at most."""
+
+
+@dataclass(frozen=True)
+class ArmMass:
+    """What an arm of a size weighs.
+
+    Attributes:
+        expected: [kg].
+        least, most: [kg] of what can be taken for an arm.
+    """
+
+    expected: float
+    least: float
+    most: float
+
+    @property
+    def heaviest_link(self) -> float:
+        """Mass [kg] that no link of such an arm has."""
+        return LINK_SHARE * self.most
+
+
+def mass_of_size(model: DynamicModel) -> ArmMass | None:
+    """The mass of an arm as long as this one; None where its frames have no length."""
+    reach = arm_length(model) / LENGTHS_PER_REACH
+    if not reach > 0.0:
+        return None
+    expected = DENSITY * reach**3
+    part = len(model.joints) < WHOLE_ARM or any(joint.prismatic for joint in model.joints)
+    return ArmMass(expected, LEAST * expected, MOST * expected * (UNKNOWN_END if part else 1.0))
