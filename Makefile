@@ -8,7 +8,7 @@ WORKERS ?= 2
 REALTIME ?= 60
 SOAK ?= 600
 
-.PHONY: demo test lint format bench realtime soak clean
+.PHONY: demo test lint format bench realtime soak studies-check clean
 
 demo: $(INSTALLED)
 	$(BIN)/dynid demo --out demo --force
@@ -41,6 +41,10 @@ realtime: $(INSTALLED)
 # case of tests/found, an example that is found an @example of its test.
 soak: $(INSTALLED)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/soak $(SOAK)
+
+# Hours: the command of every table of docs/ again, and which tables no longer agree (STUDIES: words of pages or commands).
+studies-check: $(INSTALLED)
+	$(BIN)/python studies/check.py $(STUDIES)
 
 clean:
 	rm -rf $(VENV) demo build *.egg-info
