@@ -23,9 +23,9 @@ def export(
     c: Path = typer.Option(None, "--c", help="C99 code to write: `arm` for arm.h and arm.c."),
     c_float: bool = typer.Option(False, "--c-float", help="C code in float, not double."),
     parameters: str = typer.Option(
-        "consistent",
+        None,
         "--parameters",
-        help="Of the C code: consistent, full or essential; other formats need consistent.",
+        help="Of the C code: consistent, full or essential; consistent where there are any. Other formats need them.",
     ),
     force: bool = FORCE,
     as_json: bool = JSON,
@@ -41,7 +41,8 @@ def export(
     from daq.output_files import check_outputs
     from drivers.errors import UsageError
     from ident.export.c_code.names import source_paths
-    from ident.result.model import Parameters, load_model, result_path
+    from ident.result.delivered import Parameters
+    from ident.result.model import load_model, result_path
     from ident.verdict.verdict import judge, together
 
     targets = [path for path in (urdf, mjcf, ros2_inertial, *(source_paths(c) if c else ())) if path is not None]
@@ -55,7 +56,7 @@ def export(
     exports = []
     with progress_line(quiet=as_json) as progress:
         progress("model")
-        identified = load_model(model, cast(Parameters, parameters))
+        identified = load_model(model, cast(Parameters | None, parameters))
         if urdf is not None:
             progress("URDF")
             exports.append(identified.export_urdf(urdf, into=into, force=force))

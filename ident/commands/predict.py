@@ -16,7 +16,9 @@ def predict_torque(
     model: Path = typer.Argument(help="Folder that identify wrote, or its result.json."),
     recording: Path = typer.Argument(help="Recording of the same arm (.h5)."),
     out: Path = typer.Option(None, "-o", "--out", help="Recording to write (.h5)."),
-    parameters: str = typer.Option("consistent", "--parameters", help="consistent, full or essential."),
+    parameters: str = typer.Option(
+        None, "--parameters", help="consistent, full or essential; consistent where there are any, else full."
+    ),
     presliding: bool = PRESLIDING,
     page: Path = typer.Option(None, "--page", help="Page with plots to write (.html)."),
     force: bool = FORCE,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from daq.commands.console import print_table
 from drivers.percentage import in_percent, percent_text
+from ident.result.delivered import DELIVERED_WORDS
 from ident.result.schema import Fit, Merge, Result
 from ident.verdict.verdict import Verdict
 
@@ -26,22 +27,7 @@ def print_result(result: Result) -> None:
         ],
     )
     _print_friction(result)
-    validation = result.validation
-    print_table(
-        "\nErrors",
-        ("joint", "RMSE fit", "RMSE validation", "at low speed", "at high speed", "relative [%]"),
-        [
-            (
-                joint,
-                result.fit.rmse[i] if result.fit else None,
-                validation.rmse[i] if validation else None,
-                validation.low_speed_rmse[i] if validation else None,
-                validation.high_speed_rmse[i] if validation else None,
-                in_percent(validation.joint_relative_error[i]) if validation else None,
-            )
-            for i, joint in enumerate(result.joints)
-        ],
-    )
+    _print_errors(result)
     _print_simulation(result)
     print(
         f"\ncondition number {result.excitation.condition:.4g}, "
@@ -69,19 +55,52 @@ def _print_friction(result: Result) -> None:
         )
 
 
-def _print_simulation(result: Result) -> None:
-    """Motion error of the simulated consistent model beside its torque error."""
-    consistent = result.consistent
-    if consistent is None or consistent.simulation is None or consistent.validation is None:
-        if consistent is not None and consistent.not_simulated:
-            print(f"\nconsistent model not simulated on held-out motion: {consistent.not_simulated}")
+def _print_errors(result: Result) -> None:
+    """Errors of the model that is handed out by default."""
+    delivered = result.delivered
+    if delivered is None:
         return
-    motion = consistent.simulation
+    fit, moving, every = delivered.fit, delivered.validation, delivered.validation_all_samples
+    held_out = "" if moving is None or moving.held_out else ", NOT HELD OUT"
     print_table(
-        f"\nConsistent model simulated on held-out motion ({motion.duration:.3g} s, recorded torque and soft PD)",
-        ("joint", "torque RMSE", "motion RMSE [rad]", "largest [rad]"),
-        zip(result.joints, consistent.validation.rmse, motion.position_rmse, motion.max_position_error, strict=True),
+        f"\nErrors of the {DELIVERED_WORDS[delivered.parameters]} model{held_out}",
+        ("joint", "RMSE fit", "RMSE validation", "at low speed", "at high speed", "relative [%]", "in motion [%]"),
+        [
+            (
+                joint,
+                fit.rmse[i] if fit else None,
+                every.rmse[i] if every else None,
+                every.low_speed_rmse[i] if every else None,
+                every.high_speed_rmse[i] if every else None,
+                in_percent(every.joint_relative_error[i]) if every else None,
+                in_percent(moving.joint_relative_error[i]) if moving else None,
+            )
+            for i, joint in enumerate(result.joints)
+        ],
     )
+
+
+def _print_simulation(result: Result) -> None:
+    """Motion errors of the simulated arm, without a controller beside constant velocity, and with a soft one."""
+    for run in [] if result.delivered is None else result.delivered.runs:
+        driven, tracked = run.open_loop, run.simulation
+        if driven is None or tracked is None:
+            print(f"\nnot simulated on {run.recording}: {run.not_simulated or 'no window of motion is long enough'}")
+            continue
+        print_table(
+            f"\nSimulated motion on {run.recording}: {driven.windows} windows of {driven.window:.3g} s by recorded "
+            f"torque alone, and {tracked.duration:.3g} s with a soft PD controller; RMSE [rad or m]",
+            ("joint", "without controller", "constant velocity", "ratio", "with controller", "largest"),
+            zip(
+                result.joints,
+                driven.position_rmse,
+                driven.reference_rmse,
+                driven.joint_ratio,
+                tracked.position_rmse,
+                tracked.max_position_error,
+                strict=True,
+            ),
+        )
 
 
 def print_verdict(verdict: Verdict) -> None:

@@ -56,6 +56,7 @@ def _print_object(result: Path, validation: Validation) -> None:
             "full": one.full.model_dump(),
             "essential": one.essential.model_dump(),
             "consistent": None if one.consistent is None else one.consistent.model_dump(),
+            "delivered": one.delivered.model_dump(mode="json"),
             "verdict": asdict(one.verdict),
         }
 
@@ -71,13 +72,20 @@ def _print_object(result: Path, validation: Validation) -> None:
 
 
 def _print_tables(validation: Validation) -> None:
+    from drivers.percentage import percent_text
     from ident.commands.print_result import print_fit, print_verdict
+    from ident.result.delivered import DELIVERED_WORDS
 
     for one in validation.recordings:
         print(one.recording)
-        for name, fit in (("consistent", one.consistent), ("full", one.full), ("essential", one.essential)):
-            if fit is not None:
-                print_fit(f"{name} model", validation.joints, fit)
+        if not one.delivered.held_out:
+            print(f"NOT HELD OUT: {percent_text(one.delivered.overlap, 2)} of its samples are the identification's")
+        words = DELIVERED_WORDS[validation.delivered.parameters]
+        print_fit(f"{words} model, all samples", validation.joints, one.delivered.all_samples)
+        print_fit(f"{words} model, in motion", validation.joints, one.delivered.in_motion)
+        for name, fit in (("full", one.full), ("essential", one.essential)):
+            if name != validation.delivered.parameters:
+                print_fit(f"{name} model, in motion", validation.joints, fit)
         print_verdict(one.verdict)
         print()
     if len(validation.recordings) > 1:

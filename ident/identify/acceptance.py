@@ -4,38 +4,57 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ident.result.schema import Fit, Result
+from ident.result.delivered import DELIVERED_WORDS, delivered_parameters
+from ident.result.schema import Fit, HeldOutErrors, Result
 from ident.verdict.acceptance import ModelFigures
 from ident.verdict.verdict import Verdict
 
 
 def result_figures(result: Result) -> ModelFigures:
     """Of an identification or a merge, on its held-out data."""
-    consistent = None if result.consistent is None else result.consistent.validation
-    return validation_figures(result, result.validation, consistent, result.verdict)
+    delivered = result.delivered
+    if delivered is None:
+        return acceptance_figures(result, None, [], result.verdict)
+    return acceptance_figures(result, delivered.validation_all_samples, delivered.runs, result.verdict)
 
 
-def validation_figures(result: Result, full: Fit | None, consistent: Fit | None, verdict: Verdict) -> ModelFigures:
-    """On other held-out data; the motion error stays that of the identification.
+def acceptance_figures(
+    result: Result, errors: Fit | None, runs: Sequence[HeldOutErrors], verdict: Verdict
+) -> ModelFigures:
+    """Of the delivered model on held-out recordings; none on data that it was identified from.
 
     Args:
         result: the model.
-        full: errors of all base parameters.
-        consistent: errors of the physically consistent model, which are judged where there are any.
+        errors: over all samples of the recordings together.
+        runs: each apart.
         verdict: on the model with these data.
     """
-    judged, joints = consistent if consistent is not None else full, result.joints
-    motion = None if result.consistent is None else result.consistent.simulation
+    known = errors if runs and all(run.held_out for run in runs) else None
+    joints = result.joints
     return ModelFigures(
-        model="consistent" if consistent is not None else "unconstrained",
-        relative_error=None if judged is None else judged.relative_error,
-        joint_relative_error=_by_joint(joints, None if judged is None else judged.joint_relative_error),
-        rmse=_by_joint(joints, None if judged is None else judged.rmse),
-        motion_rmse=_by_joint(joints, None if motion is None else motion.position_rmse),
+        model=DELIVERED_WORDS[delivered_parameters(result.consistent)],
+        relative_error=None if known is None else known.relative_error,
+        joint_relative_error=_by_joint(joints, None if known is None else known.joint_relative_error),
+        rmse=_by_joint(joints, None if known is None else known.rmse),
+        motion_rmse=_by_joint(joints, _motion_error(runs)),
         consistent=result.consistent is not None,
-        consistency_cost=_ratio(consistent, full),
+        consistency_cost=_cost(runs),
         verdict=verdict,
     )
+
+
+def _motion_error(runs: Sequence[HeldOutErrors]) -> Sequence[float | None] | None:
+    """The largest error of each joint over the recordings; none where one could not be simulated."""
+    motions = [None if run.simulation is None else run.simulation.position_rmse for run in runs]
+    if not motions or any(motion is None for motion in motions):
+        return None
+    return [max(of_joint) for of_joint in zip(*(motion for motion in motions if motion is not None), strict=True)]
+
+
+def _cost(runs: Sequence[HeldOutErrors]) -> float | None:
+    """The largest ratio of the delivered model's error to the full one's over the recordings."""
+    ratios = [_ratio(run.all_samples, run.full_all_samples) for run in runs if run.full_all_samples is not None]
+    return max((ratio for ratio in ratios if ratio is not None), default=None)
 
 
 def _by_joint(joints: Sequence[str], values: Sequence[float | None] | None) -> Mapping[str, float | None]:

@@ -24,7 +24,6 @@ from ident.assessment.plausibility import (
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.residual_tests import residual_checks
 from ident.assessment.torque_level import torque_level_checks
-from ident.assessment.validation import overfitting_checks
 from ident.estimators.energy.estimator import fits_energy_better
 from ident.estimators.estimator import Setup
 from ident.estimators.feasible.consistent import ConsistentParameters
@@ -55,10 +54,6 @@ decimation leaves 4.5 to 5."""
 FRICTION_CHANGE = 3.0
 """A friction estimate that changes by more σ than this without reversals (`STICKING_SHARE`) gives a warning; on motions
 that were followed exactly it changes by up to 2.4 σ, since data are left out."""
-
-CONSISTENCY_COST = 1.25
-"""Held-out error of the consistent model over the unconstrained one's that gives a warning; public recordings of the
-UR10, the Panda and the TX40 lie between 0.98 and 1.08."""
 
 SEARCH_GAP = 0.01
 """Cost of a search above its optimum that gives a warning, also where no single parameter is far from its value there:
@@ -94,45 +89,20 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         )
         checks.append(raised("indefinite-inertia", text))
     consistent = identification.consistent
-    checks += consistency_checks(
-        identification.model.link_names,
-        None if consistent is None else consistent.parameters,
-        identification.validation.relative_error,
-        None if consistent is None else consistent.validation.relative_error,
-        "" if consistent is None else consistent.tracking_failure,
-    )
-    checks += residual_checks(identification.residual_tests, identification.model.joint_names)
-    return checks + overfitting_checks(identification.fit, identification.validation)
+    checks += consistency_checks(identification.model.link_names, None if consistent is None else consistent.parameters)
+    return checks + residual_checks(identification.residual_tests, identification.model.joint_names)
 
 
-def consistency_checks(
-    link_names: Sequence[str],
-    consistent: ConsistentParameters | None,
-    free: float | None,
-    bound: float | None,
-    failure: str,
-) -> list[Check]:
-    """What physical consistency costs, and where it decides.
+def consistency_checks(link_names: Sequence[str], consistent: ConsistentParameters | None) -> list[Check]:
+    """Where physical consistency decides.
 
     Args:
         link_names: of the arm.
         consistent: the physically consistent parameters; None where none were found.
-        free: held-out error of the unconstrained model; None where nothing was held out.
-        bound: the same of the consistent one.
-        failure: why the simulation of the held-out motion failed; empty where it did not.
     """
     if consistent is None:
         return [raised("no-consistent-model", "no physically consistent parameters were found for this estimate")]
     checks = []
-    if free is not None and bound is not None and bound > CONSISTENCY_COST * free:
-        text = (
-            f"the physically consistent model is off by {percent_text(bound)} on held-out data, the unconstrained one "
-            f"by {percent_text(free)}: check the geometry, the drive gains and the signs of the torques"
-        )
-        checks.append(raised("consistency-costs", text))
-    if failure:
-        text = f"the physically consistent model could not be simulated on held-out data: {failure}"
-        checks.append(raised("simulation-failed", text))
     if consistent.boundary:
         names = [link_names[link] for link in consistent.boundary]
         text = f"the links of {', '.join(names)} lie at the boundary of what can exist"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from ident.regression.least_squares import LEAST_TORQUE
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.played_motion import played_window
+from ident.signals.sample_hashes import HashArray, kept_hashes, overlap, sample_hashes
 
 
 @dataclass(frozen=True)
@@ -27,12 +29,14 @@ class RunWindow:
         signals: as recorded.
         start, stop: of the window, from the recording's first stamp [s]; None where the recording begins or ends.
         played: whether the window follows from the player's events.
+        overlap: share of a held-out window's samples that are the identification's.
     """
 
     signals: JointSignals
     start: float | None
     stop: float | None
     played: bool = False
+    overlap: float = 0.0
 
     @property
     def duration(self) -> float:
@@ -54,6 +58,11 @@ class RunWindow:
     def temperature(self) -> FloatArray | None:
         """Temperatures (N, n) within the window [K], nan for joints without a sensor; None where none was recorded."""
         return None if self.signals.temperature is None else self._within(self.signals.temperature)
+
+    @cached_property
+    def hashes(self) -> HashArray:
+        """Hashes of the samples within the window (`ident.signals.sample_hashes`)."""
+        return sample_hashes(self.position, self._within(self.signals.torque))
 
     def _within(self, values: FloatArray) -> FloatArray:
         time = self.signals.time - self.signals.time[:1]
@@ -94,7 +103,7 @@ def split_data(
         split: end of the identification part [s]; None takes the first 70 %.
 
     Raises:
-        UsageError: a window or a border without data.
+        UsageError: a window or a border without data, or a held-out recording that holds the identification's.
         DataError: as `read_joint_signals`.
     """
     runs = tuple(run_window(recording, robot, chosen) for recording in recordings)
@@ -104,6 +113,15 @@ def split_data(
                 "--split and --validate exclude each other", hint="name the held-out recording, or split one"
             )
         held_out = tuple(run_window(recording, robot, PreprocessChoices()) for recording in validation)
+        used = [kept_hashes(run.hashes) for run in runs]
+        held_out = tuple(replace(run, overlap=overlap(run.hashes, used)) for run in held_out)
+        for run in held_out:
+            if run.overlap >= 1.0:
+                raise UsageError(
+                    f"{run.signals.label} holds the data of the identification: nothing is held out",
+                    where="--validate",
+                    hint="validate with another recording; without --validate the last 30 % are held out",
+                )
         return DataSplit(runs, held_out, ", ".join(run.signals.label for run in held_out))
     halves = [_split(run, split) for run in runs]
     share = "last 30 %" if split is None else f"part after {split:g} s"

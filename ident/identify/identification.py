@@ -20,6 +20,7 @@ from ident.estimators.method_choice import MethodChoice, chosen_method
 from ident.identify.friction.choice import check_friction, chosen_friction, friction_columns
 from ident.identify.friction.selection import FrictionStep
 from ident.identify.held_friction import HeldFriction, experiment_terms
+from ident.identify.held_out import HeldOutRun
 from ident.identify.presliding import PreslidingFit
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
@@ -36,7 +37,6 @@ from ident.result.friction_experiment import FrictionExperimentResult
 from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared
-from ident.simulation.tracking import TrackingError
 from ident.verdict.check import Check, texts
 
 
@@ -152,12 +152,16 @@ class PreparedRun:
         choices: its preprocessing and its window.
         prepared: what came of it.
         torques: motors whose torques the model of this experiment predicts.
+        everything: the same with samples at rest, of held-out runs; None where `prepared` holds them.
+        overlap: share of a held-out run's samples that are the identification's.
     """
 
     signals: JointSignals
     choices: PreprocessChoices
     prepared: Prepared
     torques: tuple[int, ...]
+    everything: Prepared | None = None
+    overlap: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -167,15 +171,11 @@ class ConsistentFit:
     Attributes:
         parameters: of the model.
         fit, validation: errors.
-        tracking: of the simulated arm on the held-out motion; None where not all joints moved or it failed.
-        tracking_failure: why it failed; empty where it did not.
     """
 
     parameters: ConsistentParameters
     fit: FitFigures
     validation: FitFigures
-    tracking: TrackingError | None = None
-    tracking_failure: str = ""
 
 
 @dataclass(frozen=True)
@@ -220,6 +220,7 @@ class Identification:
         shape_std: σ of the friction's free shapes, by kind of their sensitivity and motor.
         held: friction held at an experiment's values, in no parameter above; None without an experiment.
         presliding: pre-sliding travels; None where not asked for.
+        held_out: the delivered model on each held-out run.
     """
 
     robot_file: RobotFile
@@ -247,6 +248,12 @@ class Identification:
     shape_std: dict[tuple[str, int], float]
     held: HeldFriction | None = None
     presliding: PreslidingFit | None = None
+    held_out: tuple[HeldOutRun, ...] = ()
+
+    @property
+    def delivered_fit(self) -> FitFigures:
+        """Errors of the delivered model on the identification data."""
+        return self.fit if self.consistent is None else self.consistent.fit
 
     @property
     def solution(self) -> LeastSquares:

@@ -12,6 +12,7 @@ from daq.robot.loader import RobotFile
 from drivers.errors import UsageError
 from drivers.reading_process import Progress
 from ident.assessment.excitation import excited_base_columns
+from ident.assessment.recording_checks import recording_checks
 from ident.assessment.validation import fit_figures
 from ident.estimators.energy.estimator import estimable
 from ident.estimators.estimator import Estimator, Setup
@@ -21,6 +22,7 @@ from ident.identify.data_split import check_torques, split_data
 from ident.identify.friction.shapes import with_free_shapes
 from ident.identify.friction_fit import fit_friction
 from ident.identify.held_friction import hold_temperatures
+from ident.identify.held_out import HeldOutData, HeldOutRun, ParameterSets, held_out_run
 from ident.identify.identification import (
     ConsistentFit,
     Identification,
@@ -30,18 +32,16 @@ from ident.identify.identification import (
 )
 from ident.identify.preparation import PreparedData, compare_run, prepare_data
 from ident.identify.presliding import PreslidingFit, find_travels, low_speed_error, with_presliding
-from ident.model.base_parameters import BaseParameters
-from ident.model.dynamic_model import DynamicModel, build_model
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamic_model import build_model
 from ident.model.presliding import dry_friction
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
 from ident.regression.estimate import estimate_of
 from ident.regression.jackknife import FilteredRun
-from ident.regression.observability import experiment_base, find_experiment, predictable_torques, whole_arm
+from ident.regression.observability import experiment_base, find_experiment, predictable_torques
 from ident.regression.observation_matrix import Reduction
 from ident.regression.pruning import prune
-from ident.simulation.tracking import track_longest
+from ident.result.consistent_model import fit_result
 
 __all__ = ["Progress", "apply_model_choices", "identify"]
 
@@ -120,9 +120,6 @@ def identify(
     progress("physical consistency")
     estimate = estimate_of(estimation.reduction, solution, corrected.covariance, corrected.blocks)
     consistent = _consistent_fit(found_consistent(model, base, estimate, robot_file), kernel, prepared)
-    if consistent is not None and experiment == whole_arm(model):
-        progress("simulation")
-        consistent = _simulated(consistent, model, base, prepared)
 
     progress("validation")
     fit_series = _flat(fit)
@@ -167,7 +164,12 @@ def identify(
         identification = replace(identification, presliding=_presliding(identification))
 
     progress("plausibility")
-    return replace(identification, checks=tuple(identification_checks(identification, recordings)))
+    checks = identification_checks(identification, recordings)
+
+    progress("simulation")
+    runs_held_out = held_out_runs(identification, validation)
+    checks += [check for run in runs_held_out for check in run.errors.checks]
+    return replace(identification, checks=tuple(dict.fromkeys(checks)), held_out=runs_held_out)
 
 
 def _consistent_fit(
@@ -197,13 +199,34 @@ def _presliding(identification: Identification) -> PreslidingFit:
     return PreslidingFit(travels, low_speed_error(found.validation_series), low_speed_error(changed))
 
 
-def _simulated(
-    consistent: ConsistentFit, model: DynamicModel, base: BaseParameters, data: PreparedData
-) -> ConsistentFit:
-    """The fit with what the simulated arm makes of the longest held-out segment."""
-    segments = [segment for run in data.validation_runs for segment in run.prepared.segments]
-    tracking, failure = track_longest(InverseDynamics(model, base, consistent.parameters.base), segments)
-    return replace(consistent, tracking=tracking, tracking_failure=failure)
+def held_out_runs(identification: Identification, validation: Sequence[Recording]) -> tuple[HeldOutRun, ...]:
+    """The delivered model on each held-out recording, or on what was held out of the others."""
+    found, several = identification, len(identification.validation_runs) > 1
+    parameters = ParameterSets(
+        robot=found.robot_file.robot,
+        model=found.model,
+        base=found.base,
+        full=found.solution.parameters,
+        consistent=None if found.consistent is None else found.consistent.parameters.base,
+        travels={},
+    )
+    fitted = fit_result(found.delivered_fit)
+    apart: list[Recording | None] = [*validation] or [None] * len(found.validation_runs)
+    return tuple(
+        held_out_run(
+            parameters,
+            HeldOutData(
+                label=run.signals.label if validation or several else found.validation_source,
+                prepared=run.prepared,
+                everything=run.everything or run.prepared,
+                torques=run.torques,
+                overlap=run.overlap,
+                checks=() if recording is None else tuple(recording_checks(recording, label=recording.label)),
+            ),
+            fitted,
+        )
+        for run, recording in zip(found.validation_runs, apart, strict=True)
+    )
 
 
 def _with_notes(run: PreparedRun, estimator: Estimator) -> PreparedRun:

@@ -65,7 +65,7 @@ def prepare_data(
             replace(run, prepared=leave_out_reversals(kernel, run.prepared, choices.reversal_share)) for run in runs
         ),
         validation_runs=tuple(
-            _prepare_run(kernel, run, resolved, predictable, data.held)
+            _with_rest(_prepare_run(kernel, run, resolved, predictable, data.held), kernel, run, data.held)
             for run, predictable in zip(data.held_out, held_out_torques, strict=True)
         ),
         delay=delay,
@@ -90,7 +90,15 @@ def _prepare_run(
     if held is not None:
         held.model.require_temperature(None if temperature is None else temperature.T, run.signals.label)
         prepared = held.taken_off(prepared)
-    return PreparedRun(run.signals, choices, prepared, tuple(torques))
+    return PreparedRun(run.signals, choices, prepared, tuple(torques), overlap=run.overlap)
+
+
+def _with_rest(run: PreparedRun, kernel: RegressorKernel, window: RunWindow, held: HeldFriction | None) -> PreparedRun:
+    """The run with its samples at rest beside it."""
+    if run.choices.keep_rest:
+        return run
+    kept = _prepare_run(kernel, window, replace(run.choices, keep_rest=True), run.torques, held)
+    return replace(run, everything=kept.prepared)
 
 
 def _played(window: Step) -> Step:

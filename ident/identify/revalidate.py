@@ -9,28 +9,19 @@ from pydantic import TypeAdapter, ValidationError
 
 from daq.recording.recording import Recording
 from drivers.errors import ResultFileError
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
 from ident.assessment.recording_checks import recording_checks
-from ident.assessment.validation import FitFigures, fit_figures, overfitting_checks
-from ident.identify.presliding import with_presliding
-from ident.identify.summary import held_out_errors
-from ident.model.presliding import dry_friction
+from ident.assessment.validation import FitFigures, fit_figures
+from ident.identify.data_split import RunWindow, run_window
+from ident.identify.held_out import HeldOutData, HeldOutRun, ParameterSets, held_out_run
 from ident.model.regressor import RegressorKernel
-from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
+from ident.regression.comparison import TorqueSeries
 from ident.regression.observability import REST_TOLERANCE, predictable_torques
 from ident.regression.velocity_reversals import leave_out_rest
-from ident.result.schema import Fit, Result, presliding_of
+from ident.result.schema import Result, file_sha256, presliding_of
 from ident.result.stored_model import stored_model
-from ident.signals.joint_signals import read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
-from ident.signals.played_motion import played_window
-from ident.signals.prepared import Segment
-from ident.verdict.verdict import Verdict, judge
-
-CHECKS_OF_VALIDATION = ("overfitting", "errors-near-standstill", "not-validated")
-"""Checks that depend on what was held out."""
+from ident.signals.sample_hashes import overlap
 
 
 @dataclass(frozen=True)
@@ -40,13 +31,13 @@ class Revalidation:
     Attributes:
         series, essential_series: of the full and of the essential model.
         consistent_series: of the physically consistent one; None where the result holds none.
-        segments: the recorded motion behind them, with all motors' torques.
+        delivered: the model that is handed out by default, in motion and over all samples, and simulated.
     """
 
     series: tuple[TorqueSeries, ...]
     essential_series: tuple[TorqueSeries, ...]
     consistent_series: tuple[TorqueSeries, ...] | None
-    segments: tuple[Segment, ...]
+    delivered: HeldOutRun
 
     @property
     def full(self) -> FitFigures:
@@ -83,50 +74,40 @@ def revalidate(result: Result, recording: Recording, *, presliding: bool = False
     stored = {parameter.name: parameter for parameter in result.base_parameters}
     full = np.array([stored[name].value or 0.0 for name in base.names])
     essential = np.array([stored[name].essential_value or 0.0 for name in base.names])
-    motion = read_joint_signals(recording, stored_parts.robot_file.robot)
+    found = result.consistent
+    consistent = None if found is None else np.array([found.base_values.get(name, 0.0) for name in base.names])
+    window = run_window(recording, stored_parts.robot_file.robot, PreprocessChoices())
+    motion = window.signals
     model.require_temperature(None if motion.temperature is None else motion.temperature.T, motion.label)
-    start, stop = played_window(recording)
-    choices = replace(stored_choices(result), start=start, stop=stop)
-    prepared = leave_out_rest(RegressorKernel(model, base.columns), prepare(motion, choices))
-    seconds = motion.time - motion.time[0]
-    inside = (seconds >= (start or 0.0)) & (seconds <= (np.inf if stop is None else stop))
+    choices = replace(stored_choices(result), start=window.start, stop=window.stop)
+    kernel = RegressorKernel(model, base.columns)
+    everything = prepare(motion, replace(choices, keep_rest=True))
+    prepared = everything if choices.keep_rest else leave_out_rest(kernel, prepare(motion, choices))
     tolerance = stored_rest_tolerance(result)
-    torques = predictable_torques(model, stored_parts.experiments, motion.label, motion.position[inside], tolerance)
-
-    def compared(values: FloatArray) -> tuple[TorqueSeries, ...]:
-        series = compare_torques(model, base.columns, values, prepared.segments, prepared.parallel_filter)
-        if travels:
-            run = (prepared.segments, prepared.parallel_filter)
-            series = with_presliding(dry_friction(model, base, values), travels, [run], series)
-        return tuple(only_predicted(part, torques) for part in series)
-
-    consistent = result.consistent
+    torques = predictable_torques(model, stored_parts.experiments, motion.label, window.position, tolerance)
+    parameters = ParameterSets(stored_parts.robot_file.robot, model, base, full, consistent, travels)
+    data = HeldOutData(
+        label=motion.label,
+        prepared=prepared,
+        everything=everything,
+        torques=torques,
+        overlap=used_share(result, recording, window),
+        checks=tuple(recording_checks(recording, label=recording.label)),
+    )
     return Revalidation(
-        compared(full),
-        compared(essential),
-        None
-        if consistent is None
-        else compared(np.array([consistent.base_values.get(name, 0.0) for name in base.names])),
-        tuple(prepared.segments),
+        parameters.series(full, prepared, torques),
+        parameters.series(essential, prepared, torques),
+        None if consistent is None else parameters.series(consistent, prepared, torques),
+        held_out_run(parameters, data, None if result.delivered is None else result.delivered.fit),
     )
 
 
-def validation_verdict(result: Result, recording: Recording, fit: Fit) -> Verdict:
-    """The verdict on a stored model, its held-out errors replaced by those on another recording.
-
-    Checks of the earlier validation do not count; those of the recording do.
-
-    Args:
-        result: the model.
-        recording: it was validated with.
-        fit: its errors there.
-    """
-    kept = [check for check in result.verdict.checks if check.name not in CHECKS_OF_VALIDATION]
-    overfitting = [] if result.fit is None else overfitting_checks(result.fit, fit)
-    checks = [*kept, *recording_checks(recording), *overfitting]
-    error = "" if fit.relative_error is None else f" by {percent_text(fit.relative_error)}"
-    basis = f"On {recording.label}, predicted torque differs from measured torque{error}."
-    return judge(checks, held_out_errors(result.joints, fit), basis)
+def used_share(result: Result, recording: Recording, window: RunWindow) -> float:
+    """The share of a recording's samples that a model was identified from."""
+    used = [use for use in result.recordings if use.role == "identification"]
+    if recording.path is not None and not any(use.sample_hashes for use in used):  # of an earlier version
+        return float(any(use.sha256 == file_sha256(recording.path) for use in used))
+    return overlap(window.hashes, [use.sample_hashes for use in used])
 
 
 def stored_choices(result: Result) -> PreprocessChoices:

@@ -16,10 +16,12 @@ from daq.robot.schema import Robot
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.delay.delay import DelaySearch
-from ident.assessment.validation import LOW_SPEED
+from ident.assessment.validation import LOW_SPEED, FitFigures
 from ident.identify.convergence import convergence_result
+from ident.identify.data_split import RunWindow
+from ident.identify.held_out import delivered_model, model_verdict
 from ident.identify.held_result import with_held_friction
-from ident.identify.identification import ConsistentFit, Identification, PreparedRun
+from ident.identify.identification import Identification, PreparedRun
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import LOAD_POWERS, TEMPERATURE_KINDS, temperature_coefficients
@@ -27,7 +29,7 @@ from ident.model.parameters import Kind
 from ident.regression.estimate import Estimate
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.least_squares import LeastSquares
-from ident.regression.observability import Experiment, describe, whole_arm
+from ident.regression.observability import Experiment, describe
 from ident.regression.pruning import Pruned, partial_f, relative_std
 from ident.result.consistent_model import consistent_model, fit_result, link_results
 from ident.result.schema import (
@@ -53,7 +55,8 @@ from ident.result.schema import (
 )
 from ident.result.units import parameter_unit
 from ident.signals.prepared import Step
-from ident.verdict.verdict import Errors, Verdict, judge
+from ident.signals.sample_hashes import kept_hashes
+from ident.verdict.verdict import Verdict
 
 
 def summarise(
@@ -110,8 +113,10 @@ def summarise(
             identification.consistent.parameters,
             identification.consistent.fit,
             identification.consistent.validation,
-            identification.consistent.tracking,
-            _not_simulated(identification.consistent),
+            [run.errors for run in identification.held_out],
+        ),
+        delivered=delivered_model(
+            identification.consistent, fit_result(identification.delivered_fit), identification.held_out
         ),
         drive_gains=gain_results(
             robot,
@@ -123,14 +128,14 @@ def summarise(
             },
         ),
         fit=fit_result(identification.fit),
-        validation=fit_result(identification.validation),
+        validation=_validation(identification, identification.validation),
         validation_source=identification.validation_source,
         essential=Essential(
             count=len(pruned.solution.active),
             dropped=[base.names[i] for i in pruned.dropped],
             stopped_by=pruned.stopped_by,
             fit=fit_result(identification.essential_fit),
-            validation=fit_result(identification.essential_validation),
+            validation=_validation(identification, identification.essential_validation),
         ),
         excitation=Excitation(
             condition=solution.condition,
@@ -156,7 +161,7 @@ def summarise(
             *(_use(*pair, "validation", used) for pair in zip(identification.validation_runs, held_out, strict=True)),
         ],
         versions=software_versions(),
-        verdict=_verdict(identification),
+        verdict=Verdict("not judged yet"),
         experiments=[experiment_result(model, identification.experiment)],
         estimate=estimate_result(identification.estimate, base.names),
         convergence=convergence_result(identification),
@@ -164,13 +169,17 @@ def summarise(
         if identification.presliding is None
         else Presliding.model_validate(identification.presliding, from_attributes=True),
     )
-    return with_held_friction(result, identification)
+    judged = with_held_friction(result, identification)
+    of_runs = {check for run in identification.held_out for check in run.errors.checks}
+    checks = [check for check in identification.checks if check not in of_runs]
+    verdict = model_verdict(judged, checks, [run.errors for run in identification.held_out])
+    return judged.model_copy(update={"verdict": verdict})
 
 
-def _not_simulated(consistent: ConsistentFit) -> str:
-    if consistent.tracking is not None:
-        return ""
-    return consistent.tracking_failure or "not all joints moved, or not all torques were used"
+def _validation(identification: Identification, figures: FitFigures) -> Fit:
+    """Errors of a validation, marked as held out or not."""
+    held_out = all(run.errors.held_out for run in identification.held_out)
+    return fit_result(figures).model_copy(update={"held_out": held_out})
 
 
 def delay_figures(used: float, search: DelaySearch | None) -> DelayFigures:
@@ -269,37 +278,6 @@ def _presliding_step(identification: Identification) -> tuple[Step, ...]:
     text += f"slower than {LOW_SPEED:g} rad/s {percent_text(found.error)} with it, "
     text += f"{percent_text(found.static_error)} without"
     return (Step("presliding", {one.parameter: one.travel for one in found.travels}, text),)
-
-
-def held_out_errors(joints: Sequence[str], fit: Fit | None) -> Errors:
-    """Held-out errors for the verdict; unknown where nothing was held out."""
-    if fit is None:
-        return Errors(None, dict.fromkeys(joints))
-    return Errors(fit.relative_error, dict(zip(joints, fit.joint_relative_error, strict=True)))
-
-
-def _verdict(identification: Identification) -> Verdict:
-    """How far to trust the model."""
-    model, base, experiment = identification.model, identification.base, identification.experiment
-    significant = int(np.sum(_significant(identification)))
-    basis = (
-        f"On {identification.validation_source}, predicted torque differs from measured torque by "
-        f"{percent_text(identification.validation.relative_error)} "
-        f"(identification: {percent_text(identification.fit.relative_error)}). "
-        f"{significant} of {base.count} base parameters are significant; "
-        f"the essential model keeps {len(identification.pruned.solution.active)} of them and is off by "
-        f"{percent_text(identification.essential_validation.relative_error)}."
-    )
-    if experiment != whole_arm(model):
-        basis += f" All of this holds for the experiment as it was: {describe(model, experiment)}."
-    errors = held_out_errors(model.joint_names, fit_result(identification.validation))
-    return judge(identification.checks, errors, basis)
-
-
-def _significant(identification: Identification) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    return np.asarray(
-        relative_std(identification.solution.parameters, identification.std) < identification.choices.significant_rsd
-    )
 
 
 def _options(identification: Identification) -> dict[str, float | int | str | bool | list[float] | None]:
@@ -457,4 +435,5 @@ def _use(
         rate_hz=run.prepared.segments[0].rate,
         events=[f"{event.level}: {event.message}" for event in recording.events],
         torques_of=torques_of,
+        sample_hashes=kept_hashes(RunWindow(run.signals, run.choices.start, run.choices.stop).hashes),
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from daq.robot.loader import RobotFile
@@ -14,6 +16,7 @@ from ident.model.parameters import INERTIAL
 from ident.result.schema import (
     ConsistentModel,
     Fit,
+    HeldOutErrors,
     LinkResult,
     SimulatedMotionError,
     StandardParameterResult,
@@ -51,8 +54,7 @@ def consistent_model(
     consistent: ConsistentParameters,
     fit: FitFigures | None = None,
     validation: FitFigures | None = None,
-    tracking: TrackingError | None = None,
-    not_simulated: str = "",
+    runs: Sequence[HeldOutErrors] = (),
 ) -> ConsistentModel:
     """The consistent model with what it costs.
 
@@ -63,10 +65,11 @@ def consistent_model(
         consistent: its parameters.
         fit: its error on the identification data, where there are any.
         validation: on held-out data.
-        tracking: of the simulated arm on a held-out motion.
-        not_simulated: why there is none.
+        runs: held-out recordings, on the longest of which the simulated arm's motion error is taken.
     """
     prior = robot_file.robot.prior
+    simulated = [run.simulation for run in runs if run.simulation is not None]
+    simulation = max(simulated, key=lambda motion: motion.duration, default=None)
     return ConsistentModel(
         parameters=[
             StandardParameterResult(
@@ -96,9 +99,11 @@ def consistent_model(
         boundary=[model.link_names[link] for link in consistent.boundary],
         limits_hit=list(consistent.limits_hit),
         fit=None if fit is None else fit_result(fit),
-        validation=None if validation is None else fit_result(validation),
-        simulation=None if tracking is None else simulated_motion_error(tracking),
-        not_simulated=not_simulated,
+        validation=None
+        if validation is None
+        else fit_result(validation).model_copy(update={"held_out": all(run.held_out for run in runs)}),
+        simulation=simulation,
+        not_simulated="" if simulation else next((run.not_simulated for run in runs), "nothing was held out"),
     )
 
 

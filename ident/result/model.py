@@ -27,6 +27,7 @@ from ident.model.regressor import CHUNK, regressor
 from ident.regression.observability import describe
 from ident.regression.pruning import pruned_covariance
 from ident.result.arrays import outward, samples
+from ident.result.delivered import Parameters, delivered_parameters
 from ident.result.schema import Result, presliding_of, read_result
 from ident.result.simulated_motion import STEP, Controller, SimulatedMotion, simulated_motion
 from ident.result.stored_model import StoredModel, stored_estimate, stored_model
@@ -35,8 +36,6 @@ from ident.result.tables import Table, table_of_rows
 if TYPE_CHECKING:
     from ident.export.arm import ExportedArm
     from ident.export.export import Export
-
-Parameters = Literal["consistent", "full", "essential"]
 
 KINDS: dict[Parameters, str] = {
     "consistent": "the base parameters of bodies that can exist",
@@ -81,25 +80,25 @@ class Model:
         (100, 6)
     """
 
-    def __init__(self, result: Result, kind: Parameters = "consistent") -> None:
+    def __init__(self, result: Result, kind: Parameters | None = None) -> None:
         """Build the model of a result.
 
         Args:
             result: of an identification or a merge.
-            kind: which of its parameters.
+            kind: which of its parameters; None takes the consistent ones where there are any, else the full ones.
 
         Raises:
             ModelError: the recordings identify only some of the base parameters.
             ResultFileError: parts of the result do not belong together.
         """
         self.result: Result = result
-        self.kind: Parameters = kind
+        self.kind: Parameters = delivered_parameters(result.consistent) if kind is None else kind
         self._stored = stored_model(result)
         self._check_whole_arm(self._stored)
         base = self._base = self._stored.base
         entries = {parameter.name: parameter for parameter in result.base_parameters}
         ordered = [entries[name] for name in base.names]
-        if kind == "consistent":
+        if self.kind == "consistent":
             if result.consistent is None:
                 raise ModelError(
                     "this result holds no physically consistent parameters",
@@ -107,7 +106,7 @@ class Model:
                     hint='identify again, or take parameters="full"',
                 )
             values = [result.consistent.base_values.get(name, np.nan) for name in base.names]
-        elif kind == "full":
+        elif self.kind == "full":
             values = [np.nan if entry.value is None else entry.value for entry in ordered]
         else:
             values = [0.0 if entry.essential_value is None else entry.essential_value for entry in ordered]
@@ -650,13 +649,14 @@ def result_path(path: str | PathLike[str]) -> Path:
     return given / "result.json" if given.is_dir() else given
 
 
-def load_model(path: str | PathLike[str], parameters: Parameters = "consistent") -> Model:
+def load_model(path: str | PathLike[str], parameters: Parameters | None = None) -> Model:
     """The model that `identify` wrote.
 
     Args:
         path: a folder that `identify`, `merge` or `result.save` wrote, or its result.json.
         parameters: "consistent", those of bodies that can exist, with an inertia matrix that is always positive
-            definite; "full", every base parameter as estimated; "essential", the significant ones, the others 0.
+            definite; "full", every base parameter as estimated; "essential", the significant ones, the others 0. None
+            takes the model that the verdict grades: consistent where there is one, else full.
 
     Raises:
         ResultFileError: no such file, or it is no result.
@@ -673,6 +673,6 @@ def load_model(path: str | PathLike[str], parameters: Parameters = "consistent")
         (6,)
     """
     result = read_result(result_path(path))
-    if parameters not in get_args(Parameters):
+    if parameters is not None and parameters not in get_args(Parameters):
         raise UsageError(f"there are no '{parameters}' parameters", hint="consistent, full or essential")
     return Model(result, parameters)

@@ -28,8 +28,9 @@ from drivers.ranges import EXPONENT, PRESLIDING_TRAVEL, RESULT_VALUE, SMOOTHING,
 from ident.model.friction_terms import FrictionTerms
 from ident.model.parameters import Kind
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.result.delivered import DeliveredParameters
 from ident.verdict.acceptance import Acceptance
-from ident.verdict.check import PURPOSES, texts
+from ident.verdict.check import PURPOSES, Check, texts
 from ident.verdict.verdict import Verdict
 
 RESULT_SCHEMA = 1
@@ -177,6 +178,9 @@ class Fit(_Part):
     high_speed_rmse: list[Number]
     max_error: list[Number]
     samples: int
+    held_out: bool | None = Field(
+        default=None, description="of a validation: false where data of the identification are in it; else null"
+    )
 
 
 class Essential(_Part):
@@ -284,6 +288,8 @@ class SimulatedMotionError(_Part):
     position_rmse: list[float] = Field(description="per joint [rad or m]")
     velocity_rmse: list[float] = Field(description="per joint [rad/s or m/s]")
     max_position_error: list[float] = Field(description="per joint [rad or m]")
+    ratio: Number = Field(default=None, description="position_rmse over that of constant velocity for 1 s")
+    joint_ratio: list[Number] = Field(default=[], description="the same per joint")
 
 
 class ConsistentModel(_Part):
@@ -301,6 +307,57 @@ class ConsistentModel(_Part):
     validation: Fit | None
     simulation: SimulatedMotionError | None = None
     not_simulated: str = Field(default="", description="why `simulation` is null; empty in results of earlier versions")
+
+
+class OpenLoopError(_Part):
+    """Motion of the arm simulated on recorded torque alone, without a controller, over windows of held-out data.
+
+    Each window starts at the measured position and velocity. The reference is the same window at constant velocity.
+    """
+
+    window: float = Field(description="length of a window [s]")
+    windows: int = Field(description="number of windows, spread over the held-out motion")
+    position_rmse: list[Number] = Field(description="per joint [rad or m]; null where the simulation diverged")
+    reference_rmse: list[float] = Field(description="the same of constant velocity")
+    ratio: Number = Field(
+        description="of both over all joints; below 1 the simulation is better than constant velocity"
+    )
+    joint_ratio: list[Number] = Field(description="the same per joint, the reference at least a share of the largest")
+    diverged: str = Field(default="", description="where and when a window diverged; empty where none did")
+
+
+class HeldOutErrors(_Part):
+    """The delivered model on one held-out recording."""
+
+    recording: str
+    overlap: float = Field(description="share of its samples that are the identification's own; 0: it is held out")
+    at_rest: Number = Field(description="share of its torques that are of motors at rest")
+    in_motion: Fit = Field(description="motors at rest left out, as in the fit")
+    all_samples: Fit = Field(description="rest included: what a user of the model meets")
+    graded_joint_error: list[Number] = Field(
+        description="joint_relative_error of all samples, over at least a share of the joint's rated torque"
+    )
+    full_in_motion: Fit | None = Field(description="of the full model; null where that is the delivered one")
+    full_all_samples: Fit | None = None
+    simulation: SimulatedMotionError | None = Field(default=None, description="with a soft controller")
+    open_loop: OpenLoopError | None = Field(default=None, description="without one")
+    not_simulated: str = Field(default="", description="why there is no simulation")
+    checks: list[Check] = Field(default=[], description="that this recording raises, among the verdict's")
+
+    @property
+    def held_out(self) -> bool:
+        """Whether none of its samples was used in the identification."""
+        return self.overlap == 0.0
+
+
+class Delivered(_Part):
+    """The model that `load_model`, `predict` and the exports hand out by default, which the verdict grades."""
+
+    parameters: DeliveredParameters
+    fit: Fit | None = Field(description="on the identification data; null for merged models")
+    validation: Fit | None = Field(description="in motion, over all held-out recordings")
+    validation_all_samples: Fit | None = Field(description="the same with samples at rest")
+    runs: list[HeldOutErrors] = Field(default=[], description="each held-out recording apart")
 
 
 class EstimateResult(_Part):
@@ -364,6 +421,9 @@ class RecordingUse(_Part):
     rate_hz: float
     events: list[str] = Field(description="of the recording: repairs, gaps, assumptions")
     torques_of: list[str] = Field(default=[], description="motors whose torques were used")
+    sample_hashes: list[int] = Field(
+        default=[], description="the smallest hashes of the window's samples (ident.signals.sample_hashes)"
+    )
 
 
 class JointDelayFigures(_Part):
@@ -524,6 +584,7 @@ class Result(_Part):
         default=None, description="of the physically consistent model; null where none was found"
     )
     consistent: ConsistentModel | None = None
+    delivered: Delivered | None = Field(default=None, description="null in results of earlier versions")
     drive_gains: list[DriveGainResult] = Field(description="those that turned a recorded signal into torque")
     fit: Fit | None = Field(description="null for merged models, which are not fitted to recordings")
     validation: Fit | None
@@ -550,6 +611,10 @@ class Result(_Part):
         fits = [self.fit, self.validation, self.essential.fit, self.essential.validation]
         if self.consistent is not None:
             fits += [self.consistent.fit, self.consistent.validation]
+        if self.delivered is not None:
+            fits += [self.delivered.fit, self.delivered.validation, self.delivered.validation_all_samples]
+            for run in self.delivered.runs:
+                fits += [run.in_motion, run.all_samples, run.full_in_motion, run.full_all_samples]
         for part in (*fits, self.residuals, self.model_options):
             for name, values in () if part is None else part:
                 if name not in _LISTS_OF_JOINTS or len(values) == count:

@@ -86,11 +86,11 @@ def tracked(inverse: InverseDynamics, segment: Segment, longest: float = np.inf)
     duration = min(float(segment.time[-1] - segment.time[0]), longest)
     steps = max(1, round(duration / STEP))
     time = np.linspace(0.0, duration, steps + 1)
-    position, velocity = (_at(time, segment, signal) for signal in (segment.position, segment.velocity))
+    position, velocity = (at_times(time, segment, signal) for signal in (segment.position, segment.velocity))
     mean_inertia = np.diagonal(arm.inertia(position.mean(axis=0)))
     stiffness, damping = NATURAL_FREQUENCY**2 * mean_inertia, 2.0 * NATURAL_FREQUENCY * mean_inertia
     arm.viscous = arm.viscous + np.diag(damping)
-    torque = _at(time[:-1] + 0.5 * duration / steps, segment, inverse.coupling.T @ segment.torque)
+    torque = at_times(time[:-1] + 0.5 * duration / steps, segment, inverse.coupling.T @ segment.torque)
 
     def drive(now: float, q: FloatArray, rate: FloatArray) -> FloatArray:
         step = round(now / duration * steps)
@@ -121,7 +121,7 @@ def track_longest(inverse: InverseDynamics, segments: Iterable[Segment]) -> tupl
         return None, str(error)
 
 
-def _at(time: FloatArray, segment: Segment, signal: FloatArray) -> FloatArray:
-    """A signal (n, N) of the segment at times (M,) from its start, (M, n)."""
+def at_times(time: FloatArray, segment: Segment, signal: FloatArray) -> FloatArray:
+    """A signal (n, N) of the segment at times (M,) [s] from its start, (M, n)."""
     stamps = segment.time - segment.time[0]
     return np.array([np.interp(time, stamps, row) for row in signal]).T

@@ -36,8 +36,8 @@ class IdentificationResult:
 
     Attributes:
         result: all of it, as `result.json` holds it.
-        fit_series, validation_series: measured and predicted torques [N·m], for the report; empty for results that
-            were read from a file.
+        fit_series, validation_series: measured and predicted torques [N·m], for the report: of the full model in the
+            fit, of the delivered one over all held-out samples. Empty for results that were read from a file.
         recorded: motion and temperatures of the recordings, for the report.
 
     Example:
@@ -147,12 +147,12 @@ class IdentificationResult:
 
     @cached_property
     def model(self) -> Model:
-        """The model of all base parameters; `load_model(…, parameters="essential")` gives the other one.
+        """The model that the verdict grades and `load_model` hands out; `load_model(…, "full")` gives another.
 
         Raises:
             ModelError: the recordings identify only some of the base parameters.
         """
-        return Model(self.result, "full" if self.result.consistent is None else "consistent")
+        return Model(self.result)
 
     def save(self, folder: str | PathLike[str]) -> None:
         """Write `result.json` and `report.html` into a folder, as `dynid identify -o` does; replaces those in it.
@@ -311,7 +311,8 @@ def identify(
     if limits is not None:
         result = result.model_copy(update={"acceptance": judge_acceptance(limits, result_figures(result))})
     recorded = recorded_runs(identification, recordings, held_out)
-    return IdentificationResult(result, identification.fit_series, identification.validation_series, recorded)
+    held_out_series = [part for run in identification.held_out for part in run.all_samples]
+    return IdentificationResult(result, identification.fit_series, held_out_series, recorded)
 
 
 def check_significance(percent: float) -> None:

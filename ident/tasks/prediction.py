@@ -18,7 +18,8 @@ from daq.robot.loader import RobotFile
 from drivers.streams import UNITS, FloatArray
 from ident.identify.predict import PARTS, RecordingPrediction, predict_recording
 from ident.report.prediction_page import write_prediction_page
-from ident.result.model import Model, Parameters, load_model
+from ident.result.delivered import Parameters
+from ident.result.model import Model, load_model
 from ident.result.stored_model import stored_model
 from ident.result.tables import Table, table_of_rows
 from ident.tasks.identification import IdentificationResult
@@ -183,7 +184,7 @@ def predict(
     identified: IdentificationResult | Model | str | PathLike[str],
     run: Run,
     *,
-    parameters: Parameters = "consistent",
+    parameters: Parameters | None = None,
     presliding: bool = False,
 ) -> Prediction:
     """Predict the joint torques [N·m] of a recording, part by part, with standard deviations and what remains.
@@ -191,7 +192,7 @@ def predict(
     Args:
         identified: a result, a model (its own parameters count), or the folder or file of a result.
         run: a recording of the same arm, or its path; without a recorded torque there is no residual.
-        parameters: "consistent", "full" or "essential", as in `load_model`.
+        parameters: "consistent", "full" or "essential", as in `load_model`; None takes what that does.
         presliding: dry friction near velocity reversals by the pre-sliding travels of `identify(…, presliding=True)`.
 
     Raises:
@@ -235,7 +236,7 @@ def predict(
     )
 
 
-def _model(identified: IdentificationResult | Model | str | PathLike[str], parameters: Parameters) -> Model:
+def _model(identified: IdentificationResult | Model | str | PathLike[str], parameters: Parameters | None) -> Model:
     if isinstance(identified, Model):
         return identified
     if isinstance(identified, IdentificationResult):

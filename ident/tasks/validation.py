@@ -9,18 +9,19 @@ from os import PathLike
 from drivers.errors import UsageError
 from ident.assessment.validation import fit_figures
 from ident.experiments.merge.merged_result import merge_results
-from ident.identify.acceptance import validation_figures
-from ident.identify.revalidate import revalidate, validation_verdict
+from ident.identify.acceptance import acceptance_figures
+from ident.identify.held_out import delivered_model, model_checks, model_verdict
+from ident.identify.revalidate import revalidate
 from ident.regression.pruning import DEFAULT_RULE, SIGNIFICANT_RSD, EssentialRule, check_rule
 from ident.result.consistent_model import fit_result
 from ident.result.model import Model, result_path
-from ident.result.schema import Fit, Result, read_result
+from ident.result.schema import Delivered, Fit, HeldOutErrors, Result, read_result
 from ident.result.tables import Table
 from ident.tasks.acceptance import Limits, limits_of
 from ident.tasks.identification import IdentificationResult, check_significance, error_table
 from ident.tasks.runs import Run, Runs, recording_of, recordings_of
 from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
-from ident.verdict.verdict import Verdict, together
+from ident.verdict.verdict import Verdict
 
 Identified = IdentificationResult | Model | str | PathLike[str]
 """A result, a model, or the path of either."""
@@ -35,6 +36,8 @@ class RecordingValidation:
         full: errors of all base parameters.
         essential: the same of the significant ones.
         consistent: the same of the physically consistent ones; None where the result holds none.
+        delivered: errors of the model that `load_model` hands out, in motion and over all samples; its simulated
+            motion; whether the recording is held out.
         verdict: on the model, from the checks of its identification, those of this recording, and these errors.
     """
 
@@ -42,6 +45,7 @@ class RecordingValidation:
     full: Fit
     essential: Fit
     consistent: Fit | None
+    delivered: HeldOutErrors
     verdict: Verdict
 
 
@@ -54,7 +58,8 @@ class Validation:
         full: errors of all base parameters over all recordings: `relative_error` (a ratio), `rmse` per joint [N·m], …
         essential: the same of the significant ones.
         consistent: the same of the physically consistent ones; None where the result holds none.
-        verdict: the worst of the recordings', purpose by purpose.
+        delivered: those of the model that `load_model` hands out, which the verdict grades.
+        verdict: the worst of the recordings', purpose by purpose; recordings of the identification do not count.
         recordings: each apart.
         acceptance: whether all recordings together keep the declared limits; None where none were declared.
 
@@ -72,6 +77,7 @@ class Validation:
     full: Fit
     essential: Fit
     consistent: Fit | None
+    delivered: Delivered
     verdict: Verdict
     recordings: tuple[RecordingValidation, ...]
     acceptance: Acceptance | None = None
@@ -79,9 +85,12 @@ class Validation:
     @property
     def errors(self) -> Table:
         """Errors of the filtered torque of each joint [N·m, %]."""
-        fits: dict[str, Fit | None] = {"full": self.full, "essential": self.essential}
-        if self.consistent is not None:
-            fits["consistent"] = self.consistent
+        fits: dict[str, Fit | None] = {
+            "delivered": self.delivered.validation_all_samples,
+            "in_motion": self.delivered.validation,
+            "full": self.full,
+            "essential": self.essential,
+        }
         return error_table("Errors", self.joints, fits)
 
     def __str__(self) -> str:
@@ -122,24 +131,30 @@ def validate(
     if limits is not None:
         check_joints(limits, result.joints)
     compared = [revalidate(result, recording, presliding=presliding) for recording in recordings]
-    apart = []
-    for recording, fits in zip(recordings, compared, strict=True):
-        full = fit_result(fits.full)
-        verdict = validation_verdict(result, recording, full)
-        consistent = None if fits.consistent is None else fit_result(fits.consistent)
-        apart.append(RecordingValidation(recording.label, full, fit_result(fits.essential), consistent, verdict))
-    full = fit_result(fit_figures([part for fits in compared for part in fits.series]))
+    checks, held_out = model_checks(result), [fits.delivered for fits in compared]
+    apart = tuple(
+        RecordingValidation(
+            recording=recording.label,
+            full=fit_result(fits.full),
+            essential=fit_result(fits.essential),
+            consistent=None if fits.consistent is None else fit_result(fits.consistent),
+            delivered=fits.delivered.errors,
+            verdict=model_verdict(result, checks, [fits.delivered.errors]),
+        )
+        for recording, fits in zip(recordings, compared, strict=True)
+    )
     of_consistent = [part for fits in compared for part in fits.consistent_series or ()]
-    consistent = fit_result(fit_figures(of_consistent)) if of_consistent else None
-    verdict = together([(one.recording, one.verdict) for one in apart])
-    figures = validation_figures(result, full, consistent, verdict)
+    verdict = model_verdict(result, checks, [run.errors for run in held_out])
+    delivered = delivered_model(result.consistent, None if result.delivered is None else result.delivered.fit, held_out)
+    figures = acceptance_figures(result, delivered.validation_all_samples, delivered.runs, verdict)
     return Validation(
         joints=tuple(result.joints),
-        full=full,
+        full=fit_result(fit_figures([part for fits in compared for part in fits.series])),
         essential=fit_result(fit_figures([part for fits in compared for part in fits.essential_series])),
-        consistent=consistent,
+        consistent=fit_result(fit_figures(of_consistent)) if of_consistent else None,
+        delivered=delivered,
         verdict=verdict,
-        recordings=tuple(apart),
+        recordings=apart,
         acceptance=None if limits is None else judge_acceptance(limits, figures),
     )
 

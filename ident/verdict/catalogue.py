@@ -139,10 +139,8 @@ _RECORDING = (
 )
 
 _EXCITATION = (
-    CheckKind(
+    _note(
         "few-equations",
-        "warning",
-        PARAMETERS,
         "there are few equations per parameter",
         "Record longer.",
     ),
@@ -160,17 +158,13 @@ _EXCITATION = (
         "a search ended away from the optimum of its own cost",
         "Take --method wls, which is that optimum, or give the search more generations and a wider box.",
     ),
-    CheckKind(
+    _note(
         "few-independent-samples",
-        "warning",
-        PARAMETERS,
         "there are few independent equations per parameter",
         "Record longer, and other motions rather than more of the same.",
     ),
-    CheckKind(
+    _note(
         "few-blocks",
-        "warning",
-        PARAMETERS,
         "the error bars rest on few blocks",
         "Record longer: the standard deviations are themselves uncertain.",
     ),
@@ -181,10 +175,8 @@ _EXCITATION = (
         "the motion does not excite some base parameters",
         "Record a motion that `dynid excite` designed.",
     ),
-    CheckKind(
+    _note(
         "insignificant-parameters",
-        "warning",
-        PARAMETERS,
         "many base parameters are smaller than their standard deviation",
         "Record a more exciting motion.",
     ),
@@ -288,8 +280,9 @@ _MODEL = (
     CheckKind(
         "consistency-costs",
         "warning",
-        PARAMETERS,
-        "the physically consistent model predicts held-out torque clearly worse than the unconstrained one",
+        ALL,
+        "the physically consistent model predicts held-out torque clearly worse than the unconstrained one, which "
+        'load_model(…, parameters="full") gives',
         "The geometry, a drive gain or the signs of the torque may be wrong, or a friction column is missing.",
     ),
     CheckKind(
@@ -346,6 +339,13 @@ _VALIDATION = (
         ALL,
         "the validation error is much larger than the identification's",
         "The model overfits, or the other motion shows effects that this one does not; record a richer motion.",
+    ),
+    CheckKind(
+        "not-held-out",
+        "warning",
+        ALL,
+        "samples of the validation were used in the identification",
+        "Validate with another recording; figures of data that were used say nothing of others.",
     ),
     CheckKind(
         "not-validated",

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from typing import Literal, get_args
 
-from drivers.percentage import percent_text
 from ident.verdict.catalogue import CATALOGUE
 from ident.verdict.check import PURPOSE_WORDS, PURPOSES, SEVERITIES, Check, Purpose, Severity
+from ident.verdict.evidence import Evidence, MotionError, known
 
 Grade = Literal["good", "usable", "poor"]
 GRADES: tuple[Grade, ...] = get_args(Grade)
@@ -25,21 +24,16 @@ GOOD_JOINT_ERROR = 0.15
 USABLE_JOINT_ERROR = 0.30
 """The same of a single joint: its torque is smaller than the whole arm's, and its friction and noise a larger part."""
 
+GOOD_MOTION = 0.5
+USABLE_MOTION = 1.0
+"""Errors of a simulated motion over those of constant velocity: a model that is no better than that is poor."""
+
+GOOD_JOINT_MOTION = 1.0
+USABLE_JOINT_MOTION = 2.0
+"""The same of a single joint, which may hardly move in the few windows that are simulated."""
+
 AT_BEST: dict[Severity, Grade] = {"note": "good", "warning": "usable", "serious": "poor"}
 """What a purpose can be at best that a check of this severity spoils."""
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Held-out errors, as ratios of the torque: ‖measured − predicted‖ / ‖measured‖.
-
-    Attributes:
-        whole: of all joints together; None where it is not known.
-        joints: by the joint's name; None where its torque is not predicted.
-    """
-
-    whole: float | None
-    joints: dict[str, float | None]
 
 
 @dataclass(frozen=True)
@@ -89,9 +83,12 @@ class Verdict:
     def lines(self) -> list[str]:
         """For the terminal: the headline, what it rests on, purposes, the worst joints, checks."""
         reasons = [
-            f"  {PURPOSE_WORDS[purpose]}: {judged.grade}, {judged.because}" for purpose, judged in self.purposes.items()
+            f"  {PURPOSE_WORDS[purpose]}: {_graded(judged.grade)}, because {judged.because}"
+            for purpose, judged in self.purposes.items()
         ]
-        worst = [f"  {one.joint}: {one.grade}, {one.because}" for one in self.joints if one.grade != "good"]
+        worst = [
+            f"  {one.joint}: {_graded(one.grade)}, because {one.because}" for one in self.joints if one.grade != "good"
+        ]
         return [
             self.headline,
             *([self.basis] if self.basis else []),
@@ -115,20 +112,20 @@ class _Reason:
     text: str
 
 
-def judge(checks: Iterable[Check], errors: Errors | None, basis: str = "") -> Verdict:
+def judge(checks: Iterable[Check], evidence: Evidence | None, basis: str = "") -> Verdict:
     """The verdict on a model, or on a recording that nothing was identified from yet.
 
-    A purpose is as good as the held-out error allows, and at best `usable` (`poor`) where a warning (a serious check)
+    A purpose is as good as the held-out errors allow, and at best `usable` (`poor`) where a warning (a serious check)
     spoils it. So one more check never improves a purpose, and a purpose that is spoilt is never good.
 
     Args:
         checks: that were raised.
-        errors: held-out; None for a recording.
+        evidence: the model on held-out data; None for a recording.
         basis: what they rest on, in words.
     """
-    ordered = tuple(sorted(dict.fromkeys(checks), key=lambda check: -SEVERITIES.index(check.severity)))
-    joints = () if errors is None else _joints(ordered, errors)
-    purposes = {purpose: _purpose(purpose, ordered, errors, joints) for purpose in PURPOSES}
+    ordered = _most_serious_first(checks)
+    joints = () if evidence is None else _joints(ordered, evidence)
+    purposes = {purpose: _purpose(purpose, ordered, evidence) for purpose in PURPOSES}
     return Verdict(_headline(purposes, joints), purposes, joints, ordered, basis)
 
 
@@ -146,56 +143,85 @@ def together(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
     for purpose in PURPOSES:
         label, worst = max(verdicts, key=lambda one: GRADES.index(one[1].purposes[purpose].grade))
         judged = worst.purposes[purpose]
-        purposes[purpose] = PurposeVerdict(judged.grade, f"{label}: {judged.because}")
+        purposes[purpose] = PurposeVerdict(judged.grade, f"on {label} {judged.because}")
     joints: dict[str, JointVerdict] = {}
     for label, verdict in verdicts:
         for one in verdict.joints:
             if one.joint not in joints or _badness(one) > _badness(joints[one.joint]):
-                joints[one.joint] = JointVerdict(one.joint, one.grade, f"{label}: {one.because}", one.error)
-    checks = dict.fromkeys(check for _, verdict in verdicts for check in verdict.checks)
-    ordered = tuple(sorted(checks, key=lambda check: -SEVERITIES.index(check.severity)))
-    basis = " ".join(f"{label}: {verdict.basis}" for label, verdict in verdicts if verdict.basis)
+                joints[one.joint] = JointVerdict(one.joint, one.grade, f"on {label} {one.because}", one.error)
+    checks = _most_serious_first(check for _, verdict in verdicts for check in verdict.checks)
+    basis = " ".join(dict.fromkeys(verdict.basis for _, verdict in verdicts if verdict.basis))
     worst_first = tuple(sorted(joints.values(), key=lambda one: _negative(_badness(one))))
-    return Verdict(_headline(purposes, worst_first), purposes, worst_first, ordered, basis)
+    return Verdict(_headline(purposes, worst_first), purposes, worst_first, checks, basis)
 
 
-def _joints(checks: Sequence[Check], errors: Errors) -> tuple[JointVerdict, ...]:
+def _most_serious_first(checks: Iterable[Check]) -> tuple[Check, ...]:
+    """Each once."""
+    return tuple(sorted(dict.fromkeys(checks), key=lambda check: -SEVERITIES.index(check.severity)))
+
+
+def _joints(checks: Sequence[Check], evidence: Evidence) -> tuple[JointVerdict, ...]:
     """Every joint, worst first."""
     judged = []
-    for joint, error in errors.joints.items():
-        known = _known(error)
-        reasons = [_check_reason(check) for check in checks if joint in check.joints]
-        if known is not None:
-            grade = _grade(known, GOOD_JOINT_ERROR, USABLE_JOINT_ERROR)
-            reasons.append(_Reason(grade, f"its held-out error is {percent_text(known, 2)}"))
-        worst = _worst(reasons) if reasons else _Reason("good", "its torque is not predicted")
-        judged.append(JointVerdict(joint, worst.grade, worst.text, known))
+    for joint, error in evidence.joints.items():
+        reasons = [_check_reason(check) for check in checks if joint in check.joints and check.severity != "note"]
+        figure = error.judged
+        if figure is not None:
+            grade = _grade(figure, GOOD_JOINT_ERROR, USABLE_JOINT_ERROR)
+            reasons.append(_Reason(grade, f"its held-out error is {error.text}"))
+        worst = _worst(reasons) if reasons else _Reason("usable", "no held-out error of it is known")
+        judged.append(JointVerdict(joint, worst.grade, worst.text, known(error.all_samples)))
     return tuple(sorted(judged, key=lambda one: _negative(_badness(one))))
 
 
-def _purpose(
-    purpose: Purpose, checks: Sequence[Check], errors: Errors | None, joints: Sequence[JointVerdict]
-) -> PurposeVerdict:
+def _purpose(purpose: Purpose, checks: Sequence[Check], evidence: Evidence | None) -> PurposeVerdict:
+    """The worst of its reasons: checks first, then errors. Where all is good, the error is the reason."""
     reasons = [_check_reason(check) for check in checks if purpose in check.purposes]
-    if errors is not None:
-        whole = _known(errors.whole)
-        if whole is None:
-            reasons.append(_Reason("usable", "no held-out error is known"))
-        else:
-            grade = _grade(whole, GOOD_ERROR, USABLE_ERROR)
-            reasons.append(_Reason(grade, f"the held-out error is {percent_text(whole, 2)}"))
-        if purpose == "collision_detection":  # a collision is seen in each joint's torque by itself
-            known = [one for one in joints if one.error is not None]
-            largest = max(known, key=lambda one: one.error or 0.0, default=None)
-            if largest is not None and largest.error is not None:
-                grade = _grade(largest.error, GOOD_JOINT_ERROR, USABLE_JOINT_ERROR)
-                reasons.append(
-                    _Reason(grade, f"the held-out error of {largest.joint} is {percent_text(largest.error, 2)}")
-                )
-    if not reasons:
-        return PurposeVerdict("good", "no check speaks against it")
-    worst = _worst(reasons)
+    if evidence is not None:
+        if purpose == "simulation":
+            reasons += _simulation_reasons(evidence)
+        reasons += _torque_reasons(evidence)
+    worst = _worst(reasons or [_Reason("good", "no check failed")])
     return PurposeVerdict(worst.grade, worst.text)
+
+
+def _simulation_reasons(evidence: Evidence) -> list[_Reason]:
+    if not evidence.motions and evidence.whole.judged is not None:
+        return [_Reason("usable", "its motion was not simulated")]
+    return [reason for motion in evidence.motions for reason in _motion_reasons(motion)]
+
+
+def _torque_reasons(evidence: Evidence) -> list[_Reason]:
+    """From the whole arm's error, and from that of the joint with the largest."""
+    whole = evidence.whole.judged
+    if whole is None:
+        return [_Reason("usable", "no held-out error is known")]
+    reasons = [
+        _Reason(_grade(whole, GOOD_ERROR, USABLE_ERROR), f"the held-out torque error is {evidence.whole.text}"),
+    ]
+    figures = {joint: error.judged for joint, error in evidence.joints.items()}
+    largest = max(figures, key=lambda joint: figures[joint] or 0.0, default=None)
+    if largest is not None and (figure := figures[largest]) is not None:
+        grade = _grade(figure, GOOD_JOINT_ERROR, USABLE_JOINT_ERROR)
+        reasons.append(_Reason(grade, f"the held-out torque error of {largest} is {evidence.joints[largest].text}"))
+    return reasons
+
+
+def _motion_reasons(motion: MotionError) -> list[_Reason]:
+    """From the whole arm's simulated motion, and from the worst joint's."""
+    joint = motion.worst
+    against = "times that of constant velocity"
+    return [
+        _Reason(
+            _grade(motion.whole, GOOD_MOTION, USABLE_MOTION),
+            f"the error of the {motion.text} is {motion.whole:.2g} {against}",
+        ),
+        _Reason(
+            _grade(motion.joints[joint], GOOD_JOINT_MOTION, USABLE_JOINT_MOTION),
+            f"the error of {joint} in the {motion.text} is {motion.errors[joint]:.2g} rad or m, "
+            f"{motion.joints[joint]:.2g} {against}",
+        ),
+    ]
 
 
 def _check_reason(check: Check) -> _Reason:
@@ -221,22 +247,28 @@ def _negative(badness: tuple[int, float]) -> tuple[int, float]:
     return -badness[0], -badness[1]
 
 
-def _known(error: float | None) -> float | None:
-    return None if error is None or not math.isfinite(error) else error
-
-
 def _headline(purposes: dict[Purpose, PurposeVerdict], joints: Sequence[JointVerdict]) -> str:
-    """What the model is good, usable and poor for, the reason of the worst, and the worst joint if it is not good."""
-    parts = []
+    """What the model is good, usable and poor for, each with its reason; the worst joint if it is not good."""
+    sentences = []
     for grade in GRADES:
-        of_grade = [PURPOSE_WORDS[purpose] for purpose in PURPOSES if purposes[purpose].grade == grade]
-        if of_grade:
-            parts.append(f"{grade} for {_listed(of_grade)}")
-    worst = max(purposes.values(), key=lambda judged: GRADES.index(judged.grade))
-    text = "; ".join(parts)
-    text = text[0].upper() + text[1:]
-    joint = f" Worst joint: {joints[0].joint}, {joints[0].because}." if joints and joints[0].grade != "good" else ""
-    return f"{text}: {worst.because}.{joint}"
+        by_reason: dict[str, list[str]] = {}
+        for purpose in PURPOSES:
+            if purposes[purpose].grade == grade:
+                by_reason.setdefault(purposes[purpose].because, []).append(PURPOSE_WORDS[purpose])
+        sentences += [f"{_for(grade, words)}, because {because}." for because, words in by_reason.items()]
+    worst = joints[0] if joints else None
+    if worst is not None and (worst.grade == "poor" or (worst.grade == "usable" and worst.error is not None)):
+        sentences.append(f"Worst joint: {worst.joint}, {_graded(worst.grade)}, because {worst.because}.")
+    return " ".join(sentences)
+
+
+def _for(grade: Grade, words: Sequence[str]) -> str:
+    text = f"{_graded(grade)}{',' if grade == 'usable' else ''} for {_listed(words)}"
+    return text[0].upper() + text[1:]
+
+
+def _graded(grade: Grade) -> str:
+    return "usable, not good" if grade == "usable" else grade
 
 
 def _listed(words: Sequence[str]) -> str:

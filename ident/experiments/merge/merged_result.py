@@ -12,40 +12,40 @@ from daq.recording.recording import Recording, software_versions
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.plausibility import indefinite_share, sign_checks
+from ident.assessment.validation import FitFigures
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.experiments.merge.merge import CONTRADICTING, MergedEstimate, identifiable_columns, merge
 from ident.experiments.merge.merge_input import MergeInput, merge_inputs, used_recordings
 from ident.identify.checks import consistency_checks
+from ident.identify.held_out import HeldOutRun, delivered_model, model_verdict
 from ident.identify.revalidate import Revalidation, revalidate
 from ident.identify.summary import (
     estimate_result,
     experiment_result,
     friction_results,
     gain_results,
-    held_out_errors,
     parameter_results,
 )
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.inverse_dynamics import InverseDynamics
 from ident.regression.estimate import Estimate
 from ident.regression.pruning import DEFAULT_RULE, SIGNIFICANT_RSD, EssentialRule, Pruned, prune
-from ident.result.consistent_model import consistent_model, fit_result, link_results, simulated_motion_error
+from ident.result.consistent_model import consistent_model, fit_result, link_results
 from ident.result.schema import (
     Consistency,
     Contradiction,
     DelayFigures,
     Essential,
     Excitation,
+    Fit,
     Merge,
     MergedModel,
     Residuals,
     Result,
 )
-from ident.simulation.tracking import track_longest
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
-from ident.verdict.verdict import Verdict, judge
+from ident.verdict.verdict import Verdict
 
 MOST_CONTRADICTIONS = 10
 """So many are named."""
@@ -93,13 +93,11 @@ def merge_results(
         threshold,
     )
     result, consistent = _result(model, base, inputs, merged, std, pruned, essential, threshold)
+    checks = [*result.verdict.checks, *consistency_checks(model.link_names, consistent)]
     if held_out is None:
-        return _judged(result, consistency_checks(model.link_names, consistent, None, None, "")), None
+        return _judged(result, checks, ()), None
     validated = revalidate(result, held_out)
-    result, failure = _with_validation(result, validated, held_out.label, model, base)
-    bound = None if validated.consistent is None else validated.consistent.relative_error
-    checks = consistency_checks(model.link_names, consistent, validated.full.relative_error, bound, failure)
-    return _judged(result, checks), validated
+    return _judged(_with_validation(result, validated, held_out.label), checks, (validated.delivered,)), validated
 
 
 def _result(
@@ -160,7 +158,6 @@ def _result(
             base,
             robot_file,
             consistent,
-            not_simulated="nothing was held out",
         ),
         drive_gains=gain_results(
             robot_file.robot, {gain.joint for source in inputs for gain in source.result.drive_gains}
@@ -315,50 +312,32 @@ def _checks_of_part(source: MergeInput) -> list[Check]:
     return checks
 
 
-def _judged(result: Result, consistency: Sequence[Check]) -> Result:
-    """The result with the verdict that follows from its checks, those of consistency, and its held-out errors."""
-    significant = sum(parameter.significant for parameter in result.base_parameters)
+def _judged(result: Result, checks: Sequence[Check], runs: Sequence[HeldOutRun]) -> Result:
+    """The result with what is delivered, and the verdict on that."""
+    delivered = delivered_model(result.consistent, None, runs)
+    result = result.model_copy(update={"delivered": delivered})
+    verdict = model_verdict(result, checks, delivered.runs)
     agreement = result.merge.consistency.text if result.merge and result.merge.consistency else ""
-    text = f"{agreement} " if agreement else "The models share nothing that could be compared. "
-    validation, checks = result.validation, [*result.verdict.checks, *consistency]
-    if validation is None or validation.relative_error is None:
-        missing = "nothing was held out to validate the merged model with (--validate)"
-        checks.append(raised("not-validated", missing))
-    else:
-        text += (
-            f"On {result.validation_source}, predicted torque differs from measured torque by "
-            f"{percent_text(validation.relative_error)}. "
-        )
-    text += (
-        f"{significant} of {len(result.base_parameters)} base parameters are significant; the essential model keeps "
-        f"{result.essential.count} of them"
-    )
-    essential = result.essential.validation
-    if essential is not None and essential.relative_error is not None:
-        text += f" and is off by {percent_text(essential.relative_error)}"
-    verdict = judge(checks, held_out_errors(result.joints, validation), f"{text}.")
-    return result.model_copy(update={"verdict": verdict})
+    text = agreement or "The models share nothing that could be compared."
+    return result.model_copy(update={"verdict": replace(verdict, basis=f"{text} {verdict.basis}")})
 
 
-def _with_validation(
-    result: Result, validated: Revalidation, source: str, model: DynamicModel, base: BaseParameters
-) -> tuple[Result, str]:
-    """The result with its held-out errors, and why the simulation of that motion failed."""
-    essential = result.essential.model_copy(update={"validation": fit_result(validated.essential)})
-    changes = {"validation": fit_result(validated.full), "validation_source": source, "essential": essential}
-    consistent, failure = result.consistent, ""
+def _with_validation(result: Result, validated: Revalidation, source: str) -> Result:
+    """The result with its held-out errors."""
+    errors = validated.delivered.errors
+
+    def marked(figures: FitFigures) -> Fit:
+        return fit_result(figures).model_copy(update={"held_out": errors.held_out})
+
+    essential = result.essential.model_copy(update={"validation": marked(validated.essential)})
+    consistent = result.consistent
     if consistent is not None and validated.consistent is not None:
-        tracking = None
-        missing = "together the experiments do not show the whole arm"
-        if base.count == base_parameters(model).count:
-            values = np.array([consistent.base_values[name] for name in base.names])
-            tracking, failure = track_longest(InverseDynamics(model, base, values), validated.segments)
-            missing = failure
-        changes["consistent"] = consistent.model_copy(
+        consistent = consistent.model_copy(
             update={
-                "validation": fit_result(validated.consistent),
-                "simulation": None if tracking is None else simulated_motion_error(tracking),
-                "not_simulated": missing,
+                "validation": marked(validated.consistent),
+                "simulation": errors.simulation,
+                "not_simulated": errors.not_simulated,
             }
         )
-    return result.model_copy(update=changes), failure
+    changes = {"validation": marked(validated.full), "validation_source": source, "essential": essential}
+    return result.model_copy(update=changes | {"consistent": consistent})

@@ -8,6 +8,7 @@ from typing import Any
 from ident.assessment.validation import LOW_SPEED
 from ident.report.number_text import DASH, number, percent, whole
 from ident.report.section import ReportData, ReportSection, Tile
+from ident.result.delivered import DELIVERED_WORDS, delivered_parameters
 from ident.result.schema import Fit, Result
 from ident.verdict.check import PURPOSE_WORDS
 
@@ -23,6 +24,7 @@ def section(data: ReportData) -> ReportSection:
         "rows": [_row(result, joint) for joint in data.worst_first],
         "low_speed": LOW_SPEED,
         "validated": result.validation is not None,
+        "model": DELIVERED_WORDS[delivered_parameters(result.consistent)],
         "validation_source": result.validation_source,
         "essential": result.essential,
         "method": result.method,
@@ -31,16 +33,21 @@ def section(data: ReportData) -> ReportSection:
 
 
 def _tiles(result: Result) -> list[Tile]:
-    validation = result.validation
+    delivered = result.delivered
+    every = None if delivered is None else delivered.validation_all_samples
+    moving = None if delivered is None else delivered.validation
+    fit = None if delivered is None else delivered.fit
     significant = sum(parameter.significant for parameter in result.base_parameters)
     return [
         Tile(
             "Validation error",
-            percent(validation.relative_error) if validation else DASH,
-            f"{whole(validation.samples)} samples, held out" if validation else "nothing was held out",
+            percent(every.relative_error) if every else DASH,
+            f"{percent(moving.relative_error)} in motion, {'held out' if moving.held_out else 'NOT held out'}"
+            if moving
+            else "nothing was held out",
         ),
-        Tile("Fit error", percent(result.fit.relative_error), f"{whole(result.fit.samples)} samples")
-        if result.fit
+        Tile("Fit error", percent(fit.relative_error), f"{whole(fit.samples)} samples")
+        if fit
         else Tile("Models merged", str(len(result.merge.models)) if result.merge else DASH),
         Tile("Base parameters", str(len(result.base_parameters)), f"{significant} significant"),
         Tile("Condition of W", number(result.condition, 3), "not normalised"),
@@ -53,9 +60,15 @@ def _tiles(result: Result) -> list[Tile]:
 
 
 def _row(result: Result, joint: int) -> dict[str, Any]:
+    delivered = result.delivered
+    sets = (
+        (None, None, None)
+        if delivered is None
+        else (delivered.validation_all_samples, delivered.validation, delivered.fit)
+    )
     return {
         "joint": result.joints[joint],
-        "sets": [_errors(fit, joint) for fit in (result.validation, result.fit)],
+        "sets": [_errors(fit, joint) for fit in sets],
     }
 
 

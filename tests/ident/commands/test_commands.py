@@ -113,9 +113,11 @@ def test_identify_validates_writes_and_prints(monkeypatch, capsys, folder):
     assert [one["recording"].rpartition("/")[2] for one in judged["recordings"]] == ["val.h5", "run.h5"]
     assert judged["recordings"][0]["full"] == again
     order = ("good", "usable", "poor")
+    assert [one["delivered"]["overlap"] for one in judged["recordings"]] == [0.0, 1.0]
     for purpose, verdict in judged["verdict"]["purposes"].items():
-        apart = [one["verdict"]["purposes"][purpose]["grade"] for one in judged["recordings"]]
-        assert verdict["grade"] == max(apart, key=order.index)
+        apart = [one["verdict"]["purposes"][purpose] for one in judged["recordings"]]
+        assert verdict == result["verdict"]["purposes"][purpose] == apart[0]  # data of the identification do not count
+        assert order.index(apart[1]["grade"]) >= order.index("usable")
     status, out, _ = run(monkeypatch, capsys, folder, "validate", "model", "val.h5", "run.h5")
     assert status == 0
     assert judged["verdict"]["headline"] in out

@@ -20,6 +20,7 @@ from ident.report.section import ReportData
 from ident.result.schema import (
     BaseParameterResult,
     DelayFigures,
+    Delivered,
     DriveGainResult,
     Essential,
     Excitation,
@@ -137,6 +138,7 @@ def result(**changes: Any) -> Result:
         fit=fit(),
         validation=fit(300),
         validation_source="another recording",
+        delivered=Delivered(parameters="full", fit=fit(), validation=fit(300), validation_all_samples=fit(300)),
         essential=Essential(
             count=2, dropped=["XX2R"], stopped_by="all are significant", fit=fit(), validation=fit(300)
         ),

@@ -157,6 +157,15 @@ class Bench:
         stream = recording.streams[JOINTS_STREAM]
         return replace(recording, streams={JOINTS_STREAM: replace(stream, host_time=1.01 * stream.time)})
 
+    def tail(self, recording: Recording, other: Recording) -> Recording:
+        """Another recording whose last third is copied from the first."""
+        copied = recording.streams[JOINTS_STREAM].channels
+        start = 2 * len(other.streams[JOINTS_STREAM].time) // 3
+        for quantity in ("position", "current"):
+            values = copied[quantity].values[start:]
+            other = changed(other, lambda own, values=values: np.concatenate([own[:start], values]), quantity)
+        return other
+
     def unsettled(self) -> Names:
         """Weights that are given two iterations."""
         with patch.object(least_squares, "WLS_ITERATIONS", 2):
@@ -407,6 +416,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "residuals-uneven": (lambda b: b.found(b.with_uneven_noise()), lambda b: b.clean()),
     "residuals-not-normal": (lambda b: b.found(changed(b.recorded(), bursts)), lambda b: b.clean()),
     "overfitting": (lambda b: b.found(changed(b.recorded(), spoilt_end)), lambda b: b.clean()),
+    "not-held-out": (
+        lambda b: b.found(b.recorded(), validation=(b.tail(b.recorded(), b.recorded(3)),)),
+        lambda b: b.found(b.recorded(), validation=(b.recorded(3),)),
+    ),
     "not-validated": (
         lambda b: b.clean_merge(),
         lambda b: b.merged(*b.parts(), held_out=b.recorded(3)),

@@ -13,13 +13,19 @@ from pydantic import TypeAdapter
 from ident.assessment.validation import LOW_SPEED
 from ident.verdict.catalogue import CATALOGUE, markdown_table, raised
 from ident.verdict.check import PURPOSE_WORDS, PURPOSES, Check
-from ident.verdict.verdict import AT_BEST, GRADES, Errors, Verdict, judge, together
+from ident.verdict.evidence import Evidence, MotionError, TorqueError
+from ident.verdict.verdict import AT_BEST, GRADES, Verdict, judge, together
 
 JOINTS = ("j1", "j2", "j3")
 DOCS = Path(__file__).parents[3] / "docs" / "checks.md"
 
 ratios = st.none() | st.floats(0.0, 2.0) | st.just(float("nan"))
-errors = st.none() | st.builds(Errors, ratios, st.fixed_dictionaries(dict.fromkeys(JOINTS, ratios)))
+torques = st.builds(TorqueError, ratios, ratios, ratios)
+of_joints = st.fixed_dictionaries(dict.fromkeys(JOINTS, st.floats(0.0, 5.0)))
+motions = st.builds(MotionError, st.floats(0.0, 5.0), of_joints, of_joints, st.just("simulated motion"))
+errors = st.none() | st.builds(
+    Evidence, torques, st.fixed_dictionaries(dict.fromkeys(JOINTS, torques)), st.lists(motions, max_size=2).map(tuple)
+)
 checks = st.lists(
     st.builds(raised, st.sampled_from(sorted(CATALOGUE)), st.text(max_size=5), st.lists(st.sampled_from(JOINTS))),
     max_size=6,
@@ -28,6 +34,16 @@ checks = st.lists(
 
 def badness(grade: str) -> int:
     return GRADES.index(grade)  # type: ignore[arg-type]
+
+
+def evidence(whole: float | None, joints: dict[str, float], motion: float | None = 0.1) -> Evidence:
+    """One figure for all samples and in motion; each joint simulated alike."""
+    simulated = [] if motion is None else [motion]
+    return Evidence(
+        TorqueError(whole, whole),
+        {joint: TorqueError(error, error) for joint, error in joints.items()},
+        tuple(MotionError(one, dict.fromkeys(joints, one), dict.fromkeys(joints, one), "motion") for one in simulated),
+    )
 
 
 def grades(verdict: Verdict) -> dict[str, int]:
@@ -39,13 +55,13 @@ def grades(verdict: Verdict) -> dict[str, int]:
 
 @settings(max_examples=50)
 @given(checks, checks, errors)
-def test_more_checks_never_improve_anything(some: list[Check], more: list[Check], known: Errors | None) -> None:
+def test_more_checks_never_improve_anything(some: list[Check], more: list[Check], known: Evidence | None) -> None:
     before, after = grades(judge(some, known)), grades(judge([*some, *more], known))
     assert all(after[name] >= before[name] for name in before)
 
 
 @given(checks, errors)
-def test_what_a_check_spoils_is_no_better_than_its_severity_allows(some: list[Check], known: Errors | None) -> None:
+def test_what_a_check_spoils_is_no_better_than_its_severity_allows(some: list[Check], known: Evidence | None) -> None:
     verdict = judge(some, known)
     for check in some:
         for purpose in check.purposes:
@@ -55,16 +71,16 @@ def test_what_a_check_spoils_is_no_better_than_its_severity_allows(some: list[Ch
 
 @given(checks, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 def test_a_larger_error_never_improves_anything(some: list[Check], one: float, other: float) -> None:
-    small, large = (Errors(error, dict.fromkeys(JOINTS, error)) for error in sorted((one, other)))
+    small, large = (evidence(error, dict.fromkeys(JOINTS, error), error) for error in sorted((one, other)))
     before, after = grades(judge(some, small)), grades(judge(some, large))
     assert all(after[name] >= before[name] for name in before)
 
 
 @given(checks, errors)
-def test_every_purpose_has_a_reason_and_stands_in_the_headline(some: list[Check], known: Errors | None) -> None:
+def test_every_purpose_has_a_reason_and_stands_in_the_headline(some: list[Check], known: Evidence | None) -> None:
     verdict = judge(some, known)
     assert set(verdict.purposes) == set(PURPOSES)
-    headline = verdict.headline.lower()
+    headline = verdict.headline.lower().replace("usable, not good", "usable")
     for purpose, judged in verdict.purposes.items():
         assert judged.because
         before, _, _ = headline.partition(PURPOSE_WORDS[purpose])
@@ -75,14 +91,14 @@ def test_every_purpose_has_a_reason_and_stands_in_the_headline(some: list[Check]
 
 
 @given(checks, errors)
-def test_a_verdict_survives_json(some: list[Check], known: Errors | None) -> None:
+def test_a_verdict_survives_json(some: list[Check], known: Evidence | None) -> None:
     verdict, adapter = judge(some, known, "On val.h5."), TypeAdapter(Verdict)
     assert adapter.validate_json(adapter.dump_json(verdict)) == verdict
     assert set(asdict(verdict)) == {"headline", "purposes", "joints", "checks", "basis"}
 
 
 @given(st.lists(st.tuples(checks, errors), min_size=1, max_size=3))
-def test_several_together_are_as_bad_as_the_worst(parts: list[tuple[list[Check], Errors | None]]) -> None:
+def test_several_together_are_as_bad_as_the_worst(parts: list[tuple[list[Check], Evidence | None]]) -> None:
     apart = [judge(some, known) for some, known in parts]
     whole = together([(f"file {i}", verdict) for i, verdict in enumerate(apart)])
     for purpose in PURPOSES:
@@ -92,25 +108,65 @@ def test_several_together_are_as_bad_as_the_worst(parts: list[tuple[list[Check],
 
 
 def test_a_good_model_is_called_good() -> None:
-    verdict = judge([], Errors(0.02, {"j1": 0.03, "j2": 0.05}))
+    verdict = judge([], evidence(0.02, {"j1": 0.03, "j2": 0.05}))
     assert {one.grade for one in verdict.purposes.values()} == {"good"}
-    assert verdict.headline.startswith("Good for torque prediction (feed-forward), simulation, collision detection")
+    assert verdict.headline.startswith("Good for torque prediction (feed-forward), collision detection and payload")
     assert verdict.joints[0].joint == "j2"
 
 
 def test_nothing_held_out_is_not_good() -> None:
-    assert judge([], Errors(None, {"j1": None})).purposes["simulation"].grade == "usable"
+    assert judge([], evidence(None, {"j1": None}, None)).purposes["simulation"].grade == "usable"
 
 
-def test_one_bad_joint_spoils_collision_detection_alone() -> None:
-    verdict = judge([], Errors(0.03, {"j1": 0.02, "j2": 0.4}))
+def test_one_bad_joint_spoils_every_purpose() -> None:
+    verdict = judge([], evidence(0.03, {"j1": 0.02, "j2": 0.4}))
+    for purpose in PURPOSES:
+        assert verdict.purposes[purpose].grade == "poor"
+        assert "j2" in verdict.purposes[purpose].because
+
+
+def test_rest_counts_and_both_errors_are_said() -> None:
+    known = Evidence(TorqueError(0.119, 0.056), {"j1": TorqueError(0.53, 0.06)})
+    verdict = judge([], known)
+    assert {one.grade for one in verdict.purposes.values()} == {"poor"}
+    because = verdict.purposes["torque_prediction"].because
+    assert "12 % over all samples (5.6 % in motion)" in because
+    assert "53 % over all samples (6 % in motion)" in verdict.joints[0].because
+
+
+def test_a_joint_with_hardly_any_torque_is_compared_with_what_it_is_rated_for() -> None:
+    verdict = judge([], Evidence(TorqueError(0.01, 0.01), {"j1": TorqueError(0.5, 0.5, graded=0.02)}))
     assert verdict.purposes["torque_prediction"].grade == "good"
-    assert verdict.purposes["collision_detection"].grade == "poor"
-    assert "j2" in verdict.purposes["collision_detection"].because
+    assert verdict.joints[0].grade == "good"
+    assert verdict.joints[0].error == 0.5
+
+
+@given(torques, st.floats(0.0, 5.0))
+def test_a_simulation_no_better_than_constant_velocity_is_poor(torque: TorqueError, ratio: float) -> None:
+    known = Evidence(torque, {"j1": torque}, evidence(0.01, {"j1": 0.01}, ratio).motions)
+    grade = judge([], known).purposes["simulation"].grade
+    assert grade == "poor" or ratio < 1.0
+    assert grade != "good" or ratio < 0.5
+    without = judge([], Evidence(torque, {"j1": torque})).purposes
+    assert all(
+        without[purpose] == judge([], known).purposes[purpose] for purpose in PURPOSES if purpose != "simulation"
+    )
+
+
+@given(checks, errors)
+def test_reasons_read_as_reasons(some: list[Check], known: Evidence | None) -> None:
+    """A note is no reason; what is good is so because of its error; usable is not good."""
+    verdict = judge(some, known)
+    notes = {CATALOGUE[check.name].meaning for check in some if check.severity == "note"}
+    for judged in (*verdict.purposes.values(), *verdict.joints):
+        assert not any(judged.because.startswith(meaning) for meaning in notes)
+        assert judged.grade != "good" or "error" in judged.because or judged.because == "no check failed"
+    assert "sable for" not in verdict.headline
+    assert verdict.headline.count("because") >= 1
 
 
 def test_a_check_about_a_joint_is_in_its_verdict() -> None:
-    verdict = judge([raised("torque-sign", "check it", ["j2"])], Errors(0.01, {"j1": 0.2, "j2": 0.01}))
+    verdict = judge([raised("torque-sign", "check it", ["j2"])], evidence(0.01, {"j1": 0.2, "j2": 0.01}))
     assert [(one.joint, one.grade) for one in verdict.joints] == [("j2", "poor"), ("j1", "usable")]
 
 

@@ -177,7 +177,7 @@ def test_parts_are_not_simulated(results, recorded):
     part = result_of(recorded(5, still=(2,)), locked=("j3",))
     merged, _ = merge_results([("arm", results[0]), ("again", part)], recorded(6, still=(2,)))
     assert merged.consistent.simulation is None
-    assert merged.consistent.not_simulated == "together the experiments do not show the whole arm"
+    assert merged.consistent.not_simulated == "not all joints moved, or not all torques were used"
 
 
 def test_a_parameter_that_was_not_excited_comes_from_the_other_experiment(recorded, three_joint):

@@ -1,0 +1,418 @@
+"""The delivered model on held-out recordings, and the verdict: one path of `identify`, `validate` and `merge`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.robot.schema import Robot
+from drivers.percentage import percent_text
+from drivers.streams import FloatArray
+from ident.assessment.validation import fit_figures, overfitting_checks
+from ident.identify.presliding import with_presliding
+from ident.model.base_parameters import BaseParameters, base_parameters
+from ident.model.dynamic_model import DynamicModel
+from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.presliding import dry_friction
+from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
+from ident.result.consistent_model import fit_result, simulated_motion_error
+from ident.result.delivered import DELIVERED_WORDS, delivered_parameters
+from ident.result.schema import Delivered, Fit, HeldOutErrors, OpenLoopError, Result, SimulatedMotionError
+from ident.signals.prepared import Prepared
+from ident.simulation.open_loop import open_loop
+from ident.simulation.tracking import track_longest
+from ident.verdict.catalogue import raised
+from ident.verdict.check import Check
+from ident.verdict.evidence import Evidence, MotionError, TorqueError
+from ident.verdict.verdict import Verdict, judge, together
+
+CHECKS_OF_VALIDATION = (
+    "consistency-costs",
+    "errors-near-standstill",
+    "not-held-out",
+    "not-validated",
+    "overfitting",
+    "simulation-failed",
+)
+"""Checks that depend on what was held out."""
+
+COSTLY_RATIO = 1.2
+COSTLY_DIFFERENCE = 0.02
+"""Held-out error of the delivered model over the full one's, and minus it, beyond which a user has to choose."""
+
+LEAST_DIFFERENCE = 0.005
+"""Difference of the two errors that does not matter, whatever their ratio: half a percent of the torque."""
+
+RATED_SHARE = 0.03
+"""Of a joint's rated torque: with less torque than that, its error is compared with this much."""
+
+LARGEST_SHARE = 0.02
+"""The same where the robot file rates no torque, of the largest torque (root mean square) of a joint of its kind."""
+
+LEAST_MOTION = 0.1
+"""Of the joint that departs most from constant velocity: a joint that departs less is compared with this much."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOutData:
+    """A recording, or a part of one, that the model is compared with.
+
+    Attributes:
+        label: what messages call it.
+        prepared: with the torques of motors at rest left out.
+        everything: with those, too.
+        torques: motors whose torques the model predicts.
+        overlap: share of its samples that are the identification's.
+        checks: that the recording itself raises.
+    """
+
+    label: str
+    prepared: Prepared
+    everything: Prepared
+    torques: tuple[int, ...]
+    overlap: float = 0.0
+    checks: tuple[Check, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterSets:
+    """What the parameters of an identification predict.
+
+    Attributes:
+        robot: its file, whose torque limits a joint's error is compared with.
+        model: the arm.
+        base: its base parameters (b).
+        full: (b,) all base parameters as estimated.
+        consistent: (b,) of bodies that can exist; None where none were found.
+        travels: of presliding [rad or m], by Coulomb parameter; none without presliding.
+    """
+
+    robot: Robot
+    model: DynamicModel
+    base: BaseParameters
+    full: FloatArray
+    consistent: FloatArray | None
+    travels: Mapping[str, float]
+
+    @property
+    def delivered(self) -> FloatArray:
+        """Those that are handed out by default."""
+        return self.full if self.consistent is None else self.consistent
+
+    def series(self, values: FloatArray, prepared: Prepared, torques: Sequence[int]) -> tuple[TorqueSeries, ...]:
+        """Measured and predicted torques for base parameters (b,), a series per segment."""
+        columns, segments, run_filter = self.base.columns, prepared.segments, prepared.parallel_filter
+        series = compare_torques(self.model, columns, values, segments, run_filter)
+        if self.travels:
+            dry = dry_friction(self.model, self.base, values)
+            series = with_presliding(dry, self.travels, [(segments, run_filter)], series)
+        return tuple(only_predicted(part, torques) for part in series)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOutRun:
+    """The delivered model on one recording.
+
+    Attributes:
+        errors: as they are stored.
+        in_motion, all_samples: the torques behind them.
+    """
+
+    errors: HeldOutErrors
+    in_motion: tuple[TorqueSeries, ...]
+    all_samples: tuple[TorqueSeries, ...]
+
+
+def held_out_run(parameters: ParameterSets, data: HeldOutData, fitted: Fit | None) -> HeldOutRun:
+    """Compare the delivered model with a recording, and simulate it along the recording.
+
+    Args:
+        parameters: of the identification.
+        data: the recording.
+        fitted: errors of the delivered model on the identification data; None of a merge.
+    """
+    in_motion = parameters.series(parameters.delivered, data.prepared, data.torques)
+    all_samples = parameters.series(parameters.delivered, data.everything, data.torques)
+    moving, every = _fit(in_motion, data), _fit(all_samples, data)
+    full_moving = full_every = None
+    if parameters.consistent is not None:
+        full_moving = _fit(parameters.series(parameters.full, data.prepared, data.torques), data)
+        full_every = _fit(parameters.series(parameters.full, data.everything, data.torques), data)
+    simulated = _simulated(parameters, data)
+    checks = list(data.checks)
+    if data.overlap > 0.0:
+        checks.append(_not_held_out(data))
+    if fitted is not None:
+        checks += overfitting_checks(fitted, moving)
+    if simulated.failure:
+        text = f"the physically consistent model could not be simulated on held-out data: {simulated.failure}"
+        checks.append(raised("simulation-failed", text))
+    if full_every is not None:
+        checks += consistency_cost(parameters.model.joint_names, every, full_every)
+    errors = HeldOutErrors(
+        recording=data.label,
+        overlap=data.overlap,
+        at_rest=_share_at_rest(in_motion, all_samples),
+        in_motion=moving,
+        all_samples=every,
+        graded_joint_error=_graded(parameters, every),
+        full_in_motion=full_moving,
+        full_all_samples=full_every,
+        simulation=simulated.tracked,
+        open_loop=simulated.driven,
+        not_simulated=simulated.reason,
+        checks=checks,
+    )
+    return HeldOutRun(errors, in_motion, all_samples)
+
+
+def consistency_cost(joints: Sequence[str], delivered: Fit, full: Fit) -> list[Check]:
+    """Whether the consistent model predicts clearly worse than the full one, on the whole or for some joint."""
+    worse = [
+        joint
+        for joint, one, other in zip(joints, delivered.joint_relative_error, full.joint_relative_error, strict=True)
+        if _costly(one, other)
+    ]
+    if not worse and not _costly(delivered.relative_error, full.relative_error):
+        return []
+    index = {joint: place for place, joint in enumerate(joints)}
+    figures = [("the whole arm", delivered.relative_error, full.relative_error)] + [
+        (joint, delivered.joint_relative_error[index[joint]], full.joint_relative_error[index[joint]])
+        for joint in worse
+    ]
+    text = "; ".join(f"{name}: {percent_text(one, 2)} against {percent_text(other, 2)}" for name, one, other in figures)
+    return [
+        raised(
+            "consistency-costs",
+            f"held-out errors of the physically consistent model against the unconstrained one, {text}: to predict "
+            'torques take load_model(…, parameters="full"); to simulate there is only the consistent one. Check the '
+            "geometry, the drive gains and the signs of the torques",
+            worse,
+        )
+    ]
+
+
+def delivered_model(consistent: object | None, fitted: Fit | None, runs: Sequence[HeldOutRun]) -> Delivered:
+    """The section `delivered` of a result.
+
+    Args:
+        consistent: the physically consistent parameters; None where there are none.
+        fitted: errors of the delivered model on the identification data; None of a merge.
+        runs: held-out recordings.
+    """
+    return Delivered(
+        parameters=delivered_parameters(consistent),
+        fit=fitted,
+        validation=_of_all([run.in_motion for run in runs], runs),
+        validation_all_samples=_of_all([run.all_samples for run in runs], runs),
+        runs=[run.errors for run in runs],
+    )
+
+
+def model_verdict(result: Result, checks: Sequence[Check], runs: Sequence[HeldOutErrors]) -> Verdict:
+    """The verdict on a model: the worst of its held-out recordings, of which those of the identification do not count.
+
+    Args:
+        result: the model, its own verdict left aside.
+        checks: of the model itself and of the data that it was identified from.
+        runs: the delivered model on recordings.
+    """
+    counted = [run for run in runs if run.overlap < 1.0] or runs
+    basis = _basis(result, counted)
+    if not counted:
+        missing = raised("not-validated", "nothing was held out to validate the model with (--validate)")
+        return judge([*checks, missing], _nothing(result.joints), basis)
+    of_runs = [(run.recording, judge([*checks, *run.checks], _evidence(result.joints, run), basis)) for run in counted]
+    return together(of_runs)
+
+
+def model_checks(result: Result) -> list[Check]:
+    """The checks of a stored model itself, without those of its validation."""
+    runs = [] if result.delivered is None else result.delivered.runs
+    of_runs = {check for run in runs for check in run.checks}
+    return [check for check in result.verdict.checks if check not in of_runs and check.name not in CHECKS_OF_VALIDATION]
+
+
+def _nothing(joints: Sequence[str]) -> Evidence:
+    return Evidence(TorqueError(None), dict.fromkeys(joints, TorqueError(None)))
+
+
+def _evidence(joints: Sequence[str], run: HeldOutErrors) -> Evidence:
+    """What a grade follows from; nothing where the recording is the identification's own."""
+    if run.overlap >= 1.0:
+        return _nothing(joints)
+    every, moving = run.all_samples, run.in_motion
+    of_joints = {
+        joint: TorqueError(
+            every.joint_relative_error[place], moving.joint_relative_error[place], run.graded_joint_error[place]
+        )
+        for place, joint in enumerate(joints)
+    }
+    return Evidence(TorqueError(every.relative_error, moving.relative_error), of_joints, tuple(_motions(joints, run)))
+
+
+def _motions(joints: Sequence[str], run: HeldOutErrors) -> Iterator[MotionError]:
+    """Simulated motions whose errors can be compared with constant velocity."""
+    for simulated, text in (
+        (run.open_loop, "motion simulated without a controller"),
+        (run.simulation, "motion simulated with a soft controller"),
+    ):
+        if simulated is not None and simulated.ratio is not None:
+            ratios = [float("inf") if ratio is None else ratio for ratio in simulated.joint_ratio]
+            errors = [float("nan") if error is None else error for error in simulated.position_rmse]
+            yield MotionError(
+                simulated.ratio,
+                dict(zip(joints, ratios, strict=True)),
+                dict(zip(joints, errors, strict=True)),
+                text,
+            )
+
+
+def _basis(result: Result, runs: Sequence[HeldOutErrors]) -> str:
+    """What was compared with what, and how much the model holds."""
+    parameters = delivered_parameters(result.consistent)
+    sentences = [
+        f"On {run.recording}, the torque of the {DELIVERED_WORDS[parameters]} model, which load_model hands out, "
+        f"differs from measured torque by {percent_text(run.in_motion.relative_error)} in motion and "
+        f"{percent_text(run.all_samples.relative_error)} over all samples{_rest(run)}."
+        for run in runs
+    ]
+    fitted = None if result.delivered is None else result.delivered.fit
+    if fitted is not None:
+        sentences.append(f"On the identification data it differs by {percent_text(fitted.relative_error)}.")
+    significant = sum(parameter.significant for parameter in result.base_parameters)
+    sentences.append(
+        f"{significant} of {len(result.base_parameters)} base parameters are significant; the essential model keeps "
+        f"{result.essential.count} of them."
+    )
+    if any(one.locked or len(one.torques_of) < len(result.joints) for one in result.experiments):
+        described = [step.text for step in result.preprocessing if step.name == "experiment"]
+        sentences += [f"All of this holds for the experiment as it was: {text}." for text in dict.fromkeys(described)]
+    return " ".join(sentences)
+
+
+def _rest(run: HeldOutErrors) -> str:
+    """Torques of motors at rest among all samples, in words."""
+    if not run.at_rest:
+        return ""
+    return (
+        f", of which {percent_text(run.at_rest, 2)} are of motors at rest, whose static friction is anything up to the "
+        "Coulomb friction"
+    )
+
+
+def _not_held_out(data: HeldOutData) -> Check:
+    share = "its samples" if data.overlap >= 1.0 else f"{percent_text(data.overlap, 2)} of its samples"
+    text = f"{data.label} is not held out: {share} were used in the identification; validate with another recording"
+    return raised("not-held-out", text)
+
+
+def _costly(delivered: float | None, full: float | None) -> bool:
+    """Whether the difference of two relative errors is one that a user has to know."""
+    if delivered is None or full is None:
+        return False
+    difference = delivered - full
+    return difference > COSTLY_DIFFERENCE or (difference > LEAST_DIFFERENCE and delivered > COSTLY_RATIO * full)
+
+
+def _fit(series: Sequence[TorqueSeries], data: HeldOutData) -> Fit:
+    return fit_result(fit_figures(series)).model_copy(update={"held_out": data.overlap == 0.0})
+
+
+def _of_all(series: Sequence[Sequence[TorqueSeries]], runs: Sequence[HeldOutRun]) -> Fit | None:
+    """Errors over all recordings together."""
+    if not runs:
+        return None
+    held_out = all(run.errors.held_out for run in runs)
+    return fit_result(fit_figures([part for of_run in series for part in of_run])).model_copy(
+        update={"held_out": held_out}
+    )
+
+
+def _share_at_rest(in_motion: Sequence[TorqueSeries], all_samples: Sequence[TorqueSeries]) -> float:
+    """Share of all samples' torques that do not count in motion."""
+    moving, every = (sum(int(part.counted.sum()) for part in series) for series in (in_motion, all_samples))
+    return 1.0 - moving / max(1, every)
+
+
+def _graded(parameters: ParameterSets, errors: Fit) -> list[float | None]:
+    """Each joint's relative error, over at least a share of its rated torque (`RATED_SHARE`, `LARGEST_SHARE`)."""
+    names, sliding = parameters.robot.joint_names, _sliding(parameters.model)
+    torques = [
+        0.0 if rmse is None or not ratio else rmse / ratio
+        for rmse, ratio in zip(errors.rmse, errors.joint_relative_error, strict=True)
+    ]
+    graded = []
+    for place, limits in enumerate(parameters.robot.joints):
+        of_kind = max(torque for torque, other in zip(torques, sliding, strict=True) if other == sliding[place])
+        least = LARGEST_SHARE * of_kind if limits.torque is None else RATED_SHARE * limits.torque
+        rmse, scale = errors.rmse[place], max(torques[place], least)
+        graded.append(errors.joint_relative_error[place] if rmse is None or scale == 0.0 else rmse / scale)
+    assert len(graded) == len(names)
+    return graded
+
+
+def _sliding(model: DynamicModel) -> list[bool]:
+    return [model.joints[index].prismatic for index in model.active]
+
+
+def _whole(parameters: ParameterSets) -> bool:
+    """Whether the parameters are those of the whole arm."""
+    return parameters.base.count == base_parameters(parameters.model).count
+
+
+@dataclass(frozen=True)
+class _Simulated:
+    """Motion errors with a soft controller and without one; why there are none; what failed."""
+
+    tracked: SimulatedMotionError | None = None
+    driven: OpenLoopError | None = None
+    reason: str = ""
+    failure: str = ""
+
+
+def _simulated(parameters: ParameterSets, data: HeldOutData) -> _Simulated:
+    """The motion of the simulated arm beside the recorded one."""
+    if parameters.consistent is None:
+        return _Simulated(reason="there are no physically consistent parameters")
+    if not _whole(parameters) or len(data.torques) < parameters.model.dof:
+        return _Simulated(reason="not all joints moved, or not all torques were used")
+    inverse = InverseDynamics(parameters.model, parameters.base, parameters.consistent)
+    segments, sliding = data.prepared.segments, _sliding(parameters.model)
+    tracking, failure = track_longest(inverse, segments)
+    tracked = None if tracking is None else simulated_motion_error(tracking)
+    driven = open_loop(inverse, segments)
+    if driven is None:
+        return _Simulated(tracked, None, failure, failure)
+    if tracking is not None and tracked is not None:
+        whole, ratios = _ratios(tracking.position_rmse, driven.reference_rmse, sliding)
+        tracked = tracked.model_copy(update={"ratio": whole, "joint_ratio": ratios})
+    whole, ratios = _ratios(driven.position_rmse, driven.reference_rmse, sliding)
+    stored = OpenLoopError(
+        window=driven.window,
+        windows=driven.windows,
+        position_rmse=driven.position_rmse.tolist(),
+        reference_rmse=driven.reference_rmse.tolist(),
+        ratio=whole,
+        joint_ratio=ratios,
+        diverged=driven.diverged,
+    )
+    return _Simulated(tracked, stored, failure, failure or driven.diverged)
+
+
+def _ratios(error: FloatArray, reference: FloatArray, sliding: Sequence[bool]) -> tuple[float, list[float | None]]:
+    """Errors over those of constant velocity: the larger one of rotations and of slides together, and of each joint.
+
+    A joint that hardly departs from constant velocity is compared with `LEAST_MOTION` of the one that departs most.
+    """
+    kinds, ratios, of_kinds = np.array(sliding), np.zeros(len(error)), [0.0]
+    for kind in set(sliding):
+        own = kinds == kind
+        largest = float(np.max(reference[own]))
+        if largest == 0.0:
+            continue
+        ratios[own] = error[own] / np.maximum(reference[own], LEAST_MOTION * largest)
+        of_kinds.append(float(np.sqrt(np.sum(error[own] ** 2) / np.sum(reference[own] ** 2))))
+    return float(np.max(of_kinds)), list(ratios.tolist())

@@ -1,0 +1,115 @@
+"""What a simulation is worth without a controller: recorded torque drives the arm over short windows of held-out data.
+
+Each window starts at the measured position and velocity. Small errors grow without a controller, also those of the true
+model; so the windows are short, and the reference is what needs no model: the arm goes on at constant velocity, q + q̇t.
+A model whose simulated motion is farther off than that is of no use for simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import ModelError
+from drivers.streams import FloatArray
+from ident.model.inverse_dynamics import InverseDynamics
+from ident.signals.prepared import Segment
+from ident.simulation.forward_arm import ForwardArm
+from ident.simulation.time_stepping import integrate
+from ident.simulation.tracking import STEP, at_times
+
+WINDOW = 1.0
+"""Length of a window [s]; shorter where no segment is that long."""
+
+SHORTEST_WINDOW = 0.2
+"""[s] Shorter motions say nothing."""
+
+WINDOWS = 6
+"""Windows at most, spread over the held-out motion: they bound the CPU time."""
+
+
+@dataclass(frozen=True)
+class OpenLoop:
+    """How far simulated windows depart from the recorded motion.
+
+    Attributes:
+        window: length of each [s].
+        windows: how many.
+        position_rmse: (n,) root mean square over all windows [rad or m]; nan where one diverged.
+        reference_rmse: (n,) the same of constant velocity [rad or m].
+        diverged: where and when the first diverged; empty where none did.
+    """
+
+    window: float
+    windows: int
+    position_rmse: FloatArray
+    reference_rmse: FloatArray
+    diverged: str = ""
+
+
+def open_loop(inverse: InverseDynamics, segments: Sequence[Segment]) -> OpenLoop | None:
+    """Simulate windows of recorded segments, driven by their torque alone.
+
+    Args:
+        inverse: the model.
+        segments: their motion, and the torques of all motors.
+
+    Returns:
+        The errors; None where no window of motion is long enough.
+    """
+    longest = max((_duration(segment) for segment in segments), default=0.0)
+    window = min(WINDOW, longest)
+    if window < SHORTEST_WINDOW:
+        return None
+    starts = [(segment, start) for segment in segments for start in _starts(segment, window)]
+    if not starts:
+        return None
+    chosen = [starts[place] for place in np.unique(np.linspace(0, len(starts) - 1, WINDOWS).round().astype(int))]
+    simulated, reference = np.zeros(inverse.model.dof), np.zeros(inverse.model.dof)
+    diverged = ""
+    steps = max(1, round(window / STEP))
+    for segment, start in chosen:
+        time = start + np.linspace(0.0, window, steps + 1)
+        position = at_times(time, segment, segment.position)
+        velocity = at_times(time[:1], segment, segment.velocity)[0]
+        constant = position[0] + velocity * (time - start)[:, None]
+        reference += np.mean(np.square(constant - position), axis=0)
+        if diverged:
+            continue
+        try:
+            motion = _simulated(inverse, segment, time, position[0], velocity)
+        except ModelError as error:
+            diverged = f"from {segment.time[0] + start:.4g} s of the recording, {error.message}"
+            simulated[:] = np.nan
+            continue
+        simulated += np.mean(np.square(motion - position), axis=0)
+    return OpenLoop(window, len(chosen), np.sqrt(simulated / len(chosen)), np.sqrt(reference / len(chosen)), diverged)
+
+
+def _simulated(
+    inverse: InverseDynamics, segment: Segment, time: FloatArray, position: FloatArray, velocity: FloatArray
+) -> FloatArray:
+    """Positions (N, n) of the simulated arm at times (N,) from the segment's start, from a state (n,)."""
+    heat = None if segment.temperature is None else np.mean(segment.temperature, axis=1)
+    steps, duration = len(time) - 1, float(time[-1] - time[0])
+    torque = at_times(0.5 * (time[:-1] + time[1:]), segment, inverse.coupling.T @ segment.torque)
+
+    def drive(now: float, q: FloatArray, rate: FloatArray) -> FloatArray:
+        return np.asarray(torque[min(round(now / duration * steps), steps - 1)])
+
+    return integrate(ForwardArm(inverse, heat), position, velocity, drive, duration, steps).position
+
+
+def _starts(segment: Segment, window: float) -> Iterator[float]:
+    """Where consecutive windows of a segment start in which the arm moves [s from its first sample]."""
+    stamps = segment.time - segment.time[0]
+    for index in range(int(_duration(segment) / window + 1e-9)):
+        inside = (stamps >= index * window) & (stamps < (index + 1) * window)
+        if np.mean(segment.used[inside]) > 0.5:
+            yield index * window
+
+
+def _duration(segment: Segment) -> float:
+    return float(segment.time[-1] - segment.time[0])
