@@ -32,10 +32,19 @@ WATCHED = (
     "implausible-load",
     "idle-joints",
     "gravity-opposite",
-    "gravity-other-axis",
+    "gravity-direction",
+    "torques-opposite",
+    "positions-opposite",
     "torque-sign",
+    "position-sign",
+    "joint-sign",
     "torques-exchanged",
+    "positions-exchanged",
+    "joints-exchanged",
+    "sign-or-column",
     "inconsistent-gain",
+    "inconsistent-length",
+    "joint-zero",
 )
 
 

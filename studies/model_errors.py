@@ -23,7 +23,8 @@ from mistaken_recordings import arms
 from daq.importers import ImportChoices, import_file
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from ident.assessment.refit import deviations
+from ident.assessment.instants import instants
+from ident.assessment.refit import Kind, Refit
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
@@ -35,7 +36,8 @@ ROBOTS = ("ur5e", "rocr6", "panda")
 GAINS = (0.05, 0.1, 0.2)
 SHIFTS = (0.01, 0.02, 0.05)
 PERIOD, DURATION = 10.0, 30.0
-MODEL_ERRORS = ("inconsistent-gain", "inconsistent-length")
+MODEL_ERRORS = ("inconsistent-gain", "inconsistent-length", "joint-zero", "gravity-direction")
+KINDS: tuple[Kind, ...] = ("gain", "length", "zero", "gravity")
 
 
 def with_gain(recording: Recording, joint: int, factor: float) -> Recording:
@@ -111,7 +113,10 @@ def report(robot: str, error: str, found: list[tuple[list[str], str]]) -> None:
 
 def public(folder: Path) -> None:
     """Print what is named on the public recordings, and the largest likelihood ratios."""
-    print("\n| recording | part | checks | largest ratio of a gain | of a length |\n|---|---|---|---|---|")
+    print(
+        "\n| recording | part | checks | largest ratio of a gain | of a length | of a zero | of gravity's direction |"
+    )
+    print("|---|---|---|---|---|---|---|")
     for name, text, path, choices in arms(folder):
         recording = import_file(path, parse_robot(text, where=name, folder=folder), ImportChoices())
         time = recording.streams[JOINTS_STREAM].time
@@ -119,14 +124,21 @@ def public(folder: Path) -> None:
         for part, (start, stop) in {"all": (0.0, 1.0), "first half": (0.0, 0.5), "second half": (0.5, 1.0)}.items():
             window = replace(choices.preprocess, start=start * end, stop=stop * end)
             found = identify([recording], [], replace(choices, preprocess=window))
-            kernel = RegressorKernel(found.model, found.base.columns)
-            prepared = [run.prepared for run in found.runs]
-            ratios = deviations(
-                kernel, found.experiment.torques, prepared, found.solution, found.corrected.effective_rows
-            )
-            gain = max((one.likelihood for one in ratios if one.axis is None), default=0.0)
-            length = max((one.likelihood for one in ratios if one.axis is not None), default=0.0)
-            print(f"| {name} | {part} | {', '.join(named(found)) or '–'} | {gain:.1f} | {length:.1f} |", flush=True)
+            print(f"| {name} | {part} | {', '.join(named(found)) or '–'} | {' | '.join(ratios(found))} |", flush=True)
+
+
+def ratios(found: Identification) -> list[str]:
+    """The largest doubled log-likelihood ratio of each kind of deviation, and its value."""
+    prepared = [run.prepared for run in found.runs]
+    few = instants(RegressorKernel(found.model, found.base.columns), prepared)
+    refit = Refit(found.model, found.experiment, found.base.columns, few, found.solution)
+    share = (found.corrected.effective_rows - len(found.solution.active)) / refit.rows.sum()
+    texts = []
+    for kind in KINDS:
+        of_kind = [one for one in refit.deviations() if one.unknown.kind == kind]
+        worst = max(of_kind, key=lambda one: one.likelihood, default=None)
+        texts.append("–" if worst is None else f"{worst.likelihood * share:.1f} ({worst.value:.2g})")
+    return texts
 
 
 def main(seeds: int, folder: Path | None) -> None:

@@ -1,4 +1,4 @@
-"""Drive gains and lengths that the data contradict."""
+"""Drive gains, lengths, joint zeros and a direction of gravity that the data contradict."""
 
 from __future__ import annotations
 
@@ -7,22 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from ident.assessment.refit import Deviation, deviations, first_samples, shifted
+from drivers.streams import FloatArray
+from ident.assessment.refit import Deviation, Kind, Refit, Unknown
 from ident.model.dynamic_model import DynamicModel
-from ident.model.regressor import RegressorKernel
 from ident.regression.autocorrelation import independent_share, residual_autocorrelation
 from ident.regression.comparison import TorqueSeries, compare_torques
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.regression.least_squares import LeastSquares
-from ident.signals.prepared import Prepared
+from ident.signals.prepared import Prepared, Segment
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
 LIKELIHOOD_LEVEL = 16.0
-"""What the doubled log-likelihood ratio must exceed: four σ, since a dozen gains and lengths are tried. On the public
+"""What the doubled log-likelihood ratio must exceed: four σ, since some two dozen numbers are tried. On the public
 recordings and their halves no length reaches more than 12."""
 
-GAIN_OFF = 0.2
+GAIN_OFF = 0.17
 """Relative deviation of a gain from which on `LIKELIHOOD_LEVEL` suffices. What friction models leave out moves the
 estimate by up to 0.14 on halves of the public recordings (Panda)."""
 
@@ -32,7 +31,16 @@ recordings it reaches 31 (Panda, joint 6: 12 %)."""
 
 LEAST_GAIN_OFF = 0.05
 LEAST_SHIFT = 5e-3
-"""Smallest deviation of a gain, and of a length [m], that is reported."""
+LEAST_ZERO = float(np.deg2rad(3.0))
+LEAST_TILT = float(np.deg2rad(2.0))
+"""Smallest deviation of a gain, of a length [m], of a joint's zero and of gravity's direction [rad] that is reported.
+On the public recordings, which are in order, a zero reaches 1.5° (Panda, joint 4) and the direction 0.3°."""
+
+MOST_OF_LENGTH = 0.5
+"""Share of a length by which it may be wrong."""
+
+MOST_OF_ZERO = float(np.deg2rad(60.0))
+"""Angle by which a joint's zero may be wrong."""
 
 MOST_UNCERTAIN = 3.0
 """A deviation of less than this many σ is not named, whatever its likelihood."""
@@ -43,102 +51,205 @@ INDEPENDENT_PER_PARAMETER = 2
 WORTH_A_LOOK = 2.0
 """Doubled log-likelihood ratio from which on the residuals without the deviation are looked at."""
 
+RIVAL_LIKELIHOOD = 9.0
+"""Difference of the doubled log-likelihood ratios (three σ) below which two deviations explain the data alike."""
+
+REFINED = 4
+"""Unknowns that are linearised anew where their estimate is, those that explain most."""
+
+MOST_SAMPLES = 100_000
+"""Samples of a recording whose residuals are compared."""
+
+STARTS = (0.01, 0.1, 10.0, 100.0)
+"""Factors on a gain from which it is estimated, beside 1, where the fit is poor: a gain that was left at 1."""
+
+OPPOSITE = float(np.deg2rad(165.0))
+"""Angle [rad] between gravity and the file's from which on it is called opposite."""
+
+DIRECTIONS = tuple(np.array(sign * axis) for axis in np.eye(3) for sign in (1.0, -1.0))
+"""Directions of gravity in the base's frame from which it is estimated, beside the file's, where the fit is poor."""
+
 
 def reported(deviation: Deviation) -> bool:
     """Whether a deviation is clear and large enough to be named."""
     if abs(deviation.value) < MOST_UNCERTAIN * deviation.std or deviation.likelihood < LIKELIHOOD_LEVEL:
         return False
-    if deviation.axis is not None:
-        return abs(deviation.value) >= LEAST_SHIFT
+    if deviation.unknown.kind != "gain":
+        least = {"length": LEAST_SHIFT, "zero": LEAST_ZERO, "gravity": LEAST_TILT}
+        return abs(deviation.value) >= least[deviation.unknown.kind]
     off = abs(float(np.log(1.0 + deviation.value)))
     return off >= np.log(1.0 + GAIN_OFF) or (off >= LEAST_GAIN_OFF and deviation.likelihood > SMALL_GAIN_LEVEL)
 
 
-def model_error_checks(
-    kernel: RegressorKernel,
-    torques: Sequence[int],
-    runs: Sequence[Prepared],
-    solution: LeastSquares,
-    independent: float,
-) -> list[Check]:
-    """The gain or the length that is off most clearly: a wrong one makes others look wrong, too.
+def most_likely(refit: Refit, runs: Sequence[Prepared], independent: float, poor: bool) -> list[Deviation]:
+    """The deviations that explain most, best first, judged by the residuals that the best one leaves.
+
+    A wrong number makes others look wrong, too, and the residuals alike over long times, so that few of them seem
+    independent. Were the best one right, those that remain are: their autocorrelation counts.
 
     Args:
-        kernel: of the base columns.
-        torques: motors whose torques count.
+        refit: equations of the recording.
         runs: prepared data, with the equations that were fitted.
-        solution: of these.
         independent: number of independent equations.
+        poor: whether the fit is poor, so that a gain may be far from what the robot file says.
     """
-    worst = most_likely(kernel, torques, runs, solution, independent)
-    if worst is None or not reported(worst):
+    found = sorted(refit.deviations(), key=lambda one: -one.likelihood)
+    total = float(refit.rows.sum())
+    if not found:
         return []
-    return [_gain_check(kernel.model, worst) if worst.axis is None else _length_check(kernel.model, worst, worst.axis)]
-
-
-def most_likely(
-    kernel: RegressorKernel,
-    torques: Sequence[int],
-    runs: Sequence[Prepared],
-    solution: LeastSquares,
-    independent: float,
-) -> Deviation | None:
-    """The deviation that explains most, judged by the residuals that it leaves; arguments as of `model_error_checks`.
-
-    A wrong number makes the residuals alike over long times, so that few of them seem independent. Were it right, those
-    that remain are: their autocorrelation counts.
-    """
-    found = deviations(kernel, torques, runs, solution, independent)
-    worst = max(found, key=lambda one: one.likelihood, default=None)
-    if worst is None or worst.likelihood < WORTH_A_LOOK:
-        return worst
-    used = [n for n in torques if solution.weights[n] > 0]
+    clear = found[0].likelihood * independent / total
+    if clear >= LIKELIHOOD_LEVEL or poor:
+        tried = list(dict.fromkeys([*(one.unknown for one in found[:REFINED]), Unknown("gravity")]))
+        finer = [refit.deviation(unknown) for unknown in tried] + _other_directions(refit)
+        if poor:
+            finer += _far_gains(refit)
+        found = [one for one in finer if one is not None and _plausible(refit.model, one)]
+        found.sort(key=lambda one: -one.likelihood)
+    elif clear < WORTH_A_LOOK:
+        return []
+    if not found:
+        return []
     shares = [
-        independent_share(residual_autocorrelation(_compared(kernel, runs, one))[used])
-        for one in (replace(worst, value=0.0, parameters=solution.parameters), worst)
+        independent_share(residual_autocorrelation(_compared(runs, one))[list(refit.used)])
+        for one in (refit.as_believed(found[0].unknown), found[0])
     ]
-    width = len(solution.active)
-    before, after = (independent * share / shares[0] for share in shares)
-    if before <= width or after < INDEPENDENT_PER_PARAMETER * width:  # too few to judge by
-        return None
-    worth = (after - width) / (before - width)
-    return replace(worst, likelihood=worst.likelihood * worth, std=worst.std / float(np.sqrt(worth)))
+    width = len(found[0].parameters)
+    after = min(total, independent * shares[1] / shares[0])
+    if after < INDEPENDENT_PER_PARAMETER * width:  # too few to judge by
+        return []
+    worth = (after - width) / total
+    return [replace(one, likelihood=one.likelihood * worth, std=one.std / float(np.sqrt(worth))) for one in found]
 
 
-def _compared(kernel: RegressorKernel, runs: Sequence[Prepared], deviation: Deviation) -> list[TorqueSeries]:
-    """Measured torques of all runs, and those predicted with a gain or a length changed."""
-    model, joint = kernel.model, deviation.joint
-    if deviation.axis is not None:
-        model = shifted(model, joint, deviation.axis, deviation.value)
+def _plausible(model: DynamicModel, one: Deviation) -> bool:
+    """Whether a length is off by no more than half, a zero by no more than 60°: not a mirrored arm."""
+    if one.unknown.kind == "zero":
+        return abs(one.value) <= MOST_OF_ZERO
+    if one.unknown.kind != "length" or one.unknown.axis is None:
+        return True
+    return abs(one.value) <= MOST_OF_LENGTH * abs(float(model.joints[one.unknown.joint].translation[one.unknown.axis]))
+
+
+def _far_gains(refit: Refit) -> list[Deviation | None]:
+    """Gains that are estimated from other factors than 1."""
+    gains = [unknown for unknown in refit.unknowns() if unknown.kind == "gain"]
+    return [refit.deviation(unknown, start=start) for unknown in gains for start in STARTS]
+
+
+def _other_directions(refit: Refit) -> list[Deviation | None]:
+    """Gravity estimated from the two directions of the base's axes that fit best."""
+    if not np.any(refit.model.gravity):
+        return []
+    once = [(refit.deviation(Unknown("gravity"), 1, direction), direction) for direction in DIRECTIONS]
+    known = [(one.likelihood, direction) for one, direction in once if one is not None]
+    nearest = sorted(known, key=lambda one: -one[0])[:2]
+    return [refit.deviation(Unknown("gravity"), start=direction) for _, direction in nearest]
+
+
+def model_error_checks(model: DynamicModel, found: Sequence[Deviation]) -> list[Check]:
+    """The check of the deviation that explains most, if it is clear and large enough, with those that do so as well.
+
+    Args:
+        model: as believed.
+        found: as of `most_likely`.
+    """
+    if not found or not reported(found[0]):
+        return []
+    best = found[0]
+    rivals = [one for one in found[1:] if one.unknown != best.unknown and reported(one)]
+    equal = [one for one in rivals if one.likelihood > best.likelihood - RIVAL_LIKELIHOOD]
+    alone = {one.unknown: one for one in (*reversed(equal), best)}
+    kinds = list(dict.fromkeys(one.unknown.kind for one in alone.values()))
+    joints = {joint for one in alone.values() for joint in _joints(model, one.unknown)}
+    clauses = ", or equally well with ".join(_clause(model, one) for one in reversed(alone.values()))
+    opposite = best.unknown.kind == "gravity" and best.value > OPPOSITE
+    name = "gravity-opposite" if opposite else _CHECKS[best.unknown.kind]
+    remedies = "; ".join(_REMEDIES[kind] for kind in reversed(kinds))
+    text = f"the torques agree better with {clauses}: {remedies}"
+    return [raised(name, text, [name for name in model.joint_names if name in joints])]
+
+
+_CHECKS: dict[Kind, str] = {
+    "gain": "inconsistent-gain",
+    "length": "inconsistent-length",
+    "zero": "joint-zero",
+    "gravity": "gravity-direction",
+}
+_REMEDIES: dict[Kind, str] = {
+    "gain": "check the gain (one left at 1 gives amperes), or identify the gains with a known load (dynid gains)",
+    "length": "check this length",
+    "zero": "check the zero of its encoder against the robot file's",
+    "gravity": "check `model.gravity` and how the arm is mounted",
+}
+
+
+def _joints(model: DynamicModel, unknown: Unknown) -> list[str]:
+    """Names of the joints that an unknown is about."""
+    if unknown.kind == "gravity":
+        return []
+    return [model.joints[unknown.joint].name if unknown.kind == "length" else model.joint_names[unknown.joint]]
+
+
+def _clause(model: DynamicModel, one: Deviation) -> str:
+    """What the torques agree better with."""
+    between = WITHIN_95_PERCENT * one.std
+    if one.unknown.kind == "gain":
+        factor = 1.0 / (1.0 + one.value)  # the gain multiplies the recorded torque, the unknown the model's
+        size = f"{factor:.3g} ± {between * factor**2:.2g}"
+        return f"the drive gain of {model.joint_names[one.unknown.joint]} multiplied by {size}"
+    if one.unknown.kind == "zero":
+        size = f"{np.rad2deg(one.value):+.1f}° ± {np.rad2deg(between):.1f}°"
+        return f"{size} added to the position of {model.joint_names[one.unknown.joint]}"
+    if one.unknown.kind == "length":
+        joint, axis = model.joints[one.unknown.joint], one.unknown.axis or 0
+        parent = "the base" if joint.parent < 0 else model.joints[joint.parent].name
+        believed = float(joint.translation[axis])
+        return (
+            f"the origin of {joint.name} at {'xyz'[axis]} = {believed + one.value:.3f} ± {between:.3f} m in the frame "
+            f"of {parent} (robot file: {believed:.3f} m)"
+        )
+    direction = ", ".join(f"{value + 0.0:.2f}" for value in one.model.gravity)
+    angle = f"{np.rad2deg(one.value):.1f}° ± {np.rad2deg(between):.1f}° from the robot file's"
+    what = "opposite to the robot file's" if one.value > OPPOSITE else angle
+    return f"gravity along [{direction}] m/s² in the base's frame ({what})"
+
+
+def _compared(runs: Sequence[Prepared], deviation: Deviation) -> list[TorqueSeries]:
+    """Measured torques of all runs, and those predicted with a deviation."""
+    unknown = deviation.unknown
     series = []
     for run in runs:
-        segments, parallel = first_samples(run.segments), run.parallel_filter
-        for part in compare_torques(model, kernel.columns, deviation.parameters, segments, parallel):
+        segments = first_samples(run.segments)
+        if unknown.kind == "zero":
+            segments = [replace(one, position=_moved(one.position, unknown.joint, deviation.value)) for one in segments]
+        for part in compare_torques(
+            deviation.model, deviation.columns, deviation.parameters, segments, run.parallel_filter
+        ):
             scale = np.ones((len(part.predicted), 1))
-            if deviation.axis is None:
-                scale[joint] += deviation.value
+            if unknown.kind == "gain":
+                scale[unknown.joint] += deviation.value
             series.append(replace(part, predicted=scale * part.predicted))
     return series
 
 
-def _gain_check(model: DynamicModel, gain: Deviation) -> Check:
-    name = model.joint_names[gain.joint]
-    factor = 1.0 / (1.0 + gain.value)  # the gain multiplies the recorded torque, the unknown the model's
-    text = (
-        f"the torque of {name} agrees with the other joints' when its drive gain is multiplied by "
-        f"{factor:.2f} ± {WITHIN_95_PERCENT * gain.std * factor**2:.2f}: check the gain, or identify the gains with a "
-        "known load (dynid gains)"
-    )
-    return raised("inconsistent-gain", text, [name])
+def _moved(position: FloatArray, joint: int, angle: float) -> FloatArray:
+    moved = position.copy()
+    moved[joint] += angle
+    return moved
 
 
-def _length_check(model: DynamicModel, length: Deviation, axis: int) -> Check:
-    joint = model.joints[length.joint]
-    parent = "the base" if joint.parent < 0 else model.joints[joint.parent].name
-    believed = float(joint.translation[axis])
-    text = (
-        f"the torques agree better with the origin of {joint.name} at {'xyz'[axis]} = {believed + length.value:.3f} ± "
-        f"{WITHIN_95_PERCENT * length.std:.3f} m in the frame of {parent} than at the robot file's {believed:.3f} m: "
-        "check this length"
-    )
-    return raised("inconsistent-length", text, [joint.name] if joint.name in model.joint_names else [])
+def first_samples(segments: Sequence[Segment]) -> list[Segment]:
+    """The segments up to `MOST_SAMPLES`, the last one cut there."""
+    kept, left = [], MOST_SAMPLES
+    for segment in segments:
+        part = slice(0, left)
+        if left > 0:
+            cut = {name: getattr(segment, name)[..., part] for name in ("time", "position", "velocity", "acceleration")}
+            cut |= {name: getattr(segment, name)[..., part] for name in ("torque", "used")}
+            cut |= {
+                name: None if getattr(segment, name) is None else getattr(segment, name)[:, part]
+                for name in ("reversing", "resting")
+            }
+            kept.append(segment if len(segment.time) <= left else replace(segment, **cut))
+        left -= len(segment.time)
+    return kept

@@ -12,11 +12,9 @@ from ident.model.base_parameters import BaseParameters, random_states
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import REFERENCE_TEMPERATURE
 from ident.model.parameters import DISSIPATIVE_KINDS
-from ident.model.regressor import RegressorKernel, regressor
+from ident.model.regressor import regressor
 from ident.regression.least_squares import LeastSquares, excited_columns, ordinary_least_squares
-from ident.regression.observation_matrix import Reduction, only_torques, reduce_segments, stack_reductions
-from ident.signals.filters import ZeroPhaseFilter
-from ident.signals.prepared import Segment
+from ident.regression.observation_matrix import Reduction
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -61,24 +59,6 @@ def indefinite_share(model: DynamicModel, base: BaseParameters, parameters: Floa
     return float(np.mean(smallest <= 0.0))
 
 
-def fits_opposite_gravity(
-    model: DynamicModel,
-    base: BaseParameters,
-    runs: Sequence[tuple[Sequence[Segment], ZeroPhaseFilter]],
-    active: Sequence[int],
-    residual_sum: float,
-    torques_of: Sequence[int],
-) -> bool:
-    """Whether gravity of the opposite sign leaves a clearly smaller sum of squared residuals than `residual_sum`.
-
-    Both are least squares over the `active` base columns, with the rows of the motors `torques_of`; an arm that does
-    not feel gravity fits both signs equally.
-    """
-    kernel = RegressorKernel(replace(model, gravity=-model.gravity), base.columns)
-    reduction = stack_reductions([reduce_segments(kernel, segments, parallel) for segments, parallel in runs])
-    return refitted(only_torques(reduction, torques_of), active).residual_sum < CLEARLY_SMALLER * residual_sum
-
-
 def refitted(reduction: Reduction, active: Sequence[int]) -> LeastSquares:
     """Least squares over those `active` columns that are excited in this system as well."""
     return ordinary_least_squares(reduction, [column for column in excited_columns(reduction) if column in active])
@@ -118,3 +98,12 @@ def sign_checks(base: BaseParameters, parameters: FloatArray, std: FloatArray) -
         )
         checks.append(raised("negative-motor-inertia", text))
     return checks
+
+
+def opposite_gravity() -> Check:
+    """The check of gravity's sign, where nothing more is known of its direction."""
+    text = (
+        "gravity of the opposite sign fits the data better: check `model.gravity`, how the arm is mounted, and the "
+        "signs of the drive gains"
+    )
+    return raised("gravity-opposite", text)

@@ -1,31 +1,31 @@
-"""Drive gains and lengths estimated together with the parameters, one at a time.
+"""Gains, lengths, joint zeros and gravity's direction estimated together with the parameters, one at a time.
 
-Joints share parameters, and gravity and inertia of one body reach several of them through the lengths between: a gain
-or a length of the robot file that is wrong leaves a residual of its own form. Beside the parameters x one further
-unknown is estimated by Gauss-Newton: a factor g on the model's torque of a joint, τ_j = g·W_j x, or a shift of a
-joint's origin, with τ linear in it about the robot file's value. Weights of the joints are estimated anew with it. The
-doubled log-likelihood ratio against the file's value says whether that is more than chance, in independent equations.
-
-All unknowns share one reduction of the data, so that they cost one pass together.
+Joints share parameters, and gravity and inertia of one body reach several of them through the lengths between: a gain,
+a length or an angle of the robot file that is wrong leaves a residual of its own form. Beside the parameters x further
+unknowns are estimated by Gauss-Newton: a factor g on the model's torque of a joint, τ_j = g·W_j x, a shift of a joint's
+origin or of its zero, or the two angles of gravity's direction. Weights of the joints are estimated anew with them. The
+doubled log-likelihood ratio against the file's values says whether that is more than chance.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
+from drivers.errors import IdentificationError
 from drivers.streams import FloatArray
+from ident.assessment.instants import Instants
 from ident.linear_algebra.triangular import triangular
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel, model_torque
 from ident.regression.least_squares import LeastSquares
-from ident.regression.observation_matrix import Reduction, only_torques, reduce_segments, stack_reductions
-from ident.signals.prepared import Prepared, Segment
+from ident.regression.observability import Experiment, experiment_base
 
 STEP = 1e-3
-"""[m] by which a joint is shifted for the derivative of the torque."""
+"""[m or rad] by which a joint's origin or zero is shifted for the derivative of the torque."""
 
 ZERO_LENGTH = 1e-4
 """[m]; shorter components of a translation are taken for 0 on purpose."""
@@ -34,71 +34,263 @@ SEEN = 1e-6
 """Share of a column's norm that the parameters must leave of it, else the data do not show it."""
 
 ITERATIONS = 8
+RELINEARISATIONS = 6
+WEIGHTS_SETTLED = 1e-3
+"""Relative change of the sums of squares that ends the iteration of the joints' weights."""
 
-MOST_SAMPLES = 100_000
-"""Samples of a recording that are looked at; the derivatives by all lengths take some 500 bytes each."""
+SETTLED = 0.05
+"""A step of less than this many σ ends the iteration."""
 
-GAINS = (0.05, 20.0)
+GAINS = (1e-3, 1e3)
 """Range of the factor on a gain."""
+
+UNKNOWN_DIRECTION = (0.48, 0.6, -0.64)
+"""A direction of gravity (unit vector) that is special for no arm: every parameter that some gravity shows acts."""
+
+LARGEST_STEP = 0.5
+"""[rad] by which gravity's direction turns in one iteration."""
+
+Kind = Literal["gain", "length", "zero", "gravity"]
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A number of the robot file, or gravity's direction.
+
+    Attributes:
+        kind: of it.
+        joint: number in the tree for a length, among the motors for a gain or a zero, -1 for gravity.
+        axis: of the parent's frame along which the joint's origin shifts; None but for a length.
+    """
+
+    kind: Kind
+    joint: int = -1
+    axis: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
-    """How far one number of the robot file is from what the data say.
+    """How far an unknown is from what the robot file says.
 
     Attributes:
-        joint: its number in the tree for a length, among the motors for a gain.
-        axis: of the parent's frame along which the joint's origin shifts; None for a gain.
-        value: model torque over recorded torque minus 1, or shift [m].
-        std: its standard deviation.
-        likelihood: doubled log-likelihood ratio against 0, in independent equations.
+        unknown: which.
+        value: model torque over recorded torque minus 1, shift [m], angle [rad or m], or the angle [rad] between
+            gravity's direction and the file's.
+        std: its standard deviation, the equations being independent.
+        likelihood: doubled log-likelihood ratio against the file's value, likewise.
         parameters: (b,) base parameters that go with it.
+        model: with it; the columns of `parameters` are its base parameters `columns`.
+        columns: (b,) standard columns.
     """
 
-    joint: int
-    axis: int | None
+    unknown: Unknown
     value: float
     std: float
     likelihood: float
     parameters: FloatArray
+    model: DynamicModel
+    columns: tuple[int, ...]
 
 
-def deviations(
-    kernel: RegressorKernel,
-    torques: Sequence[int],
-    runs: Sequence[Prepared],
-    solution: LeastSquares,
-    independent: float,
-) -> list[Deviation]:
-    """Every gain and length that the data show, each alone beside the parameters; arguments as above."""
-    model = kernel.model
-    lengths = shifted_origins(model)
-    parts = [part for run in runs for part in first_samples(run.segments)]
-    if not parts:
-        return []
-    system = _System(
-        only_torques(
-            stack_reductions(
-                [
-                    reduce_segments(
-                        kernel,
-                        segments := first_samples(run.segments),
-                        run.parallel_filter,
-                        [_with_derivatives(model, kernel.columns, solution.parameters, s, lengths) for s in segments],
-                    )
-                    for run in runs
-                ]
-            ),
-            torques,
-        ),
-        solution,
-        independent,
-    )
-    if system.freedom <= 0 or len(system.used) < 2:
-        return []
-    found = [system.deviation(joint, axis, 1 + number) for number, (joint, axis) in enumerate(lengths)]
-    found += [system.deviation(joint, None, None) for joint in system.used]
-    return [one for one in found if one is not None]
+class Refit:
+    """The equations of a recording at its instants, to be solved with one more unknown.
+
+    Attributes:
+        model, experiment: as believed.
+        columns: standard columns of the base parameters.
+        active: indices of the base parameters that were estimated.
+        instants: the recording.
+        used: joints whose equations are used.
+        rows: (n,) how many equations each joint has.
+    """
+
+    def __init__(
+        self,
+        model: DynamicModel,
+        experiment: Experiment,
+        columns: Sequence[int],
+        instants: Instants,
+        solution: LeastSquares,
+    ) -> None:
+        self.model, self.experiment, self.columns = model, experiment, tuple(columns)
+        self.active, self.instants = list(solution.active), instants
+        rows = instants.counted.sum(axis=1)
+        self.used = [n for n in experiment.torques if rows[n] and solution.weights[n] > 0]
+        self.rows = np.where(np.isin(np.arange(model.dof), self.used), rows, 0).astype(np.float64)
+        self._regressor = instants.filtered_regressor(RegressorKernel(model, self.columns))
+        self._file = solution.parameters
+        self._plain = self._blocks(self._regressor, self.active, np.empty((0, *instants.torque.shape)))
+        self._file_fit = _settled(self._plain, self.rows, 0)
+
+    def as_believed(self, unknown: Unknown) -> Deviation:
+        """An unknown at the robot file's value."""
+        parameters = self._all(self._file_fit.parameters)
+        return Deviation(unknown, 0.0, 0.0, 0.0, parameters, self.model, self.columns)
+
+    def unknowns(self) -> list[Unknown]:
+        """Everything that may be wrong."""
+        found = [Unknown("length", joint, axis) for joint, axis in shifted_origins(self.model)]
+        found += [Unknown("gain", joint) for joint in self.used]
+        moving = [joint for joint in range(self.model.dof) if joint not in self.experiment.locked]
+        if self.model.transmission is None or not self.model.transmission.closed:
+            found += [Unknown("zero", j) for j in moving if not self.model.joints[self.model.active[j]].prismatic]
+        return [*found, Unknown("gravity")] if np.any(self.model.gravity) else found
+
+    def deviations(self) -> list[Deviation]:
+        """Every unknown that the data show, linearised once at the file's value."""
+        if len(self.used) < 2:
+            return []
+        shifts = [unknown for unknown in self.unknowns() if unknown.kind in ("length", "zero")]
+        slopes = [self._slope(unknown, 0.0, self._file) for unknown in shifts]
+        blocks = self._blocks(self._regressor, self.active, np.array(slopes).reshape(-1, *self.instants.torque.shape))
+        width = len(self.active)
+        found = []
+        for number, unknown in enumerate(shifts):
+            own = {n: block[:, [*range(width), width + number, -1]] for n, block in blocks.items()}
+            solved = _settled(own, self.rows, 1)
+            if solved.unknown is not None and solved.covariance is not None:
+                found.append(self._deviation(unknown, float(solved.unknown[0]), solved.covariance[0, 0], solved))
+        others = [unknown for unknown in self.unknowns() if unknown not in shifts]
+        return [*found, *(one for unknown in others if (one := self.deviation(unknown, 1)) is not None)]
+
+    def deviation(
+        self, unknown: Unknown, relinearisations: int = RELINEARISATIONS, start: float | FloatArray | None = None
+    ) -> Deviation | None:
+        """One unknown beside the parameters; None where these take its place.
+
+        Args:
+            unknown: which.
+            relinearisations: how often the model is linearised anew where the estimate is.
+            start: where the first one is: a gain's factor, or gravity (3,) [m/s²]; the file's value where None.
+        """
+        if len(self.used) < 2:
+            return None
+        if unknown.kind == "gain":
+            return self._gain(unknown, 1.0 if start is None else float(start))
+        if unknown.kind == "gravity":
+            return self._gravity(unknown, relinearisations, None if start is None else np.asarray(start))
+        return self._shift(unknown, relinearisations)
+
+    def shifted(self, unknown: Unknown, value: float) -> tuple[DynamicModel, Instants]:
+        """Model and instants with a length or a zero changed."""
+        if unknown.kind == "zero":
+            return self.model, self.instants.shifted(unknown.joint, value)
+        if unknown.axis is None:
+            raise ValueError(f"{unknown} is no length")
+        return shifted(self.model, unknown.joint, unknown.axis, value), self.instants
+
+    def _gain(self, unknown: Unknown, factor: float) -> Deviation | None:
+        joint = unknown.joint
+        solved = _settled(self._plain, self.rows, 0, (joint, factor))
+        if solved.unknown is None or solved.covariance is None:
+            return None
+        return self._deviation(unknown, float(solved.unknown[0]), solved.covariance[0, 0], solved)
+
+    def _shift(self, unknown: Unknown, relinearisations: int) -> Deviation | None:
+        value, parameters, solved = 0.0, self._file, None
+        for _ in range(relinearisations):
+            model, moved = self.shifted(unknown, value)
+            regressor = moved.filtered_regressor(RegressorKernel(model, self.columns)) if value else self._regressor
+            slope = self._slope(unknown, value, parameters)
+            solved = self._solved(regressor, self.active, slope[None])
+            if solved.unknown is None or solved.covariance is None:
+                return None
+            step = float(solved.unknown[0])
+            value += step
+            parameters = self._all(solved.parameters)
+            if abs(step) < SETTLED * np.sqrt(solved.covariance[0, 0]):
+                break
+        if solved is None or solved.covariance is None:
+            return None
+        return self._deviation(unknown, value, solved.covariance[0, 0], solved)
+
+    def _slope(self, unknown: Unknown, value: float, parameters: FloatArray) -> FloatArray:
+        """(n, N) derivative of the model's torque by a length or a zero at a value."""
+        torques = []
+        for step in (STEP, -STEP):
+            model, moved = self.shifted(unknown, value + step)
+            motion = (moved.position, moved.velocity, moved.acceleration, moved.temperature)
+            torques.append(model_torque(model, self.columns, parameters, *motion))
+        return np.asarray((torques[0] - torques[1]) / (2.0 * STEP))
+
+    def _gravity(self, unknown: Unknown, relinearisations: int, start: FloatArray | None) -> Deviation | None:
+        size = float(np.linalg.norm(self.model.gravity))
+        try:
+            columns = experiment_base(in_unknown_gravity(self.model), [self.experiment]).columns
+        except IdentificationError:
+            return None
+        weightless = self._of_gravity(columns, np.zeros(3))
+        parts = [self._of_gravity(columns, axis) - weightless for axis in np.eye(3)]
+        everything = list(range(len(columns)))
+        gravity = self.model.gravity if start is None else size * start / np.linalg.norm(start)
+        across, solved = np.empty((0, 3)), None
+        for _ in range(relinearisations):
+            regressor = weightless + sum(g * part for g, part in zip(gravity, parts, strict=True))
+            if solved is None:
+                solved = self._solved(regressor, everything)
+            pulls = np.array([np.einsum("nbN,b->nN", part, solved.parameters) for part in parts])
+            across = _most_seen_first(tangents(gravity), pulls)
+            for seen in (2, 1):  # in a plane, one angle only
+                solved = self._solved(regressor, everything, size * np.tensordot(across[:seen], pulls, 1))
+                if solved.unknown is not None:
+                    break
+            if solved.unknown is None or solved.covariance is None:
+                return None
+            across = across[: len(solved.unknown)]
+            turn = solved.unknown
+            length = float(np.linalg.norm(turn))
+            turn = turn * min(1.0, LARGEST_STEP / length) if length else turn
+            gravity = gravity + size * (turn @ across)
+            gravity = size * gravity / np.linalg.norm(gravity)
+            if length < SETTLED * np.sqrt(np.trace(solved.covariance)):
+                break
+        if solved is None or solved.covariance is None:
+            return None
+        cosine = float(gravity @ self.model.gravity) / size**2
+        angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        # The direction in which the angle grows; the largest variance where it has none.
+        away = across @ (cosine * gravity - self.model.gravity) / size
+        length = float(np.linalg.norm(away))
+        along = away / length if length > 1e-9 else np.linalg.eigh(solved.covariance)[1][:, -1]
+        deviation = self._deviation(unknown, angle, float(along @ solved.covariance @ along), solved)
+        return replace(deviation, model=replace(self.model, gravity=gravity), columns=columns)
+
+    def _of_gravity(self, columns: Sequence[int], gravity: FloatArray) -> FloatArray:
+        return self.instants.filtered_regressor(RegressorKernel(replace(self.model, gravity=gravity), columns))
+
+    def _deviation(self, unknown: Unknown, value: float, variance: float, solved: _Solved) -> Deviation:
+        used = self.rows > 0
+        left = np.maximum(solved.sums[used], np.finfo(float).tiny)
+        ratio = float(np.sum(self.rows[used] * np.log(self._file_fit.sums[used] / left)))
+        model = self.model
+        if unknown.kind == "length":
+            model, _ = self.shifted(unknown, value)
+        parameters = solved.parameters if unknown.kind == "gravity" else self._all(solved.parameters)
+        return Deviation(unknown, value, float(np.sqrt(variance)), ratio, parameters, model, self.columns)
+
+    def _all(self, active: FloatArray) -> FloatArray:
+        parameters = np.zeros(len(self.columns))
+        parameters[self.active] = active
+        return parameters
+
+    def _solved(
+        self,
+        regressor: FloatArray,
+        active: Sequence[int],
+        slopes: FloatArray | None = None,
+        gain: tuple[int, float] | None = None,
+    ) -> _Solved:
+        """Least squares over some columns of a regressor (n, b, N), with the slopes (k, n, N) of further unknowns."""
+        slopes = np.empty((0, *self.instants.torque.shape)) if slopes is None else slopes
+        return _settled(self._blocks(regressor, active, slopes), self.rows, len(slopes), gain)
+
+    def _blocks(self, regressor: FloatArray, active: Sequence[int], slopes: FloatArray) -> dict[int, FloatArray]:
+        """Each used joint's triangular factor of [W slopes τ]."""
+        blocks = {}
+        for n in self.used:
+            rows = np.vstack([regressor[n][list(active)], slopes[:, n], self.instants.torque[None, n]])
+            blocks[n] = triangular(rows[:, self.instants.counted[n]].T)
+        return blocks
 
 
 def shifted_origins(model: DynamicModel) -> list[tuple[int, int]]:
@@ -113,41 +305,6 @@ def shifted_origins(model: DynamicModel) -> list[tuple[int, int]]:
     ]
 
 
-def first_samples(segments: Sequence[Segment]) -> list[Segment]:
-    """The segments up to `MOST_SAMPLES`, the last one cut there."""
-    kept, left = [], MOST_SAMPLES
-    for segment in segments:
-        part = slice(0, left)
-        if left > 0:
-            cut = {name: getattr(segment, name)[..., part] for name in ("time", "position", "velocity", "acceleration")}
-            cut |= {name: getattr(segment, name)[..., part] for name in ("torque", "used")}
-            cut |= {
-                name: None if getattr(segment, name) is None else getattr(segment, name)[:, part]
-                for name in ("reversing", "resting")
-            }
-            kept.append(segment if len(segment.time) <= left else replace(segment, **cut))
-        left -= len(segment.time)
-    return kept
-
-
-def _with_derivatives(
-    model: DynamicModel,
-    columns: Sequence[int],
-    parameters: FloatArray,
-    segment: Segment,
-    lengths: Sequence[tuple[int, int]],
-) -> FloatArray:
-    """((1 + lengths)·n, N) the torque, and the derivative of the model's by each length."""
-    rows = [segment.torque]
-    motion = (segment.position, segment.velocity, segment.acceleration, segment.temperature)
-    for joint, axis in lengths:
-        ahead, behind = (
-            model_torque(shifted(model, joint, axis, step), columns, parameters, *motion) for step in (STEP, -STEP)
-        )
-        rows.append((ahead - behind) / (2.0 * STEP))
-    return np.concatenate(rows)
-
-
 def shifted(model: DynamicModel, joint: int, axis: int, step: float) -> DynamicModel:
     """The arm with a joint's origin shifted in its parent's frame [m]."""
     translation = model.joints[joint].translation.copy()
@@ -157,102 +314,86 @@ def shifted(model: DynamicModel, joint: int, axis: int, step: float) -> DynamicM
     return replace(model, joints=tuple(joints))
 
 
-class _System:
-    """The reduced equations of every joint, with the torques' derivatives beside."""
+def in_unknown_gravity(model: DynamicModel) -> DynamicModel:
+    """The arm in a gravity that shows every parameter that some gravity shows."""
+    return replace(model, gravity=float(np.linalg.norm(model.gravity)) * np.array(UNKNOWN_DIRECTION))
 
-    def __init__(self, reduction: Reduction, solution: LeastSquares, independent: float) -> None:
-        self.active = list(solution.active)
-        self.parameters = solution.parameters[self.active]
-        self.rows = np.array([joint.rows for joint in reduction.joints], dtype=np.float64)
-        self.used = [n for n, rows in enumerate(self.rows) if rows and solution.weights[n] > 0]
-        width = len(self.active)
-        place = {column: position for position, column in enumerate(self.active)}
-        self.blocks = []
-        for joint in reduction.joints:
-            block = np.zeros((joint.factor.shape[0], width + reduction.torque_count))
-            for i, column in enumerate(joint.columns):
-                if column in place:
-                    block[:, place[column]] = joint.factor[:, i]
-            block[:, width:] = joint.factor[:, len(joint.columns) :]
-            self.blocks.append(block)
-        total = float(self.rows[self.used].sum()) if self.used else 0.0
-        # What is looked at may be the beginning of the data that the independent equations were counted in.
-        share = min(1.0, total / solution.rows) if solution.rows else 0.0
-        self.freedom = independent * share - width
-        self.worth = self.freedom / total if total else 0.0
-        self.base_count = reduction.column_count
-        self.believed, _, _ = self._settled(None, None)
 
-    def deviation(self, joint: int, axis: int | None, derivative: int | None) -> Deviation | None:
-        """One unknown beside the parameters: a column of the torques' derivatives, or the gain of a joint.
+def tangents(direction: FloatArray) -> FloatArray:
+    """Two unit vectors (2, 3) across a direction (3,) and across each other."""
+    return np.asarray(np.linalg.svd(direction[None])[2][1:])
 
-        None where the parameters take its place.
-        """
-        sums, solved, parameters = self._settled(None if derivative is not None else joint, derivative)
-        if solved is None:
-            return None
-        value, std = solved
-        ratio = sum(self.rows[n] * np.log(self.believed[n] / sums[n]) for n in self.used)
-        base = np.zeros(self.base_count)
-        base[self.active] = parameters
-        return Deviation(joint, axis, value, std / float(np.sqrt(self.worth)), float(self.worth * ratio), base)
 
-    def _settled(
-        self, gain_of: int | None, derivative: int | None
-    ) -> tuple[FloatArray, tuple[float, float] | None, FloatArray]:
-        """Sums of squares (n,) with weights and one unknown (or none) settled.
+def _most_seen_first(directions: FloatArray, pulls: FloatArray) -> FloatArray:
+    """Directions (2, 3) turned about the normal of their plane, the one that the torques (3, n, N) show most first."""
+    seen = np.tensordot(directions, pulls, 1).reshape(len(directions), -1)
+    return np.asarray(np.linalg.svd(seen, full_matrices=False)[0].T @ directions)
 
-        Returns:
-            The sums; the unknown's value and its σ for white residuals; the parameters (a,).
-        """
-        width = len(self.active)
-        parameters, gain = self.parameters, 1.0
-        weights = np.zeros(len(self.blocks))
-        sums = self._sums(parameters, 1.0, None, 0.0, None)
-        solved = None
-        for _ in range(ITERATIONS):
-            weights[self.used] = np.sqrt(self.rows[self.used] / np.maximum(sums[self.used], 1e-300))
-            system = []
-            for n in self.used:
-                block = self.blocks[n]
-                own = gain if n == gain_of else 1.0
-                columns = [own * block[:, :width]]
-                if derivative is not None:
-                    columns.append(block[:, width + derivative, None])
-                elif gain_of is not None:
-                    slope = block[:, :width] @ parameters if n == gain_of else np.zeros(len(block))
-                    columns.append(slope[:, None])
-                system.append(weights[n] * np.hstack([*columns, block[:, width, None]]))
-            stacked = triangular(np.vstack(system))
-            left, right = stacked[:, :-1], stacked[:, -1]
-            scale = np.linalg.norm(left, axis=0)
-            scale[scale == 0] = 1.0
-            estimate = np.linalg.lstsq(left / scale, right, rcond=1e-12)[0] / scale
-            parameters = estimate[:width]
-            if derivative is None and gain_of is None:
-                sums = self._sums(parameters, 1.0, None, 0.0, None)
-                continue
-            # R's last diagonal entry is what the other columns leave of the unknown's.
-            remaining = abs(left[width, width])
-            if remaining < SEEN * scale[width]:
-                return sums, None, parameters
-            unknown = float(estimate[width])
-            if derivative is None:
-                gain = float(np.clip(gain + unknown, *GAINS))
-            sums = self._sums(parameters, gain, gain_of, unknown, derivative)
-            solved = (gain - 1.0 if derivative is None else unknown, 1.0 / remaining)
-        return sums, solved, parameters
 
-    def _sums(
-        self, parameters: FloatArray, gain: float, gain_of: int | None, shift: float, derivative: int | None
-    ) -> FloatArray:
-        """(n,) sums of squared residuals."""
-        width = len(self.active)
-        sums = np.zeros(len(self.blocks))
-        for n in self.used:
-            block = self.blocks[n]
-            rest = (gain if n == gain_of else 1.0) * (block[:, :width] @ parameters) - block[:, width]
-            if derivative is not None:
-                rest = rest + shift * block[:, width + derivative]
-            sums[n] = rest @ rest
-        return sums
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """Parameters (a,), sums of squares (n,), and the unknowns (k,) with their covariance (None where not seen)."""
+
+    parameters: FloatArray
+    sums: FloatArray
+    unknown: FloatArray | None
+    covariance: FloatArray | None
+
+
+def _settled(
+    blocks: dict[int, FloatArray], rows: FloatArray, unknowns: int, gain: tuple[int, float] | None = None
+) -> _Solved:
+    """Least squares with the joints' weights settled.
+
+    Args:
+        blocks: each joint's factor of [W slopes τ].
+        rows: (n,) equations of each joint.
+        unknowns: how many slopes there are.
+        gain: joint, and factor on its model torque from which on this is estimated, too.
+    """
+    width = next(iter(blocks.values())).shape[1] - 1 - unknowns
+    factor = np.ones(len(rows))
+    if gain is not None:
+        factor[gain[0]] = gain[1]
+    sums = np.zeros(len(rows))
+    for n, block in blocks.items():
+        sums[n] = block[:, -1] @ block[:, -1]
+    floor = 1e-14 * float(np.max(sums)) + np.finfo(float).tiny
+    parameters = np.zeros(width)
+    unknown: FloatArray | None = None
+    covariance: FloatArray | None = None
+    for iteration in range(ITERATIONS):
+        system = []
+        with_gain = gain is not None and iteration > 0
+        for n, block in blocks.items():
+            parts = [factor[n] * block[:, :width], block[:, width:-1]]
+            if with_gain:
+                slope = block[:, :width] @ parameters if gain is not None and n == gain[0] else np.zeros(len(block))
+                parts.append(slope[:, None])
+            system.append(np.sqrt(rows[n] / max(sums[n], floor)) * np.hstack([*parts, block[:, -1:]]))
+        stacked = triangular(np.vstack(system))
+        left, right = stacked[:, :-1], stacked[:, -1]
+        scale = np.linalg.norm(left, axis=0)
+        scale[scale == 0.0] = 1.0
+        estimate = np.linalg.lstsq(left / scale, right, rcond=1e-10)[0] / scale
+        parameters = estimate[:width]
+        if len(estimate) > width:
+            # The last rows of the triangular factor are what the parameters' columns leave of the unknowns'.
+            rest = left[width : len(estimate), width:]
+            if np.any(np.abs(np.diag(rest)) < SEEN * scale[width:]):
+                return _Solved(parameters, sums, None, None)
+            unknown = estimate[width:]
+            covariance = np.asarray(np.linalg.inv(rest.T @ rest), dtype=np.float64)
+        if with_gain and gain is not None and unknown is not None:
+            factor[gain[0]] = np.clip(factor[gain[0]] + unknown[-1], *GAINS)
+        before = sums.copy()
+        for n, block in blocks.items():
+            rest_torque = block[:, -1] - factor[n] * (block[:, :width] @ parameters)
+            if unknowns and unknown is not None:
+                rest_torque = rest_torque - block[:, width:-1] @ unknown
+            sums[n] = rest_torque @ rest_torque
+        if iteration > 1 and np.all(np.abs(sums - before) <= WEIGHTS_SETTLED * before):
+            break
+    if gain is not None:
+        unknown = np.array([factor[gain[0]] - 1.0])
+    return _Solved(parameters, sums, unknown, covariance)

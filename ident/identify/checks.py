@@ -10,15 +10,14 @@ import numpy as np
 from daq.recording.recording import Recording
 from drivers.errors import IdentificationError
 from drivers.percentage import percent_text
-from ident.assessment.channels import arrangement_checks, opposite_gravity
 from ident.assessment.delay.delay import delay_checks
 from ident.assessment.idle_joints import idle_joint_checks
-from ident.assessment.model_errors import model_error_checks
+from ident.assessment.mistakes.checks import mistake_checks
 from ident.assessment.plausibility import (
     POSES,
-    fits_opposite_gravity,
     indefinite_share,
     inertia_matrices,
+    opposite_gravity,
     sign_checks,
 )
 from ident.assessment.recording_checks import recording_checks
@@ -36,7 +35,7 @@ from ident.regression.least_squares import LeastSquares, ordinary_least_squares,
 from ident.regression.observability import experiment_states, moving_motors, whole_arm
 from ident.regression.observation_matrix import Reduction
 from ident.regression.pruning import relative_std
-from ident.regression.velocity_reversals import STICKING_SHARE, all_equations, leave_out_reversals
+from ident.regression.velocity_reversals import STICKING_SHARE, leave_out_reversals
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -76,10 +75,10 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     checks += _excitation_checks(identification)
     checks += sign_checks(identification.base, identification.solution.parameters, identification.std)
     idle = _idle_joint_checks(identification)
-    arrangement = _arrangement_checks(identification)
-    # Static friction of resting joints looks like a gain or a length that is off.
-    model_errors = ("inconsistent-gain", "inconsistent-length")
-    checks += [*idle, *(one for one in arrangement if not idle or one.name not in model_errors)]
+    mistakes = _mistake_checks(identification)
+    # Static friction of resting joints looks like a number of the robot file that is off.
+    model_errors = ("inconsistent-gain", "inconsistent-length", "joint-zero", "gravity-direction")
+    checks += [*idle, *(one for one in mistakes if not idle or one.name not in model_errors)]
     checks += _reversal_checks(identification)
     share = _indefinite_share(identification)
     if share > 0:
@@ -159,28 +158,19 @@ def _few_equations(identification: Identification, advised: int) -> str:
     )
 
 
-def _arrangement_checks(identification: Identification) -> list[Check]:
-    """Gravity, signs, exchanged torques, gains and lengths that fit the data better than those believed."""
-    checks: list[Check] = []
+def _mistake_checks(identification: Identification) -> list[Check]:
+    """Gravity, signs, columns, gains, lengths and zeros that fit the data better than those believed."""
     if identification.choices.estimator.equations == "torque":
-        checks = arrangement_checks(
+        return mistake_checks(
             identification.model,
             identification.experiment,
-            [all_equations(run.prepared) for run in identification.runs],
-            identification.base.columns,
-            identification.solution.active,
-            identification.corrected.effective_rows,
-            identification.fit.relative_error,
-        ) or model_error_checks(
-            RegressorKernel(identification.model, identification.base.columns),
-            identification.experiment.torques,
+            identification.base,
             [run.prepared for run in identification.runs],
             _by_joint(identification, identification.reduction),
             identification.corrected.effective_rows,
         )
-    if any(check.severity == "serious" for check in checks) or not np.any(identification.model.gravity):
-        return checks
-    return [opposite_gravity()] if _fits_opposite_gravity(identification) else checks
+    opposite = np.any(identification.model.gravity) and _fits_opposite_gravity(identification)
+    return [opposite_gravity()] if opposite else []
 
 
 def _idle_joint_checks(identification: Identification) -> list[Check]:
@@ -350,15 +340,11 @@ def _indefinite_share(identification: Identification) -> float:
 
 
 def _fits_opposite_gravity(identification: Identification) -> bool:
-    """Whether the same equations with gravity of the opposite sign fit clearly better, both by OLS."""
+    """Whether the energy's equations with gravity of the opposite sign fit clearly better, both by OLS."""
     active, model, method = identification.solution.active, identification.model, identification.choices.estimator
     base = identification.base
     residual_sum = ordinary_least_squares(identification.reduction, active).residual_sum
     data = [run.prepared for run in identification.runs]
-    if method.equations == "torque":
-        prepared = [(part.segments, part.parallel_filter) for part in data]
-        torques = identification.experiment.torques
-        return fits_opposite_gravity(model, base, prepared, active, residual_sum, torques)
     kernel = RegressorKernel(replace(model, gravity=-model.gravity), base.columns)
     turned = method.estimator(Setup(kernel, base, identification.experiment, identification.robot_file, tuple(data)))
     independent = identification.corrected.effective_rows * identification.corrected.repetitions

@@ -378,8 +378,18 @@ def regressor(
         conditions = FrictionConditions(load, temperature)
         full = pinocchio_regressor(model, position, velocity, acceleration, conditions)
         return full if columns is None else full[:, list(columns)]
-    kernel = RegressorKernel(model, columns)
-    dense = np.zeros((model.dof, len(kernel.columns), count))
+    return dense_regressor(RegressorKernel(model, columns), position, velocity, acceleration, temperature)
+
+
+def dense_regressor(
+    kernel: RegressorKernel,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    temperature: FloatArray | None = None,
+) -> FloatArray:
+    """The kernel's columns (n, p, N) with their structural zeros, for (n, N) motions."""
+    dense = np.zeros((kernel.model.dof, len(kernel.columns), position.shape[1]))
     for chunk, packed in evaluate_in_chunks(kernel, position, velocity, acceleration, temperature):
         for joint, rows in enumerate(kernel.joint_rows):
             dense[joint, list(rows.columns), chunk] = packed[rows.rows]

@@ -94,11 +94,6 @@ def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: floa
     return replace(prepared, segments=segments, steps=(*prepared.steps, step))
 
 
-def all_equations(prepared: Prepared) -> Prepared:
-    """The same data with no equation left out: what belongs to one motor's rows does not fit another's torque."""
-    return replace(prepared, segments=tuple(replace(segment, reversing=None) for segment in prepared.segments))
-
-
 def check_share(share: float) -> None:
     """Refuse what is no share.
 

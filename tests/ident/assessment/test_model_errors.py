@@ -10,9 +10,10 @@ import pytest
 
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile
-from ident.assessment import refit
-from ident.assessment.model_errors import model_error_checks
-from ident.assessment.refit import Deviation, deviations, shifted_origins
+from ident.assessment import instants as few
+from ident.assessment.instants import instants
+from ident.assessment.model_errors import model_error_checks, most_likely
+from ident.assessment.refit import Deviation, Refit, shifted_origins
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
@@ -20,7 +21,7 @@ from ident.model.regressor import RegressorKernel
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
-MODEL_ERRORS = {"inconsistent-gain", "inconsistent-length"}
+MODEL_ERRORS = {"inconsistent-gain", "inconsistent-length", "joint-zero", "gravity-direction"}
 
 
 class Arm:
@@ -55,11 +56,15 @@ def arm(three_joint: RobotFile) -> Arm:
     return Arm(three_joint)
 
 
-def deviations_of(found: Identification) -> dict[tuple[int, int | None], Deviation]:
-    kernel = RegressorKernel(found.model, found.base.columns)
+def refit_of(found: Identification) -> Refit:
     prepared = [run.prepared for run in found.runs]
-    ones = deviations(kernel, found.experiment.torques, prepared, found.solution, found.corrected.effective_rows)
-    return {(one.joint, one.axis): one for one in ones}
+    samples = instants(RegressorKernel(found.model, found.base.columns), prepared)
+    return Refit(found.model, found.experiment, found.base.columns, samples, found.solution)
+
+
+def deviations_of(found: Identification) -> dict[tuple[str, int, int | None], Deviation]:
+    ones = refit_of(found).deviations()
+    return {(one.unknown.kind, one.unknown.joint, one.unknown.axis): one for one in ones}
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -75,7 +80,7 @@ def test_a_wrong_gain_is_named_and_estimated(arm, joint, gain):
     found = arm.found(1, {joint: gain})
     (check,) = [check for check in found.checks if check.name in MODEL_ERRORS]
     assert check.name == "inconsistent-gain"
-    estimate = deviations_of(found)[joint, None]
+    estimate = deviations_of(found)["gain", joint, None]
     assert abs(estimate.value - (gain - 1.0)) < 4.0 * estimate.std
     names = found.model.joint_names
     # Joints 2 and 3 share all that they know: which of the two is off the data may not tell.
@@ -84,7 +89,7 @@ def test_a_wrong_gain_is_named_and_estimated(arm, joint, gain):
 
 def test_a_wrong_length_is_named_and_estimated(arm):
     found = arm.found(1, shift=0.05)
-    estimate = deviations_of(found)[2, 0]
+    estimate = deviations_of(found)["length", 2, 0]
     assert abs(estimate.value + 0.05) < 4.0 * estimate.std + 0.01  # linear in 12 % of the length
     (check,) = [check for check in found.checks if check.name in MODEL_ERRORS]
     assert check.name == "inconsistent-length"
@@ -98,23 +103,22 @@ def test_a_factor_common_to_all_gains_is_not_seen(arm):
 
 def test_what_the_parameters_take_up_is_left_out(arm):
     found = deviations_of(arm.found(1))
-    assert (0, 2) not in found  # the base's height: no torque depends on it
+    assert ("length", 0, 2) not in found  # the base's height: no torque depends on it
     assert (0, 2) in shifted_origins(arm.found(1).model)
 
 
 def test_too_little_data_names_nothing(arm):
     found = arm.found(1, {1: 2.0})
-    kernel = RegressorKernel(found.model, found.base.columns)
-    prepared = [run.prepared for run in found.runs]
-    arguments = (kernel, found.experiment.torques, prepared, found.solution)
-    assert model_error_checks(*arguments, found.corrected.effective_rows)
-    for independent in (0.0, 5.0, len(found.solution.active) + 0.1):
-        assert model_error_checks(*arguments, independent) == []
+    refit, prepared = refit_of(found), [run.prepared for run in found.runs]
+    enough = found.corrected.effective_rows
+    assert model_error_checks(found.model, most_likely(refit, prepared, enough, poor=False))
+    for independent in (0.0, 0.5, 2.0):
+        assert most_likely(refit, prepared, independent, poor=False) == []
 
 
 def test_long_recordings_are_looked_at_in_part(arm, monkeypatch):
-    whole = deviations_of(arm.found(1))[1, None]
-    monkeypatch.setattr(refit, "MOST_SAMPLES", 1500)
-    part = deviations_of(arm.found(1))[1, None]
+    whole = deviations_of(arm.found(1))["gain", 1, None]
+    monkeypatch.setattr(few, "MOST_INSTANTS", 150)
+    part = deviations_of(arm.found(1))["gain", 1, None]
     assert part.std > 1.2 * whole.std
     assert abs(part.value) < 4.0 * part.std

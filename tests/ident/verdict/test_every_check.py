@@ -398,12 +398,37 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.found(robot_file=b.said({"model:\n": "model:\n  gravity: [0, 0, 9.81]\n"})),
         lambda b: b.clean(),
     ),
-    "gravity-other-axis": (
+    "gravity-direction": (
         lambda b: b.found(robot_file=b.said({"model:\n": "model:\n  gravity: [0, 9.81, 0]\n"})),
         lambda b: b.clean(),
     ),
+    "torques-opposite": (lambda b: b.found(changed(b.recorded(), lambda i: -i)), lambda b: b.clean()),
+    "positions-opposite": (lambda b: b.found(changed(b.recorded(), lambda q: -q, "position")), lambda b: b.clean()),
     "torque-sign": (lambda b: b.found(changed(b.recorded(), lambda i: i * [1, -1, 1])), lambda b: b.clean()),
+    "position-sign": (
+        lambda b: b.found(changed(b.recorded(), lambda q: q * [1, 1, -1], "position")),
+        lambda b: b.clean(),
+    ),
+    "joint-sign": (
+        lambda b: b.found(
+            changed(changed(b.recorded(), lambda q: q * [1, 1, -1], "position"), lambda i: i * [1, 1, -1])
+        ),
+        lambda b: b.clean(),
+    ),
     "torques-exchanged": (lambda b: b.found(changed(b.recorded(), exchanged)), lambda b: b.clean()),
+    "positions-exchanged": (
+        lambda b: b.found(changed(b.recorded(), lambda q: q[:, [1, 0, 2]], "position")),
+        lambda b: b.clean(),
+    ),
+    "joints-exchanged": (
+        lambda b: b.found(changed(changed(b.recorded(), lambda q: q[:, [0, 2, 1]], "position"), exchanged)),
+        lambda b: b.clean(),
+    ),
+    "sign-or-column": (lambda b: b.found(changed(b.recorded(), lambda i: i * [-1, 1, 1])), lambda b: b.clean()),
+    "joint-zero": (
+        lambda b: b.found(changed(b.recorded(), lambda q: q + np.deg2rad([0, 8, 0]), "position")),
+        lambda b: b.clean(),
+    ),
     "inconsistent-gain": (lambda b: b.found(changed(b.recorded(), lambda i: i * [1, 1, 1.6])), lambda b: b.clean()),
     "inconsistent-length": (
         lambda b: b.found(robot_file=b.said({"alpha: 0, d: 0.4, r: 0.1": "alpha: 0, d: 0.45, r: 0.1"})),

@@ -1,0 +1,1 @@
+"""Mistakes of a recording or a robot file that a refit reveals: signs, columns, gains, gravity."""

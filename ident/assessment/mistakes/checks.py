@@ -1,0 +1,95 @@
+"""The checks of mistakes, of the whole: what is wrong with signs, columns, gains, lengths, zeros and gravity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ident.assessment.instants import instants
+from ident.assessment.mistakes.competition import Competition, explanations
+from ident.assessment.mistakes.hypotheses import Mistake
+from ident.assessment.model_errors import model_error_checks, most_likely
+from ident.assessment.refit import Refit
+from ident.model.base_parameters import BaseParameters
+from ident.model.dynamic_model import DynamicModel
+from ident.model.regressor import RegressorKernel
+from ident.regression.least_squares import LeastSquares
+from ident.regression.observability import Experiment
+from ident.signals.prepared import Prepared
+from ident.verdict.catalogue import raised
+from ident.verdict.check import Check
+
+
+def mistake_checks(
+    model: DynamicModel,
+    experiment: Experiment,
+    base: BaseParameters,
+    runs: Sequence[Prepared],
+    solution: LeastSquares,
+    independent: float,
+) -> list[Check]:
+    """At most one check: the mistake that explains the data best, if one does.
+
+    Args:
+        model: as believed.
+        experiment: joints that were locked, and motors whose torques count.
+        base: parameters of the experiment.
+        runs: prepared data, with the equations that were fitted.
+        solution: of these, with a weight per joint.
+        independent: number of independent equations.
+    """
+    few = instants(RegressorKernel(model, base.columns), runs)
+    if few.torque.shape[1] <= len(solution.active):
+        return []
+    competition = Competition(model, experiment, base, solution.active, few)
+    well = competition.well_explained()
+    refit = Refit(model, experiment, base.columns, few, solution)
+    deviations = most_likely(refit, runs, independent, poor=not well)
+    held = any(segment.known_torque is not None for run in runs for segment in run.segments)
+    found = [] if well or held else explanations(competition, deviations)
+    if found:
+        return [_check(model, found)]
+    if deviations and not well and not competition.explained_by(deviations[0]):
+        return []
+    return model_error_checks(model, deviations)
+
+
+def _check(model: DynamicModel, found: Sequence[Mistake]) -> Check:
+    """The check of a mistake, or of several that explain the data equally well."""
+    first = found[0]
+    joints = sorted({joint for one in found for joint in one.joints})
+    names = [model.joint_names[joint] for joint in joints]
+    if len(found) == 1:
+        return raised(first.name, _SENTENCES[first.name].format(joints=" and ".join(names)), names)
+    what = " or ".join(_CLAUSES[one.name].format(joints=_and(model, one)) for one in found)
+    text = f"a sign or a column is wrong: {what}; the data fit each equally well, and none of them as recorded"
+    return raised("sign-or-column", text, names)
+
+
+def _and(model: DynamicModel, one: Mistake) -> str:
+    return " and ".join(model.joint_names[joint] for joint in one.joints)
+
+
+_CLAUSES = {
+    "torques-opposite": "all torques have the opposite sign",
+    "positions-opposite": "all positions have the opposite sign",
+    "torque-sign": "the torque of {joints} has the opposite sign",
+    "position-sign": "the position of {joints} has the opposite sign",
+    "joint-sign": "position and torque of {joints} have the opposite sign",
+    "torques-exchanged": "the torques of {joints} are exchanged",
+    "positions-exchanged": "the positions of {joints} are exchanged",
+    "joints-exchanged": "positions and torques of {joints} are exchanged",
+}
+_REMEDIES = {
+    "torques-opposite": "change the sign of all drive gains, or of the torque columns",
+    "positions-opposite": "change the sign of the position columns, or the joints' axes in the robot file",
+    "torque-sign": "check the sign of its drive gain",
+    "position-sign": "check the sign of its position column and its axis in the robot file",
+    "joint-sign": "check the direction of its axis in the robot file",
+    "torques-exchanged": "check the order of the torque or current columns",
+    "positions-exchanged": "check the order of the position columns",
+    "joints-exchanged": "check the order of the columns, and of the joints in the robot file",
+}
+_SENTENCES = {
+    name: f"{clause}: the data are explained with this and not as recorded; {_REMEDIES[name]}"
+    for name, clause in _CLAUSES.items()
+}

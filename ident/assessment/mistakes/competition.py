@@ -1,0 +1,205 @@
+"""Which mistake of sign or column explains a recording, if one does, and no other does as well.
+
+Every hypothesis is fitted under the conditions that every arm satisfies (`conditions`), so that one number tells how
+well it explains the data: friction that drives and energies below zero cost error. A mistake is claimed only where it
+explains the data, clearly and on every part of them, where as recorded they are not explained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.streams import FloatArray
+from ident.assessment.instants import BLOCKS, Columns, Instants
+from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions, moving_joints
+from ident.assessment.mistakes.equations import Equations, Fit, equations
+from ident.assessment.mistakes.hypotheses import Mistake, as_recorded, mistakes
+from ident.assessment.refit import Deviation, in_unknown_gravity
+from ident.model.base_parameters import BaseParameters
+from ident.model.dynamic_model import DynamicModel
+from ident.model.regressor import RegressorKernel
+from ident.regression.observability import Experiment, experiment_base
+
+HALVED = float(2.0 * np.log(2.0))
+"""How much the level falls where one joint's error is halved: the least that a mistake must explain."""
+
+RIVAL = 0.7
+"""A hypothesis whose level is less than this above the best one's is not distinguishable from it: one joint's error
+falls by less than 30 %."""
+
+WELL_EXPLAINED = 0.15
+"""Relative error of a joint below which, all joints alike and at no cost of the conditions, nothing is searched."""
+
+EXPLAINED = 0.2
+"""Relative error of the whole arm above which no hypothesis counts as an explanation: something else is wrong."""
+
+JOINT_EXPLAINED = 0.5
+"""The same of each joint that a hypothesis is about."""
+
+WORSE_BLOCKS = 1
+"""Held-out blocks at most in which a claimed mistake may predict worse than the recording as it is."""
+
+BOUND_SLACK = 1.0
+"""Levels with conditions may be lower than without by this much, as the joints' weights differ."""
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A hypothesis with its fit under the conditions."""
+
+    mistake: Mistake
+    fit: Fit
+
+
+class Competition:
+    """A recording, and hypotheses of what is wrong with it.
+
+    Attributes:
+        model, experiment, base, active: of the identification.
+        instants: the recording.
+        joints: that moved and whose torques are used.
+    """
+
+    def __init__(
+        self,
+        model: DynamicModel,
+        experiment: Experiment,
+        base: BaseParameters,
+        active: Sequence[int],
+        instants: Instants,
+    ) -> None:
+        self.model, self.experiment, self.base, self.active = model, experiment, base, list(active)
+        self.instants = instants
+        self.joints = moving_joints(model, experiment)
+        self._kernel = RegressorKernel(model, base.columns)
+        self._inertia = inertia_conditions(model, experiment, base)[:, self.active]
+        self._equations: dict[Columns, tuple[Equations, FloatArray]] = {}
+        self.recorded = as_recorded(model.dof)
+
+    def system(self, positions: Columns) -> tuple[Equations, FloatArray]:
+        """Equations with these positions, and their conditions (c, a)."""
+        if positions not in self._equations:
+            moved = self.instants.with_positions(positions)
+            regressor = moved.regressor(self._kernel)
+            friction = friction_conditions(self.model, self.base, moved, regressor)[:, self.active]
+            conditions = np.vstack([self._inertia, friction])
+            conditions = conditions[np.any(conditions != 0.0, axis=1)]
+            system = equations(regressor[:, self.active], moved, self.experiment.torques)
+            self._equations[positions] = system, conditions
+        return self._equations[positions]
+
+    def free(self, mistake: Mistake) -> Fit | None:
+        """The fit without conditions."""
+        return self.system(mistake.positions)[0].fit(mistake.torques)
+
+    def bound(self, mistake: Mistake, blocks: Sequence[int] | None = None) -> Fit | None:
+        """The fit under the conditions, to some blocks or all."""
+        system, conditions = self.system(mistake.positions)
+        return system.fit(mistake.torques, conditions, blocks)
+
+    def well_explained(self) -> bool:
+        """Whether the recording as it is leaves nothing to explain."""
+        free, bound = self.free(self.recorded), self.bound(self.recorded)
+        if free is None or bound is None:
+            return False
+        used = list(self.experiment.torques)
+        return bool(bound.level - free.level < RIVAL and np.all(bound.relative[used] < WELL_EXPLAINED**2))
+
+    def best(self, candidates: Iterable[Mistake]) -> list[Explanation]:
+        """The candidates that may be the best or its rivals, best first.
+
+        Fits without conditions are never worse than with them, so that most candidates need no second fit.
+        """
+        free = [(fit.level, mistake) for mistake in candidates if (fit := self.free(mistake)) is not None]
+        lowest = np.inf
+        found = []
+        for level, mistake in sorted(free, key=lambda one: one[0]):
+            if level > lowest + RIVAL + BOUND_SLACK:
+                break
+            fit = self.bound(mistake)
+            if fit is not None:
+                found.append(Explanation(mistake, fit))
+                lowest = min(lowest, fit.level)
+        return sorted(found, key=lambda one: one.fit.level)
+
+    def explains(self, one: Explanation, recorded: Fit) -> bool:
+        """Whether a mistake explains what the recording as it is does not, in all of it and well."""
+        if recorded.level - one.fit.level < HALVED:
+            return False
+        if self.error(one) > EXPLAINED or np.any(one.fit.relative[list(one.mistake.joints)] > JOINT_EXPLAINED**2):
+            return False
+        worse = [
+            block for block in range(BLOCKS) if self.held_out(one.mistake, block) > self.held_out(self.recorded, block)
+        ]
+        return len(worse) <= WORSE_BLOCKS
+
+    def held_out(self, mistake: Mistake, block: int) -> float:
+        """Σ log of the joints' relative squared residuals of a block, fitted to the other ones; inf without a fit."""
+        fit = self.bound(mistake, [other for other in range(BLOCKS) if other != block])
+        if fit is None:
+            return np.inf
+        system, _ = self.system(mistake.positions)
+        return float(np.sum(system.levels(mistake.torques, fit.parameters, [block])))
+
+    def error(self, one: Explanation) -> float:
+        """Relative error of the whole arm."""
+        return _whole(self.system(one.mistake.positions)[0], one.mistake.torques, one.fit)
+
+    def with_deviation(self, deviation: Deviation) -> tuple[Fit, float] | None:
+        """The fit under the conditions with a number of the robot file changed, and the whole arm's relative error."""
+        model, moved, base, active = deviation.model, self.instants, self.base, self.active
+        if deviation.unknown.kind == "zero":
+            moved = moved.shifted(deviation.unknown.joint, deviation.value)
+        torques = self.recorded.torques
+        if deviation.unknown.kind == "gain":
+            joint = deviation.unknown.joint
+            factor = tuple(1.0 / (1.0 + deviation.value) if n == joint else one for n, one in enumerate(torques.factor))
+            torques = replace(torques, factor=factor)
+        if deviation.columns != self.base.columns:
+            base = experiment_base(in_unknown_gravity(model), [self.experiment])
+            active = list(range(base.count))
+        regressor = moved.regressor(RegressorKernel(model, base.columns))
+        conditions = np.vstack(
+            [
+                inertia_conditions(model, self.experiment, base),
+                friction_conditions(model, base, moved, regressor),
+            ]
+        )[:, active]
+        system = equations(regressor[:, active], moved, self.experiment.torques)
+        fit = system.fit(torques, conditions[np.any(conditions != 0.0, axis=1)])
+        return None if fit is None else (fit, _whole(system, torques, fit))
+
+    def explained_by(self, deviation: Deviation) -> bool:
+        """Whether a deviation leaves what still is an explanation."""
+        found = self.with_deviation(deviation)
+        return found is not None and found[1] < EXPLAINED
+
+
+def _whole(system: Equations, torques: Columns, fit: Fit) -> float:
+    power = system.power.sum(axis=0)[np.arange(len(fit.relative)), list(torques.order)]
+    return float(np.sqrt(np.sum(fit.relative * power) / max(float(power.sum()), np.finfo(float).tiny)))
+
+
+def explanations(competition: Competition, deviations: Sequence[Deviation]) -> list[Mistake]:
+    """The mistake that explains the recording, and those that explain it as well; none where none does.
+
+    Args:
+        competition: the recording.
+        deviations: gains, lengths, zeros and directions of gravity, best first; the first is a rival, too.
+    """
+    if not competition.joints or competition.well_explained():
+        return []
+    recorded = competition.bound(competition.recorded)
+    if recorded is None:
+        return []
+    found = competition.best(mistakes(competition.model.dof, competition.joints))
+    if not found or not competition.explains(found[0], recorded):
+        return []
+    lowest = found[0].fit.level
+    other = competition.with_deviation(deviations[0]) if deviations else None
+    if other is not None and other[0].level < lowest + RIVAL:
+        return []
+    return [one.mistake for one in found if one.fit.level < lowest + RIVAL]

@@ -1,0 +1,79 @@
+"""Mistakes of sign and of column that recordings have, each as columns to take instead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
+
+from ident.assessment.instants import Columns
+
+Signal = Literal["torque", "position", "both"]
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A sign or a pair of columns that is wrong.
+
+    Attributes:
+        name: of the check that names it; empty for the recording as it is.
+        signal: whose columns are wrong.
+        joints: whose columns are wrong.
+        torques, positions: to take instead.
+    """
+
+    name: str
+    signal: Signal
+    joints: tuple[int, ...]
+    torques: Columns
+    positions: Columns
+
+
+def as_recorded(count: int) -> Mistake:
+    """No mistake."""
+    return Mistake("", "both", (), _kept(count), _kept(count))
+
+
+def mistakes(count: int, joints: Sequence[int]) -> list[Mistake]:
+    """One sign, all signs or one exchange wrong, of the torques, of the positions or of both.
+
+    Args:
+        count: n.
+        joints: that moved and whose torques are used.
+    """
+    found = []
+    kept = _kept(count)
+    for signal in ("torque", "position", "both"):
+        for one in joints:
+            found.append(_mistake(f"{_CHECKS[signal]}-sign", signal, (one,), _opposite(count, (one,)), kept))
+        for pair in combinations(joints, 2):
+            found.append(_mistake(f"{_CHECKS[signal]}s-exchanged", signal, pair, _exchanged(count, pair), kept))
+    if len(joints) == count > 1:  # all signs of both are those of a mirrored arm, which is no mistake of a recording
+        everyone = tuple(range(count))
+        for signal in ("torque", "position"):
+            found.append(_mistake(f"{signal}s-opposite", signal, everyone, _opposite(count, everyone), kept))
+    return found
+
+
+_CHECKS = {"torque": "torque", "position": "position", "both": "joint"}
+
+
+def _mistake(name: str, signal: str, joints: tuple[int, ...], columns: Columns, kept: Columns) -> Mistake:
+    torques = columns if signal in ("torque", "both") else kept
+    positions = columns if signal in ("position", "both") else kept
+    return Mistake(name, signal, joints, torques, positions)  # type: ignore[arg-type]
+
+
+def _kept(count: int) -> Columns:
+    return Columns(tuple(range(count)), (1.0,) * count)
+
+
+def _opposite(count: int, joints: Sequence[int]) -> Columns:
+    return Columns(tuple(range(count)), tuple(-1.0 if joint in joints else 1.0 for joint in range(count)))
+
+
+def _exchanged(count: int, pair: tuple[int, int]) -> Columns:
+    order = list(range(count))
+    order[pair[0]], order[pair[1]] = pair[1], pair[0]
+    return Columns(tuple(order), (1.0,) * count)
