@@ -83,7 +83,7 @@ def test_gravity_of_the_wrong_sign_is_found(three_joint, name, gravity, wrong):
         text = text.replace("mounting: table", "mounting: ceiling")
     believed = parse_robot(text, where="believed", folder=None)
     found = identify([recording], [], IdentifyChoices(), robot_file=believed)
-    assert any("gravity of the opposite sign" in warning for warning in found.warnings) is wrong
+    assert ("gravity-opposite" in {check.name for check in found.checks}) is wrong
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -97,7 +97,7 @@ def test_an_arm_that_does_not_feel_gravity_is_not_told_that_its_sign_is_wrong(th
     position = recording.streams["joints"].channels["position"].values
     position[:, 1] += 1e-5 * np.random.default_rng(seed).integers(0, 2, len(position))
     found = identify([recording], [], IdentifyChoices())
-    assert not any("gravity of the opposite sign" in warning for warning in found.warnings)
+    assert not {check.name for check in found.checks} & {"gravity-opposite", "gravity-direction"}
 
 
 def test_clearly_negative_friction_and_motor_inertia_are_warned_of(three_joint):
