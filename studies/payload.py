@@ -20,7 +20,7 @@ from daq.robot.loader import load_robot
 from ident.estimators.feasible.pseudo_inertia import body_of, pseudo_inertia
 from ident.experiments.load.payload import Payload, identify_payload
 from ident.model.dynamic_model import build_model
-from ident.model.load import KnownLoad, moved_origin
+from ident.model.load import MASS, KnownLoad, moved_origin
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
@@ -70,7 +70,7 @@ def bodies(seeds: int) -> list[str]:
         boundary += load.on_boundary
         costs.append(load.consistent_errors[1] / load.errors[1] - 1)
         to_centre = moved_origin(-body.com)
-        spread = np.sqrt(np.diag(to_centre @ payload.load.standard_covariance @ to_centre.T))
+        spread = payload.load.standard_deviations(to_centre)
         for kind, one, std in (
             ("unconstrained", body, [spread[9], *spread[6:9] / body.mass, *spread[:6]]),
             ("can exist", load.body, [load.mass_std, *load.com_std, *load.inertia_std]),
@@ -85,6 +85,30 @@ def bodies(seeds: int) -> list[str]:
         lines.append(f"{kind}: RMS error, share of 95 % intervals that hold the truth (all {held.mean():.1%})")
         for name, rms, share in zip(FIGURES, np.sqrt(np.mean(error**2, axis=0)), held.mean(axis=0), strict=True):
             lines.append(f"  {name:5} {rms:9.5f} {share:6.0%}")
+    return lines
+
+
+def gain_errors(seeds: int) -> list[str]:
+    """The mass by robot files whose gains are wrong as their `gain_std` says, one draw a seed."""
+    file, generator, lines = load_robot("ur10e"), np.random.default_rng(0), []
+    relative = np.array([drive.gain_std / abs(drive.gain) for drive in file.robot.drives])
+    for kind, count in (("of each joint by itself", len(relative)), ("common to all joints", 1)):
+        errors, deviations = [], []
+        for seed in range(seeds):
+            shares = relative * generator.standard_normal(count)
+            drives = tuple(
+                drive.model_copy(update={"gain": drive.gain * (1 + share)})
+                for drive, share in zip(file.robot.drives, shares, strict=True)
+            )
+            wrong = file.model_copy(update={"robot": file.robot.model_copy(update={"drives": drives})})
+            load = identify_payload(*recordings(seed), None, wrong).load
+            errors.append(load.standard[MASS] - LOAD.mass)
+            deviations.append(load.standard_deviations(np.eye(10))[MASS])
+        held = np.mean(np.abs(errors) <= INTERVAL * np.array(deviations))
+        lines.append(
+            f"errors of the gains {kind}: mass off by {np.sqrt(np.mean(np.square(errors))):.3f} kg (RMS), σ "
+            f"{np.median(deviations):.3f} kg, 95 % intervals hold the truth {held:.0%}"
+        )
     return lines
 
 
@@ -103,6 +127,7 @@ def main(seeds: int = 40) -> None:
         )
     print(f"all    {held.mean():36.1%}")
     print("\n".join(bodies(seeds)))
+    print("\n".join(gain_errors(seeds)))
     tests = {
         "mass": [each.mass_test for each in results],
         "known values": [each.values_test for each in results],

@@ -31,6 +31,7 @@ from ident.experiments.schema import (
 from ident.model.dynamic_model import DynamicModel
 from ident.model.load import FIRST_MOMENTS, KnownLoad, LoadColumns
 from ident.model.parameters import INERTIAL
+from ident.regression.gain_uncertainty import gain_deviations
 from ident.regression.hypothesis_tests import LEVEL, WITHIN_95_PERCENT, SignificanceTest
 from ident.result.schema import UNITS
 
@@ -44,7 +45,7 @@ def payload_sentences(payload: Payload) -> list[str]:
     if payload.mass_test is not None and known is not None:
         place = payload.load.columns.kept.index(INERTIAL.index("M"))
         noise = float(np.sqrt(payload.load.covariance[place, place]))
-        gains = float(np.sqrt(payload.load.gain_covariance[place, place]))
+        gains = float(gain_deviations(payload.load.gain_moves)[place])
         verdict = "agrees with" if payload.mass_test.passed else "does not agree with"
         text = (
             f"mass: identified without it, {mass:.4g} ± {WITHIN_95_PERCENT * noise:.2g} kg {verdict} the known "
@@ -117,7 +118,7 @@ def load_parameters(estimate: LoadEstimate) -> list[LoadParameter]:
         estimate.values.tolist(),
         estimate.std.tolist(),
         np.sqrt(np.diag(estimate.covariance)).tolist(),
-        np.sqrt(np.diag(estimate.gain_covariance)).tolist(),
+        gain_deviations(estimate.gain_moves).tolist(),
         strict=True,
     )
     return [LoadParameter(**dict(zip(LoadParameter.model_fields, column, strict=True))) for column in columns]

@@ -24,7 +24,9 @@ class LoadParameter(_Entry):
     value: Number = Field(description="null where the two motions do not excite it")
     std: Number = Field(description="both causes together")
     noise_std: Number = Field(description="from noise and errors that change along the motion")
-    gain_std: Number = Field(description="from the drive gains' standard deviations")
+    gain_std: Number = Field(
+        description="from the drive gains' standard deviations, their errors independent or common"
+    )
 
 
 class EstimatedValue(_Entry):

@@ -2,6 +2,11 @@
 
 The torque of a joint is its gain times its motor's signal. Least squares is linear in the torque, so a gain that is too
 high by the share ε of itself moves the parameters by ε·(WᵀΩW)⁻¹W_jᵀΩ_jτ_j, W_j and τ_j that joint's rows.
+
+A robot file has the standard deviation of each gain, and not how the errors of the joints go together. Those of one
+data sheet, or of one weighed load, are common: all masses then come out wrong by that share, and nothing averages out
+over the joints. A ratio of them, such as a centre of mass, suffers from errors of single joints instead. A variance is
+linear in the correlation, so the larger one of both extremes covers whatever lies between them.
 """
 
 from __future__ import annotations
@@ -44,3 +49,22 @@ def relative_gain_std(robot: Robot) -> FloatArray:
     """Standard deviation (n,) of each drive's gain over the gain, by the robot file; 0 where it names none."""
     drives = [robot.drive(name) for name in robot.joint_names]
     return np.array([(drive.gain_std or 0.0) / abs(drive.gain) if drive.gain else 0.0 for drive in drives])
+
+
+def gain_deviations(moves: FloatArray) -> FloatArray:
+    """Standard deviations (k,) of values by gains of unknown correlation: the larger of independent and common errors.
+
+    Args:
+        moves: (n, k) of the values by one standard deviation of each joint's gain.
+    """
+    return np.asarray(np.maximum(np.linalg.norm(moves, axis=0), np.abs(np.sum(moves, axis=0))))
+
+
+def gain_covariances(moves: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Covariances (k, k) of the values by independent errors of the gains, and by one that is common to all.
+
+    Args:
+        moves: as of `gain_deviations`.
+    """
+    common = np.sum(moves, axis=0)
+    return np.asarray(moves.T @ moves), np.outer(common, common)

@@ -67,7 +67,7 @@ class IdentifiedPayload:
     @property
     def mass_std(self) -> float:
         """Its standard deviation σ [kg]."""
-        return float(np.sqrt(self.estimate.load.standard_covariance[MASS, MASS]))
+        return float(self.estimate.load.standard_deviations(np.eye(10))[MASS])
 
     @property
     def com(self) -> FloatArray | None:

@@ -24,6 +24,7 @@ from ident.linear_algebra.triangular import triangular
 from ident.model.load import FIRST_MOMENTS, MASS, KnownLoad, load_effect, moved_origin
 from ident.model.parameters import INERTIAL
 from ident.regression.estimate import Estimate
+from ident.regression.gain_uncertainty import gain_covariances
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest
 
 LEAST_MASS = 1e-3
@@ -91,11 +92,18 @@ def consistent_load(pair: RunPair, load: LoadEstimate, known: KnownLoad | None) 
     problem = with_load(
         build_problem(pair.model, robot_file, base, of_arm, priors), prior, fixed, robot_file.robot.prior
     )
-    both = replace(estimate, covariance=estimate.covariance + load.estimate_gain_covariance)
+    projection = block_diag(base.projection, load.columns.projection)
     try:
-        fit = feasible_fit(problem, both, block_diag(base.projection, load.columns.projection), robot_file.robot.name)
+        # The same values, with deviations by gains of independent and of common errors.
+        independent, common = (
+            feasible_fit(
+                problem, replace(estimate, covariance=estimate.covariance + of_gains), projection, robot_file.robot.name
+            )
+            for of_gains in gain_covariances(load.estimate_gain_moves)
+        )
     except IdentificationError:
         return None
+    fit = independent
     arm, own = fit.values[:-LOAD_SIZE], fit.values[-LOAD_SIZE:]
     links = len(pair.model.joints)
     loaded_arm = arm[: LOAD_SIZE * links].copy()
@@ -104,7 +112,7 @@ def consistent_load(pair: RunPair, load: LoadEstimate, known: KnownLoad | None) 
     free_values = np.zeros(base.count + len(load.columns.names))
     free_values[list(estimate.active)] = estimate.values
     effect = load_effect(pair.model, base, robot_file.robot)
-    deviations = _deviations(fit, body_of(own), fixed)
+    deviations = np.maximum(*(_deviations(one, body_of(own), fixed) for one in (independent, common)))
     return ConsistentLoad(
         body=body_of(own),
         mass_std=float(deviations[MASS]),
@@ -145,7 +153,7 @@ def _prior(load: LoadEstimate, known: KnownLoad | None) -> tuple[FloatArray, Boo
     if known is None:
         mass = float(load.standard[MASS])
         if not mass > 0:
-            mass = WITHIN_95_PERCENT * float(np.sqrt(load.standard_covariance[MASS, MASS]))
+            mass = WITHIN_95_PERCENT * float(load.standard_deviations(np.eye(LOAD_SIZE))[MASS])
         return uniform_ball(max(mass, LEAST_MASS), np.zeros(3)), fixed, False
     whole = known.inertia is not None and can_exist(known.mass, known.inertia)
     if whole:

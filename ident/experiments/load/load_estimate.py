@@ -11,7 +11,7 @@ from drivers.streams import FloatArray
 from ident.experiments.run_pair import FREE, LOADED, BlockGrams, RunPair, block_grams, weighted_blocks, widened
 from ident.model.load import MASS, KnownLoad, LoadColumns, load_columns
 from ident.regression.estimate import Estimate, estimate_of
-from ident.regression.gain_uncertainty import gain_sensitivity, relative_gain_std
+from ident.regression.gain_uncertainty import gain_deviations, gain_sensitivity, relative_gain_std
 from ident.regression.jackknife import BlockSums, jackknife_covariance, least_squares_moves
 from ident.regression.least_squares import LeastSquares, excited_columns, ordinary_least_squares
 from ident.regression.observation_matrix import JointFactor, Reduction
@@ -26,30 +26,38 @@ class LoadEstimate:
         columns: identifiable combinations.
         values: (k,) of the combinations.
         covariance: (k, k) from noise and errors that change along the motion.
-        gain_covariance: (k, k) from the drive gains' standard deviations; zero where the file names none.
+        gain_moves: (n, k) of the combinations by one standard deviation of each joint's drive gain; zero where the file
+            names none.
         unexcited: combinations that these two motions do not excite; nan in `values`.
         known: parameters held fixed.
         standard: (10,) standard parameters in the tool frame; nan for those that only combinations reveal.
-        standard_covariance: (10, 10), both causes together; nan where `standard` is.
+        standard_covariance: (10, 10) as `covariance`; 0 where `standard` is nan.
+        standard_gain_moves: (n, 10) as `gain_moves`; 0 where `standard` is nan.
         estimate: of the arm's base parameters and these combinations together, from noise alone.
-        estimate_gain_covariance: (a, a) of the same from the drive gains' standard deviations.
+        estimate_gain_moves: (n, a) of the same by one standard deviation of each gain.
     """
 
     columns: LoadColumns
     values: FloatArray
     covariance: FloatArray
-    gain_covariance: FloatArray
+    gain_moves: FloatArray
     unexcited: tuple[str, ...]
     known: KnownLoad | None
     standard: FloatArray
     standard_covariance: FloatArray
+    standard_gain_moves: FloatArray
     estimate: Estimate
-    estimate_gain_covariance: FloatArray
+    estimate_gain_moves: FloatArray
 
     @property
     def std(self) -> FloatArray:
         """(k,) standard deviations, both causes together."""
-        return np.sqrt(np.diag(self.covariance + self.gain_covariance))
+        return np.asarray(np.hypot(np.sqrt(np.diag(self.covariance)), gain_deviations(self.gain_moves)))
+
+    def standard_deviations(self, directions: FloatArray) -> FloatArray:
+        """Standard deviations (m,), both causes together, of combinations (m, 10) of the standard parameters."""
+        noise = np.einsum("mi,ij,mj->m", directions, self.standard_covariance, directions)
+        return np.asarray(np.hypot(np.sqrt(noise), gain_deviations(self.standard_gain_moves @ directions.T)))
 
     @property
     def centre(self) -> tuple[FloatArray, FloatArray] | None:
@@ -61,7 +69,7 @@ class LoadEstimate:
         slope = np.zeros((3, 10))
         slope[:, 6:9] = np.eye(3) / mass
         slope[:, MASS] = -centre / mass
-        return centre, np.sqrt(np.diag(slope @ self.standard_covariance @ slope.T))
+        return centre, self.standard_deviations(slope)
 
 
 @dataclass(frozen=True)
@@ -143,47 +151,43 @@ def estimate_load(
     measured = _joint_system(pair, columns.effect, np.zeros(count), weights)
     free_part, loaded_part = np.split(gain_sensitivity(measured, solution)[list(active)].T, 2)
     moved_by_gain = free_part + loaded_part  # (n, a)
-    relative = relative_gain_std(pair.robot_file.robot)
-    gain_covariance = (moved_by_gain * relative[:, None] ** 2).T @ moved_by_gain
+    gain_moves = moved_by_gain * relative_gain_std(pair.robot_file.robot)[:, None]
     estimate = estimate_of(system, solution, covariance, grams.count)
-    return _with_standard(columns, known, estimate, gain_covariance, count)
+    return _with_standard(columns, known, estimate, gain_moves, count)
 
 
 def _with_standard(
-    columns: LoadColumns, known: KnownLoad | None, estimate: Estimate, gain_covariance: FloatArray, count: int
+    columns: LoadColumns, known: KnownLoad | None, estimate: Estimate, gain_moves: FloatArray, count: int
 ) -> LoadEstimate:
     size = len(columns.names)
     places = [place for place, column in enumerate(estimate.active) if column >= count]
     identified = [estimate.active[place] - count for place in places]
     values = np.full(size, np.nan)
     values[identified] = estimate.values[places]
-    of_causes = []
-    for of_all in (estimate.covariance, gain_covariance):
-        of_load = np.full((size, size), np.nan)
-        of_load[np.ix_(identified, identified)] = of_all[np.ix_(places, places)]
-        of_causes.append(of_load)
-    standard, spread = np.full(10, np.nan), np.full((10, 10), np.nan)
+    covariance = np.full((size, size), np.nan)
+    covariance[np.ix_(identified, identified)] = estimate.covariance[np.ix_(places, places)]
+    moves = np.full((len(gain_moves), size), np.nan)
+    moves[:, identified] = gain_moves[:, places]
+    standard, spread, standard_moves = np.full(10, np.nan), np.zeros((10, 10)), np.zeros((len(gain_moves), 10))
     if known is not None:
         standard[list(known.known)] = known.values[list(known.known)]
-        spread[np.ix_(known.known, known.known)] = 0.0
     alone = [i for i in range(size) if np.count_nonzero(columns.projection[i]) == 1 and i in identified]
     kept = [columns.kept[i] for i in alone]
     standard[kept] = values[alone]
-    spread[np.ix_(kept, kept)] = (of_causes[0] + of_causes[1])[np.ix_(alone, alone)]
-    if known is not None:
-        spread[np.ix_(kept, known.known)] = 0.0
-        spread[np.ix_(known.known, kept)] = 0.0
+    spread[np.ix_(kept, kept)] = covariance[np.ix_(alone, alone)]
+    standard_moves[:, kept] = moves[:, alone]
     return LoadEstimate(
         columns=columns,
         values=values,
-        covariance=of_causes[0],
-        gain_covariance=of_causes[1],
+        covariance=covariance,
+        gain_moves=moves,
         unexcited=tuple(columns.names[i] for i in range(size) if i not in identified),
         known=known,
         standard=standard,
-        standard_covariance=np.where(np.isfinite(spread), spread, 0.0),
+        standard_covariance=spread,
+        standard_gain_moves=standard_moves,
         estimate=estimate,
-        estimate_gain_covariance=gain_covariance,
+        estimate_gain_moves=gain_moves,
     )
 
 

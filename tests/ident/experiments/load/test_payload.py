@@ -115,8 +115,37 @@ def test_the_gains_part_of_the_error_bars_is_what_wrong_gains_do():
         changed = identify_payload(free, loaded, None, other, reference.pair.delay)
         moved[joint] = (changed.load.values - reference.load.values) / step
     relative = np.array([drive.gain_std / drive.gain for drive in robot_file.robot.drives])
-    expected = np.sqrt(np.sum((moved * relative[:, None]) ** 2, axis=0))
-    assert np.sqrt(np.diag(reference.load.gain_covariance)) == pytest.approx(expected, rel=0.1)
+    independent = np.sqrt(np.sum((moved * relative[:, None]) ** 2, axis=0))
+    common = np.abs(np.sum(moved * relative[:, None], axis=0))
+    of_gains = np.sqrt(reference.load.std**2 - np.diag(reference.load.covariance))
+    assert of_gains == pytest.approx(np.maximum(independent, common), rel=0.1)
+    # All gains too high by a share make everything heavier by that share.
+    assert common == pytest.approx(relative.mean() * np.abs(reference.load.values), rel=0.05, abs=0.02 * of_gains.max())
+
+
+@pytest.mark.parametrize("common", [False, True])
+def test_intervals_of_the_mass_hold_the_truth_whatever_the_gains(common):
+    """Gains of the robot file drawn about the true ones by its gain_std: each by itself, or all by the same share."""
+    free, loaded = runs(3)
+    file = load_robot("ur10e")
+    relative = np.array([drive.gain_std / abs(drive.gain) for drive in file.robot.drives])
+    # The estimate is linear in the gains: one identification says what every draw of them gives.
+    reference = identify_payload(free, loaded)
+    place = reference.load.columns.names.index("M_L")
+    moves = reference.load.gain_moves[:, place]
+    generator = np.random.default_rng(0)
+    draws = generator.standard_normal((4000, 1 if common else 6)) * np.ones(6)
+    masses = reference.load.values[place] + draws @ moves
+    held = np.abs(masses - 2.8) <= 1.96 * reference.load.std[place]
+    assert np.mean(held) > 0.93
+    for draw in draws[:2]:
+        drives = tuple(
+            drive.model_copy(update={"gain": drive.gain * (1 + share)})
+            for drive, share in zip(file.robot.drives, relative * draw, strict=True)
+        )
+        other = file.model_copy(update={"robot": file.robot.model_copy(update={"drives": drives})})
+        found = identify_payload(free, loaded, None, other, reference.pair.delay)
+        assert found.load.values[place] == pytest.approx(reference.load.values[place] + draw @ moves, abs=0.05)
 
 
 def test_no_load_is_said():
