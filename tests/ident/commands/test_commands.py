@@ -93,6 +93,7 @@ def test_info_writes_a_page_once(monkeypatch, capsys, folder):
 def test_identify_validates_writes_and_prints(monkeypatch, capsys, folder):
     status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--validate", "val.h5", "-o", "model")
     assert status == 0
+    assert_one_verdict(folder / "model", out)
     assert "val.h5" in out
     assert "differs from measured torque by" in out
     result = json.loads((folder / "model" / "result.json").read_text())
@@ -123,10 +124,10 @@ def test_identify_validates_writes_and_prints(monkeypatch, capsys, folder):
     assert judged["verdict"]["headline"] in out
 
 
-def test_the_same_verdict_stands_in_json_on_the_terminal_and_in_the_report(monkeypatch, capsys, folder):
-    _, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--validate", "val.h5", "-o", "same")
-    verdict = json.loads((folder / "same" / "result.json").read_text())["verdict"]
-    report = html.unescape((folder / "same" / "report.html").read_text(encoding="utf-8"))
+def assert_one_verdict(model: Path, out: str) -> None:
+    """The same verdict stands in JSON, on the terminal and in the report."""
+    verdict = json.loads((model / "result.json").read_text())["verdict"]
+    report = html.unescape((model / "report.html").read_text(encoding="utf-8"))
     assert verdict["headline"] in out
     assert verdict["headline"] in report
     for check in verdict["checks"]:

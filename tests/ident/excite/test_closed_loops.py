@@ -63,11 +63,10 @@ def test_within_the_limits_nothing_is_changed() -> None:
     np.testing.assert_array_equal(one[1], other[1])
 
 
-@pytest.mark.slow
 def test_a_whole_design_keeps_every_limit() -> None:
     robot_file = four_bar_arm()
     search = SearchChoices(seed=1, starts=1, workers=1)
-    found = design(robot_file, find_prior(robot_file), DesignChoices(harmonics=3), search)
+    found = design(robot_file, find_prior(robot_file), DesignChoices(harmonics=1, period=3.0, ramp=1.0), search)
     assert found.use.max() <= 1.0
     check_limits(found.motion, robot_file.robot.joints, "design")
     check_rest(found.motion, robot_file.robot.joints, "design")
