@@ -19,8 +19,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ident.assessment.torque_level import arm_length
+import numpy as np
+
 from ident.model.dynamic_model import DynamicModel
+from ident.model.kinematics.joints import BASE_INDEX
 
 DENSITY = 49.0
 """[kg/m³] mass of an arm over its reach cubed."""
@@ -62,9 +64,25 @@ class ArmMass:
 
 def mass_of_size(model: DynamicModel) -> ArmMass | None:
     """The mass of an arm as long as this one; None where its frames have no length."""
-    reach = arm_length(model) / LENGTHS_PER_REACH
-    if not reach > 0.0:
-        return None
-    expected = DENSITY * reach**3
-    part = len(model.joints) < WHOLE_ARM or any(joint.prismatic for joint in model.joints)
+    length = arm_length(model)
+    return mass_of_length(length, part_of_arm(model)) if length > 0.0 else None
+
+
+def mass_of_length(length: float, part: bool) -> ArmMass:
+    """The mass of an arm, or of a part of one, of a length [m] from frame to frame."""
+    expected = DENSITY * (length / LENGTHS_PER_REACH) ** 3
     return ArmMass(expected, LEAST * expected, MOST * expected * (UNKNOWN_END if part else 1.0))
+
+
+def part_of_arm(model: DynamicModel) -> bool:
+    """Whether the joints' frames may show a part of the arm's length only."""
+    return len(model.joints) < WHOLE_ARM or any(joint.prismatic for joint in model.joints)
+
+
+def arm_length(model: DynamicModel) -> float:
+    """Longest distance [m] from the base to a joint along the links, at position zero."""
+    lengths: list[float] = []
+    for joint in model.joints:
+        before = 0.0 if joint.parent == BASE_INDEX else lengths[joint.parent]
+        lengths.append(before + float(np.linalg.norm(joint.translation)))
+    return max(lengths, default=0.0)

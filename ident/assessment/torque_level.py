@@ -9,8 +9,10 @@ import numpy as np
 from daq.robot.schema import Robot
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
+from ident.assessment.arm_mass import LENGTHS_PER_REACH, arm_length, mass_of_length, part_of_arm
+from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.kinematics.joints import BASE_INDEX
+from ident.model.regressor import RegressorKernel, dense_regressor
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -26,9 +28,20 @@ FAR_BELOW = 0.01
 a limit, so that a gear ratio of 50 left out gives about 0.01."""
 
 STANDARD_GRAVITY = 9.81
-DENSEST_ARM = 2000.0
-"""[kg/m³] mass that the peak torque holds at full reach, over the reach cubed. It is 10 to 220 for the public
+DENSEST_ARM = 500.0
+"""[kg/m³] mass that the peak torque holds at full length, over the length cubed. It is 10 to 220 for the public
 recordings (TX40 219, UR10 9, Panda 7); milliampere read as ampere make it a thousand times that."""
+
+UNKNOWN_LENGTH = 0.5
+"""[m] that a part of an arm may be longer than its frames."""
+
+CENTRE = 0.25
+"""Gravity's largest torque over the weight of the whole arm, in reaches: most of an arm is near its base."""
+
+TOO_HEAVY = 5.0
+"""Weight that gravity's torque shows over the most that an arm of its size has (`ident.assessment.arm_mass`)."""
+
+GRAVITY_INSTANTS = 500
 
 
 def torque_level_checks(robot: Robot, model: DynamicModel, torque: FloatArray) -> list[Check]:
@@ -65,9 +78,9 @@ def torque_level_checks(robot: Robot, model: DynamicModel, torque: FloatArray) -
 
 def _load_checks(names: Sequence[str], model: DynamicModel, peak: FloatArray) -> list[Check]:
     """Whether the peak torque would hold a mass that no arm of this size has; needs no limits."""
-    reach = arm_length(model)
+    reach = _length(model)
     turning = [row for row, joint in enumerate(model.active) if not model.joints[joint].prismatic]
-    if not turning or reach == 0.0:
+    if not turning:
         return []
     strongest = max(turning, key=lambda row: float(peak[row]))
     mass = float(peak[strongest]) / (STANDARD_GRAVITY * reach)
@@ -80,13 +93,43 @@ def _load_checks(names: Sequence[str], model: DynamicModel, peak: FloatArray) ->
     return [raised("implausible-load", text, [names[strongest]])]
 
 
-def arm_length(model: DynamicModel) -> float:
-    """Longest distance [m] from the base to a joint along the links, at position zero."""
-    lengths: list[float] = []
-    for joint in model.joints:
-        before = 0.0 if joint.parent == BASE_INDEX else lengths[joint.parent]
-        lengths.append(before + float(np.linalg.norm(joint.translation)))
-    return max(lengths, default=0.0)
+def weight_checks(
+    model: DynamicModel, base: BaseParameters, parameters: FloatArray, position: FloatArray
+) -> list[Check]:
+    """Whether gravity's part of the torque is that of a mass that no arm of this size has.
+
+    Args:
+        model: of the arm.
+        base: its base parameters.
+        parameters: (b,) their values, of bodies that can exist where there are such.
+        position: (n, N) that the arm was in [rad or m].
+    """
+    few = position[:, :: max(1, position.shape[1] // GRAVITY_INSTANTS)]
+    still = np.zeros_like(few)
+    inertial = [column for column, kind in enumerate(base.kinds) if kind == "inertial"]
+    kernel = RegressorKernel(model, [base.columns[column] for column in inertial])
+    torque = np.einsum("nbN,b->nN", dense_regressor(kernel, few, still, still), parameters[inertial])
+    turning = [row for row, joint in enumerate(model.active) if not model.joints[joint].prismatic]
+    if not turning or not torque.size:
+        return []
+    peak = np.max(np.abs(torque), axis=1)
+    strongest = max(turning, key=lambda row: float(peak[row]))
+    mass = mass_of_length(_length(model), part_of_arm(model))
+    shown = float(peak[strongest]) / (CENTRE * STANDARD_GRAVITY * _length(model) / LENGTHS_PER_REACH)
+    if shown < TOO_HEAVY * mass.most:
+        return []
+    name = model.joint_names[strongest]
+    text = (
+        f"gravity's part of the torque of {name} reaches {_figure(float(peak[strongest]))} N·m, as of an arm of "
+        f"{_figure(shown)} kg, and arms of this size weigh about {_figure(mass.expected)} kg: check the unit of the "
+        "current (A, not mA) or torque (N·m, not N·mm), and the drive gains"
+    )
+    return [raised("implausible-load", text, [name])]
+
+
+def _length(model: DynamicModel) -> float:
+    """Length [m] of the arm, with what the frames of a part may not show."""
+    return arm_length(model) + (UNKNOWN_LENGTH if part_of_arm(model) else 0.0)
 
 
 def _figure(value: float) -> str:

@@ -22,7 +22,7 @@ from ident.assessment.plausibility import (
 )
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.residual_tests import residual_checks
-from ident.assessment.torque_level import torque_level_checks
+from ident.assessment.torque_level import torque_level_checks, weight_checks
 from ident.estimators.energy.estimator import fits_energy_better
 from ident.estimators.estimator import Setup
 from ident.estimators.feasible.consistent import ConsistentParameters
@@ -67,7 +67,9 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     several = len(recordings) > 1
     checks = [check for one in recordings for check in recording_checks(one, label=one.label if several else "")]
     torque = np.concatenate([run.signals.torque for run in identification.runs])
-    checks += torque_level_checks(identification.robot_file.robot, identification.model, torque)
+    checks += torque_level_checks(identification.robot_file.robot, identification.model, torque) or _weight_checks(
+        identification
+    )
     checks += delay_checks(identification.delay)
     checks += _size_checks(identification)
     checks += _convergence_checks(identification)
@@ -156,6 +158,15 @@ def _few_equations(identification: Identification, advised: int) -> str:
         f"only {solution.rows} equations for {len(solution.active)} parameters; {ROWS_PER_PARAMETER} per parameter are "
         f"advised: identify from {needed:.0f} s of motion instead of {seconds:.0f} s, {more}"
     )
+
+
+def _weight_checks(identification: Identification) -> list[Check]:
+    """Whether gravity's torque is that of a mass that no arm of this size has."""
+    consistent, solution = identification.consistent, identification.solution
+    parameters = solution.parameters if consistent is None else consistent.parameters.base
+    segments = [segment for run in identification.runs for segment in run.prepared.segments]
+    position = np.concatenate([segment.position[:, segment.used] for segment in segments], axis=1)
+    return weight_checks(identification.model, identification.base, parameters, position)
 
 
 def _mistake_checks(identification: Identification) -> list[Check]:

@@ -294,6 +294,13 @@ _MODEL = (
         "The data do not tell which of those in the sentence: check their signs and the order of their columns.",
     ),
     CheckKind(
+        "unsigned-torque",
+        "serious",
+        ALL,
+        "torques were recorded without their sign",
+        "Record signed torques or currents; the sign that was lost cannot be restored.",
+    ),
+    CheckKind(
         "joint-zero",
         "warning",
         PARAMETERS,

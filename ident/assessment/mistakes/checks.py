@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from ident.assessment.instants import instants
 from ident.assessment.mistakes.competition import Competition, explanations
 from ident.assessment.mistakes.hypotheses import Mistake
+from ident.assessment.mistakes.unsigned import unsigned_torques
 from ident.assessment.model_errors import model_error_checks, most_likely
 from ident.assessment.refit import Refit
 from ident.model.base_parameters import BaseParameters
@@ -41,6 +42,9 @@ def mistake_checks(
     if few.torque.shape[1] <= len(solution.active):
         return []
     competition = Competition(model, experiment, base, solution.active, few)
+    folded = unsigned_torques(competition, runs)
+    if folded:
+        return [_unsigned_check([model.joint_names[joint] for joint in folded])]
     well = competition.well_explained()
     refit = Refit(model, experiment, base.columns, few, solution)
     deviations = most_likely(refit, runs, independent, poor=not well)
@@ -51,6 +55,14 @@ def mistake_checks(
     if deviations and not well and not competition.explained_by(deviations[0]):
         return []
     return model_error_checks(model, deviations)
+
+
+def _unsigned_check(names: Sequence[str]) -> Check:
+    text = (
+        f"the torque of {', '.join(names)} is never negative, and with signs chosen by the model the data are "
+        "explained: it was recorded without its sign, which cannot be restored; record signed currents or torques"
+    )
+    return raised("unsigned-torque", text, names)
 
 
 def _check(model: DynamicModel, found: Sequence[Mistake]) -> Check:

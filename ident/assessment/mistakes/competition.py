@@ -91,6 +91,10 @@ class Competition:
             self._equations[positions] = system, conditions
         return self._equations[positions]
 
+    def regressor(self, positions: Columns) -> FloatArray:
+        """(n, a, N) of the active columns with these positions."""
+        return self.instants.with_positions(positions).regressor(self._kernel)[:, self.active]
+
     def free(self, mistake: Mistake) -> Fit | None:
         """The fit without conditions."""
         return self.system(mistake.positions)[0].fit(mistake.torques)

@@ -15,8 +15,7 @@ from daq.robot.loader import RobotFile
 from daq.robot.prior import PriorLink
 from drivers.errors import RobotFileError
 from drivers.streams import FloatArray
-from ident.assessment.arm_mass import mass_of_size
-from ident.assessment.torque_level import arm_length
+from ident.assessment.arm_mass import arm_length, mass_of_size
 from ident.estimators.feasible.pseudo_inertia import pseudo_inertia, standard_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.urdf import urdf_inertias

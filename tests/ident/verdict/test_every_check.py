@@ -425,6 +425,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.clean(),
     ),
     "sign-or-column": (lambda b: b.found(changed(b.recorded(), lambda i: i * [-1, 1, 1])), lambda b: b.clean()),
+    "unsigned-torque": (
+        lambda b: b.found(changed(b.recorded(), lambda i: np.abs(i) * [1, -1, 1])),
+        lambda b: b.clean(),
+    ),
     "joint-zero": (
         lambda b: b.found(changed(b.recorded(), lambda q: q + np.deg2rad([0, 8, 0]), "position")),
         lambda b: b.clean(),
