@@ -25,7 +25,7 @@ from ident.model.regressor import RegressorKernel, model_torque
 from ident.regression.least_squares import excited_columns
 from ident.regression.observation_matrix import Reduction, reduce_segments
 from ident.regression.pruning import relative_std
-from ident.result.schema import UNITS
+from ident.result.units import parameter_unit
 from ident.signals.filters import no_filter
 from ident.signals.prepared import Segment
 
@@ -200,7 +200,7 @@ def forecast(
                 name=base.names[i],
                 expression=base.expressions[i],
                 kind=base.kinds[i],
-                unit=UNITS[model.parameters[column].symbol],
+                unit=parameter_unit(model, column),
                 value=None if prior.parameters is None else float(prior.parameters[i]),
                 std=float(std[i]),
                 rsd_percent=None if rsd is None else float(rsd[i]),

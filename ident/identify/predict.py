@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import get_args
 
 import numpy as np
 
@@ -12,16 +12,14 @@ from daq.robot.loader import RobotFile
 from drivers.streams import FloatArray
 from drivers.units import ZERO_CELSIUS
 from ident.identify.revalidate import stored_choices
-from ident.result.model import Model
+from ident.result.model import Model, TorquePart
 from ident.signals.joint_signals import JointSignals, joint_positions, read_joint_signals
 from ident.signals.joint_temperature import joint_temperature
 from ident.signals.pipeline import prepare
 from ident.signals.prepared import Prepared, Segment
 
-Part = Literal["inertial", "coriolis", "gravity", "friction"]
+PARTS: tuple[TorquePart, ...] = get_args(TorquePart)
 """M(q)·q̈ with motor inertia; C(q, q̇)·q̇; g(q); friction with offsets. Together they are the predicted torque."""
-
-PARTS: tuple[Part, ...] = ("inertial", "coriolis", "gravity", "friction")
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +41,7 @@ class SegmentPrediction:
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
-    parts: dict[Part, FloatArray]
+    parts: dict[TorquePart, FloatArray]
     std: FloatArray
     measured: FloatArray | None
     residual: FloatArray | None
@@ -103,6 +101,14 @@ def predict_recording(
         torque_origin=signals.torque_origin,
         steps=(
             *(f"{step.name}: {step.text}" for step in prepared.steps if step.name != "parallel filter"),
+            *(
+                [
+                    f"friction: holds the weight of {', '.join(model.confounded)}, which no motion separates from "
+                    "the offset"
+                ]
+                if model.confounded
+                else []
+            ),
             *(["presliding: dry friction by Dahl's model near velocity reversals"] if presliding else []),
             f"residual: measured and predicted torque, zero-phase low-pass of {prepared.cutoffs.torque:.4g} Hz, "
             "all samples kept",
@@ -141,12 +147,11 @@ def _predicted(
 
     q, dq, ddq = rows(segment.position), rows(segment.velocity), rows(segment.acceleration)
     celsius = None if segment.temperature is None else rows(segment.temperature) - ZERO_CELSIUS
-    gravity, coriolis, friction = model.gravity(q), model.coriolis(q, dq), model.friction(dq, q, celsius)
-    torque = model.torque(q, dq, ddq, celsius)
+    parts = model.torque_parts(q, dq, ddq, celsius)
     change = np.zeros_like(segment.position)
     if presliding:
         change = model.presliding_torque(segment.position.T, segment.velocity.T, segment.rate).T
-        friction, torque = friction + rows(change), torque + rows(change)
+        parts["friction"] = parts["friction"] + rows(change)
     measured = residual = None
     if signals.torque_origin:
         at_joints = model.coupling.T @ segment.torque
@@ -166,12 +171,7 @@ def _predicted(
         position=q,
         velocity=dq,
         acceleration=ddq,
-        parts={
-            "inertial": torque - coriolis - gravity - friction,
-            "coriolis": coriolis,
-            "gravity": gravity,
-            "friction": friction,
-        },
+        parts=parts,
         std=model.torque_std(q, dq, ddq, celsius),
         measured=measured,
         residual=residual,

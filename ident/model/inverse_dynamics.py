@@ -7,6 +7,9 @@ Base parameters are not the masses and inertias of bodies, but the dynamics are 
 vector x with projection @ x = base has the same torques. Pinocchio divides by the masses, so x gets a mass of 1 kg for
 each link whose mass is not kept, and the kept parameters make up for it. Where they cannot, or where a kept mass is
 estimated as 0 or below, the link gets 1 kg and the torques of an arm of these extra point masses are subtracted.
+
+The weight on a joint that slides along gravity is constant, and regrouped on the joint's offset. Gravity and friction
+then need the standard parameters, of which base parameters do not tell.
 """
 
 from __future__ import annotations
@@ -34,6 +37,10 @@ LEAST_MASS = 0.01
 """[kg]; links whose kept mass is less get `PLACEHOLDER_MASS`, and the difference is subtracted."""
 
 
+NEGLIGIBLE_WEIGHT = 1e-6
+"""[N/kg, N·m/(kg·m)] Shares of inertial parameters in an offset below this are rounding."""
+
+
 class InverseDynamics:
     """Torques of given base parameters along motions (n, N); scratch inside, so one thread at a time.
 
@@ -44,19 +51,32 @@ class InverseDynamics:
         coupling: (n, n) R of q_motor = R·q_joint.
         joint_columns: the columns that are no link's, with their values.
         rotor_inertia: (n, n) of the motors, and of what turns with a coupled joint beside its motor [kg·m²].
+        weight: (n,) constant gravity torque that is regrouped on offsets [N·m or N]; 0 where `standard` is not given.
+        confounded: names of the joints whose weight and offset are one parameter that nothing splits.
     """
 
-    def __init__(self, model: DynamicModel, base: BaseParameters, parameters: FloatArray) -> None:
+    def __init__(
+        self, model: DynamicModel, base: BaseParameters, parameters: FloatArray, standard: FloatArray | None = None
+    ) -> None:
+        """Take over parameters.
+
+        Args:
+            model: the arm.
+            base: its base parameters.
+            parameters: (b,) their values.
+            standard: (p,) standard parameters behind them, where they are known: they split weight from offset.
+        """
         self.model, self.base, self.parameters = model, base, parameters
         self.coupling = np.eye(model.dof) if model.transmission is None else model.transmission.coupling
         self._coupled = model.transmission is not None and not np.array_equal(self.coupling, np.eye(model.dof))
-        standard = model.parameters
+        columns = model.parameters
         self.joint_columns: list[tuple[JointColumn, float]] = [
-            (joint_column(model, standard[column]), float(value))
+            (joint_column(model, columns[column]), float(value))
             for column, value in zip(base.columns, parameters, strict=True)
-            if standard[column].kind != "inertial"
+            if columns[column].kind != "inertial"
         ]
         self.rotor_inertia = self._summed_rotors()
+        self.weight, self.confounded = self._regrouped_weight(standard)
         self._load = LoadTorqueKernel(model) if model.needs_load_torque else None
         inertial, extra = with_masses(model, base, parameters)
         self._arms: list[tuple[Any, Any, float]] = []
@@ -82,10 +102,15 @@ class InverseDynamics:
             )
             return self._to_joints(motors)
         total = self.links(position, velocity, acceleration) + self.rotor_inertia @ acceleration
-        return total + self.friction(velocity, position, temperature)
+        return total + self.friction(velocity, position, temperature) + self.weight[:, None]
+
+    def gravity(self, position: FloatArray) -> FloatArray:
+        """Joint torques (n, N) [N·m] of gravity; without the weights of joints that are `confounded`."""
+        still = np.zeros_like(position)
+        return self.links(position, still, still) + self.weight[:, None]
 
     def links(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """Joint torques (n, N) [N·m] of the links alone: no motor inertia, no friction."""
+        """Joint torques (n, N) [N·m] of the links alone: no motor inertia, no friction, no regrouped weight."""
         import pinocchio as pin
 
         motion = self.model.tree_motion(position, velocity, acceleration)
@@ -106,7 +131,7 @@ class InverseDynamics:
     def friction(
         self, velocity: FloatArray, position: FloatArray | None = None, temperature: FloatArray | None = None
     ) -> FloatArray:
-        """Friction and offsets (n, N) [N·m] at joint velocities (n, N).
+        """Friction and offsets (n, N) [N·m] at joint velocities (n, N); of `confounded` joints with their weight.
 
         Args:
             velocity: (n, N) [rad/s or m/s].
@@ -123,7 +148,7 @@ class InverseDynamics:
                 signal = column_signal(self.model, column, velocity, velocity, conditions)
                 for motor, factor in column.rows:
                     motors[motor] += factor * value * signal
-        return self._to_joints(motors)
+        return self._to_joints(motors) - self.weight[:, None]
 
     def inertia(self, position: FloatArray) -> FloatArray:
         """Inertia matrices (N, n, n) [kg·m²] at positions (n, N), motor inertias included."""
@@ -136,6 +161,21 @@ class InverseDynamics:
             unit[joint] = 1.0
             matrices[:, :, joint] = (self.links(position, still, unit) - holding).T
         return np.asarray(0.5 * (matrices + matrices.transpose(0, 2, 1)) + self.rotor_inertia)
+
+    def _regrouped_weight(self, standard: FloatArray | None) -> tuple[FloatArray, tuple[str, ...]]:
+        """`weight` and `confounded`."""
+        parameters, links = self.model.parameters, len(INERTIAL) * len(self.model.joints)
+        at_motors, confounded = np.zeros((self.model.dof, 1)), []
+        for row, column in enumerate(self.base.columns):
+            shares = self.base.projection[row, :links]
+            if parameters[column].kind != "offset" or not np.any(np.abs(shares) > NEGLIGIBLE_WEIGHT):
+                continue
+            if standard is None:
+                confounded.append(self.model.link_names[parameters[column].joint])
+                continue
+            for motor, factor in joint_column(self.model, parameters[column]).rows:
+                at_motors[motor] += factor * float(shares @ standard[:links])
+        return self._to_joints(at_motors)[:, 0], tuple(confounded)
 
     def _summed_rotors(self) -> FloatArray:
         """Inertia (n, n) [kg·m²] of the motors, and of what turns with a coupled joint beside its motor."""

@@ -53,5 +53,5 @@ def exported_arm(result: Result, kind: str, stored: StoredModel, dynamics: Inver
     model, kept, lacking = without_further_friction(stored.model, standard)
     if lacking:
         base = base_parameters(model)
-        dynamics = InverseDynamics(model, base, base.projection @ kept)
+        dynamics = InverseDynamics(model, base, base.projection @ kept, kept)
     return ExportedArm(stored.robot_file, model, kept, dynamics, lacking)

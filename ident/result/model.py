@@ -37,6 +37,9 @@ if TYPE_CHECKING:
     from ident.export.arm import ExportedArm
     from ident.export.export import Export
 
+TorquePart = Literal["inertial", "coriolis", "gravity", "friction"]
+"""Parts that a torque is the sum of."""
+
 KINDS: dict[Parameters, str] = {
     "consistent": "the base parameters of bodies that can exist",
     "full": "all base parameters as estimated",
@@ -97,7 +100,7 @@ class Model:
         self._check_whole_arm(self._stored)
         base = self._base = self._stored.base
         entries = {parameter.name: parameter for parameter in result.base_parameters}
-        ordered = [entries[name] for name in base.names]
+        ordered = self._entries = [entries[name] for name in base.names]
         if self.kind == "consistent":
             if result.consistent is None:
                 raise ModelError(
@@ -112,7 +115,35 @@ class Model:
             values = [0.0 if entry.essential_value is None else entry.essential_value for entry in ordered]
         self._values: FloatArray = np.array(values, dtype=np.float64)
         self._missing = [int(index) for index in np.flatnonzero(np.isnan(self._values))]
-        self._dynamics = InverseDynamics(self._stored.model, base, np.nan_to_num(self._values))
+        self._dynamics = InverseDynamics(
+            self._stored.model,
+            base,
+            np.nan_to_num(self._values),
+            self._standard() if self.kind == "consistent" else None,
+        )
+
+    def _standard(self) -> FloatArray | None:
+        """Standard parameters (p,) of the consistent model; None where the result does not hold them all."""
+        held = () if self.result.consistent is None else self.result.consistent.parameters
+        values = {parameter.name: parameter.value for parameter in held}
+        names = [parameter.name for parameter in self._stored.model.parameters]
+        return np.array([values[name] for name in names]) if set(names) <= set(values) else None
+
+    def _refuse_confounded(self, part: str) -> None:
+        """Refuse a part of the torque that the base parameters do not tell from another."""
+        confounded = self._dynamics.confounded
+        if confounded:
+            values = [
+                f"{value:.4g} {entry.unit}"
+                for entry, value in zip(self._entries, self._values, strict=True)
+                if entry.kind == "offset" and entry.joint in confounded
+            ]
+            raise ModelError(
+                f"{part} is not known: weight and offset of {', '.join(confounded)} act alike, together "
+                f"{', '.join(values)}, and no motion separates them",
+                where=f"{self.name}, {self.kind} model",
+                hint='parameters="consistent" (the default) splits them by its bodies; torque() needs no split',
+            )
 
     @staticmethod
     def _check_whole_arm(stored: StoredModel) -> None:
@@ -240,8 +271,10 @@ class Model:
 
         Raises:
             DataError: a wrong shape, or a value is not finite.
-            ModelError: a parameter without a value acts at these positions.
+            ModelError: a parameter without a value acts at these positions; or, of the full and the essential model,
+                a joint slides along gravity, so that its weight and its offset are one parameter.
         """
+        self._refuse_confounded("gravity")
         (position,), single = samples(self.joint_names, q=q)
         return outward(self._gravity(position), single=single)
 
@@ -260,18 +293,53 @@ class Model:
 
         Raises:
             DataError: a wrong shape, a value is not finite, or positions or a temperature are missing.
-            ModelError: the friction of a joint that moves has no value.
+            ModelError: the friction of a joint that moves has no value; or, of the full and the essential model, a
+                joint slides along gravity, so that its weight and its offset are one parameter.
         """
+        self._refuse_confounded("friction")
         if q is None and self._stored.model.needs_load_torque:
             raise DataError("positions are missing: the friction depends on the load", where="q", hint="give q=")
         given = {"dq": dq} if q is None else {"dq": dq, "q": q}
         (velocity, *others), single = samples(self.joint_names, **given)
         position = others[0] if others else np.zeros_like(velocity)
         kelvin = self._kelvin(temperature, velocity.shape[1])
-        if self._missing:
-            columns = self._columns(position, velocity, np.zeros_like(velocity), kelvin)
-            self._require(columns, kinds=(*FRICTION_KINDS, "coupling"))
-        return outward(self._dynamics.friction(velocity, position, kelvin), single=single)
+        return outward(self._friction(position, velocity, kelvin), single=single)
+
+    @property
+    def confounded(self) -> tuple[str, ...]:
+        """Names of the joints whose weight and offset are one parameter of this model: those that slide along gravity.
+
+        The consistent model has none, for its bodies have weights; the split is then as good as their prior.
+        """
+        return self._dynamics.confounded
+
+    def torque_parts(
+        self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike, temperature: npt.ArrayLike | None = None
+    ) -> dict[TorquePart, FloatArray]:
+        """The parts of `torque` that add up to it, each in the shape of `q`: inertial, coriolis, gravity, friction.
+
+        The weight of joints that are `confounded` counts as friction, with their offset.
+
+        Args:
+            q: (N, n) or (n,) positions [rad].
+            dq: the same of velocities [rad/s].
+            ddq: the same of accelerations [rad/s²].
+            temperature: (N, n) or (n,) of the joints [°C], where the friction depends on it.
+
+        Raises:
+            DataError: shapes differ, a value is not finite, or a temperature is missing.
+            ModelError: a parameter without a value acts on this motion.
+        """
+        total = self.torque(q, dq, ddq, temperature)
+        (position, velocity), single = samples(self.joint_names, q=q, dq=dq)
+        kelvin = self._kelvin(temperature, position.shape[1])
+        parts: dict[TorquePart, FloatArray] = {
+            "coriolis": self._coriolis(position, velocity),
+            "gravity": self._gravity(position),
+            "friction": self._friction(position, velocity, kelvin),
+        }
+        shaped = {name: outward(values, single=single) for name, values in parts.items()}
+        return {"inertial": np.asarray(total - sum(shaped.values())), **shaped}
 
     def coriolis(self, q: npt.ArrayLike, dq: npt.ArrayLike) -> FloatArray:
         """The vector C(q, q̇)·q̇ of Coriolis and centrifugal torques [N·m], not the matrix C; shape of `q`.
@@ -576,7 +644,13 @@ class Model:
         still = np.zeros_like(position)
         if self._missing:
             self._require(self._columns(position, still, still), kinds=("inertial",))
-        return self._dynamics.links(position, still, still)
+        return self._dynamics.gravity(position)
+
+    def _friction(self, position: FloatArray, velocity: FloatArray, kelvin: FloatArray | None) -> FloatArray:
+        if self._missing:
+            columns = self._columns(position, velocity, np.zeros_like(velocity), kelvin)
+            self._require(columns, kinds=(*FRICTION_KINDS, "coupling"))
+        return self._dynamics.friction(velocity, position, kelvin)
 
     def _coriolis(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
         still = np.zeros_like(position)

@@ -8,14 +8,20 @@ from ident.result.schema import UNITS
 
 
 def parameter_unit(model: DynamicModel, column: int) -> str:
-    """Unit of a standard parameter; of viscous and load friction it follows from the exponent."""
+    """Unit of a standard parameter; of a joint's own it follows from its kind, of friction also from the exponent."""
     parameter = model.parameters[column]
     unit = UNITS[parameter.symbol]
-    if parameter.kind == "inertial" or parameter.kind == "coupling" or model.terms is None:
+    if parameter.kind == "inertial":
         return unit
-    shape = joint_column(model, parameter).shape
-    if parameter.kind == "viscous" and shape != 1.0:
-        return f"N·m·(s/rad)^{shape:.3g}"
-    if parameter.kind == "load":
-        return "1" if shape == 1.0 else "1/(N·m)"
-    return unit
+    if parameter.kind != "coupling" and model.terms is not None:
+        shape = joint_column(model, parameter).shape
+        if parameter.kind == "viscous" and shape != 1.0:
+            unit = f"N·m·(s/rad)^{shape:.3g}"
+        elif parameter.kind == "load":
+            unit = "1" if shape == 1.0 else "1/(N·m)"
+    return sliding_unit(unit) if model.joints[parameter.joint].prismatic else unit
+
+
+def sliding_unit(unit: str) -> str:
+    """The unit of a sliding joint's parameter: N for N·m, m for rad, kg for kg·m²."""
+    return unit.replace("(N·m)", "N").replace("N·m", "N").replace("rad", "m").replace("kg·m²", "kg")

@@ -8,8 +8,8 @@ from daq.robot.loader import RobotFile, load_robot
 from ident.model import base_parameters as numeric
 from ident.model.dynamic_model import build_model
 from ident.model.symbols import symbolic_expressions
-from ident.result.schema import UNITS
 from ident.result.tables import Table, table_of_rows
+from ident.result.units import parameter_unit
 
 
 def base_parameters(robot: str | Path | RobotFile) -> Table:
@@ -34,11 +34,15 @@ def base_parameters(robot: str | Path | RobotFile) -> Table:
     robot_file = load_robot(robot)
     model = build_model(robot_file)
     base = numeric.base_parameters(model)
-    symbols = [model.parameters[column].symbol for column in base.columns]
     rows = [
-        (name, kind, model.link_names[joint], UNITS[symbol], expression)
-        for name, kind, joint, symbol, expression in zip(
-            base.names, base.kinds, base.joints, symbols, symbolic_expressions(robot_file, model, base), strict=True
+        (name, kind, model.link_names[joint], parameter_unit(model, column), expression)
+        for name, kind, joint, column, expression in zip(
+            base.names,
+            base.kinds,
+            base.joints,
+            base.columns,
+            symbolic_expressions(robot_file, model, base),
+            strict=True,
         )
     ]
     headings = [(name, "") for name in ("name", "kind", "joint", "unit", "expression")]

@@ -13,7 +13,6 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.result.schema import (
-    UNITS,
     BaseParameterResult,
     DelayFigures,
     Essential,
@@ -22,6 +21,7 @@ from ident.result.schema import (
     Residuals,
     Result,
 )
+from ident.result.units import parameter_unit
 from ident.verdict.verdict import Verdict
 
 
@@ -39,7 +39,6 @@ def true_result(
     base = base_parameters(model)
     truth = dict(zip(base.names, (base.projection @ truth_vector(robot_file)).tolist(), strict=True))
     known: dict[str, float | None] = {**truth, **(values or {})}
-    symbols = [model.parameters[column].symbol for column in base.columns]
     estimated = [name for name in base.names if known[name] is not None]
     estimate = None
     if covariance is not None:
@@ -64,7 +63,7 @@ def true_result(
                 expression=base.expressions[i],
                 kind=base.kinds[i],
                 joint=model.link_names[base.joints[i]],
-                unit=UNITS[symbols[i]],
+                unit=parameter_unit(model, base.columns[i]),
                 value=known[name],
                 std=None,
                 rsd_percent=None,

@@ -17,8 +17,9 @@ from ident.model.dynamic_model import DynamicModel
 from ident.regression.estimate import Estimate
 from ident.regression.hypothesis_tests import SignificanceTest
 
-DETERMINED = 0.99
-"""A standard parameter counts as identified where this share of it, in units of its prior, is seen by the data."""
+DETERMINED = 1.0 - 1e-6
+"""A standard parameter has an error bar where this share of it is determined: all but rounding, for the error of what
+it is confounded with comes from the prior and has none."""
 
 ON_BOUNDARY = 0.05
 """A link lies on the boundary where the smallest eigenvalue of its pseudo-inertia, over its prior's, is below this."""
@@ -266,9 +267,13 @@ def _spread(minimum: Minimum, scaled: FloatArray, estimate: Estimate, free: Bool
 
 
 def _determined(scaled: FloatArray, free: BoolArray) -> FloatArray:
-    """Share (p,) of each scaled parameter that lies in the row space of the system (m, p)."""
-    shares = np.zeros(scaled.shape[1])
-    _, singular, rows = np.linalg.svd(scaled[:, np.flatnonzero(free)], full_matrices=False)
+    """Share (p,) of each parameter that lies in the row space of the system (m, p), its columns of unit length.
+
+    So the share does not depend on units: a column's length is what the parameter's unit does to the torques.
+    """
+    shares, lengths = np.zeros(scaled.shape[1]), np.linalg.norm(scaled, axis=0)
+    acting = np.flatnonzero(free & (lengths > 0.0))
+    _, singular, rows = np.linalg.svd(scaled[:, acting] / lengths[acting], full_matrices=False)
     if len(singular):
-        shares[np.flatnonzero(free)] = np.sum(rows[singular > SINGULAR * singular[0]] ** 2, axis=0)
+        shares[acting] = np.sum(rows[singular > SINGULAR * singular[0]] ** 2, axis=0)
     return shares

@@ -34,6 +34,11 @@ def section(data: ReportData) -> ReportSection:
         "further": any(joint.terms_text for joint in friction),
         "steps": data.result.friction_steps,
         "figure": _figure(data),
+        "with_weight": [
+            parameter
+            for parameter in data.result.base_parameters
+            if parameter.kind == "offset" and parameter.expression != parameter.name
+        ],
     }
     return ReportSection("Friction", "friction", "friction.html.j2", context)
 
