@@ -102,6 +102,10 @@ LEARNING_FACTOR = Range(0.0, 100.0)
 """Of a swarm's moves towards good points."""
 FRICTION_SHARE = Range(1e-3, 10.0)
 """Largest torque of a friction term over the joint's torque limit."""
+NOISE_LEVEL = Range(1e-30, 1e30)
+"""A variance, or the density of white noise."""
+NOISE_RATIO = Range(1e-12, 1e12)
+"""Variance of a process over that of a sample."""
 LEAP = Range(1e-6, 1e3)
 """Longest leap of a frog over the width of the search range."""
 WEIGHT = Range(0.0, 100.0)

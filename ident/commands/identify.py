@@ -46,6 +46,9 @@ def identify_recordings(
     differentiation: str = typer.Option(
         "butterworth", "--differentiation", help="q̇ and q̈ by butterworth, kalman, five-point or savitzky-golay."
     ),
+    kalman_noise: str = typer.Option(
+        None, "--kalman-noise", help="Q,R of kalman: density of the 4th derivative [rad²/s⁷], variance [rad²]."
+    ),
     measured_velocity: bool = typer.Option(False, "--measured-velocity", help="Use the recorded velocity."),
     locked: str = typer.Option(None, "--locked", help="Joints that must not move, separated by commas."),
     torques_of: str = typer.Option(
@@ -85,7 +88,7 @@ def identify_recordings(
     from daq.commands.console import progress_line
     from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder
     from daq.robot.loader import load_robot
-    from ident.commands.options import delay_option, limits_option, names_option
+    from ident.commands.options import delay_option, limits_option, names_option, numbers_option
     from ident.commands.print_result import print_result
     from ident.result.friction_experiment import friction_path
     from ident.tasks.identification import identify
@@ -114,6 +117,7 @@ def identify_recordings(
             position_decimate=position_decimate,
             filter=filter_kind,  # type: ignore[arg-type]
             differentiation=differentiation,  # type: ignore[arg-type]
+            kalman_noise=numbers_option(kalman_noise, "--kalman-noise"),  # type: ignore[arg-type]
             measured_velocity=measured_velocity,
             locked=names_option(locked, "--locked") or (),
             torques_of=names_option(torques_of, "--torques-of") or (),

@@ -18,7 +18,7 @@ from ident.signals.prepared import SmoothMotion, Step
 from ident.signals.segments import UniformSegment, central_difference
 from ident.signals.smoothing.five_point import five_point_cubic, half_gain_frequency, passes_for
 from ident.signals.smoothing.kalman import WHITE_SNAP, kalman_smoother
-from ident.signals.smoothing.noise_levels import likeliest_cutoff, sample_noise
+from ident.signals.smoothing.noise_levels import cutoff_of_noise, likeliest_cutoff, sample_noise
 from ident.signals.smoothing.savitzky_golay import half_width_for, savitzky_golay
 
 LOWEST_CUTOFF_PER_BAND = 2.0
@@ -143,6 +143,8 @@ def _kalman(
     rate = segments[0].rate
     longest = max(segments, key=lambda segment: len(segment.time)).position
     joint_cutoffs = choices.joint_cutoffs
+    if joint_cutoffs is None and choices.kalman_noise is not None:
+        joint_cutoffs = (cutoff_of_noise(*choices.kalman_noise, rate, WHITE_SNAP),) * len(joint_names)
     if joint_cutoffs is None and choices.position_cutoff is not None:
         joint_cutoffs = (choices.position_cutoff,) * len(joint_names)
     if joint_cutoffs is None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Literal, get_args
 
 from drivers.errors import UsageError
-from drivers.ranges import CUTOFF, DECIMATION, DELAY, VELOCITY_LIMIT, WINDOW_TIME, check_option
+from drivers.ranges import CUTOFF, DECIMATION, DELAY, NOISE_LEVEL, VELOCITY_LIMIT, WINDOW_TIME, check_option
 from ident.signals.filters import ZeroPhaseFilter, butterworth, chebyshev_decimation
 
 FilterKind = Literal["butterworth", "chebyshev"]
@@ -40,6 +40,8 @@ class PreprocessChoices:
         joint_delays: (n,) the same for each joint, in place of `delay`, where joints differ.
         differentiation: how q, q̇ and q̈ follow from the positions (see `ident.signals.derivatives`).
         joint_cutoffs: (n,) of each joint's Kalman smoother [Hz]; from its noise levels where None.
+        kalman_noise: Q and R of every joint's Kalman smoother: density of the white fourth derivative of the position
+            [rad²/s⁷] and variance of a sample [rad²] (metres of sliding joints); from the data where None.
         measured_velocity: use the recorded velocity for q̇ instead of the positions' derivative.
         start: of the window, from the recording's first stamp [s].
         stop: of the window, from the recording's first stamp [s].
@@ -56,6 +58,7 @@ class PreprocessChoices:
     joint_delays: tuple[float, ...] | None = None
     differentiation: Differentiation = "butterworth"
     joint_cutoffs: tuple[float, ...] | None = None
+    kalman_noise: tuple[float, float] | None = None
     measured_velocity: bool = False
     start: float | None = None
     stop: float | None = None
@@ -96,6 +99,7 @@ class PreprocessChoices:
             raise UsageError(
                 f"no differentiation is called '{self.differentiation}'", hint=f"{', '.join(others)} or {last}"
             )
+        self._check_kalman_noise()
         if self.filter_kind == "chebyshev" and self.torque_cutoff is not None and self.decimate is not None:
             raise UsageError(
                 "the decimation factor of a Chebyshev filter fixes its cut-off, give one of the two",
@@ -107,6 +111,24 @@ class PreprocessChoices:
             raise UsageError(f"the window starts {-self.start:g} s before the recording", where="start")
         if self.stop is not None and self.stop <= (self.start or 0.0):
             raise UsageError(f"the window from {self.start or 0:g} s to {self.stop:g} s is empty", where="start, stop")
+
+    def _check_kalman_noise(self) -> None:
+        if self.kalman_noise is None:
+            return
+        if len(self.kalman_noise) != 2:
+            raise UsageError(f"{len(self.kalman_noise)} numbers in place of Q and R", where="kalman_noise")
+        for name, value in zip(("Q", "R"), self.kalman_noise, strict=True):
+            check_option(f"kalman_noise: {name}", value, NOISE_LEVEL)
+        if self.differentiation != "kalman":
+            raise UsageError(
+                "Q and R have no meaning without the Kalman smoother",
+                where="kalman_noise",
+                hint="differentiation kalman",
+            )
+        if self.position_cutoff is not None:
+            raise UsageError(
+                "Q and R fix the cut-off", where="kalman_noise, position_cutoff", hint="give one of the two"
+            )
 
     @property
     def without_low_pass(self) -> bool:
@@ -195,6 +217,7 @@ def resolve(
         choices,
         position_cutoff=None if choices.without_low_pass else cutoffs.position,
         joint_cutoffs=joint_cutoffs,
+        kalman_noise=None,  # they are in the joints' cut-offs
         torque_cutoff=None if chebyshev else cutoffs.torque,
         decimate=cutoffs.decimate if chebyshev else choices.decimate,
         rest_velocity=rest_velocity,

@@ -200,6 +200,7 @@ def identify(
     position_decimate: int = 1,
     filter: FilterKind = "butterworth",
     differentiation: Differentiation = "butterworth",
+    kalman_noise: tuple[float, float] | None = None,
     measured_velocity: bool = False,
     locked: Sequence[str] = (),
     torques_of: Sequence[str] = (),
@@ -241,6 +242,8 @@ def identify(
         filter: of the parallel filter: "butterworth" or "chebyshev".
         differentiation: how q, q̇ and q̈ follow from the positions: "butterworth" (and central differences), "kalman",
             "five-point" or "savitzky-golay".
+        kalman_noise: Q and R of the Kalman smoother: density of the white fourth derivative of every position [rad²/s⁷]
+            and variance of a sample [rad²]; from the data where None.
         measured_velocity: use the recorded velocity.
         locked: names of joints that must not move.
         torques_of: names of the joints whose motors' torques are used; all moving motors where empty.
@@ -283,6 +286,7 @@ def identify(
             filter_kind=filter,
             delay=delay or 0.0,
             differentiation=differentiation,
+            kalman_noise=kalman_noise,
             measured_velocity=measured_velocity,
             start=start,
             stop=stop,

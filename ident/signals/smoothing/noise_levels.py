@@ -1,4 +1,4 @@
-"""Noise levels of a signal's Kalman model, by maximum likelihood of its innovations."""
+"""Noise levels of a signal's Kalman model: stated, or by maximum likelihood of its innovations."""
 
 from __future__ import annotations
 
@@ -18,6 +18,18 @@ MOST_SAMPLES = 20_000
 _GRID = 12  # cut-offs that are tried before the best of them is refined
 _REFINED = 0.01  # relative accuracy of the cut-off
 _ROUNDING = 1e-14  # of the largest sample: what remains of a signal without any noise
+
+
+def cutoff_of_noise(density: float, variance: float, rate: float, order: int) -> float:
+    """Cut-off f_c [Hz] of the smoother for noise levels: (2π·f_c)^(2m) = q·rate / r.
+
+    Args:
+        density: q, of the m-th derivative [unit of the samples² / s^(2m − 1)].
+        variance: r, of a sample [unit of the samples²].
+        rate: [Hz].
+        order: m of the model.
+    """
+    return float((density * rate / variance) ** (0.5 / order) / (2.0 * math.pi))
 
 
 def likeliest_cutoff(samples: FloatArray, rate: float, order: int, lowest_cutoff: float) -> float:

@@ -128,3 +128,26 @@ def test_impossible_cutoffs_are_refused(cutoff: float) -> None:
 def test_an_unknown_way_is_refused() -> None:
     with pytest.raises(UsageError, match="no differentiation is called 'spline'"):
         PreprocessChoices(differentiation="spline")  # type: ignore[arg-type]
+
+
+def test_stated_noise_levels_are_those_of_all_joints_and_of_the_next_recording() -> None:
+    choices = PreprocessChoices(differentiation="kalman", kalman_noise=(2e5, 1e-9))
+    prepared = prepare(recorded(), choices)
+    cutoff = (2e5 * RATE / 1e-9) ** 0.125 / (2 * np.pi)
+    assert prepared.choices.joint_cutoffs == pytest.approx((cutoff, cutoff))
+    again = prepare(recorded(seed=1), prepared.choices)
+    assert again.choices.joint_cutoffs == prepared.choices.joint_cutoffs
+
+
+@pytest.mark.parametrize(
+    ("choices", "words"),
+    [
+        ({"differentiation": "kalman", "kalman_noise": (1.0,)}, "Q and R"),
+        ({"differentiation": "kalman", "kalman_noise": (1.0, 0.0)}, "kalman_noise: R"),
+        ({"differentiation": "kalman", "kalman_noise": (1.0, 1.0), "position_cutoff": 20.0}, "fix the cut-off"),
+        ({"kalman_noise": (1.0, 1.0)}, "without the Kalman smoother"),
+    ],
+)
+def test_noise_levels_that_mean_nothing_are_refused(choices: dict[str, object], words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        PreprocessChoices(**choices)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
+from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 
 from ident.signals.smoothing.kalman import (
@@ -14,6 +17,7 @@ from ident.signals.smoothing.kalman import (
     kalman_smoother,
     stationary_filter,
 )
+from ident.signals.smoothing.noise_levels import cutoff_of_noise
 
 RATE = 200.0
 
@@ -100,3 +104,22 @@ def test_innovations_of_the_model_are_white() -> None:
     assert errors.var() == pytest.approx(stationary.innovation, rel=0.05)
     correlation = [np.mean(errors[lag:] * errors[: len(errors) - lag]) / errors.var() for lag in range(1, 6)]
     assert np.abs(correlation).max() < 4 / np.sqrt(samples)
+
+
+@pytest.mark.parametrize(("density", "variance"), [(1e4, 1e-6), (3e6, 1e-8)])
+def test_stated_noise_levels_are_those_of_filterpy_in_seconds(density: float, variance: float) -> None:
+    rows = signal(600)
+    kalman = KalmanFilter(WHITE_SNAP, 1)
+    powers = np.subtract.outer(np.arange(WHITE_SNAP), np.arange(WHITE_SNAP))
+    kalman.F = np.array([[RATE**p / math.factorial(-p) if p <= 0 else 0.0 for p in row] for row in powers.tolist()])
+    kalman.Q = Q_continuous_white_noise(WHITE_SNAP, dt=1.0 / RATE, spectral_density=density)
+    kalman.R, kalman.H = np.array([[variance]]), np.eye(1, WHITE_SNAP)
+    kalman.x, kalman.P = np.zeros((WHITE_SNAP, 1)), 1e8 * np.eye(WHITE_SNAP)
+    kalman.x[0] = rows[0]
+    means, covariances, _, _ = kalman.batch_filter(rows)
+    smoothed, _, _, _ = kalman.rts_smoother(means, covariances)
+    ours = kalman_smoother(rows, RATE, cutoff_of_noise(density, variance, RATE, WHITE_SNAP), WHITE_SNAP)
+    inner = slice(150, 450)
+    for derivative in range(3):
+        theirs = smoothed[inner, derivative, 0]
+        assert np.abs(ours[derivative, inner] - theirs).max() < 1e-5 * np.abs(theirs).max()
