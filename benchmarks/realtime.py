@@ -19,7 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.motion.player import Path as MotionPath
 from daq.motion.player import Player
+from daq.motion.trajectories import PointToPoint
 from daq.recording.recorder import Recorder
 from daq.robot.loader import load_robot
 from daq.session.session import load_driver, record
@@ -42,8 +44,8 @@ Figures = Mapping[str, object]
 
 def punctuality_of_the_player(seconds: float) -> Figures:
     """Positions to an arm that takes no time at all."""
-    positions = np.zeros((round(seconds * PLAYER_RATE), 6))
-    player = Player(lambda _: None, lambda *_: None, positions, PLAYER_RATE)
+    path = MotionPath([PointToPoint(np.array([np.zeros(6), np.ones(6)]), np.array([seconds]))], PLAYER_RATE)
+    player = Player(lambda *_: None, path, np.full(6, 10.0), SYSTEM_CLOCK)
     player.start()
     while not player.done and player.failure is None:
         SYSTEM_CLOCK.sleep(0.1)
@@ -86,7 +88,7 @@ def latency(seconds: float) -> Figures:
     robot_file = load_robot("ur5e")
     ages = _Ages()
     with simulated_arm("ur5e", seed=1) as host, tempfile.TemporaryDirectory() as folder:
-        driver, _ = load_driver(robot_file.robot, host=host)
+        driver = load_driver(robot_file.robot, host=host)
         try:
             driver.open()
             layouts = driver.streams()

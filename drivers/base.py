@@ -2,8 +2,9 @@
 
     closed ──open()──▶ open ──start()──▶ running ──stop()──▶ open ──close()──▶ closed
 
-`open` connects and checks the other side; `start` makes samples flow; `read` hands out what has arrived; `command`
-sends a joint position (only drivers that can move the arm); `stop` halts the arm, whatever the state, and is safe to
+`open` connects and checks the other side; `start` makes samples flow; `read` hands out what has arrived;
+`take_control` makes the arm obey, holding its position, and `command` sends a joint position (only drivers that move
+an arm); `stop` halts the arm, whatever the state, and is safe to
 call twice; `close` lets go of the connection. A method called in a state that does not allow it raises
 DriverStateError. A connection that breaks raises ConnectionLostError from `read` or `command`; after that only `stop`
 and `close` make sense. A driver never hands out a value twice or one that it has not just received.
@@ -93,8 +94,21 @@ class Driver(Protocol):
     def notices(self) -> Sequence[Notice]:
         """What the source reported since the last call."""
 
+    def command_rate(self) -> float:
+        """At what rate [Hz] it takes positions; 0 where it cannot move the arm; known once open."""
+
+    def take_control(self) -> None:
+        """Make the arm ready to obey commands; it holds its position until the first. May last seconds.
+
+        Raises:
+            DriverStateError: this driver or this connection cannot move the arm, or the arm is not ready.
+            MotionRefusedError: something else moves the arm.
+            ConnectionFailedError: no control of the arm within a time limit.
+            ConnectionLostError: the connection broke.
+        """
+
     def command(self, position: FloatArray) -> None:
-        """Send a joint position (n,) [rad or m] to be reached within one period.
+        """Send a joint position (n,) [rad or m] to be reached within one period; takes control where nobody has.
 
         Raises:
             DriverStateError: this driver or this connection cannot move the arm.

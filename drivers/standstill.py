@@ -9,9 +9,9 @@ import numpy as np
 from drivers.streams import FloatArray
 
 REST_WINDOW = 0.1
-"""How long [s] no joint may move for an arm to be at rest."""
+"""How long [s] no joint may move for an arm to be at rest, unless the user asks for longer."""
 REST_SPEED = 0.02
-"""[rad/s]: what is slower than this over `REST_WINDOW` is rest."""
+"""[rad/s]: what is slower than this over the window is rest."""
 
 
 class StandstillWatch:
@@ -19,10 +19,12 @@ class StandstillWatch:
 
     Args:
         longest_gap: between positions, so that the arm cannot have moved meanwhile [s].
+        window: how long no joint may move [s].
     """
 
-    def __init__(self, longest_gap: float) -> None:
+    def __init__(self, longest_gap: float, window: float = REST_WINDOW) -> None:
         self._longest_gap = longest_gap
+        self._window = window
         self._reference: FloatArray | None = None
         self._since = self._newest = math.nan
 
@@ -32,12 +34,12 @@ class StandstillWatch:
         if (
             gap
             or self._reference is None
-            or not np.max(np.abs(position - self._reference)) < 0.5 * REST_SPEED * REST_WINDOW
+            or not np.max(np.abs(position - self._reference)) < 0.5 * REST_SPEED * self._window
         ):
             self._reference, self._since = position.copy(), time
         self._newest = time
 
     @property
     def at_rest(self) -> bool:
-        """Whether no joint has moved for `REST_WINDOW`."""
-        return self._newest - self._since >= REST_WINDOW
+        """Whether no joint has moved for the window."""
+        return self._newest - self._since >= self._window

@@ -81,7 +81,7 @@ def measure(kills: int) -> dict[str, list[float]]:
         assert sim.stdout is not None
         if not json.loads(sim.stdout.readline() or b"{}").get("ready"):
             raise SystemExit("the simulated arm did not start")
-        driver, _ = load_driver(load_robot(ROBOT).robot, host=HOST)
+        driver = load_driver(load_robot(ROBOT).robot, host=HOST)
         driver.open()
         driver.start()
         moments = random.Random(1)

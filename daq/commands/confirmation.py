@@ -5,14 +5,17 @@ from __future__ import annotations
 import select
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TextIO
 
 import numpy as np
 
 from daq.motion.approach import checked_approach
 from daq.motion.motion_check import MotionCheck, MotionFigures
+from daq.motion.player import STALL_LIMIT
 from daq.motion.trajectories import Motion
 from daq.robot.schema import JointLimits
+from daq.session.supervisor import TRACKING_ERROR
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 
@@ -81,9 +84,16 @@ class Confirmation:
     def ask(self) -> None:
         """Describe the way, then ask."""
         if self._screen is not None and self.figures is not None:
-            tell(f"first the approach to the start pose, {self.figures.duration:.1f} s", self.figures, self._screen)
+            tell(
+                f"first the approach to the start pose, {self.figures.duration:.1f} s",
+                motion_lines(self.figures),
+                self._screen,
+            )
+        if self._screen is not None:
+            tell("while it moves, the arm is stopped as soon as", _held(self._limits), self._screen)
         if self._question is not None:
-            _, out = self._question
+            terminal, out = self._question
+            _forget_typed(terminal)
             print("Move the arm? [y/N] ", end="", file=out, flush=True)
 
     def answer(self) -> bool | None:
@@ -96,9 +106,31 @@ class Confirmation:
         return terminal.readline().strip().lower() in {"y", "yes"}
 
 
-def tell(title: str, figures: MotionFigures, out: TextIO) -> None:
-    """Print a title and the figures of a motion."""
-    print(title, *(f"  {line}" for line in motion_lines(figures)), sep="\n", file=out, flush=True)
+def _held(limits: Sequence[JointLimits]) -> list[str]:
+    """What the command gate holds."""
+    velocity, acceleration = (
+        ", ".join(f"{getattr(joint, name):.3g}" for joint in limits) for name in ("velocity", "acceleration")
+    )
+    return [
+        f"a command is faster than {velocity} rad/s or changes faster than {acceleration} rad/s² (joint by joint)",
+        f"a command is {TRACKING_ERROR:g} rad away from what the arm does, or outside the position limits",
+        f"this computer stalls for {1e3 * STALL_LIMIT:.0f} ms, or samples or the connection fail",
+    ]
+
+
+def _forget_typed(terminal: TextIO) -> None:
+    """Throw away what was typed before the question: it answers something else."""
+    try:
+        import termios
+    except ImportError:  # Windows
+        return
+    with suppress(OSError, ValueError, termios.error):
+        termios.tcflush(terminal.fileno(), termios.TCIFLUSH)
+
+
+def tell(title: str, lines: Sequence[str], out: TextIO) -> None:
+    """Print a title and lines below it."""
+    print(title, *(f"  {line}" for line in lines), sep="\n", file=out, flush=True)
 
 
 def terminal() -> tuple[TextIO, TextIO] | None:

@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from daq.motion.motion_check import MotionFigures
     from daq.session.session import SessionReport
 
-TERMINATED_STATUS = 128 + 15
-"""Exit status after SIGTERM, as shells have it; the arm is stopped and the file closed first."""
-
 app = typer.Typer()
 
 
@@ -49,9 +46,10 @@ def record_command(
     Example: dynid record ur5e --trajectory traj.yaml --speed-scale 0.2 -o slow.h5
     """
     import math
+    import signal
     import sys
 
-    from daq.commands.confirmation import Confirmation, tell, terminal
+    from daq.commands.confirmation import Confirmation, motion_lines, tell, terminal
     from daq.live.terminal_view import live_view
     from daq.motion.motion_check import load_motion_check
     from daq.motion.time_scaled import TimeScaled
@@ -62,10 +60,10 @@ def record_command(
     from daq.robot.loader import load_robot
     from daq.session.bus_room import session_warnings
     from daq.session.realtime import ask_for_realtime
-    from daq.session.session import INTERRUPTED, TERMINATED, Play, load_driver, record
+    from daq.session.session import ENDED_BY, Play, load_driver, motion_rate, record
     from daq.session.supervisor import Limits, Supervisor
     from drivers.clock import SYSTEM_CLOCK
-    from drivers.errors import INTERRUPTED_STATUS, UsageError
+    from drivers.errors import UsageError
     from drivers.ranges import RECORDING_TIME, check_option
 
     if (trajectory is None) == (duration is None):
@@ -81,7 +79,7 @@ def record_command(
     if motion is not None and question is None and not yes:
         raise UsageError("the arm will move, and there is no terminal to ask on", hint="--yes moves it without asking")
     clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
-    driver, rate = load_driver(robot_file.robot, wire, host, robot_file.folder, clock, robot_file.where)
+    driver = load_driver(robot_file.robot, wire, host, robot_file.folder, clock, robot_file.where)
     warnings = session_warnings(robot_file, wire)
     if trajectory is not None:
         warnings += [f"assumed: {limit}" for limit in assumed_limits(robot_file)]
@@ -95,7 +93,11 @@ def record_command(
         figures = check.trajectory(motion, str(trajectory))
         confirmation = Confirmation(motion, robot_file.robot.joints, check, question, screen)
         if screen is not None:
-            tell(_title(str(trajectory), robot_file.robot.name, speed_scale, figures.duration), figures, screen)
+            tell(
+                _title(str(trajectory), robot_file.robot.name, speed_scale, figures.duration),
+                motion_lines(figures),
+                screen,
+            )
     if realtime:
         ask_for_realtime()
     for warning in warnings:
@@ -103,9 +105,8 @@ def record_command(
     try:  # only now is the bus touched
         driver.open()
         layouts = driver.streams()
-        rate = next((layout.rate for layout in layouts if layout.name == "joints" and layout.rate > 0), rate)
-        if motion is not None and rate <= 0:
-            raise UsageError("the connection has no 'rate', so no motion can be played", where=robot)
+        if motion is not None:
+            motion_rate(driver)  # refused before a file is made
         recorder = Recorder(
             out,
             robot_file,
@@ -124,7 +125,7 @@ def record_command(
             recorder.event(math.nan, "info", "player", f"the trajectory is played at {speed_scale:g} of its speed")
         limits = Limits.of_robot(robot_file.robot)
         supervisor = Supervisor(limits, layouts)
-        play = Play(motion, robot_file.robot, rate, confirmation) if motion is not None and confirmation else None
+        play = Play(motion, robot_file.robot, confirmation) if motion is not None and confirmation else None
         shown = sys.stderr.isatty() and not (no_ui or as_json)
         with live_view(shown=shown, limits=limits, recorder=recorder, clock=clock) as view:
             report = record(driver, recorder, supervisor, play, duration, view, clock)
@@ -142,11 +143,12 @@ def record_command(
         if report.file != out and out.exists():
             print(f"dynid: {out} is as it was; what was recorded is {report.file}", file=sys.stderr)
         status = report.error.exit_status
-    elif report.stopped_by == INTERRUPTED:
-        status = INTERRUPTED_STATUS
-    elif report.stopped_by == TERMINATED:
-        print("dynid: terminated", file=sys.stderr)
-        status = TERMINATED_STATUS
+    else:
+        ending = next((number for number, words in ENDED_BY.items() if words == report.stopped_by), None)
+        if ending is not None:
+            status = 128 + ending  # as shells have it
+            if ending != signal.SIGINT:
+                print(f"dynid: {report.stopped_by}", file=sys.stderr)
     if report.heavy_loss:
         print(f"dynid: {report.heavy_loss}", file=sys.stderr)
     if status:

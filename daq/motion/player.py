@@ -1,26 +1,31 @@
-"""The player: sends a motion to a driver, one position per period, by absolute times, in a thread of its own."""
+"""The player: sends a motion, one position per period, by absolute times, in a thread of its own."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from daq.motion.trajectories import Motion
 from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
-from drivers.errors import DynidError, WorkError
+from drivers.errors import DynidError, SafetyStopError, WorkError
 from drivers.streams import FloatArray
 
 SKIP_LIMIT = 3
-"""Overdue positions that are skipped; where a stall left more, the motion goes on where it was, that much later.
-
-An arm that was held for 0.1 s and then receives the position of that moment jumps there.
-"""
+SKIP_TIME = 0.01
+"""Overdue positions that are skipped, at most, and the time [s] that they may take beyond the first. Where a stall left
+more, the arm was held meanwhile: the motion goes on from rest, where it was."""
+STALL_LIMIT = 0.05
+"""Longest stall of this computer [s] in a motion; one that is longer ends it."""
 DRY_RUN = 0.3
 """Length of the dry run [s]."""
 DRY_RUN_PERIODS = 5
 """Median lateness in the dry run, in periods, from which this computer is too slow for the rate."""
+_SHORTEST_RAMP, _LONGEST_RAMP = 0.05, 6.4
+"""Of the ramps [s] by which a motion goes on after a stall; doubled until one keeps the acceleration limit."""
+_AHEAD = 128
+"""Positions that are evaluated at once."""
 
 
 @dataclass(frozen=True)
@@ -42,47 +47,102 @@ class Punctuality:
     max_ms: float
 
 
-def ticks(motion: Motion, rate: float) -> FloatArray:
-    """Positions (N, n) of a motion at every period, both ends included."""
-    count = int(np.ceil(motion.duration * rate - 1e-9)) + 1
-    position, _, _ = motion.evaluate(np.minimum(np.arange(count) / rate, motion.duration))
-    return np.ascontiguousarray(position.T)
+def skip_limit(period: float) -> int:
+    """How many overdue positions are skipped at a period [s]."""
+    return int(np.clip(SKIP_TIME / period + 1e-9, 1, SKIP_LIMIT))
+
+
+class Path:
+    """Motions one after the other, each from rest to rest and begun at a tick of the player.
+
+    Args:
+        motions: of which each begins where the one before ends.
+        rate: of the ticks [Hz].
+    """
+
+    def __init__(self, motions: Sequence[Motion], rate: float) -> None:
+        self._motions = tuple(motions)
+        lengths = [np.ceil(motion.duration * rate - 1e-9) for motion in motions]
+        self.rate = rate
+        self.starts = np.concatenate([[0.0], np.cumsum(lengths)]) / rate
+        """When each begins [s], and the end."""
+
+    @property
+    def duration(self) -> float:
+        """[s], a whole number of periods."""
+        return float(self.starts[-1])
+
+    def evaluate(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Position, velocity and acceleration, each (N, n), at times (N,) [s]; at rest before and after."""
+        which = np.clip(np.searchsorted(self.starts, times + 1e-12, side="right") - 1, 0, len(self._motions) - 1)
+        result: list[FloatArray] | None = None
+        for index in np.unique(which):
+            motion, here = self._motions[index], which == index
+            own = times[here] - self.starts[index]
+            values = motion.evaluate(np.clip(own, 0.0, motion.duration))
+            outside = (own < -1e-9) | (own > motion.duration + 1e-9)
+            if result is None:
+                result = [np.empty((len(times), len(values[0]))) for _ in values]
+            for order, (whole, part) in enumerate(zip(result, values, strict=True)):
+                whole[here] = part.T if order == 0 else np.where(outside[:, None], 0.0, part.T)
+        if result is None:
+            raise ValueError("no times to evaluate a path at")
+        return result[0], result[1], result[2]
+
+    def positions(self, times: FloatArray) -> FloatArray:
+        """Positions (N, n) at times (N,) [s]."""
+        return self.evaluate(times)[0]
+
+
+@dataclass(frozen=True)
+class _Course:
+    """How a path's own time goes on from a tick: slowly from rest during `ramp` [s], then at full pace."""
+
+    tick: int
+    begin: float
+    ramp: float
+
+    def at(self, ticks: FloatArray, period: float) -> FloatArray:
+        """The path's time [s] at ticks (N,) from `tick` on."""
+        since = (ticks - self.tick) * period
+        if self.ramp == 0.0:
+            return np.asarray(self.begin + since)
+        share = np.minimum(since / self.ramp, 1.0)
+        risen = self.ramp * share**4 * (2.5 - 3.0 * share + share**2)
+        return np.asarray(self.begin + risen + np.maximum(since - self.ramp, 0.0))
 
 
 class Player:
     """Sends positions until it is stopped; holds the last one when the motion is over.
 
     Args:
-        send: takes a position (n,); a driver's `command`.
-        noted: called with every position and the host's monotonic time [s], before it is sent.
-        positions: (N, n), the first one where the arm stands.
-        rate: [Hz].
-        motion_index: of the position at which the approach ends and the motion itself begins.
+        send: takes a position (n,) and when it is due [s, host clock]; the command gate.
+        path: to play; it begins where the arm stands.
+        acceleration: (n,) limits [rad/s² or m/s²], kept when the motion goes on after a stall.
         clock: the host's.
     """
 
     def __init__(
         self,
-        send: Callable[[FloatArray], None],
-        noted: Callable[[float, FloatArray], None],
-        positions: FloatArray,
-        rate: float,
-        motion_index: int = 0,
+        send: Callable[[FloatArray, float], None],
+        path: Path,
+        acceleration: FloatArray,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
-        self.motion_index = motion_index
         self._send = send
-        self._noted = noted
         self._clock = clock
-        self._positions = positions
-        self._period = 1.0 / rate
+        self._path = path
+        self._acceleration = acceleration
+        self._period = 1.0 / path.rate
         self._halt = clock.event()
         self._done = False
         self._failure: DynidError | None = None
         self._late: list[float] = []
         self._skipped = 0
         self._delayed = 0.0
-        self._index = 0
+        self._elapsed = 0.0
+        self._course = _Course(0, 0.0, 0.0)
+        self._ahead: tuple[int, FloatArray] = (0, np.empty((0, 0)))
         self._thread = clock.thread(self._run, "player")
 
     @property
@@ -91,19 +151,14 @@ class Player:
         return self._done
 
     @property
-    def index(self) -> int:
-        """Of the position sent last."""
-        return self._index
-
-    @property
     def elapsed(self) -> float:
-        """How far it is in its positions [s]."""
-        return self._index * self._period
+        """The path's time of the position sent last [s]."""
+        return self._elapsed
 
     @property
     def duration(self) -> float:
-        """Of all positions [s]."""
-        return (len(self._positions) - 1) * self._period
+        """Of the path [s]."""
+        return self._path.duration
 
     @property
     def failure(self) -> DynidError | None:
@@ -128,34 +183,73 @@ class Player:
     def _run(self) -> None:
         set_timer_slack()
         try:
-            # Taking control of an arm may last seconds: the clock starts when it is had.
-            self._noted(self._clock.now(), self._positions[0])
-            self._send(self._positions[0])
-            start, tick, last = self._clock.now(), 0, len(self._positions) - 1
-            while not self._halt.is_set():
-                overdue = int((self._clock.now() - start) / self._period) - tick
-                if overdue > SKIP_LIMIT and tick < last:
-                    start += (overdue - 1) * self._period
-                    self._delayed += (overdue - 1) * self._period
-                due = max(tick + 1, int((self._clock.now() - start) / self._period))
-                if tick < last:
-                    self._skipped += min(due, last) - tick - 1
-                tick = due
-                late = self._clock.sleep_until(start + tick * self._period)
-                if self._halt.is_set():
-                    return
-                index = min(tick, last)
-                self._noted(self._clock.now(), self._positions[index])
-                self._send(self._positions[index])
-                self._index = index
-                if tick <= last:
-                    self._late.append(late)
-                if index == last:
-                    self._done = True
+            self._play()
         except DynidError as error:
             self._failure = error
         except Exception as error:  # whatever it was, the session must know of it and stop the arm
             self._failure = WorkError(f"the player broke: {type(error).__name__}: {error}")
+
+    def _play(self) -> None:
+        start, tick, period = self._clock.now(), 0, self._period
+        skipped_at_most = skip_limit(period)
+        self._send(self._position(0), start)
+        while not self._halt.is_set():
+            late = self._clock.sleep_until(start + (tick + 1) * period)
+            if self._halt.is_set():
+                return
+            overdue = int((self._clock.now() - start) / period + 1e-9) - tick - 1
+            if self._done:
+                start, overdue = start + overdue * period, 0  # at rest, where time does not matter
+            elif overdue > skipped_at_most:
+                self._go_on_from_rest(tick, overdue * period)
+                start, overdue = start + overdue * period, 0
+            tick += 1 + overdue
+            if not self._done:
+                self._skipped += overdue
+                self._late.append(late)
+            position = self._position(tick)
+            self._send(position, start + tick * period)
+            self._done = self._done or self._elapsed >= self._path.duration - 1e-9
+
+    def _go_on_from_rest(self, tick: int, stalled: float) -> None:
+        """Let the path go on slowly from the position that was sent last, which the arm has held for `stalled` [s].
+
+        Raises:
+            SafetyStopError: the stall was longer than `STALL_LIMIT`, or no ramp keeps the acceleration limits.
+        """
+        if stalled > STALL_LIMIT:
+            raise SafetyStopError(
+                f"this computer stalled for {stalled:.3f} s in the motion, more than {STALL_LIMIT:g} s",
+                hint="end other programs, or use --realtime, and play the motion again",
+            )
+        begin, ramp = self._elapsed, _SHORTEST_RAMP
+        while ramp <= _LONGEST_RAMP:
+            course = _Course(tick, begin, ramp)
+            if self._keeps_limits(course):
+                self._course, self._ahead = course, (0, np.empty((0, 0)))
+                self._delayed += stalled + 0.5 * ramp
+                return
+            ramp *= 2.0
+        raise SafetyStopError("after a stall of this computer the motion cannot go on within the acceleration limits")
+
+    def _keeps_limits(self, course: _Course) -> bool:
+        ticks = np.arange(course.tick, course.tick + int(course.ramp / self._period) + 2, dtype=float)
+        share = np.minimum((ticks - course.tick) * self._period / course.ramp, 1.0)
+        pace = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        change = 30.0 * share**2 * (1.0 - share) ** 2 / course.ramp
+        _, velocity, acceleration = self._path.evaluate(course.at(ticks, self._period))
+        wanted = np.abs(acceleration * pace[:, None] ** 2 + velocity * change[:, None])
+        return bool(np.all(wanted <= self._acceleration * (1.0 + 1e-3)))
+
+    def _position(self, tick: int) -> FloatArray:
+        """The position (n,) at a tick; notes the path's time there."""
+        first, ahead = self._ahead
+        if not first <= tick < first + len(ahead):
+            ticks = np.arange(tick, tick + _AHEAD, dtype=float)
+            times = np.minimum(self._course.at(ticks, self._period), self._path.duration)
+            first, ahead = self._ahead = tick, self._path.positions(times)
+        self._elapsed = min(float(self._course.at(np.array([float(tick)]), self._period)[0]), self._path.duration)
+        return np.asarray(ahead[tick - first])
 
 
 def dry_run(rate: float, clock: Clock = SYSTEM_CLOCK) -> Punctuality:

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import FrameType
@@ -17,12 +18,14 @@ from typing import Protocol
 import numpy as np
 
 from daq.motion.limits import check_limits
-from daq.motion.player import Player, Punctuality, dry_run, ticks
+from daq.motion.player import Path as MotionPath
+from daq.motion.player import Player, Punctuality, dry_run
 from daq.motion.trajectories import Motion
 from daq.recording.recorder import Recorder
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.schema import Robot
 from daq.session.clocks import ClockLog
+from daq.session.command_gate import COMMAND_RATE, CommandGate, GateLimits
 from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
 from daq.session.permission import Permission
 from daq.session.sources import Sources
@@ -30,6 +33,7 @@ from daq.session.supervisor import Supervisor
 from drivers.base import DRIVERS_GROUP, Attributing, Driver, DriverSettings, Notice
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionLostError, DynidError, MotionRefusedError, SafetyStopError, UsageError, WorkError
+from drivers.standstill import StandstillWatch
 from drivers.streams import Batch, FloatArray
 
 READ_TIMEOUT = 0.01
@@ -43,9 +47,27 @@ MOVED_MEANWHILE = 0.02
 """A joint that moved this far [rad or m] while the answer was awaited is somewhere else than the person saw."""
 INTERRUPTED = "interrupted"
 """`stopped_by` after Ctrl-C (SIGINT)."""
-TERMINATED = "terminated"
-"""`stopped_by` after SIGTERM."""
-_SIGNALS = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED}
+ENDED_BY: dict[signal.Signals, str] = {
+    signal.Signals[name]: words
+    for name, words in {
+        "SIGINT": INTERRUPTED,
+        "SIGTERM": "terminated",
+        "SIGHUP": "the terminal was closed",
+        "SIGQUIT": "quit by a signal",
+    }.items()
+    if hasattr(signal, name)  # Windows has two of them
+}
+"""Signals that end a session, and its `stopped_by` after them."""
+REST_TIME = 0.5
+"""How long [s] an arm, and what its controller aims at, must have been at rest before control of it is taken."""
+REST_LIMIT = 2.0
+"""How long [s] is waited for that."""
+ARRIVAL_LIMIT = 3.0
+"""How long [s] an arm may take to come to rest after the last command of a motion."""
+ARRIVAL_ERROR = 0.02
+"""Distance [rad or m] from the end of the motion at which an arm at rest is said not to have reached it."""
+_GAP = 0.1
+"""Samples [s] apart in which an arm may have moved and come back."""
 _PLAYER_PATIENCE = 0.1
 _PLAYER_LIMIT = 10.0
 
@@ -81,14 +103,12 @@ class Play:
 
     Attributes:
         motion: from rest to rest.
-        robot: whose limits hold on the approach.
-        rate: of the commands [Hz].
+        robot: whose limits every command keeps.
         permission: to move, with the approach to the motion's start.
     """
 
     motion: Motion
     robot: Robot
-    rate: float
     permission: Permission
 
 
@@ -107,7 +127,8 @@ class _Course:
     """State of a running session.
 
     `breach_time` [s, the source's clock] is that of what stopped it, where it has one; `silent` are the streams whose
-    silence is an event already; `host_ahead` is by stream the host's clock less the source's at its last sample [s].
+    silence is an event already; `host_ahead` is by stream the host's clock less the source's at its last sample [s];
+    `heard` is the host's time of the newest position, `rest` watches it and what the controller aims at.
     """
 
     clock: Clock
@@ -115,6 +136,9 @@ class _Course:
     samples: dict[str, int] = field(default_factory=dict)
     lost: dict[str, int] = field(default_factory=dict)
     position: FloatArray | None = None
+    heard: float = float("-inf")
+    rest: StandstillWatch = field(default_factory=lambda: StandstillWatch(_GAP, REST_TIME))
+    gate: CommandGate | None = None
     source_minus_host: float = float("nan")
     view: View | None = None
     moves: bool = False
@@ -132,6 +156,12 @@ class _Course:
             self.host_ahead[batch.stream] = float(batch.host_time[-1] - batch.time[-1])
         if batch.stream == JOINTS_STREAM and len(batch.time):
             self.position = batch.values["position"][-1].copy()
+            self.heard = float(batch.host_time[-1])
+            watched = [batch.values[name] for name in ("position", "target_position") if name in batch.values]
+            for host_time, row in zip(batch.host_time.tolist(), np.hstack(watched), strict=True):
+                self.rest.add(host_time, row)
+            if self.gate is not None:
+                self.gate.measured(self.clock.now(), self.position)
             self.source_minus_host = float(batch.time[-1] - batch.host_time[-1])
         if self.view is not None:
             self.view.add(batch)
@@ -154,8 +184,8 @@ def load_driver(
     folder: Path | None = None,
     clock: Clock = SYSTEM_CLOCK,
     place: str = "",
-) -> tuple[Driver, float]:
-    """The driver of a robot's connection and the connection's rate [Hz], not yet open.
+) -> Driver:
+    """The driver of a robot's connection, not yet open.
 
     A connection's key `with` names others that are recorded in the same session; the driver is then one for all.
 
@@ -179,7 +209,7 @@ def load_driver(
     beside = {
         other: _make_driver(robot, other, connection_keys(robot, other), folder, clock, place) for other in others
     }
-    return Sources(name, main, beside) if beside else main, _rate_of(keys)
+    return Sources(name, main, beside) if beside else main
 
 
 def _make_driver(
@@ -198,11 +228,6 @@ def _make_driver(
         return make(replace(driver_settings(robot, keys, folder), clock=clock))
 
 
-def _rate_of(keys: Mapping[str, object]) -> float:
-    rate = keys.get("rate", 0.0)
-    return float(rate) if isinstance(rate, (int, float)) and not isinstance(rate, bool) else 0.0
-
-
 def record(
     driver: Driver,
     recorder: Recorder,
@@ -215,8 +240,8 @@ def record(
     """Record until the motion is over, `duration` [s] has passed, or something stops it.
 
     The driver must be open; it is stopped on every exit path, then the recording is closed with the reason as an event,
-    at the time of its cause. Ctrl-C and SIGTERM end the session in the same way, and are ignored while the arm is
-    being stopped.
+    at the time of its cause. The signals of `ENDED_BY` end the session in the same way, and are ignored while the arm
+    is being stopped.
 
     Args:
         driver: open.
@@ -235,15 +260,20 @@ def record(
             driver.start()
             begun = clock.now()
             if play is not None:
-                dry_run(play.rate, clock)
-                _wait_for_position(driver, recorder, supervisor, course)
-                approach = _permitted_approach(driver, recorder, supervisor, course, play)
+                rate = motion_rate(driver)
+                dry_run(rate, clock)
+                cycle = partial(_cycle, driver, recorder, supervisor, course)
+                _wait_for_position(cycle, course)
+                approach = _permitted_approach(driver, cycle, course, play)
                 if approach is not None:
-                    player = _prepare(driver, supervisor, recorder, play, course, approach)
+                    path = MotionPath([approach, play.motion], rate)
+                    player = _prepare(driver, supervisor, recorder, play, course, path)
                     supervisor.restart_ages(clock.now())
                     course.moves = True
                     player.start()
-            _follow(driver, recorder, supervisor, course, player, begun, duration)
+                    _follow_motion(cycle, recorder, course, player, path)
+            if player is None:
+                _follow(partial(_cycle, driver, recorder, supervisor, course), course, begun, duration)
         except KeyboardInterrupt:
             course.interrupted = INTERRUPTED
         except DynidError as caught:
@@ -300,79 +330,163 @@ def _heavy_loss(driver: Driver, course: _Course) -> str:
     return "; ".join(said)
 
 
-def _wait_for_position(driver: Driver, recorder: Recorder, supervisor: Supervisor, course: _Course) -> None:
+def motion_rate(driver: Driver) -> float:
+    """The rate [Hz] at which a driver that is open takes positions.
+
+    Raises:
+        UsageError: it moves no arm, or positions are sent or measured too slowly for a motion to be supervised.
+    """
+    rate = driver.command_rate()
+    measured = next((layout.rate for layout in driver.streams() if layout.name == JOINTS_STREAM), 0.0)
+    if rate <= 0.0:
+        raise UsageError("this connection cannot move the arm; it only records")
+    for what, value in (("positions would be sent", rate), ("positions are measured", measured)):
+        if value < COMMAND_RATE:
+            raise UsageError(
+                f"{what} at {value:g} Hz, and a motion needs {COMMAND_RATE:g} Hz",
+                hint=f"set the connection's rate (sync_rate) to {COMMAND_RATE:g} Hz or more; recording works as it is",
+            )
+    return rate
+
+
+def _wait_for_position(cycle: Callable[[], None], course: _Course) -> None:
     limit = course.clock.now() + FIRST_SAMPLE_LIMIT
     while course.position is None and course.interrupted is None:
-        _cycle(driver, recorder, supervisor, course)
+        cycle()
         if course.clock.now() > limit:
             raise ConnectionLostError(f"no joint position within {FIRST_SAMPLE_LIMIT:g} s")
 
 
-def _permitted_approach(
-    driver: Driver, recorder: Recorder, supervisor: Supervisor, course: _Course, play: Play
-) -> Motion | None:
-    """The approach to the start pose, once the arm may move; None where the session was interrupted before."""
-    position = course.position
-    if position is None or course.interrupted is not None:
-        return None
+def _wait_for_rest(cycle: Callable[[], None], course: _Course) -> None:
+    limit = course.clock.now() + REST_LIMIT
+    while not course.rest.at_rest and course.interrupted is None:
+        cycle()
+        if course.clock.now() > limit:
+            raise MotionRefusedError(
+                f"the arm, or what its controller aims at, was not at rest for {REST_TIME:g} s",
+                hint="something else moves it: end that first",
+            )
+
+
+def _permitted_approach(driver: Driver, cycle: Callable[[], None], course: _Course, play: Play) -> Motion | None:
+    """The approach to the start pose, once the arm may move and is in control; None where interrupted before."""
     check_limits(play.motion, play.robot.joints, "the trajectory")
-    approach = play.permission.approach(position)
+    _wait_for_rest(cycle, course)
+    shown = course.position
+    if shown is None or course.interrupted is not None:
+        return None
+    play.permission.approach(shown)
     play.permission.ask()
     while (answer := play.permission.answer()) is None:
-        _cycle(driver, recorder, supervisor, course)
+        cycle()
         if course.interrupted is not None:
             return None
     if not answer:
         raise MotionRefusedError("not confirmed, so nothing was moved")
-    now = position if course.position is None else course.position
-    if now is position:
-        return approach
-    if np.max(np.abs(now - position)) > MOVED_MEANWHILE:
-        raise MotionRefusedError("the arm moved before the motion was confirmed", hint="start again when it is at rest")
-    return play.permission.approach(now)
+    _wait_for_rest(cycle, course)
+    _require_unmoved(course, shown, "before the motion was confirmed")
+    _take_control(driver, cycle, course)
+    _wait_for_rest(cycle, course)
+    if course.interrupted is not None:
+        return None
+    here = _require_unmoved(course, shown, "while control of it was taken")
+    return play.permission.approach(here)
+
+
+def _require_unmoved(course: _Course, shown: FloatArray, when: str) -> FloatArray:
+    """Where the arm is, which must be about where it was shown to be.
+
+    Raises:
+        MotionRefusedError: it is not.
+    """
+    here = shown if course.position is None else course.position
+    if np.max(np.abs(here - shown)) > MOVED_MEANWHILE:
+        raise MotionRefusedError(f"the arm moved {when}", hint="start again when it is at rest")
+    return here
+
+
+def _take_control(driver: Driver, cycle: Callable[[], None], course: _Course) -> None:
+    """Take control of the arm, which may last seconds, while samples are read; then wait for a newer position.
+
+    Raises:
+        DynidError: the driver's.
+    """
+    failures: list[DynidError] = []
+
+    def take() -> None:
+        try:
+            driver.take_control()
+        except DynidError as error:
+            failures.append(error)
+
+    thread = course.clock.thread(take, "taking control")
+    thread.start()
+    while thread.is_alive() and course.interrupted is None:
+        cycle()
+    if failures:
+        raise failures[0]
+    taken = course.clock.now()
+    while course.heard <= taken and course.interrupted is None:
+        cycle()  # ends by stale data where nothing comes
 
 
 def _prepare(
-    driver: Driver, supervisor: Supervisor, recorder: Recorder, play: Play, course: _Course, approach: Motion
+    driver: Driver, supervisor: Supervisor, recorder: Recorder, play: Play, course: _Course, path: MotionPath
 ) -> Player:
-    check_limits(approach, play.robot.joints, "the approach to the start pose")
-    way = ticks(approach, play.rate)
-    begin = course.source_time()
-    recorder.event(begin, "info", "player", f"approach to the start pose, {approach.duration:.2f} s")
-    positions = np.concatenate([way, ticks(play.motion, play.rate)[1:]])
-    return Player(driver.command, supervisor.commanded, positions, play.rate, len(way), course.clock)
+    """The player of a path, with the command gate between it and the driver."""
+    limits = GateLimits.of_joints(play.robot.joints)
+    approach = float(path.starts[1])
+    recorder.event(course.source_time(), "info", "player", f"approach to the start pose, {approach:.2f} s")
+    course.gate = CommandGate(driver.command, supervisor.commanded, limits, 1.0 / path.rate, course.clock)
+    if course.position is not None:
+        course.gate.measured(course.clock.now(), course.position)
+    return Player(course.gate.command, path, limits.acceleration, course.clock)
 
 
-def _follow(
-    driver: Driver,
-    recorder: Recorder,
-    supervisor: Supervisor,
-    course: _Course,
-    player: Player | None,
-    begun: float,
-    duration: float | None,
+def _follow_motion(
+    cycle: Callable[[], None], recorder: Recorder, course: _Course, player: Player, path: MotionPath
 ) -> None:
-    moving = False
+    """Until the arm has arrived at the end of the motion."""
+    begun = False
+    while not player.done and course.interrupted is None:
+        cycle()
+        _raise_failure(cycle, player)
+        if not begun and player.elapsed > path.starts[1] + 1e-9:
+            begun = True
+            recorder.event(course.source_time(), "info", "player", "motion begins")
+        if course.view is not None:
+            state = "motion" if begun else "approach to the start pose"
+            course.view.show(state, player.elapsed, player.duration)
+    course.rest, limit = StandstillWatch(_GAP), course.clock.now() + ARRIVAL_LIMIT
+    while not course.rest.at_rest and course.interrupted is None:
+        cycle()
+        _raise_failure(cycle, player)
+        if course.clock.now() > limit:
+            raise WorkError(f"the arm did not come to rest within {ARRIVAL_LIMIT:g} s of the motion's last command")
+    if course.interrupted is None and course.position is not None:
+        short = np.abs(course.position - path.positions(np.array([path.duration]))[0])
+        if np.max(short) > ARRIVAL_ERROR:
+            said = f"the arm came to rest {np.max(short):.3f} rad from the end of the motion"
+            recorder.event(course.source_time(), "warning", "player", said)
+        recorder.event(course.source_time(), "info", "player", "motion ends")
+
+
+def _raise_failure(cycle: Callable[[], None], player: Player) -> None:
+    """End the session where the player has ended; by what the driver says of the cause, if it does."""
+    if player.failure is not None:
+        cycle()
+        raise player.failure
+
+
+def _follow(cycle: Callable[[], None], course: _Course, begun: float, duration: float | None) -> None:
+    """Until the recording has lasted for as long as wanted."""
     while course.interrupted is None:
-        _cycle(driver, recorder, supervisor, course)
-        now = course.clock.now()
-        if player is not None:
-            if player.failure is not None:
-                raise player.failure
-            if not moving and player.index >= player.motion_index:
-                moving = True
-                recorder.event(course.source_time(), "info", "player", "motion begins")
-            if player.done:
-                recorder.event(course.source_time(), "info", "player", "motion ends")
-                return
-        if duration is not None and now - begun >= duration:
+        cycle()
+        recorded = course.clock.now() - begun
+        if duration is not None and recorded >= duration:
             return
         if course.view is not None:
-            if player is not None:
-                state = "motion" if moving else "approach to the start pose"
-                course.view.show(state, player.elapsed, player.duration)
-            else:
-                course.view.show("recording", now - begun, duration or 0.0)
+            course.view.show("recording", recorded, duration or 0.0)
 
 
 def _cycle(
@@ -442,15 +556,15 @@ def _stop(driver: Driver, player: Player | None) -> None:
 
 @contextmanager
 def _signals_noted(course: _Course) -> Iterator[None]:
-    """Ctrl-C and SIGTERM are noted only; as exceptions they could cut the stop itself short."""
+    """Signals that end a session are noted only; as exceptions they could cut the stop itself short."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def note(signal_number: int, _frame: FrameType | None) -> None:
-        course.interrupted = course.interrupted or _SIGNALS[signal.Signals(signal_number)]
+        course.interrupted = course.interrupted or ENDED_BY[signal.Signals(signal_number)]
 
-    before = {handled: signal.getsignal(handled) for handled in _SIGNALS}
+    before = {handled: signal.getsignal(handled) for handled in ENDED_BY}
     for handled in before:
         signal.signal(handled, note)
     try:

@@ -139,6 +139,18 @@ class Sources:
                 return source.driver.losses(names[0])
         return ""
 
+    def command_rate(self) -> float:
+        """The main one's."""
+        return self._main.driver.command_rate()
+
+    def take_control(self) -> None:
+        """Take control of the main one's arm.
+
+        Raises:
+            DynidError: of the main one.
+        """
+        self._main.driver.take_control()
+
     def command(self, position: FloatArray) -> None:
         """Send a joint position to the main one.
 

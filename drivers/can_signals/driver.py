@@ -14,7 +14,7 @@ from drivers.can.bus import Sender, close_bus, open_bus
 from drivers.can.receiver import Receiver
 from drivers.can_signals.motion import Commander
 from drivers.can_signals.polling import Poller
-from drivers.can_signals.settings import parse_settings
+from drivers.can_signals.settings import CommandTable, parse_settings
 from drivers.can_signals.startup import hear_all
 from drivers.can_signals.streams import FrameStreams
 from drivers.can_signals.table.signals import FixedFrame, batches
@@ -147,6 +147,23 @@ class CanFramesDriver:
         of_bus = self._receiver.notices() if self._receiver is not None else []
         return of_bus + drained(self._notices)
 
+    def command_rate(self) -> float:
+        """That of the joints' rows; 0 where the table has no command frames."""
+        return 0.0 if self._settings.command is None else self._settings.rate
+
+    def take_control(self) -> None:
+        """Check that the arm can be moved from where it is; the drives are enabled with the first command.
+
+        Raises:
+            DriverStateError: it is not running, the table has no command frames, or where the arm is does not fit into
+                them.
+        """
+        with self._command_lock:
+            table = self._require_movable()
+            if (here := self._streams.latest_position) is None:
+                raise DriverStateError("no position of the arm is known yet", hint="read samples before")
+            Commander(table, self._joints).frames(here)
+
     def command(self, position: FloatArray) -> None:
         """Send a joint position (n,) [rad] to be reached within one period; the first enables the drives before.
 
@@ -158,14 +175,7 @@ class CanFramesDriver:
         """
         target = finite_position(position, self._joints)
         with self._command_lock:
-            require_state(self._state, "running", "move")
-            if self._halted:
-                raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
-            table, sender = self._settings.command, self._sender
-            if table is None or sender is None:
-                raise DriverStateError(
-                    "this connection cannot move the arm", hint="its table has no 'command'; recording works"
-                )
+            table = self._require_movable()
             if self._commander is None:
                 check_first_step(target, self._streams.latest_position, self._joints)
                 commander = Commander(table, self._joints)
@@ -174,7 +184,8 @@ class CanFramesDriver:
                 self._send(self._settings.start)
             else:
                 frames = self._commander.frames(target)
-            sender.send_all(frames)
+            if self._sender is not None:
+                self._sender.send_all(frames)
 
     def stop(self) -> None:
         """Halt the arm where this driver moves it, then the samples; safe in every state, never raises.
@@ -219,6 +230,16 @@ class CanFramesDriver:
             self._send(self._settings.end)
         self._let_go()
         self._state = "closed"
+
+    def _require_movable(self) -> CommandTable:
+        require_state(self._state, "running", "move")
+        if self._halted:
+            raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
+        if self._settings.command is None:
+            raise DriverStateError(
+                "this connection cannot move the arm", hint="its table has no 'command'; recording works"
+            )
+        return self._settings.command
 
     def _opened_receiver(self) -> Receiver:
         if self._receiver is None:

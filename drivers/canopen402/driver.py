@@ -195,10 +195,29 @@ class Canopen402Driver:
                     notices += self._poll.notices()
         return notices
 
+    def command_rate(self) -> float:
+        """The rate of SYNC; 0 where the connection's mode is "none"."""
+        return 0.0 if self._mode is None else self._settings.sync_rate
+
+    def take_control(self) -> None:
+        """Enable the drives, each holding its position; that lasts a few tenths of a second and more.
+
+        Raises:
+            DriverStateError: it is not running, the connection's mode is "none", no position is known yet, or a drive
+                is in fault or cannot be enabled.
+            ConnectionLostError: the adapter is gone.
+        """
+        with self._motion_lock:
+            motion = self._require_movable()
+            if self._latest_position is None:
+                raise DriverStateError("no position of the arm is known yet", hint="read samples before")
+            if not motion.moving and motion.ended_by is None:
+                motion.enable(self._settings.timeout)
+
     def command(self, position: FloatArray) -> None:
         """Send a joint position (n,) [rad] to be reached within a few periods (see `TargetPath`).
 
-        The first one enables the drives, each holding its position; that lasts a few tenths of a second and more.
+        The first one enables the drives where `take_control` did not.
 
         Raises:
             DriverStateError: it is not running, the connection's mode is "none", a first position is too far from where
@@ -208,17 +227,7 @@ class Canopen402Driver:
         """
         position = finite_position(position, self._joints)
         with self._motion_lock:
-            require_state(self._state, "running", "move")
-            if self._halted:
-                raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
-            motion = self._motion
-            if motion is None:
-                raise DriverStateError(
-                    "this connection only records (mode: none)", hint="set its 'mode' to position or profile"
-                )
-            for failure in (self._sync.failure, self._receiver.failure):
-                if failure is not None:
-                    raise failure
+            motion = self._require_movable()
             if not motion.moving and motion.ended_by is None:
                 check_first_step(position, self._latest_position, self._joints)
                 motion.enable(self._settings.timeout)
@@ -276,6 +285,19 @@ class Canopen402Driver:
             release(self._drives, self._configured.controls, self._clock)  # while they still hear from us
         self._disconnect()
         self._state = "closed"
+
+    def _require_movable(self) -> DriveMotion:
+        require_state(self._state, "running", "move")
+        if self._halted:
+            raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
+        if self._motion is None:
+            raise DriverStateError(
+                "this connection only records (mode: none)", hint="set its 'mode' to position or profile"
+            )
+        for failure in (self._sync.failure, self._receiver.failure):
+            if failure is not None:
+                raise failure
+        return self._motion
 
     def _configure(self, deadline: float, network: CanopenNetwork) -> Configured:
         settings = self._settings

@@ -14,13 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.base import DriverSettings, Notice, State, drained, require_state
-from drivers.errors import DriverStateError, UsageError
+from drivers.errors import DriverStateError, MotionRefusedError, UsageError
 from drivers.first_step import check_first_step, finite_position
 from drivers.gains import gives_torque, joint_torque, torque_channel
 from drivers.rtde import protocol as wire
 from drivers.rtde.connect import Connect, connect_tcp
 from drivers.rtde.dashboard import stop_program
-from drivers.rtde.modes import describe_mode
+from drivers.rtde.modes import RUNTIME_STOPPED, describe_mode
 from drivers.rtde.motion import JOINTS, MotionProcess
 from drivers.rtde.receiver import TIMESTAMP, RtdeReceiver, Samples
 from drivers.rtde.settings import parse_settings
@@ -136,6 +136,7 @@ class RtdeDriver:
         self._clock = settings.clock
         self._state: State = "closed"
         self._motion: ArmControl | None = None
+        self._moved = False
         self._motion_lock = settings.clock.lock()  # held while control is being taken
         self._halted = False
         self._notices: deque[Notice] = deque()
@@ -235,28 +236,40 @@ class RtdeDriver:
         """What the controller reported since the last call: modes, messages, refused variables, reconnections."""
         return self._receiver.notices() + drained(self._notices)
 
-    def command(self, position: FloatArray) -> None:
-        """Send a joint position (6,) [rad] to be reached within one period.
+    def command_rate(self) -> float:
+        """The controller's own rate, whatever that of the samples; 0 where it is closed."""
+        return 0.0 if self._state == "closed" else self._receiver.version.maximum_rate
 
-        The first one takes control of the arm, which lasts seconds and ends whatever program runs on the controller.
+    def take_control(self) -> None:
+        """Take control of the arm, which lasts seconds; no program may play on the controller.
 
         Raises:
-            DriverStateError: it is not running, the port is not the one that ur_rtde insists on, or a first position
-                is too far from where the arm stands.
+            DriverStateError: it is not running, or the port is not the one that ur_rtde insists on.
+            MotionRefusedError: a program plays on the controller, which ur_rtde would end.
             ConnectionFailedError: no control of the arm within the connection's `timeout`.
+        """
+        with self._motion_lock:
+            self._require_movable()
+            self._check_port()
+            self._controlled()
+
+    def command(self, position: FloatArray) -> None:
+        """Send a joint position (6,) [rad] to be reached within one period; takes control where nobody has.
+
+        Raises:
+            DriverStateError: as `take_control`, or a first position is too far from where the arm stands.
+            MotionRefusedError, ConnectionFailedError: as `take_control`.
             ConnectionLostError: the connection broke, or the controller refused a position.
             ValueError: not six finite numbers.
         """
         position = finite_position(position, self._joints)
         with self._motion_lock:
-            require_state(self._state, "running", "move")
-            if self._halted:
-                raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
-            if self._motion is None:
+            self._require_movable()
+            if not self._moved:
                 self._check_port()
                 check_first_step(position, self._latest_position, self._joints)
-                self._motion = self._take_control(self._settings.host, self._receiver.rate, self._settings.timeout)
-            self._motion.command(position)
+            self._controlled().command(position)
+            self._moved = True
 
     def stop(self) -> None:
         """Halt the arm where this driver moves it, then the samples; safe in every state, never raises.
@@ -265,7 +278,7 @@ class RtdeDriver:
         """
         self._halted = True
         with self._motion_lock:
-            motion, self._motion = self._motion, None
+            motion, self._motion, self._moved = self._motion, None, False
         if motion is not None and not motion.stop():
             # Out of reach, or killed; ur_rtde may have started a fresh program meanwhile, which would stay.
             if stop_program(self._settings.host, DASHBOARD_TIMEOUT, self._connect, self._clock):
@@ -321,6 +334,26 @@ class RtdeDriver:
                 level, text = describe_mode(source.variable, int(column[index]))
                 self._notices.append(Notice(float(clock[index]), level, text))
             self._last_mode[source.variable] = int(column[-1])
+
+    def _require_movable(self) -> None:
+        require_state(self._state, "running", "move")
+        if self._halted:
+            raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
+
+    def _controlled(self) -> ArmControl:
+        if self._motion is None:
+            self._require_no_program()
+            self._motion = self._take_control(self._settings.host, self.command_rate(), self._settings.timeout)
+        return self._motion
+
+    def _require_no_program(self) -> None:
+        state = self._last_mode.get("runtime_state")
+        if state not in (None, RUNTIME_STOPPED):
+            raise MotionRefusedError(
+                f"a program is active on the controller ({describe_mode('runtime_state', state)[1]})",
+                where=self._settings.host,
+                hint="stop it on the pendant first: taking control would end it wherever the arm is",
+            )
 
     def _check_port(self) -> None:
         if self._settings.port != wire.PORT:

@@ -40,6 +40,9 @@ RUNTIME_STATES: Mapping[int, str] = {
     5: "resuming",
 }
 
+RUNTIME_STOPPED = 1
+"""`runtime_state` of a controller that plays no program."""
+
 NAMES: Mapping[str, Mapping[int, str]] = {
     "robot_mode": ROBOT_MODES,
     "safety_mode": SAFETY_MODES,

@@ -35,7 +35,10 @@ SERVO_DECELERATION = 10.0
 JOINT_DECELERATION = 2.0
 """Of every joint after that [rad/s²]; UR's default for stopJ."""
 SILENCE_LIMIT = 0.5
-"""Without a command for this long [s] the process stops the arm and gives up control."""
+"""Without a command for this long [s] after the first the process stops the arm and gives up control."""
+FIRST_COMMAND_LIMIT = 30.0
+"""How long [s] the first command may take: until then the controller holds the arm by itself, and the approach is
+planned from where it stands."""
 WATCHDOG_RATE = 1.0
 """Commands a second below which the controller itself ends the program. Its period is longer than `SILENCE_LIMIT`, so
 that this process stops the arm first where it can, and longer than leaving servo mode takes, which sends nothing."""
@@ -59,6 +62,8 @@ class Control(Protocol):
     ) -> bool: ...
 
     def setWatchdog(self, min_frequency: float) -> bool: ...  # noqa: D102
+
+    def kickWatchdog(self) -> bool: ...  # noqa: D102
 
     def servoStop(self, a: float) -> bool: ...  # noqa: D102
 
@@ -224,9 +229,9 @@ class MotionProcess:
 
 
 def _run(pipe: Pipe, factory: ControlFactory, host: str, rate: float, timeout: float) -> None:
-    # Both may reach the whole process group; the parent must decide, or the arm would not be stopped in order.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    # They may reach the whole process group; the parent must decide, or the arm would not be stopped in order.
+    for ignored in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+        signal.signal(ignored, signal.SIG_IGN)
     _keep_standard_output_clean()
     _die_after(timeout)
     if not obey(pipe, factory, host, rate, lambda: _die_after(0.0)):
@@ -258,7 +263,7 @@ def obey(pipe: Pipe, factory: ControlFactory, host: str, rate: float, taken: Cal
         taken()
         if watched:
             _say(pipe, _READY)
-            reason = _follow(pipe, control, 1.0 / rate)
+            reason = _await_first_command(pipe, control) or _follow(pipe, control, 1.0 / rate)
         else:
             reason = b"the controller refused the watchdog"
     except Exception as error:
@@ -268,6 +273,20 @@ def obey(pipe: Pipe, factory: ControlFactory, host: str, rate: float, taken: Cal
             _say(pipe, _FAILED + reason)
         halted = _halt(control)
     return halted
+
+
+def _await_first_command(pipe: Pipe, control: Control) -> bytes | None:
+    """Keep the watchdog content until there is something in the pipe (None), or say what is wrong."""
+    kick_period = 0.4 / WATCHDOG_RATE
+    for _ in range(round(FIRST_COMMAND_LIMIT / kick_period)):
+        try:
+            if pipe.poll(kick_period):
+                return None
+        except (EOFError, OSError):
+            return b"the recording process is gone"
+        if not control.kickWatchdog():
+            return b"the controller's program no longer runs"
+    return f"no command for {FIRST_COMMAND_LIMIT:g} s".encode()
 
 
 def _follow(pipe: Pipe, control: Control, period: float) -> bytes | None:

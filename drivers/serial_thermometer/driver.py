@@ -147,7 +147,11 @@ class SerialThermometerDriver:
         self._notices.clear()
         return notices
 
-    def command(self, position: FloatArray) -> None:
+    def command_rate(self) -> float:
+        """0: a thermometer moves nothing."""
+        return 0.0
+
+    def take_control(self) -> None:
         """Refuse: a thermometer moves nothing.
 
         Raises:
@@ -156,6 +160,14 @@ class SerialThermometerDriver:
         raise DriverStateError(
             "a thermometer cannot move an arm", hint="choose the arm's own connection, and record this one `with` it"
         )
+
+    def command(self, position: FloatArray) -> None:
+        """Refuse, as `take_control`.
+
+        Raises:
+            DriverStateError: always.
+        """
+        self.take_control()
 
     def stop(self) -> None:
         """End the samples; safe in every state, never raises."""

@@ -105,7 +105,7 @@ def check_connection(
     kind = robot.connections[name].driver
     alone = robot.connections[name].model_copy(update={WITH: [], **READ_ONLY.get(kind, {})})
     changed = robot.model_copy(update={"connections": {**robot.connections, name: alone}})
-    driver, _ = load_driver(changed, name, host, robot_file.folder, clock, robot_file.where)
+    driver = load_driver(changed, name, host, robot_file.folder, clock, robot_file.where)
     try:
         driver.open()
         identities: tuple[Mapping[str, Any], ...] = ()

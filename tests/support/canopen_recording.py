@@ -102,7 +102,7 @@ class Bench:
         recorder = Recorder(path, self.robot_file, layouts, clock=self.clock)
         supervisor = Supervisor(Limits.of_robot(robot), layouts)
         self.begun = self.clock.now()
-        play = None if motion is None else unchecked_play(motion, robot, self.rate)
+        play = None if motion is None else unchecked_play(motion, robot)
         report = record(self.driver, recorder, supervisor, play, duration, clock=self.clock)
         ended = self.clock.now() - self.begun
         return Run(report, read_recording(path), ended, self.rate)
@@ -228,7 +228,7 @@ def arm_on_bus(
             _note(server, measured)
             clock.sleep(0.1)
             wire = can.Bus(CHANNEL, "virtual")
-            driver, _ = load_driver(robot, "canopen", clock=clock)
+            driver = load_driver(robot, "canopen", clock=clock)
             assert isinstance(driver, Canopen402Driver)
             try:
                 if opened:

@@ -26,6 +26,10 @@ class FakeControl:
     def setWatchdog(self, min_frequency: float) -> bool:
         return True
 
+    def kickWatchdog(self) -> bool:
+        self.write("kickWatchdog")
+        return True
+
     def servoStop(self, a: float) -> bool:
         self.write("servoStop")
         return True

@@ -55,7 +55,7 @@ class KinematicArm:
         self.command_times: list[float] = []
         self.opened = False
         self.calls: list[str] = []
-        """open, start, stop and close, in their order."""
+        """open, start, take_control, stop and close, in their order."""
         self.begun = math.nan
         self.stopped_at: float | None = None
         self.commands_after_stop = 0
@@ -122,6 +122,12 @@ class KinematicArm:
             self._noticed = True
             return (Notice(101.0, "error", "protective stop"),)
         return ()
+
+    def command_rate(self):
+        return self.rate
+
+    def take_control(self):
+        self.calls.append("take_control")
 
     def command(self, position):
         with self._lock:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 
 from daq.motion import player
-from daq.session import session
+from daq.session import command_gate, session
 from daq.session import supervisor as safety
 from drivers.canopen402 import driver, settings
 from drivers.canopen402.setup import configuration
@@ -18,7 +18,10 @@ PATIENCE = 60.0
 
 safety.STALE_FLOOR = safety.TRACKING_WINDOW = PATIENCE
 safety.Limits.of_robot.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defined]
+command_gate.GateLimits.of_joints.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defined]
 player.DRY_RUN_PERIODS = 10_000
+player.STALL_LIMIT = command_gate.STALL_LIMIT = command_gate.FRESH = PATIENCE
+session.ARRIVAL_LIMIT = session.REST_LIMIT = PATIENCE
 session.FIRST_SAMPLE_LIMIT = PATIENCE
 receiver.SILENCE_LIMIT = PATIENCE
 motion.SILENCE_LIMIT = motion.PATIENCE = motion.STOP_LIMIT = PATIENCE

@@ -116,6 +116,10 @@ class PythonControl:
     def setWatchdog(self, min_frequency: float) -> bool:
         return self._command(35, min_frequency)
 
+    def kickWatchdog(self) -> bool:
+        self._write(0)
+        return self._connected
+
     def servoStop(self, a: float) -> bool:
         return self._command(16, a)
 

@@ -72,7 +72,7 @@ def default_values(clock: float) -> dict[str, Sequence[float]]:
         "joint_temperatures": [9 * value for value in vector],
         "robot_mode": [7],
         "safety_mode": [1],
-        "runtime_state": [2],
+        "runtime_state": [1],
         "joint_mode": [253] * 6,
     }
 

@@ -66,6 +66,11 @@ class ServoedPlant:
     def notices(self) -> tuple[Notice, ...]:
         return ()
 
+    def command_rate(self) -> float:
+        return RATE
+
+    def take_control(self) -> None: ...
+
     def command(self, position: np.ndarray) -> None:
         self._servo.retarget(position, LOOKAHEAD)
 
@@ -87,9 +92,7 @@ def in_simulated_time(robot: str, seed: int, position: np.ndarray) -> Iterator[R
             layouts = driver.streams()
             recorder = Recorder(out, robot_file, layouts, trajectory=played.text, clock=clock)
             supervisor = Supervisor(Limits.of_robot(robot_file.robot), layouts)
-            report = record(
-                driver, recorder, supervisor, unchecked_play(played.motion, robot_file.robot, RATE), clock=clock
-            )
+            report = record(driver, recorder, supervisor, unchecked_play(played.motion, robot_file.robot), clock=clock)
         assert report.stopped_by is None, report.stopped_by
         return Recorded(report.samples["joints"], report.lost["joints"])
 

@@ -24,8 +24,8 @@ class Unchecked:
         return True
 
 
-def unchecked_play(motion, robot, rate):
+def unchecked_play(motion, robot):
     """What a session plays without asking."""
     from daq.session.session import Play
 
-    return Play(motion, robot, rate, Unchecked(motion, robot))
+    return Play(motion, robot, Unchecked(motion, robot))

@@ -19,7 +19,7 @@ from daq.recording.reader import read_recording
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
-WIDE: dict[str, object] = {"with": [], "sync_rate": 10, "heartbeat": 1.0, "timeout": 60.0}
+WIDE: dict[str, object] = {"with": [], "sync_rate": 100, "heartbeat": 1.0, "timeout": 60.0}
 """A drive and dynid miss each other after 3 s."""
 
 

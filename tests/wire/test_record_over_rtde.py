@@ -128,7 +128,7 @@ class Bench:
             text = played.text if played is not None else ""
             recorder = Recorder(self.out, robot, layouts, trajectory=text, clock=self.clock)
             supervisor = Informed(self.commands, Limits.of_robot(robot.robot), layouts)
-            play = unchecked_play(played.motion, robot.robot, RATE) if played is not None else None
+            play = unchecked_play(played.motion, robot.robot) if played is not None else None
             report = record(driver, recorder, supervisor, play, duration, clock=self.clock)
             self.ended = self.clock.now() - START
             driver.close()
@@ -167,7 +167,7 @@ class Bench:
         assert self.stop_event()[1] == f"stopped: {report.stopped_by}"
         assert not self.recording.complete
         assert not self.playing
-        assert self.velocity < 1e-3
+        assert self.velocity < 2e-3  # it creeps where its friction holds it
 
 
 @pytest.fixture
@@ -254,8 +254,8 @@ def test_a_motion_process_that_is_killed_ends_the_motion(bench: Bench, tmp_path:
     report = bench.record(trajectory(tmp_path, 20.0))
     bench.assert_stopped(report)
     assert "motion process ended" in str(report.stopped_by)
-    # The player's next position finds it gone; the session looks again at the sample after that.
-    assert [bench.stop_event()[0], bench.times()[-1]] == pytest.approx([NEXT_PERIOD + 2 * PERIOD] * 2)
+    # The player's next position finds it gone; the session sees that at the sample after that, and looks once more.
+    assert [bench.stop_event()[0], bench.times()[-1]] == pytest.approx([NEXT_PERIOD + 3 * PERIOD] * 2)
     assert any("was ended by its dashboard" in event.message for event in bench.recording.events)
 
 
@@ -342,16 +342,23 @@ def test_dropped_packages_are_counted_and_do_not_end_the_recording(bench: Bench)
     assert set(range(min(ticks), max(ticks) + 1)) - ticks == missing
 
 
-def test_a_busy_computer_delays_a_motion_and_costs_no_sample(bench: Bench, tmp_path: Path) -> None:
-    # Controller and recorder share it: the one makes up for its periods, the other goes on where the motion was.
-    bench.clock.call_at(START + FAULT, lambda: bench.clock.stall(0.2))
+@pytest.mark.parametrize("stall", [0.03, 0.2])
+def test_a_busy_computer_delays_or_ends_a_motion_and_costs_no_sample(
+    bench: Bench, tmp_path: Path, stall: float
+) -> None:
+    # Controller and recorder share it: the one makes up for its periods, the other goes on from rest, or stops.
+    bench.clock.call_at(START + FAULT, lambda: bench.clock.stall(stall))
     report = bench.record(trajectory(tmp_path, 3.0))
-    assert report.stopped_by is None
     assert bench.status.stalls == 0
-    assert bench.recording.complete
     assert_no_sample_is_missing(bench.times())
     assert report.punctuality is not None
-    assert report.punctuality.delayed_ms == pytest.approx(200.0, abs=2e3 * PERIOD)
+    if stall > 0.05:
+        bench.assert_stopped(report)
+        assert "this computer stalled for 0.198 s in the motion" in str(report.stopped_by)
+        return
+    assert report.stopped_by is None
+    assert bench.recording.complete
+    assert report.punctuality.delayed_ms > 1e3 * (stall - 2 * PERIOD)
     channels = bench.recording.streams["joints"].channels
     assert np.abs(channels["position"].values - channels["target_position"].values).max() < REACHED
 

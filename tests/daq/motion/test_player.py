@@ -1,4 +1,4 @@
-"""The player: every position once, in order and in time; the last one is held; errors are kept for the session."""
+"""The player: every position once, in order and in time; the last one is held; a stall is gone on from, or ends it."""
 
 from __future__ import annotations
 
@@ -6,86 +6,135 @@ import numpy as np
 import pytest
 from simulated_clock import SimulatedClock
 
-from daq.motion.player import DRY_RUN, Player, dry_run, ticks
-from daq.motion.trajectories import PointToPoint
-from drivers.errors import ConnectionLostError, WorkError
+from daq.motion.player import DRY_RUN, STALL_LIMIT, Path, Player, dry_run, skip_limit
+from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest
+from drivers.errors import ConnectionLostError, SafetyStopError, WorkError
 
 RATE = 100.0
 PERIOD = 1.0 / RATE
+ACCELERATION = np.array([20.0])
+RAMP = PointToPoint(np.array([[0.0], [1.0]]), np.array([0.39]))
+"""It reaches 4.8 rad/s; its tick k is that of the path."""
 
 
 class Sent:
-    """Takes positions of one joint and notes when they came, after the start."""
+    """Takes positions of one joint and notes when they came and when they were due, after the start."""
 
     def __init__(self, clock: SimulatedClock, takes: float = 0.0) -> None:
-        self.numbers: list[int] = []
+        self.positions: list[float] = []
         self.times: list[float] = []
-        self.noted: list[float] = []
+        self.due: list[float] = []
         self._clock, self._takes, self._begun = clock, takes, clock.now()
 
-    def note(self, now: float, position: np.ndarray) -> None:
-        assert now == self._clock.now()
-        self.noted.append(position[0])
-
-    def take(self, position: np.ndarray) -> None:
-        self.numbers.append(int(position[0]))
+    def take(self, position: np.ndarray, due: float) -> None:
+        self.positions.append(float(position[0]))
         self.times.append(self._clock.now() - self._begun)
+        self.due.append(due - self._begun)
         self._clock.sleep(self._takes)
 
 
-def played(clock: SimulatedClock, sent: Sent, count: int) -> Player:
-    """A player that has sent the last of so many positions."""
-    player = Player(sent.take, sent.note, np.arange(float(count))[:, None], RATE, clock=clock)
+def made(clock: SimulatedClock, sent: Sent, *motions: PointToPoint, acceleration: float = 400.0) -> Player:
+    return Player(sent.take, Path(motions or (RAMP,), RATE), np.array([acceleration]), clock)
+
+
+def played(clock: SimulatedClock, player: Player) -> Player:
     player.start()
-    assert clock.wait(lambda: player.done, 10.0)
+    assert clock.wait(lambda: player.done or player.failure is not None, 20.0)
     return player
+
+
+def planned(ticks: np.ndarray) -> np.ndarray:
+    return RAMP.evaluate(np.minimum(ticks * PERIOD, RAMP.duration))[0][0]
 
 
 def test_positions_are_sent_by_absolute_times_and_the_last_is_held(clock: SimulatedClock) -> None:
     sent = Sent(clock)
-    player = played(clock, sent, 40)
-    assert sent.numbers == list(range(40))
+    player = played(clock, made(clock, sent))
+    np.testing.assert_allclose(sent.positions, planned(np.arange(40)), atol=1e-15)
     np.testing.assert_allclose(sent.times, PERIOD * np.arange(40), atol=1e-9)
-    assert (player.index, player.elapsed, player.duration) == (39, pytest.approx(0.39), pytest.approx(0.39))
+    np.testing.assert_allclose(sent.due, sent.times, atol=1e-9)
+    assert (player.elapsed, player.duration) == (pytest.approx(0.39), pytest.approx(0.39))
     clock.sleep(5.5 * PERIOD)
-    assert sent.numbers[40:] == [39] * 5
-    assert sent.noted == sent.numbers
+    assert sent.positions[40:] == [1.0] * 5
+    clock.stall(3.0)  # at rest a stall does not matter
+    clock.sleep(5.5 * PERIOD)
+    assert player.failure is None
     assert player.stop(1.0)
+    count = len(sent.positions)
     clock.sleep(1.0)
-    assert len(sent.numbers) == 45
+    assert len(sent.positions) == count
     figures = player.punctuality()
     assert (figures.sent, figures.skipped, figures.delayed_ms) == (39, 0, 0.0)
     assert figures.max_ms < 1e-6
 
 
+@pytest.mark.parametrize(("rate", "skipped"), [(500.0, 3), (250.0, 2), (125.0, 1), (100.0, 1)])
+def test_few_overdue_positions_are_skipped(rate: float, skipped: int) -> None:
+    assert skip_limit(1.0 / rate) == skipped
+
+
 def test_a_late_player_skips_what_is_overdue(clock: SimulatedClock) -> None:
-    """Each position takes 2.65 periods to send, so that two or three are due at its end; the newest of them is sent."""
-    sent = Sent(clock, 2.65 * PERIOD)
-    player = played(clock, sent, 30)
+    """Each position takes 1.3 periods to send: now and then two are due at its end, and the newer one is sent."""
+    sent = Sent(clock, 1.3 * PERIOD)
+    player = played(clock, made(clock, sent))
+    ticks = np.rint(np.array(sent.due) / PERIOD)
+    assert set(np.diff(ticks)) == {1.0, 2.0}
+    np.testing.assert_allclose(sent.positions, planned(ticks), atol=1e-15)
+    assert np.all(np.array(sent.times) >= np.array(sent.due) - 1e-9)
+    figures = player.punctuality()
+    assert (figures.sent + figures.skipped, figures.delayed_ms) == (39, 0.0)
+    assert figures.skipped == 39 - np.sum(ticks[1:] <= 39)
     player.stop(1.0)
-    assert sent.numbers == [0, 1, 3, 6, 8, 11, 14, 16, 19, 22, 24, 27, 29, 29]
-    figures = player.punctuality()
-    assert (figures.skipped, figures.delayed_ms) == (30 - 13, 0.0)
-    # Position 0 starts the clock where its sending has ended, and 1 is the last that is in time.
-    np.testing.assert_allclose(np.array(sent.times[1:]) - sent.times[1], 2.65 * PERIOD * np.arange(13), atol=1e-9)
 
 
-@pytest.mark.parametrize("overdue", [0, 1, 2, 3, 4, 25])
-def test_a_stall_costs_the_positions_that_fell_into_it_or_delays_the_rest(clock: SimulatedClock, overdue: int) -> None:
+@pytest.mark.parametrize("overdue", [0, 1, 2, 3, 4])
+@pytest.mark.parametrize("when", [0.0949, 0.1949, 0.2949])
+def test_after_a_stall_the_motion_goes_on_from_rest_within_its_acceleration(
+    clock: SimulatedClock, overdue: int, when: float
+) -> None:
     sent = Sent(clock)
-    clock.call_at(clock.now() + 0.1001, lambda: clock.stall(0.0049 + overdue * PERIOD))
-    player = played(clock, sent, 40)
-    figures = player.punctuality()
-    # Position 11 is sent at the stall's end, then the newest one due, unless too many are overdue by then.
-    late = overdue - 1
-    skipped, delayed = (0, late - 1) if late > 3 else (max(0, late - 1), 0)
-    assert (figures.skipped, figures.delayed_ms) == (skipped, pytest.approx(1e3 * delayed * PERIOD))
-    assert sent.numbers == [*range(12), *range(12 + skipped, 40)]
-    assert max(np.diff(sent.numbers)) <= 3
-    expected = PERIOD * (np.array(sent.numbers) + np.where(np.array(sent.numbers) > 11, delayed, 0))
-    over = 0.105 + overdue * PERIOD
-    np.testing.assert_allclose(sent.times, np.where(expected > 0.105, np.maximum(expected, over), expected), atol=1e-9)
-    assert figures.max_ms == pytest.approx(1e3 * max(0.0, (overdue - 0.5) * PERIOD), abs=1e-6)
+    clock.call_at(clock.now() + when + 0.0002, lambda: clock.stall(0.0049 + overdue * PERIOD))
+    player = played(clock, made(clock, sent, acceleration=60.0))
+    assert player.stop(1.0)
+    assert player.failure is None
+    due, positions = np.array(sent.due), np.array(sent.positions)
+    np.testing.assert_allclose(positions[-1], 1.0)
+    gap = int(np.argmax(np.diff(due) > 1.5 * PERIOD)) if overdue > 1 else -1
+    if overdue <= 1:
+        np.testing.assert_allclose(positions, planned(np.rint(due / PERIOD)), atol=1e-15)
+        assert player.punctuality().delayed_ms == 0.0
+        return
+    assert due[gap + 1] - due[gap] == pytest.approx((overdue + 1) * PERIOD)
+    # The arm was held: what follows starts there from rest, and keeps the limit.
+    after = np.concatenate([[positions[gap]], positions[gap:]])
+    acceleration = np.diff(after, 2) / PERIOD**2
+    assert np.max(np.abs(acceleration)) <= 60.0 * 1.01
+    assert player.punctuality().delayed_ms > 1e3 * overdue * PERIOD
+    assert player.duration == pytest.approx(0.39)
+
+
+def test_a_long_stall_ends_the_motion(clock: SimulatedClock) -> None:
+    sent = Sent(clock)
+    clock.call_at(clock.now() + 0.1951, lambda: clock.stall(0.3))
+    player = played(clock, made(clock, sent))
+    assert isinstance(player.failure, SafetyStopError)
+    assert "this computer stalled for 0.290 s in the motion" in str(player.failure)
+    assert len(sent.positions) == 20  # none was sent after it
+    assert STALL_LIMIT < 0.3
+
+
+def test_a_motion_that_uses_its_whole_acceleration_goes_on_by_a_longer_ramp(clock: SimulatedClock) -> None:
+    series = FourierSeries(0.8, np.zeros(1), np.array([[0.3]]), np.array([[0.0]]))
+    motion = RestToRest(series, 2, 0.6)
+    limit = float(np.max(np.abs(motion.evaluate(np.linspace(0.0, motion.duration, 2000))[2])))
+    sent = Sent(clock)
+    clock.call_at(clock.now() + 0.9951, lambda: clock.stall(0.035))
+    player = Player(sent.take, Path([motion], RATE), np.array([limit * 1.05]), clock)
+    assert played(clock, player).failure is None
+    due, positions = np.array(sent.due), np.array(sent.positions)
+    gap = int(np.argmax(np.diff(due)))
+    acceleration = np.diff(np.concatenate([[positions[gap]], positions[gap:]]), 2) / PERIOD**2
+    assert np.max(np.abs(acceleration)) <= limit * 1.06
     player.stop(1.0)
 
 
@@ -93,12 +142,12 @@ def test_a_stall_costs_the_positions_that_fell_into_it_or_delays_the_rest(clock:
     ("error", "kind"), [(ConnectionLostError("gone"), ConnectionLostError), (KeyError("x"), WorkError)]
 )
 def test_an_error_is_kept(clock: SimulatedClock, error: Exception, kind: type[Exception]) -> None:
-    def broken(position: np.ndarray) -> None:
-        if position[0] > 3:
+    def broken(position: np.ndarray, due: float) -> None:
+        if due > begun + 3.5 * PERIOD:
             raise error
 
     begun = clock.now()
-    player = Player(broken, lambda *_: None, np.arange(30.0)[:, None], RATE, clock=clock)
+    player = Player(broken, Path([RAMP], RATE), ACCELERATION, clock)
     player.start()
     assert clock.wait(lambda: player.failure is not None, 10.0)
     assert clock.now() == pytest.approx(begun + 4 * PERIOD)
@@ -108,7 +157,7 @@ def test_an_error_is_kept(clock: SimulatedClock, error: Exception, kind: type[Ex
 
 
 def test_a_command_that_hangs_is_waited_for_only_so_long(clock: SimulatedClock) -> None:
-    player = Player(lambda _: clock.sleep(3.0), lambda *_: None, np.zeros((9, 1)), RATE, clock=clock)
+    player = Player(lambda *_: clock.sleep(3.0), Path([RAMP], RATE), ACCELERATION, clock)
     begun = clock.now()
     player.start()
     assert not player.stop(0.1)
@@ -117,12 +166,19 @@ def test_a_command_that_hangs_is_waited_for_only_so_long(clock: SimulatedClock) 
     assert clock.now() == pytest.approx(begun + 3.0)
 
 
-def test_ticks_hold_both_ends() -> None:
-    motion = PointToPoint(np.array([[0.0], [1.0]]), np.array([1.003]))
-    positions = ticks(motion, RATE)
-    assert positions.shape == (102, 1)
-    assert positions[0, 0] == 0.0
-    assert positions[-1, 0] == 1.0
+def test_a_path_joins_motions_at_its_ticks() -> None:
+    first = PointToPoint(np.array([[0.0], [1.0]]), np.array([1.003]))
+    second = PointToPoint(np.array([[1.0], [0.5]]), np.array([0.5]))
+    path = Path([first, second], RATE)
+    np.testing.assert_allclose(path.starts, [0.0, 1.01, 1.51])
+    times = np.arange(152) * PERIOD
+    position, velocity, acceleration = path.evaluate(times)
+    assert position.shape == (152, 1)
+    np.testing.assert_allclose(position[:101, 0], first.evaluate(times[:101])[0][0])
+    assert position[101, 0] == 1.0
+    np.testing.assert_allclose(position[101:, 0], second.evaluate(times[101:] - 1.01)[0][0], atol=1e-12)
+    assert velocity[101, 0] == acceleration[101, 0] == 0.0
+    assert path.positions(np.array([9.0]))[0, 0] == 0.5
 
 
 class LateClock(SimulatedClock):

@@ -105,7 +105,7 @@ def run(path, clock, sources, play=None, duration=None):
 
 
 def motion() -> Play:
-    return unchecked_play(MOTION, ROBOT_FILE.robot, RATE)
+    return unchecked_play(MOTION, ROBOT_FILE.robot)
 
 
 def test_both_are_in_one_recording(tmp_path, clock):
@@ -125,7 +125,8 @@ def test_both_are_in_one_recording(tmp_path, clock):
     np.testing.assert_allclose(heat.time, STAMP + PERIOD * np.arange(1, thermometer.rows + 1), rtol=0, atol=1e-9)
     assert thermometer.rows == int(arm.count * CYCLE / PERIOD + 1e-6)
     assert set(thermometer.timeouts) == {0.0}  # only the arm is waited for
-    assert thermometer.calls == arm.calls == ["open", "start", "stop", "close"]
+    assert thermometer.calls == ["open", "start", "stop", "close"]
+    assert arm.calls == ["open", "start", "take_control", "stop", "close"]
     np.testing.assert_allclose(arm.position, [0.0, 0.0], atol=1e-12)
 
 

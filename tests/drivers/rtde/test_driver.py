@@ -14,7 +14,13 @@ from scripted_rtde import Cut, Never, Sample, ScriptedController, Step, Wait, pa
 from simulated_clock import START, SimulatedClock
 
 from drivers.base import DRIVERS_GROUP, Driver, DriverSettings, Identifying
-from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
+from drivers.errors import (
+    ConnectionFailedError,
+    ConnectionLostError,
+    DriverStateError,
+    MotionRefusedError,
+    UsageError,
+)
 from drivers.gains import DriveGain
 from drivers.rtde.driver import DASHBOARD_TIMEOUT, ArmControl, RtdeDriver
 from drivers.rtde.motion import STOP_LIMIT
@@ -198,7 +204,7 @@ def test_modes_become_notices_when_they_change(controller: Make, make_driver: Ma
     steps: list[Step] = [
         *steady(1.0, 10),
         Sample(1.02, modes(safety_mode=3)),
-        Sample(1.022, modes(safety_mode=3, runtime_state=1)),
+        Sample(1.022, modes(safety_mode=3, runtime_state=2)),
         Wait(0.1),
         Sample(1.024, modes(safety_mode=6)),
         Sample(1.026, modes(robot_mode=3)),
@@ -214,11 +220,11 @@ def test_modes_become_notices_when_they_change(controller: Make, make_driver: Ma
         [
             (1.0, "info", "robot mode: running"),
             (1.0, "info", "safety mode: normal"),
-            (1.0, "info", "runtime state: playing"),
+            (1.0, "info", "runtime state: stopped"),
             (1.02, "error", "safety mode: protective stop"),
-            (1.022, "info", "runtime state: stopped"),
+            (1.022, "info", "runtime state: playing"),
             (1.024, "error", "safety mode: system emergency stop"),
-            (1.024, "info", "runtime state: playing"),
+            (1.024, "info", "runtime state: stopped"),
             (1.026, "info", "safety mode: normal"),
             (1.026, "error", "robot mode: power off"),
             (1.028, "error", "robot mode: unknown (99)"),
@@ -428,6 +434,34 @@ def test_a_controller_out_of_reach_does_not_hold_up_the_stop(clock: SimulatedClo
         driver.close()
 
 
+def test_an_arm_on_which_a_program_plays_is_not_taken(controller: Make, make_driver: MakeDriver) -> None:
+    samples = [Sample(1.0 + step / 500, modes(runtime_state=2)) for step in range(5)]
+    driver = make_driver(controller(lambda number: [*samples, Never()]))
+    driver.open()
+    driver.start()
+    position = read_all(driver, 5)["joints"][0].values["position"][-1]
+    for take in (driver.take_control, lambda: driver.command(position)):
+        with pytest.raises(
+            MotionRefusedError, match=r"a program is active on the controller \(runtime state: playing\)"
+        ):
+            take()
+
+
+def test_commands_go_at_the_controllers_own_rate(
+    clock: SimulatedClock, controller: Make, make_driver: MakeDriver
+) -> None:
+    slow = SlowMotion(clock)
+    driver = make_driver(
+        controller(lambda number: [*steady(1.0, 5, 125.0), Never()]), rate=125, take_control=slow.take_control
+    )
+    driver.open()
+    assert (driver.streams()[0].rate, driver.command_rate()) == (125.0, 500.0)
+    driver.start()
+    read_all(driver, 5)
+    driver.take_control()
+    assert (slow.made, slow.rate) == (1, 500.0)
+
+
 class SlowMotion:
     """Takes its time to stop, as an arm does."""
 
@@ -438,6 +472,7 @@ class SlowMotion:
 
     def take_control(self, host: str, rate: float, timeout: float) -> SlowMotion:
         self.made += 1
+        self.rate = rate
         return self
 
     def command(self, position: np.ndarray) -> None:

@@ -254,7 +254,7 @@ def test_a_motion_is_recorded_as_the_plant_made_it(
 ) -> None:
     path = tmp_path / "run.h5"
     motion = slow_move(POSE, POSE + 0.15, ROBOT.joints, share=0.1)
-    report = session(path, driver, clock, unchecked_play(motion, ROBOT, RATE))
+    report = session(path, driver, clock, unchecked_play(motion, ROBOT))
     assert report.stopped_by is None
     assert report.punctuality is not None
     assert (report.punctuality.skipped, report.punctuality.max_ms) == (0, 0.0)
@@ -272,7 +272,8 @@ def test_a_motion_is_recorded_as_the_plant_made_it(
     assert np.allclose(joints.channels["torque"].values, current * [ROBOT.drive(name).gain for name in JOINTS])
     assert np.all(np.ptp(position, axis=0) > 0.149)
     thermal = recording.streams["thermal"]
-    assert thermal.channels["temperature"].values.shape == (len(cycles) // 3, 6)
+    assert abs(len(thermal.time) - len(cycles) / 3) <= 1
+    assert thermal.channels["temperature"].values.shape[1] == 6
     assert not server.status().enabled
 
 
