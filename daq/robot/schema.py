@@ -152,11 +152,20 @@ class Drive(Section):
     signal: Literal["current", "voltage", "torque"] = "current"
     inertia: bool = Field(default=True, description="whether the measured torque carries the motor's inertia")
     pair_inertia: bool = Field(default=False, description="of coupled motors: Iac, which turns with the joint")
+    armature: NonNegative | None = Field(
+        default=None,
+        description="with `inertia: false`: the motor's inertia, joint side, for simulation and export [kg·m² or kg]",
+    )
 
     @model_validator(mode="after")
-    def _non_zero(self) -> Self:
+    def _check(self) -> Self:
         if self.gain == 0:
             raise ValueError("a gain of 0 would erase the signal")
+        if self.armature is not None and self.inertia:
+            raise ValueError(
+                "'armature' is for torques that do not carry the motor's inertia: add 'inertia: false', or state a "
+                "known inertia under 'known' (Ia1, Ia2, …)"
+            )
         return self
 
 

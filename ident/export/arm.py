@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,7 @@ from daq.robot.loader import RobotFile
 from drivers.errors import ModelError
 from drivers.streams import FloatArray
 from ident.estimators.feasible.pseudo_inertia import Body, body_of
+from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.model.parameters import INERTIAL, Quantity
@@ -113,6 +114,24 @@ class ExportedArm:
                 for low, high in (limits.position for limits in self.model.limits)
             ]
         )
+
+
+def with_armature(arm: ExportedArm, armature: FloatArray) -> ExportedArm:
+    """The arm with inertias (a,) [kg·m²] of motors that the measured torque does not carry, as simulators move them."""
+    if not np.any(armature):
+        return arm
+    model = replace(
+        arm.model,
+        motor_inertia=tuple(bool(own or added) for own, added in zip(arm.model.motor_inertia, armature, strict=True)),
+    )
+    values = dict(zip((parameter.name for parameter in arm.model.parameters), arm.values.tolist(), strict=True))
+    standard = np.array([values.get(parameter.name, 0.0) for parameter in model.parameters])
+    for index, parameter in enumerate(model.parameters):
+        if parameter.kind == "motor_inertia":
+            standard[index] += armature[model.active.index(parameter.joint)]
+    base = base_parameters(model)
+    dynamics = InverseDynamics(model, base, base.projection @ standard, standard)
+    return replace(arm, model=model, values=standard, dynamics=dynamics)
 
 
 def refuse_unidentified_friction(names: Sequence[str], where: str) -> None:

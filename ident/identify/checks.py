@@ -27,6 +27,7 @@ from ident.estimators.energy.estimator import fits_energy_better
 from ident.estimators.estimator import Setup
 from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.estimators.torque_estimator import reduce_torques
+from ident.identify.body_checks import body_checks
 from ident.identify.identification import Identification
 from ident.model.regressor import RegressorKernel
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
@@ -54,6 +55,10 @@ FRICTION_CHANGE = 3.0
 """A friction estimate that changes by more σ than this without reversals (`STICKING_SHARE`) gives a warning; on motions
 that were followed exactly it changes by up to 2.4 σ, since data are left out."""
 
+
+REJECTED = 0.01
+"""p-value of the F-test of consistent against unconstrained parameters below which a note says so; a warning follows
+from the errors' difference alone (`consistency-costs`), since any model is rejected by enough data."""
 SEARCH_GAP = 0.01
 """Cost of a search above its optimum that gives a warning, also where no single parameter is far from its value there:
 correlated parameters may be wrong together."""
@@ -90,16 +95,25 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         )
         checks.append(raised("indefinite-inertia", text))
     consistent = identification.consistent
-    checks += consistency_checks(identification.model.link_names, None if consistent is None else consistent.parameters)
+    checks += consistency_checks(
+        identification.model.link_names,
+        None if consistent is None else consistent.parameters,
+        None if consistent is None else (identification.fit.relative_error, consistent.fit.relative_error),
+    )
+    if consistent is not None:
+        checks += body_checks(identification.model, identification.robot_file, consistent.parameters)
     return checks + residual_checks(identification.residual_tests, identification.model.joint_names)
 
 
-def consistency_checks(link_names: Sequence[str], consistent: ConsistentParameters | None) -> list[Check]:
+def consistency_checks(
+    link_names: Sequence[str], consistent: ConsistentParameters | None, errors: tuple[float, float] | None = None
+) -> list[Check]:
     """Where physical consistency decides.
 
     Args:
         link_names: of the arm.
         consistent: the physically consistent parameters; None where none were found.
+        errors: relative errors of the unconstrained and the consistent model on the identification data.
     """
     if consistent is None:
         return [raised("no-consistent-model", "no physically consistent parameters were found for this estimate")]
@@ -108,6 +122,16 @@ def consistency_checks(link_names: Sequence[str], consistent: ConsistentParamete
         names = [link_names[link] for link in consistent.boundary]
         text = f"the links of {', '.join(names)} lie at the boundary of what can exist"
         checks.append(raised("links-on-boundary", text))
+    if consistent.cost is not None and consistent.cost.p_value < REJECTED:
+        rise = "" if errors is None else f", {percent_text(errors[1])} of error for {percent_text(errors[0])}"
+        text = (
+            f"no bodies explain the data as well as the unconstrained parameters (p = {consistent.cost.p_value:.1g}"
+            f"{rise}): what the model lacks does this, too, and so do a wrong length, gain or sign"
+        )
+        checks.append(raised("consistency-rejected", text))
+    if consistent.contradicted:
+        text = f"the data contradict the robot file: {', '.join(consistent.contradicted)} make the fit clearly worse"
+        checks.append(raised("known-contradicts-data", text))
     if consistent.limits_hit:
         text = f"{', '.join(consistent.limits_hit)} of the robot file hold a parameter at their limit"
         checks.append(raised("range-hit", text))

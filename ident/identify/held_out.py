@@ -87,6 +87,7 @@ class ParameterSets:
         full: (b,) all base parameters as estimated.
         consistent: (b,) of bodies that can exist; None where none were found.
         travels: of presliding [rad or m], by Coulomb parameter; none without presliding.
+        armature: (n,) of motors whose inertia the torque does not carry, with the consistent ones [kg·m²].
     """
 
     robot: Robot
@@ -95,6 +96,7 @@ class ParameterSets:
     full: FloatArray
     consistent: FloatArray | None
     travels: Mapping[str, float]
+    armature: FloatArray | None = None
 
     @property
     def delivered(self) -> FloatArray:
@@ -379,7 +381,7 @@ def _simulated(parameters: ParameterSets, data: HeldOutData) -> _Simulated:
         return _Simulated(reason="there are no physically consistent parameters")
     if not _whole(parameters) or len(data.torques) < parameters.model.dof:
         return _Simulated(reason="not all joints moved, or not all torques were used")
-    inverse = InverseDynamics(parameters.model, parameters.base, parameters.consistent)
+    inverse = InverseDynamics(parameters.model, parameters.base, parameters.consistent, armature=parameters.armature)
     segments, sliding = data.prepared.segments, _sliding(parameters.model)
     tracking, failure = track_longest(inverse, segments)
     tracked = None if tracking is None else simulated_motion_error(tracking)

@@ -16,6 +16,7 @@ from ident.assessment.recording_checks import recording_checks
 from ident.assessment.validation import fit_figures
 from ident.estimators.energy.estimator import estimable
 from ident.estimators.estimator import Estimator, Setup
+from ident.estimators.feasible.armature import armature_vector
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.identify.checks import identification_checks
 from ident.identify.data_split import check_torques, split_data
@@ -209,6 +210,9 @@ def held_out_runs(identification: Identification, validation: Sequence[Recording
         full=found.solution.parameters,
         consistent=None if found.consistent is None else found.consistent.parameters.base,
         travels={},
+        armature=None
+        if found.consistent is None
+        else armature_vector(found.model, found.consistent.parameters.armatures),
     )
     fitted = fit_result(found.delivered_fit)
     apart: list[Recording | None] = [*validation] or [None] * len(found.validation_runs)

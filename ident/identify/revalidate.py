@@ -11,6 +11,7 @@ from daq.recording.recording import Recording
 from drivers.errors import ResultFileError
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.validation import FitFigures, fit_figures
+from ident.estimators.feasible.armature import armature_vector
 from ident.identify.data_split import RunWindow, run_window
 from ident.identify.held_out import HeldOutData, HeldOutRun, ParameterSets, held_out_run
 from ident.model.regressor import RegressorKernel
@@ -85,7 +86,8 @@ def revalidate(result: Result, recording: Recording, *, presliding: bool = False
     prepared = everything if choices.keep_rest else leave_out_rest(kernel, prepare(motion, choices))
     tolerance = stored_rest_tolerance(result)
     torques = predictable_torques(model, stored_parts.experiments, motion.label, window.position, tolerance)
-    parameters = ParameterSets(stored_parts.robot_file.robot, model, base, full, consistent, travels)
+    armature = None if found is None else armature_vector(model, found.armature)
+    parameters = ParameterSets(stored_parts.robot_file.robot, model, base, full, consistent, travels, armature)
     data = HeldOutData(
         label=motion.label,
         prepared=prepared,

@@ -56,7 +56,12 @@ class InverseDynamics:
     """
 
     def __init__(
-        self, model: DynamicModel, base: BaseParameters, parameters: FloatArray, standard: FloatArray | None = None
+        self,
+        model: DynamicModel,
+        base: BaseParameters,
+        parameters: FloatArray,
+        standard: FloatArray | None = None,
+        armature: FloatArray | None = None,
     ) -> None:
         """Take over parameters.
 
@@ -65,9 +70,12 @@ class InverseDynamics:
             base: its base parameters.
             parameters: (b,) their values.
             standard: (p,) standard parameters behind them, where they are known: they split weight from offset.
+            armature: (n,) of the motors whose inertia the measured torque does not carry [kg·m²]; 0 where None.
         """
         self.model, self.base, self.parameters = model, base, parameters
         self.coupling = np.eye(model.dof) if model.transmission is None else model.transmission.coupling
+        own = np.zeros(model.dof) if armature is None else armature
+        self.armature = np.asarray(self.coupling.T @ (own[:, None] * self.coupling))
         self._coupled = model.transmission is not None and not np.array_equal(self.coupling, np.eye(model.dof))
         columns = model.parameters
         self.joint_columns: list[tuple[JointColumn, float]] = [

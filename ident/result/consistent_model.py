@@ -14,6 +14,7 @@ from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import INERTIAL
 from ident.result.schema import (
+    ArmatureResult,
     ConsistentModel,
     Fit,
     HeldOutErrors,
@@ -104,6 +105,8 @@ def consistent_model(
         else fit_result(validation).model_copy(update={"held_out": all(run.held_out for run in runs)}),
         simulation=simulation,
         not_simulated="" if simulation else next((run.not_simulated for run in runs), "nothing was held out"),
+        armature=[ArmatureResult.model_validate(vars(one)) for one in consistent.armatures],
+        apparent_mass=consistent.apparent_mass,
     )
 
 

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from drivers.errors import DataError, ModelError, UsageError
 from drivers.streams import FloatArray
 from drivers.units import ZERO_CELSIUS
+from ident.estimators.feasible.armature import armature_vector
 from ident.estimators.feasible.consistent import ConsistentParameters, consistent_parameters
 from ident.model.base_parameters import base_parameters
 from ident.model.friction_terms import REFERENCE_TEMPERATURE
@@ -120,6 +121,7 @@ class Model:
             base,
             np.nan_to_num(self._values),
             self._standard() if self.kind == "consistent" else None,
+            self.armature,
         )
 
     def _standard(self) -> FloatArray | None:
@@ -203,6 +205,16 @@ class Model:
         ]
         headings = [(name, "") for name in ("name", "value", "std", "unit", "kind", "joint", "expression")]
         return table_of_rows(f"Base parameters of {self.name} ({self.kind} model)", headings, rows)
+
+    @property
+    def armature(self) -> FloatArray:
+        """Inertia (n,) [kg·m²] of motors whose torque sensor sits behind the gear; 0 of the others.
+
+        `simulate` and `export_mjcf` move it; `torque` and `mass_matrix` have none of it. A recorded torque τ of such a
+        sensor drives a simulation as τ + armature·q̈. From the robot file (`drives[].armature`), or assumed.
+        """
+        consistent = self.result.consistent
+        return armature_vector(self._stored.model, [] if consistent is None else consistent.armature)
 
     def _parameter_std(self) -> dict[str, float | None]:
         entries = self.result.base_parameters
@@ -417,7 +429,8 @@ class Model:
             q0: (n,) positions at the start [rad].
             dq0: (n,) velocities at the start [rad/s].
             torque: (n,) constant joint torques [N·m]; (N, n), evenly spaced from start to end, interpolated; a
-                controller (t, q, dq) → (n,), asked once per step; None for no torque.
+                controller (t, q, dq) → (n,), asked once per step; None for no torque. They drive the motors: see
+                `armature` where sensors sit behind the gears.
             duration: [s].
             step: [s]; the error grows with its square, at reversals and stops in proportion to it.
             temperature: (n,) constant, of the joints [°C], where the friction depends on it.
@@ -541,7 +554,7 @@ class Model:
         return export_urdf(self._exported, path, into=into, force=force)
 
     def export_mjcf(self, path: str | PathLike[str], *, force: bool = False) -> Export:
-        """Write an MJCF with motor inertia, friction, offsets, coupled motors and closed loops.
+        """Write an MJCF with motor inertia (`armature` included), friction, offsets, coupled motors and closed loops.
 
         Where MuJoCo is installed it is read again, compared with `torque`, and simulated for 5 s.
 
@@ -553,9 +566,10 @@ class Model:
             UsageError: the file exists or cannot be written, or these are not the consistent parameters.
             ModelError: some friction was not identified, or the file reads back as another model.
         """
+        from ident.export.arm import with_armature
         from ident.export.export import export_mjcf
 
-        return export_mjcf(self._exported, path, force=force)
+        return export_mjcf(with_armature(self._exported, self.armature), path, force=force)
 
     def export_ros2_inertial(self, path: str | PathLike[str], *, force: bool = False) -> Export:
         """Write the links' bodies as YAML in the form of Universal_Robots_ROS2_Description's `inertia_parameters`.

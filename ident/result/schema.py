@@ -292,6 +292,14 @@ class SimulatedMotionError(_Part):
     joint_ratio: list[Number] = Field(default=[], description="the same per joint")
 
 
+class ArmatureResult(_Part):
+    """Inertia of a motor that the measured torque does not carry: in no torque, but in simulation and MJCF."""
+
+    joint: str
+    value: float = Field(description="on the side of the joint [kg·m² or kg]")
+    source: str = Field(description="'robot file' (`drives[].armature`) or 'assumed'")
+
+
 class ConsistentModel(_Part):
     """The model whose links, inertias and friction can exist, and what this costs."""
 
@@ -307,6 +315,12 @@ class ConsistentModel(_Part):
     validation: Fit | None
     simulation: SimulatedMotionError | None = None
     not_simulated: str = Field(default="", description="why `simulation` is null; empty in results of earlier versions")
+    armature: list[ArmatureResult] = Field(
+        default_factory=list, description="of the joints whose drive says `inertia: false`"
+    )
+    apparent_mass: Number = Field(
+        default=None, description="of all links, were they all heavier than their prior by one factor [kg]"
+    )
 
 
 class OpenLoopError(_Part):

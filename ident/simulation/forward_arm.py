@@ -87,7 +87,7 @@ class ForwardArm:
                 self._further_dry.append((same[0], _Term(column, at_joints, motion)))
         self.directions, self.dry = np.array(directions).reshape(-1, self.dof), np.array(dry)
         _check_dissipative(model, self.directions, self.dry)
-        self._rotors = inverse.rotor_inertia
+        self._rotors = inverse.rotor_inertia + inverse.armature
         self._arms = _rigid_arms(model, inverse)
 
     @property
@@ -96,7 +96,7 @@ class ForwardArm:
         return tuple(self.joint_names[joint] for joint in np.flatnonzero(self._accelerating.any(axis=1)))
 
     def inertia(self, position: FloatArray) -> FloatArray:
-        """M (n, n) [kg·m²] at a position (n,), motor inertia included."""
+        """M (n, n) [kg·m²] at a position (n,), motor inertia included, also that which no measured torque carries."""
         total = self._rotors.copy()
         for arm, sign in self._arms:
             total += sign * arm.inertia(position)

@@ -18,7 +18,7 @@ from ident.model.inverse_dynamics import InverseDynamics
 from ident.signals.prepared import Segment
 from ident.simulation.forward_arm import ForwardArm
 from ident.simulation.time_stepping import integrate
-from ident.simulation.tracking import STEP, at_times
+from ident.simulation.tracking import STEP, at_times, driving_torque
 
 WINDOW = 1.0
 """Length of a window [s]; shorter where no segment is that long."""
@@ -94,7 +94,7 @@ def _simulated(
     """Positions (N, n) of the simulated arm at times (N,) from the segment's start, from a state (n,)."""
     heat = None if segment.temperature is None else np.mean(segment.temperature, axis=1)
     steps, duration = len(time) - 1, float(time[-1] - time[0])
-    torque = at_times(0.5 * (time[:-1] + time[1:]), segment, inverse.coupling.T @ segment.torque)
+    torque = at_times(0.5 * (time[:-1] + time[1:]), segment, driving_torque(inverse, segment))
 
     def drive(now: float, q: FloatArray, rate: FloatArray) -> FloatArray:
         return np.asarray(torque[min(round(now / duration * steps), steps - 1)])

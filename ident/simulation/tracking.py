@@ -90,7 +90,7 @@ def tracked(inverse: InverseDynamics, segment: Segment, longest: float = np.inf)
     mean_inertia = np.diagonal(arm.inertia(position.mean(axis=0)))
     stiffness, damping = NATURAL_FREQUENCY**2 * mean_inertia, 2.0 * NATURAL_FREQUENCY * mean_inertia
     arm.viscous = arm.viscous + np.diag(damping)
-    torque = at_times(time[:-1] + 0.5 * duration / steps, segment, inverse.coupling.T @ segment.torque)
+    torque = at_times(time[:-1] + 0.5 * duration / steps, segment, driving_torque(inverse, segment))
 
     def drive(now: float, q: FloatArray, rate: FloatArray) -> FloatArray:
         step = round(now / duration * steps)
@@ -99,6 +99,14 @@ def tracked(inverse: InverseDynamics, segment: Segment, longest: float = np.inf)
 
     motion = integrate(arm, position[0], velocity[0], drive, duration, steps)
     return Tracking(motion, position, velocity, stiffness, damping)
+
+
+def driving_torque(inverse: InverseDynamics, segment: Segment) -> FloatArray:
+    """Torques (n, N) [N·m] at the joints that drive a simulated arm along a recorded segment.
+
+    A sensor behind the gear does not see what its motor needs for its own inertia; that is added.
+    """
+    return np.asarray(inverse.coupling.T @ segment.torque + inverse.armature @ segment.acceleration)
 
 
 def tracking_error(inverse: InverseDynamics, segment: Segment) -> TrackingError:

@@ -9,13 +9,14 @@ import numpy as np
 from daq.robot.loader import RobotFile
 from drivers.errors import IdentificationError, RobotFileError
 from drivers.streams import FloatArray
+from ident.estimators.feasible.armature import Armature, armatures
 from ident.estimators.feasible.interior_point import BoolArray, Minimum, minimise, strictly_inside
-from ident.estimators.feasible.prior import link_priors
+from ident.estimators.feasible.prior import apparent_mass, link_priors
 from ident.estimators.feasible.problem import Problem, build_problem
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.estimate import Estimate
-from ident.regression.hypothesis_tests import SignificanceTest
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest
 
 DETERMINED = 1.0 - 1e-6
 """A standard parameter has an error bar where this share of it is determined: all but rounding, for the error of what
@@ -32,6 +33,10 @@ RESISTING = 0.05
 
 PRECISION = 1e6
 """Torques count as no more exact than this share of their size: noise-free data would leave the prior no digits."""
+
+DENIED, EASED = 1e-3, 0.5
+"""The robot file's values and ranges are compared with the data where bodies with them explain the data with a p-value
+below this; they are contradicted where the misfit without them is below this share."""
 
 SINGULAR = 1e-10
 """Singular values of the scaled system below this share of the largest are rounding."""
@@ -54,6 +59,9 @@ class ConsistentParameters:
         boundary: indices of the links that the conditions hold near the boundary.
         limits_hit: ranges of the file that are active.
         steps: Newton steps.
+        contradicted: what the robot file says of links and joints, and the data deny; keys of the file.
+        armatures: of motors whose inertia the measured torque does not carry.
+        apparent_mass: of all links, as `apparent_mass` has it [kg]; None where the data show none.
     """
 
     values: FloatArray
@@ -68,6 +76,9 @@ class ConsistentParameters:
     boundary: tuple[int, ...]
     limits_hit: tuple[str, ...]
     steps: int
+    contradicted: tuple[str, ...] = ()
+    armatures: tuple[Armature, ...] = ()
+    apparent_mass: float | None = None
 
 
 @dataclass(frozen=True)
@@ -117,10 +128,13 @@ def consistent_parameters(
     """
     estimate = bounded_precision(estimate)
     system = estimate.root @ estimate.combinations(base.projection)
-    priors = link_priors(model, robot_file, system, estimate.root @ estimate.values)
+    target = estimate.root @ estimate.values
+    priors = link_priors(model, robot_file, system, target)
     problem = build_problem(model, robot_file, base, estimate, priors)
     fit = feasible_fit(problem, estimate, base.projection, robot_file.robot.name)
     of_base = base.projection @ fit.spread
+    cost = cost_test(fit, estimate)
+    denied = cost is not None and cost.p_value < DENIED
     return ConsistentParameters(
         values=fit.values,
         std=fit.std,
@@ -130,11 +144,40 @@ def consistent_parameters(
         base_covariance=of_base @ of_base.T,
         sources=priors.sources,
         misfit=fit.misfit,
-        cost=cost_test(fit, estimate),
+        cost=cost,
         boundary=fit.boundary,
         limits_hit=fit.limits_hit,
         steps=fit.steps,
+        contradicted=_contradicted(model, base, estimate, robot_file, fit) if denied else (),
+        armatures=armatures(model, robot_file.robot, range(len(fit.values)), fit.values),
+        apparent_mass=apparent_mass(priors.links, system, target),
     )
+
+
+def _contradicted(
+    model: DynamicModel, base: BaseParameters, estimate: Estimate, robot_file: RobotFile, fit: FeasibleFit
+) -> tuple[str, ...]:
+    """Keys of the file without which the sum of squares rises by less than a half, and which hold a parameter."""
+    robot = robot_file.robot
+    links = {
+        name: link.model_copy(update={"com_box": None, "com_hull": None}) for name, link in robot.prior.links.items()
+    }
+    prior = robot.prior.model_copy(update={"links": links})
+    if not robot.known and prior == robot.prior:
+        return ()
+    without = robot_file.model_copy(update={"robot": robot.model_copy(update={"known": {}, "prior": prior})})
+    try:
+        free = consistent_parameters(model, base, estimate, without)
+    except IdentificationError:
+        return ()
+    if free.misfit > EASED * fit.misfit:
+        return ()
+    names = [parameter.name for parameter in model.parameters]
+    values = dict(zip(names, zip(free.values, free.std, strict=True), strict=True))
+    numbers = {name: one.value for name, one in robot.known.items() if name in values and one.value is not None}
+    seen = [n for n, known in numbers.items() if abs(values[n][0] - known) > WITHIN_95_PERCENT * values[n][1]]
+    stated = [f"known.{name}" for name in seen or (() if fit.limits_hit else numbers)]
+    return tuple(dict.fromkeys([*stated, *fit.limits_hit]))
 
 
 def bounded_precision(estimate: Estimate) -> Estimate:

@@ -85,7 +85,7 @@ def link_priors(model: DynamicModel, robot_file: RobotFile, system: FloatArray, 
     return LinkPriors(links, tuple(sources), np.maximum(masses, masses.mean()), _centre_std(model))
 
 
-def apparent_mass(model: DynamicModel, links: FloatArray, system: FloatArray, target: FloatArray) -> float | None:
+def apparent_mass(links: FloatArray, system: FloatArray, target: FloatArray) -> float | None:
     """Mass [kg] of all links if they were these (k, 10), all heavier or lighter by one factor; None if below 0.
 
     The factor fits the data best; arguments as of `link_priors`. The joints' own parameters may take what they like, so

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -260,14 +260,8 @@ def _least_inertias(
 
     The joints whose inertia the robot file states are left out.
     """
-    parameters, friction = model.parameters, np.zeros(model.dof)
-    for column, value in zip(estimate.active, estimate.values, strict=True):
-        parameter = parameters[base.columns[column]]
-        if parameter.kind in ("viscous", "coulomb"):
-            row, quantity = model.active.index(parameter.joint), joint_column(model, parameter)
-            greatest = model.limits[row].velocity
-            torque = value * (greatest**quantity.shape if quantity.quantity == "viscous" else 1.0)
-            friction[row] += max(0.0, float(torque)) / greatest
+    parameters = model.parameters
+    friction = friction_rates(model, [base.columns[column] for column in estimate.active], estimate.values)
     carrying = np.array([p.kind in ("inertial", "motor_inertia") or p.symbol == "Iac" for p in parameters])
     position, still, _ = random_states(model, POSES)
     still, heat = np.zeros_like(still), np.full_like(position, REFERENCE_TEMPERATURE)
@@ -284,6 +278,25 @@ def _least_inertias(
             rows = np.einsum("m,mpN->pN", model.transmission.coupling[:, joint], motors)
         for row in np.unique(np.round(np.where(carrying[:, None], rows, 0.0), 9), axis=1).T:
             yield name, row, COASTING * float(friction[joint])
+
+
+def friction_rates(model: DynamicModel, columns: Sequence[int], values: FloatArray) -> FloatArray:
+    """Viscous and Coulomb friction (n,) of the motors at their greatest velocity, over it [N·m·s/rad]; 0 at least.
+
+    Args:
+        model: the arm.
+        columns: (c,) of standard parameters.
+        values: (c,) theirs.
+    """
+    rates = np.zeros(model.dof)
+    for column, value in zip(columns, values, strict=True):
+        parameter = model.parameters[column]
+        if parameter.kind in ("viscous", "coulomb"):
+            row, of_column = model.active.index(parameter.joint), joint_column(model, parameter)
+            greatest = model.limits[row].velocity
+            torque = value * (greatest**of_column.shape if of_column.quantity == "viscous" else 1.0)
+            rates[row] += max(0.0, float(torque)) / greatest
+    return rates
 
 
 def _sign(parameter: StandardParameter) -> float:

@@ -16,6 +16,7 @@ from ident.assessment.validation import FitFigures
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.experiments.merge.merge import CONTRADICTING, MergedEstimate, identifiable_columns, merge
 from ident.experiments.merge.merge_input import MergeInput, merge_inputs, used_recordings
+from ident.identify.body_checks import body_checks
 from ident.identify.checks import consistency_checks
 from ident.identify.held_out import HeldOutRun, delivered_model, model_verdict
 from ident.identify.revalidate import Revalidation, revalidate
@@ -93,7 +94,8 @@ def merge_results(
         threshold,
     )
     result, consistent = _result(model, base, inputs, merged, std, pruned, essential, threshold)
-    checks = [*result.verdict.checks, *consistency_checks(model.link_names, consistent)]
+    bodies = [] if consistent is None else body_checks(model, inputs[0].stored.robot_file, consistent)
+    checks = [*result.verdict.checks, *consistency_checks(model.link_names, consistent), *bodies]
     if held_out is None:
         return _judged(result, checks, ()), None
     validated = revalidate(result, held_out)

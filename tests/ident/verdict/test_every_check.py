@@ -311,6 +311,21 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "simulation-failed": (lambda b: b.diverging(), lambda b: b.clean()),
     "consistency-costs": (lambda b: b.found(changed(b.recorded(), lambda i: i * [-1, 1, 1])), lambda b: b.clean()),
     "links-on-boundary": (lambda b: b.found(changed(b.recorded(), lambda i: i * [-1, 1, 1])), lambda b: b.clean()),
+    "implausible-mass": (lambda b: b.found(changed(b.recorded(), lambda i: 0.01 * i)), lambda b: b.clean()),
+    "implausible-link": (lambda b: b.found(changed(b.recorded(), lambda i: 200 * i)), lambda b: b.clean()),
+    "implausible-centre": (
+        lambda b: b.found(robot_file=b.said({"r: 0.3": "r: 0.03", "d: 0.4, r: 0.1": "d: 0.04, r: 0.01"})),
+        lambda b: b.clean(),
+    ),
+    "known-contradicts-data": (
+        lambda b: b.found(robot_file=b.said({"drives:\n": "known: {Fv1: {max: 2}}\ndrives:\n"})),
+        lambda b: b.found(robot_file=b.said({"drives:\n": "known: {Fv1: {max: 9}, M3: 2}\ndrives:\n"})),
+    ),
+    "consistency-rejected": (lambda b: b.found(changed(b.recorded(), lambda i: i * [-1, 1, 1])), lambda b: b.clean()),
+    "armature-assumed": (
+        lambda b: b.found(robot_file=b.said({"gain_std: 0.2}": "gain_std: 0.2, inertia: false}"})),
+        lambda b: b.found(robot_file=b.said({"gain_std: 0.2}": "gain_std: 0.2, inertia: false, armature: 0.3}"})),
+    ),
     "errors-near-standstill": (
         lambda b: b.found(validation=(b.sticking(3, 30.0, (0.2, 0.2, 0.2)),)),
         lambda b: b.found(validation=(b.recorded(3, 30.0, (0.2, 0.2, 0.2)),)),

@@ -1,0 +1,76 @@
+"""Motor inertia that the measured torque does not carry: of the robot file, else assumed.
+
+A torque sensor behind the gear shows the link alone. A simulated wrist joint then has so little inertia that the
+sensor's own error throws it off in a fraction of a second, while the real one moves its motor, too, whose inertia
+counts the square of the gear ratio.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from daq.robot.schema import Robot
+from drivers.streams import FloatArray
+from ident.estimators.feasible.problem import friction_rates
+from ident.model.dynamic_model import DynamicModel
+
+ASSUMED_COASTING = 1.0
+"""[s] in which the friction that the sensor sees would stop the motor: a Panda then gets 0.03 to 0.2 kg·m² per joint,
+where MuJoCo Menagerie assumes 0.1. Its gear's own friction, which no sensor behind it sees, stops it much sooner."""
+
+GIVEN, ASSUMED = "robot file", "assumed"
+
+
+@dataclass(frozen=True)
+class Armature:
+    """Inertia of a motor, on the side of its joint, that is in no measured torque.
+
+    Attributes:
+        joint: its name.
+        value: [kg·m² or kg].
+        source: "robot file" or "assumed".
+    """
+
+    joint: str
+    value: float
+    source: str
+
+
+def armatures(model: DynamicModel, robot: Robot, columns: Sequence[int], values: FloatArray) -> tuple[Armature, ...]:
+    """Of the joints whose drive says `inertia: false`.
+
+    Args:
+        model: the arm.
+        robot: its file.
+        columns: (c,) of standard parameters, friction among them.
+        values: (c,) theirs.
+    """
+    rates = friction_rates(model, columns, values)
+    found = []
+    for name, rate in zip(model.joint_names, rates.tolist(), strict=True):
+        drive = robot.drive(name)
+        if drive.armature is not None:
+            found.append(Armature(name, drive.armature, GIVEN))
+        elif not drive.inertia and rate > 0.0:
+            found.append(Armature(name, ASSUMED_COASTING * rate, ASSUMED))
+    return tuple(found)
+
+
+class _OfJoint(Protocol):
+    """What is known of one motor, here or in a result."""
+
+    @property
+    def joint(self) -> str: ...
+
+    @property
+    def value(self) -> float: ...
+
+
+def armature_vector(model: DynamicModel, found: Sequence[_OfJoint]) -> FloatArray:
+    """(n,) [kg·m² or kg], 0 of the others."""
+    values = {one.joint: one.value for one in found}
+    return np.array([values.get(name, 0.0) for name in model.joint_names])

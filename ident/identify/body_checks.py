@@ -1,0 +1,135 @@
+"""Checks of the physically consistent bodies against the arm's size, its geometry and its URDF."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq.robot.loader import RobotFile
+from drivers.streams import FloatArray
+from ident.assessment.arm_mass import ArmMass, arm_length, mass_of_size
+from ident.estimators.feasible.armature import ASSUMED
+from ident.estimators.feasible.consistent import ConsistentParameters
+from ident.model.dynamic_model import DynamicModel
+from ident.model.kinematics.urdf import urdf_inertias
+from ident.model.parameters import INERTIAL
+from ident.verdict.catalogue import raised
+from ident.verdict.check import Check
+
+URDF_FACTOR = 5.0
+"""Apparent mass over that of a URDF's bodies, or the reverse, beyond which one of them is wrong. Bodies of CAD models
+lack cables, grease and motors, hardly more than half of the mass."""
+
+BESIDE = 0.25
+"""Distance of a link's centre of mass from the lines between its joints, over the arm's length, that no link has: 0.13
+of a UR10's shoulder, 0.10 of the SR400's counterweights."""
+
+TOOL = 0.25
+"""The same, added for the link that carries the tool."""
+
+LEAST_SHARE = 0.005
+"""Of the arm's mass; the centre of a link lighter than that says nothing."""
+
+
+def body_checks(model: DynamicModel, robot_file: RobotFile, consistent: ConsistentParameters) -> list[Check]:
+    """What no arm of this size and geometry has, and what was assumed of its motors.
+
+    Args:
+        model: the arm.
+        robot_file: its file, for the URDF's bodies.
+        consistent: what was found.
+    """
+    links = consistent.values[: len(INERTIAL) * len(model.joints)].reshape(-1, len(INERTIAL))
+    masses = links[:, INERTIAL.index("M")]
+    checks = _total_checks(mass_of_size(model), _urdf_mass(model, robot_file), consistent.apparent_mass)
+    checks += _link_checks(model, masses)
+    checks += _centre_checks(model, masses, links[:, 6:9] / masses[:, None])
+    assumed = [one for one in consistent.armatures if one.source == ASSUMED]
+    if assumed:
+        values = ", ".join(f"{one.joint} {one.value:.2g}" for one in assumed)
+        text = (
+            "the torque sensors do not see the motors' inertia, and simulation and MJCF assume one per joint "
+            f"[kg·m²]: {values}; state it in the robot file (drives[].armature)"
+        )
+        checks.append(raised("armature-assumed", text, [one.joint for one in assumed]))
+    return checks
+
+
+def _total_checks(size: ArmMass | None, urdf: float | None, apparent: float | None) -> list[Check]:
+    """The mass that the torques show against what arms of this size weigh, and against the URDF."""
+    if apparent is None:
+        return []
+    if size is not None and not size.least <= apparent <= size.most:
+        text = (
+            f"the torques are those of an arm of about {_kilograms(apparent)}; arms of this length weigh "
+            f"{_kilograms(size.least)} to {_kilograms(size.most)}: check the unit of torque or current, the gains, "
+            "and the lengths of the robot file or URDF (m, not mm)"
+        )
+        return [raised("implausible-mass", text)]
+    sane = urdf is not None and (size is None or size.least <= urdf <= size.most)
+    if sane and urdf is not None and not 1.0 / URDF_FACTOR <= apparent / urdf <= URDF_FACTOR:
+        text = (
+            f"the torques are those of an arm of about {_kilograms(apparent)}, the URDF's links weigh "
+            f"{_kilograms(urdf)}: check the unit of torque or current and the gains, or the URDF's inertials"
+        )
+        return [raised("implausible-mass", text)]
+    return []
+
+
+def _link_checks(model: DynamicModel, masses: FloatArray) -> list[Check]:
+    """Links heavier than any of an arm of this size."""
+    size = mass_of_size(model)
+    heavy = [] if size is None else [link for link, mass in enumerate(masses) if mass > size.heaviest_link]
+    if size is None or not heavy:
+        return []
+    names = [model.link_names[link] for link in heavy]
+    figures = ", ".join(f"{model.link_names[link]} {_kilograms(masses[link])}" for link in heavy)
+    text = (
+        f"links are heavier than any of an arm of this length, {_kilograms(size.heaviest_link)} at most: {figures}; "
+        "the data do not fit bodies of this arm: check geometry, gains and signs, or state masses under 'prior'"
+    )
+    return [raised("implausible-link", text, [name for name in names if name in model.joint_names])]
+
+
+def _centre_checks(model: DynamicModel, masses: FloatArray, centres: FloatArray) -> list[Check]:
+    """Centres of mass (k, 3) far from the link."""
+    length = arm_length(model)
+    far = []
+    for link, (mass, centre) in enumerate(zip(masses, centres, strict=True)):
+        ends = [joint.translation for joint in model.joints if joint.parent == link] or [np.zeros(3)]
+        distance = min(_distance(centre, end) for end in ends)
+        allowed = (BESIDE + (TOOL if link == model.tool_link else 0.0)) * length
+        sliding = model.joints[link].prismatic or any(j.prismatic for j in model.joints if j.parent == link)
+        if not sliding and mass > LEAST_SHARE * masses.sum() and distance > allowed:
+            far.append((link, distance))
+    if not far or length == 0.0:
+        return []
+    figures = ", ".join(f"{model.link_names[link]} {distance:.2g} m" for link, distance in far)
+    text = (
+        f"centres of mass lie far from their links, in an arm {length:.2g} m long: {figures}; the data do not fit "
+        "bodies of this arm: check geometry, gains and signs, or state centres under 'prior' (com, com_box)"
+    )
+    names = [model.link_names[link] for link, _ in far]
+    return [raised("implausible-centre", text, [name for name in names if name in model.joint_names])]
+
+
+def _distance(point: FloatArray, end: FloatArray) -> float:
+    """From a point (3,) to the line from the origin to `end` (3,) [m]."""
+    square = float(end @ end)
+    share = float(np.clip(point @ end / square, 0.0, 1.0)) if square > 0 else 0.0
+    return float(np.linalg.norm(point - share * end))
+
+
+def _urdf_mass(model: DynamicModel, robot_file: RobotFile) -> float | None:
+    """Mass [kg] of a URDF's bodies; None where a link has none, or all have the same, as placeholders do."""
+    robot = robot_file.robot
+    if not robot_file.urdf_text:
+        return None
+    bodies = urdf_inertias(robot_file.urdf_text, model.link_names, robot.model.locked, robot.name)
+    masses = [body[0] for body in bodies if body is not None]
+    if len(masses) < len(bodies) or len(set(masses)) < 2:
+        return None
+    return float(sum(masses))
+
+
+def _kilograms(mass: float) -> str:
+    return f"{mass:,.0f} kg" if mass >= 10.0 else f"{mass:.2g} kg"
