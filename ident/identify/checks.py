@@ -59,6 +59,7 @@ that were followed exactly it changes by up to 2.4 σ, since data are left out."
 REJECTED = 0.01
 """p-value of the F-test of consistent against unconstrained parameters below which a note says so; a warning follows
 from the errors' difference alone (`consistency-costs`), since any model is rejected by enough data."""
+
 SEARCH_GAP = 0.01
 """Cost of a search above its optimum that gives a warning, also where no single parameter is far from its value there:
 correlated parameters may be wrong together."""

@@ -94,12 +94,19 @@ def _simulated(
     """Positions (N, n) of the simulated arm at times (N,) from the segment's start, from a state (n,)."""
     heat = None if segment.temperature is None else np.mean(segment.temperature, axis=1)
     steps, duration = len(time) - 1, float(time[-1] - time[0])
-    torque = at_times(0.5 * (time[:-1] + time[1:]), segment, driving_torque(inverse, segment))
+    torque = _step_means(time, segment, driving_torque(inverse, segment))
 
     def drive(now: float, q: FloatArray, rate: FloatArray) -> FloatArray:
         return np.asarray(torque[min(round(now / duration * steps), steps - 1)])
 
     return integrate(ForwardArm(inverse, heat), position, velocity, drive, duration, steps).position
+
+
+def _step_means(time: FloatArray, segment: Segment, torque: FloatArray) -> FloatArray:
+    """Means (N - 1, n) of a torque (n, M) between times (N,): of each sample's noise, the least that can be had."""
+    impulse = np.zeros_like(torque)
+    impulse[:, 1:] = np.cumsum(0.5 * (torque[:, 1:] + torque[:, :-1]), axis=1) / segment.rate
+    return np.asarray(np.diff(at_times(time, segment, impulse), axis=0) / np.diff(time)[:, None])
 
 
 def _starts(segment: Segment, window: float) -> Iterator[float]:

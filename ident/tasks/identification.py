@@ -21,7 +21,7 @@ from ident.regression.pruning import DEFAULT_RULE, SIGNIFICANT_RSD, EssentialRul
 from ident.report import RecordedRuns, ReportData, recorded_runs, write_result_folder
 from ident.result.friction_experiment import read_friction_experiment
 from ident.result.model import Model, result_path
-from ident.result.schema import Fit, Result, read_result, result_json
+from ident.result.schema import Delivered, Fit, Result, read_result, result_json
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.signals.options import Differentiation, FilterKind
 from ident.signals.pipeline import PreprocessChoices
@@ -78,13 +78,18 @@ class IdentificationResult:
         return tuple(self.result.warnings)
 
     @property
+    def delivered(self) -> Delivered | None:
+        """Errors of the model that `load_model` hands out, which the verdict grades; None in older results."""
+        return self.result.delivered
+
+    @property
     def fit(self) -> Fit | None:
-        """Errors on the identification data: `relative_error` (a ratio), `rmse` per joint [N·m], …; None of a merge."""
+        """Errors of the full model on the identification data: `relative_error`, `rmse`, …; None of a merge."""
         return self.result.fit
 
     @property
     def validation(self) -> Fit | None:
-        """The same on held-out data; None where nothing was held out."""
+        """The same on held-out data in motion; None where nothing was held out."""
         return self.result.validation
 
     @cached_property
@@ -138,11 +143,16 @@ class IdentificationResult:
 
     @cached_property
     def errors(self) -> Table:
-        """Errors of the filtered torque of each joint, on the identification data and on held-out data."""
+        """Errors of the delivered model's filtered torque: on the identification data, on held-out data, in motion."""
+        delivered = self.delivered
         return error_table(
             f"Errors of {self.result.robot}",
             self.result.joints,
-            {"fit": self.result.fit, "validation": self.result.validation},
+            {
+                "fit": delivered.fit if delivered else self.fit,
+                "validation": delivered.validation_all_samples if delivered else self.validation,
+                "in_motion": delivered.validation if delivered else None,
+            },
         )
 
     @cached_property

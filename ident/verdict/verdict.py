@@ -188,7 +188,11 @@ def _purpose(purpose: Purpose, checks: Sequence[Check], evidence: Evidence | Non
 def _simulation_reasons(evidence: Evidence) -> list[_Reason]:
     if not evidence.motions and evidence.whole.judged is not None:
         return [_Reason("usable", "its motion was not simulated")]
-    return [reason for motion in evidence.motions for reason in _motion_reasons(motion)]
+    reasons = []
+    for motion in evidence.motions:
+        others = [f"{other.whole:.2g} times in the {other.text}" for other in evidence.motions if other is not motion]
+        reasons += _motion_reasons(motion, f" ({'; '.join(others)})" if others else "")
+    return reasons
 
 
 def _torque_reasons(evidence: Evidence) -> list[_Reason]:
@@ -207,14 +211,14 @@ def _torque_reasons(evidence: Evidence) -> list[_Reason]:
     return reasons
 
 
-def _motion_reasons(motion: MotionError) -> list[_Reason]:
-    """From the whole arm's simulated motion, and from the worst joint's."""
+def _motion_reasons(motion: MotionError, beside: str) -> list[_Reason]:
+    """From the whole arm's simulated motion, and from the worst joint's; `beside` says what else was simulated."""
     joint = motion.worst
     against = "times that of constant velocity"
     return [
         _Reason(
             _grade(motion.whole, GOOD_MOTION, USABLE_MOTION),
-            f"the error of the {motion.text} is {motion.whole:.2g} {against}",
+            f"the error of the {motion.text} is {motion.whole:.2g} {against}{beside}",
         ),
         _Reason(
             _grade(motion.joints[joint], GOOD_JOINT_MOTION, USABLE_JOINT_MOTION),

@@ -20,6 +20,8 @@ def section(data: ReportData) -> ReportSection | None:
         "joints": [entry for entry in consistent.parameters if entry.unit and not _of_link(entry.name)],
         "consistent": consistent,
         "simulated": _simulated(result.joints, consistent),
+        "names": result.joints,
+        "open_loop": [] if result.delivered is None else [run for run in result.delivered.runs if run.open_loop],
         "tiles": _tiles(consistent, result.validation),
     }
     return ReportSection("Links", "links", "links.html.j2", context)

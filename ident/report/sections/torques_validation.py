@@ -10,11 +10,14 @@ def section(data: ReportData) -> ReportSection:
     """Measured against predicted torque of the held-out data."""
     result = data.result
     source = result.validation_source or "held-out data"
+    delivered = result.delivered
+    errors = result.validation if delivered is None else delivered.validation_all_samples
+    intro = f"Held out: {source}. These are the errors to believe, samples at rest included."
+    if errors is not None and errors.held_out is False:
+        intro = f"NOT held out: {source}. Samples of these data were used in the identification."
     context = {
-        "intro": f"Held out: {source}. These are the errors to believe." if data.validation else "",
-        "figure": torque_figure(
-            "torques-validation-plot", result.joints, data.worst_first, data.validation, result.validation
-        ),
+        "intro": intro if data.validation else "",
+        "figure": torque_figure("torques-validation-plot", result.joints, data.worst_first, data.validation, errors),
         "empty": "Nothing was held out of the identification, so nothing here can say how far to trust the model. "
         "Record a second motion and name it with --validate.",
     }
