@@ -24,7 +24,9 @@ def import_recording(
     topic: str = typer.Option(None, "--topic", help="Topic of a bag with several JointState topics."),
     rate: float = typer.Option(None, "--rate", help="Rate [Hz] of a file without a time column."),
     time_unit: str = typer.Option(None, "--time-unit", help="Unit of the time column: s, ms, us or ns."),
-    repair: list[str] = typer.Option([], "--repair", help="Repair to make: drop-nan, drop-duplicates, sort."),
+    repair: list[str] = typer.Option(
+        [], "--repair", help="Repair to make: drop-nan, drop-duplicates, drop-repeats, sort."
+    ),
     by_order: bool = typer.Option(False, "--by-order", help="Match joints by their order, whatever their names."),
     comment: str = typer.Option("", "--comment", help="Your words, kept in the recording."),
     force: bool = FORCE,

@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.importers.assembly import ImportedSamples, rows
-from daq.importers.choices import DROP_DUPLICATES, DROP_NAN, SORT, TIME_UNITS, ImportChoices
+from daq.importers.choices import DROP_DUPLICATES, DROP_NAN, DROP_REPEATS, SORT, TIME_UNITS, ImportChoices
 from daq.importers.table import Note, printable
 from daq.importers.units import REVOLUTE
+from daq.recording.stale_samples import stale_samples
 from drivers.errors import ImportFileError
 from drivers.ranges import SAMPLING_RATE
 from drivers.streams import FloatArray
@@ -36,7 +37,7 @@ def check_samples(samples: ImportedSamples, choices: ImportChoices, where: str) 
     samples = _finite(samples, choices, where)
     samples = _rising(samples, choices, where)
     _plausible_rate(samples, choices, where)
-    return samples
+    return _fresh(samples, choices, where)
 
 
 def sample_place(samples: ImportedSamples, index: int, where: str) -> str:
@@ -137,6 +138,21 @@ def _restart(time: FloatArray) -> int | None:
         if start + RESTART_RUN > len(time):
             break
     return None
+
+
+def _fresh(samples: ImportedSamples, choices: ImportChoices, where: str) -> ImportedSamples:
+    """Without rows, and positions, that repeat those before them, where that repair was requested."""
+    if DROP_REPEATS not in choices.repair:
+        return samples
+    joints = samples.quantities["position"].joints
+    measured = {name: entry.values for name, entry in samples.quantities.items() if entry.joints == joints}
+    stale = stale_samples(samples.time, joints, measured)
+    repeats = stale.repeated | stale.held
+    if not repeats.any():
+        return samples
+    place = sample_place(samples, int(np.argmax(repeats)), "first")
+    note = Note("info", f"{DROP_REPEATS}: {int(repeats.sum())} of {len(repeats)} samples left out, {place}")
+    return replace(rows(samples, np.flatnonzero(~repeats)), notes=(*samples.notes, note))
 
 
 def _plausible_rate(samples: ImportedSamples, choices: ImportChoices, where: str) -> None:

@@ -12,6 +12,15 @@ from daq.recording.quantisation import quantisation_step
 from daq.recording.recording import Channel
 from drivers.streams import FloatArray
 
+FEWEST_FILLED = 10
+"""Fewer runs of zeros between large values are switching on and off."""
+
+FILLED_FAR = 0.3
+"""Distance from 0 of both values around a filled run, over the root mean square of all that are not 0 …"""
+
+FILLED_CHANGE = 10.0
+"""… and over the median change between two of these that follow each other."""
+
 CLIPPED_RUN = 5
 """At least this many equal extreme values in a row count as clipping."""
 
@@ -26,6 +35,7 @@ class ColumnQuality:
         noise: standard deviation of its white noise: from second differences, robust against the motion.
         step: of quantisation; nan where the values lie on no grid.
         clipped_percent: samples that stay at the smallest or largest value for `CLIPPED_RUN` samples or more [%].
+        filled_percent: samples that are exactly 0 between values far from it: drop-outs that were filled [%].
         outliers: samples far from what their neighbours say (`daq.recording.outliers`).
         outliers_stay: whether they are too many for exceptions, and are left in the signal.
     """
@@ -36,6 +46,7 @@ class ColumnQuality:
     noise: float
     step: float
     clipped_percent: float
+    filled_percent: float = 0.0
     outliers: int = 0
     outliers_stay: bool = False
 
@@ -65,6 +76,7 @@ def _column_quality(name: str, column: FloatArray) -> ColumnQuality:
         noise=white_noise(values),
         step=quantisation_step(values),
         clipped_percent=100.0 * float(np.mean(_clipped(values))),
+        filled_percent=100.0 * float(np.mean(_zero_filled(values))),
     )
 
 
@@ -88,3 +100,21 @@ def _clipped(values: FloatArray) -> npt.NDArray[np.bool_]:
         if stop - start >= CLIPPED_RUN:
             clipped[start:stop] = True
     return clipped
+
+
+def _zero_filled(values: FloatArray) -> npt.NDArray[np.bool_]:
+    """(N,) samples in runs of zeros between values that no signal reaches from 0 within one sample."""
+    zero = values == 0.0
+    filled = np.zeros(len(values), dtype=bool)
+    if zero.all() or not zero.any():
+        return filled
+    size = float(np.sqrt(np.mean(values[~zero] ** 2)))
+    changes = np.abs(np.diff(values))[~zero[1:] & ~zero[:-1]]
+    far = max(FILLED_FAR * size, FILLED_CHANGE * float(np.median(changes)) if len(changes) >= FEWEST_FILLED else 0.0)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], zero, [False]]).astype(np.int8))).reshape(-1, 2)
+    inner = edges[(edges[:, 0] > 0) & (edges[:, 1] < len(values))]
+    runs = inner[np.minimum(np.abs(values[inner[:, 0] - 1]), np.abs(values[inner[:, 1]])) > far]
+    if len(runs) >= FEWEST_FILLED:
+        for start, stop in runs:
+            filled[start:stop] = True
+    return filled

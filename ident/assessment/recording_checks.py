@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from daq.recording.recording import Recording
+import numpy as np
+
+from daq.importers.choices import DROP_REPEATS
+from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.recording.signal_quality import ColumnQuality, channel_quality
+from daq.recording.stale_samples import fresh_recording, stale_rows
 from daq.recording.stream_quality import StreamQuality, stream_quality
 from drivers.percentage import percent_text, percentage_text
 from ident.assessment.time_axis import time_axis_checks
@@ -20,6 +24,15 @@ JITTER_SHARE = 0.2
 CLIPPED_PERCENT = 0.1
 """Share of clipped samples [%] beyond which clipping is reported."""
 
+FILLED_PERCENT = 0.1
+"""Share of filled samples [%] beyond which they are reported."""
+
+MOST_SHOWN = 4
+"""Standstills of encoders that a sentence lists."""
+
+MOVING = {"velocity": "velocity goes on", "target": "target goes on", "jump": "joint moves on (it jumps at the end)"}
+"""What shows that a joint moves whose encoder stands still."""
+
 IMPORT = "import"
 """Source of the events that importers write."""
 
@@ -32,7 +45,8 @@ def stream_qualities(recording: Recording) -> dict[str, StreamQuality]:
 def column_qualities(
     recording: Recording, quantities: tuple[str, ...] | None = None
 ) -> dict[tuple[str, str], tuple[ColumnQuality, ...]]:
-    """Figures of all columns, by stream and quantity; of some quantities only where they are named."""
+    """Figures of all columns without stale rows, by stream and quantity; of some quantities where they are named."""
+    recording, _ = fresh_recording(recording)
     return {
         (name, quantity): channel_quality(channel, stream.time)
         for name, stream in recording.streams.items()
@@ -81,6 +95,7 @@ def recording_checks(
             text = f"{of}{name}: stamps jitter by {quality.jitter_ms:.2g} ms at a period of {period:.2g} ms"
             checks.append(raised("jittering-stamps", text))
     checks += time_axis_checks(recording, of)
+    checks += stale_checks(recording, of)
     for (stream, quantity), qualities in columns.items():
         clipped = [column for column in qualities if column.clipped_percent > CLIPPED_PERCENT]
         if quantity in MOTOR_SIGNALS and clipped:
@@ -88,8 +103,50 @@ def recording_checks(
             text = f"{of}{stream}/{quantity} is clipped: {figures} of the samples; use a slower motion or a wider range"
             checks.append(raised("signal-clipped", text, [column.name for column in clipped]))
         if quantity in ("position", *MOTOR_SIGNALS):
+            checks += _filled_checks(f"{of}{stream}/{quantity}", qualities)
             checks += _outlier_checks(f"{of}{stream}/{quantity}", qualities)
     return checks
+
+
+def stale_checks(recording: Recording, of: str = "") -> list[Check]:
+    """Rows of the joint stream that were not measured anew; `of` begins their sentences."""
+    stream = recording.streams.get(JOINTS_STREAM)
+    if stream is None or "position" not in stream.channels:
+        return []
+    stale, checks = stale_rows(stream), []
+    repeats = stale.repeated | stale.held
+    if repeats.any():
+        counts = ((stale.repeated, "rows repeat the one before"), (stale.held, "repeat only its positions"))
+        what = ", ".join(f"{np.count_nonzero(rows)} {text}" for rows, text in counts if rows.any())
+        text = (
+            f"{of}{what} while the arm moves ({percent_text(float(np.mean(repeats)), 2)} of all rows): they are left "
+            f"out; read the controller no faster than it measures, or import with --repair {DROP_REPEATS}"
+        )
+        checks.append(raised("rows-repeated", text))
+    if stale.encoders:
+        first = stream.time[0]
+        shown = [
+            f"{one.joint} from {one.start - first:.2f} to {one.stop - first:.2f} s while its {MOVING[one.evidence]}"
+            for one in stale.encoders
+        ]
+        more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
+        left = "these samples are left out" if stale.stuck[stale.left_out].any() else "too long to leave them out"
+        text = f"{of}the position stands still of {'; '.join(shown[:MOST_SHOWN])}{more}: {left}; check the encoder"
+        checks.append(raised("encoder-stuck", text, sorted({one.joint for one in stale.encoders})))
+    return checks
+
+
+def _filled_checks(signal: str, columns: Sequence[ColumnQuality]) -> list[Check]:
+    """Drop-outs of a signal that were filled with zeros."""
+    filled = [column for column in columns if column.filled_percent > FILLED_PERCENT]
+    if not filled:
+        return []
+    figures = ", ".join(f"{column.name} {percentage_text(column.filled_percent, 2)} %" for column in filled)
+    text = (
+        f"{signal} is 0 between values far from 0 ({figures} of the samples): drop-outs were filled with zeros; leave "
+        "these samples out, or write nan and import with --repair drop-nan"
+    )
+    return [raised("filled-with-zeros", text, [column.name for column in filled])]
 
 
 def _outlier_checks(signal: str, columns: Sequence[ColumnQuality]) -> list[Check]:

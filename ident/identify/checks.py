@@ -29,6 +29,7 @@ from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.body_checks import body_checks
 from ident.identify.identification import Identification
+from ident.identify.residual_bursts import burst_checks
 from ident.model.regressor import RegressorKernel
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import FEWEST_BLOCKS
@@ -77,6 +78,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         identification
     )
     checks += delay_checks(identification.delay)
+    checks += burst_checks(identification)
     checks += _size_checks(identification)
     checks += _convergence_checks(identification)
     checks += _experiment_checks(identification)

@@ -9,6 +9,7 @@ import numpy as np
 
 from daq.recording.outliers import without_outliers
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
+from daq.recording.stale_samples import StaleSamples, fresh_recording
 from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
 from drivers.errors import DataError
@@ -38,7 +39,7 @@ class ReplacedSamples:
 
 @dataclass(frozen=True, eq=False)
 class JointPositions:
-    """One recording's joint positions as recorded, outliers replaced; N samples, n joints in the robot's order.
+    """One recording's joint positions, stale rows left out, outliers replaced; N samples, n joints in robot order.
 
     Attributes:
         label: name of the recording in messages; may be empty.
@@ -61,7 +62,7 @@ class JointPositions:
 
 @dataclass(frozen=True, eq=False)
 class JointSignals:
-    """One recording's joint signals as recorded, outliers replaced; N samples, n joints in the robot's order.
+    """One recording's joint signals, stale rows left out, outliers replaced; N samples, n joints in robot order.
 
     Attributes:
         label: name of the recording in messages; may be empty.
@@ -75,6 +76,7 @@ class JointSignals:
         replaced: outliers in place of which stands what their neighbours say.
         temperature: (N, n) of the joints [K], nan for joints without a sensor; None where none was recorded.
         target: (N, n) positions that the controller aimed at [rad or m], nan where no number; None where not recorded.
+        stale: rows that were left out because they were not measured anew; None where there were none.
 
     Raises:
         DataError: a value is not finite; names the first such sample and its joint.
@@ -91,6 +93,7 @@ class JointSignals:
     replaced: tuple[ReplacedSamples, ...] = ()
     temperature: FloatArray | None = None
     target: FloatArray | None = None
+    stale: StaleSamples | None = None
 
     def __post_init__(self) -> None:
         optional = {} if self.velocity is None else {"velocity": self.velocity}
@@ -133,6 +136,7 @@ def read_joint_signals(recording: Recording, robot: Robot) -> JointSignals:
     Raises:
         DataError: a stream, quantity, joint or gain is missing, or values are not finite.
     """
+    recording, stale = fresh_recording(recording)
     stream, replaced = _without_outliers(_joints_stream(recording))
     position = _positions(stream, robot, recording)
     torque, origin, gains_used = _joint_torque(stream, robot, recording)
@@ -149,6 +153,7 @@ def read_joint_signals(recording: Recording, robot: Robot) -> JointSignals:
         replaced,
         joint_temperature(recording, tuple(robot.joint_names)),
         joint_target(stream, tuple(robot.joint_names), position),
+        stale,
     )
 
 
@@ -158,6 +163,7 @@ def joint_positions(recording: Recording, robot: Robot) -> JointPositions:
     Raises:
         DataError: the stream, the quantity or a joint is missing, or values are not finite.
     """
+    recording, _ = fresh_recording(recording)
     stream, _ = _without_outliers(_joints_stream(recording), ("position",))
     position = _positions(stream, robot, recording)
     return JointPositions(recording.label, tuple(robot.joint_names), stream.time, position)

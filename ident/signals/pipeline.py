@@ -93,7 +93,15 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
         f"τ and every column of W: {parallel.description}; {rate / parallel.factor:.4g} Hz remain",
     )
     steps = (
-        *(_outlier_step(signals), window_step, resample_step, delay_step, decimation_step, low_pass_step),
+        *(
+            _stale_step(signals),
+            _outlier_step(signals),
+            window_step,
+            resample_step,
+            delay_step,
+            decimation_step,
+            low_pass_step,
+        ),
         *(derivatives_step, motion_step, ends_step, parallel_step),
     )
     return Prepared(
@@ -198,6 +206,19 @@ def _windowed(signals: JointSignals, choices: PreprocessChoices) -> tuple[Unifor
     samples = window.stop - window.start
     text = f"{start:.4g} s to {stop:.4g} s, {samples} of {len(time)} samples"
     return windowed, Step("window", {"start_s": start, "stop_s": stop, "samples": samples}, text)
+
+
+def _stale_step(signals: JointSignals) -> Step | None:
+    """Step 'stale samples': what was left out when the signals were read, in the whole recording."""
+    if signals.stale is None:
+        return None
+    counts = {"repeated": signals.stale.repeated, "held": signals.stale.held, "stuck": signals.stale.stuck}
+    settings = {name: int(np.count_nonzero(rows)) for name, rows in counts.items()}
+    text = (
+        f"rows that were not measured anew left out: {settings['repeated']} repeat the one before, "
+        f"{settings['held']} its positions, {settings['stuck']} while an encoder was stuck"
+    )
+    return Step("stale samples", settings, text)
 
 
 def _outlier_step(signals: JointSignals) -> Step | None:

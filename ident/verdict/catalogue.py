@@ -101,6 +101,25 @@ _RECORDING = (
         "too many samples are far from what their neighbours say to be replaced",
         "The fit uses them as they are: find what disturbs the signal and record again.",
     ),
+    _note(
+        "rows-repeated",
+        "rows or positions repeat those before them while the arm moves, and are left out",
+        "Read the controller no faster than it measures, or import with --repair drop-repeats.",
+    ),
+    CheckKind(
+        "encoder-stuck",
+        "warning",
+        ALL,
+        "an encoder stands still while its joint moves",
+        "These samples are left out: check the encoder, its cable and the bus.",
+    ),
+    CheckKind(
+        "filled-with-zeros",
+        "serious",
+        ALL,
+        "drop-outs of a signal were filled with zeros",
+        "Leave these samples out, or write nan and import with --repair drop-nan.",
+    ),
     CheckKind("no-motion", "serious", ALL, "there is no motion to analyse", "Record an excitation trajectory."),
     _note(
         "high-condition",
@@ -139,6 +158,13 @@ _RECORDING = (
 )
 
 _EXCITATION = (
+    CheckKind(
+        "residual-bursts",
+        "warning",
+        PARAMETERS,
+        "the torque leaves the model in a few short stretches, which bend the fit",
+        "Something touched the arm, or a signal failed: leave these times out, or compare --method irls.",
+    ),
     _note(
         "few-equations",
         "there are few equations per parameter",

@@ -350,5 +350,5 @@ def test_any_arrays_are_refused_in_our_words(data: st.DataObject) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.npz"
         np.savez(path, **arrays)  # type: ignore[arg-type]
-        repair = frozenset(data.draw(st.sets(st.sampled_from(["sort", "drop-nan", "drop-duplicates"]))))
+        repair = frozenset(data.draw(st.sets(st.sampled_from(["sort", "drop-nan", "drop-duplicates", "drop-repeats"]))))
         accept_or_refuse(path, ImportChoices(effort="torque", repair=repair))

@@ -1,0 +1,252 @@
+"""Samples that are no measurements of their own: rows that repeat the one before, an encoder that stands still.
+
+A joint that moves by several steps of its encoder per sample cannot show the same position twice: such a row was
+written again, or its positions were not read anew. An encoder that shows exactly the same position for a while has
+stopped, not its joint, where the recorded velocity or the target goes on, or where the position jumps at the end by far
+more than the joint moves from sample to sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.recording.quantisation import quantisation_step
+from daq.recording.recording import JOINTS_STREAM, Recording, Stream
+from daq.recording.signal_quality import white_noise
+from drivers.streams import FloatArray
+
+MEASURED = ("position", "velocity", "current", "voltage", "torque")
+"""Quantities that all repeat where a whole row does."""
+
+STEPS_PER_SAMPLE = 3.0
+"""A joint that moves by so many encoder steps per sample, before and after, does not show a position twice."""
+
+LONGEST_REPETITION = 10
+"""Consecutive rows that repeat one; longer ones are a standstill, of the arm or of the recording."""
+
+LEAST_SHARE = 0.002
+"""Share of a recording's rows from which on repeated rows are left out: fewer change no estimate."""
+
+LEAST_ROWS = 10
+
+STANDSTILL = 0.1
+"""Shortest standstill of an encoder [s] that is looked at."""
+
+STANDSTILL_ROWS = 8
+
+JUMP = 5.0
+"""Change of position at the end of a standstill, in changes per sample before and after it."""
+
+FAR_STEPS = 10.0
+"""Encoder steps of a jump, or of the way that velocity or target goes meanwhile."""
+
+VELOCITY_SHARE = 0.1
+"""Root mean square of the velocity during a standstill over that of the recording; noise has less."""
+
+NOISE = 5.0
+"""The same over the velocity's white noise."""
+
+TRACKING = 3.0
+"""Way of the target during a standstill over the largest tracking error outside it."""
+
+LEAST_WAY = 2e-3
+"""[rad or m] A joint may rest by its friction or its backlash while its target moves by less."""
+
+MOST_STUCK = 0.5
+"""Share of a recording beyond which rows of stuck encoders stay: what is left would be another recording."""
+
+_WINDOW = 3
+_AROUND = 5
+_ROUNDING = 1e-9  # of the largest value: what a change of units or of coordinates leaves
+_SMALL = 0.1
+
+BoolArray = npt.NDArray[np.bool_]
+Evidence = Literal["velocity", "target", "jump"]
+
+
+@dataclass(frozen=True)
+class StuckEncoder:
+    """A joint's position that stands still while the joint does not.
+
+    Attributes:
+        joint: name.
+        start, stop: stamps of its first and last sample [s].
+        evidence: what shows that the joint moves: its velocity, its target, or the jump of the position at the end.
+    """
+
+    joint: str
+    start: float
+    stop: float
+    evidence: Evidence
+
+
+@dataclass(frozen=True, eq=False)
+class StaleSamples:
+    """What of a stream of N samples was not measured anew.
+
+    Attributes:
+        repeated: (N,) rows whose values all repeat those of the row before.
+        held: (N,) rows whose positions repeat those of the row before, while other quantities do not.
+        stuck: (N,) rows during which an encoder is stuck.
+        encoders: these, in words.
+    """
+
+    repeated: BoolArray
+    held: BoolArray
+    stuck: BoolArray
+    encoders: tuple[StuckEncoder, ...]
+
+    @property
+    def left_out(self) -> BoolArray:
+        """(N,) rows that say nothing, or something wrong; those of stuck encoders only if most others stay."""
+        stuck = self.stuck if np.mean(self.stuck) <= MOST_STUCK else np.zeros_like(self.stuck)
+        return self.repeated | self.held | stuck
+
+
+def stale_samples(time: FloatArray, joints: tuple[str, ...], measured: Mapping[str, FloatArray]) -> StaleSamples:
+    """Find the stale samples among those of N stamps.
+
+    Args:
+        time: (N,) [s], rising.
+        joints: (n,) names.
+        measured: `position` and others of `MEASURED`, and `target_position`: (N, n) each, in the order of the joints.
+    """
+    position = measured["position"]
+    none = np.zeros(len(time), dtype=np.bool_)
+    if len(time) < 4 * _AROUND or not np.all(np.diff(time) >= 0) or not np.all(np.isfinite(position)):
+        return StaleSamples(none, none, none, ())
+    steps = np.array([_step(column) for column in position.T])
+    rows = _repeated(position, steps)
+    others = [measured[name] for name in MEASURED if name != "position" and name in measured]
+    same = np.ones(len(time), dtype=np.bool_)
+    for values in others:
+        same[1:] &= np.all(values[1:] == values[:-1], axis=1)
+    found = []
+    for kind in (rows & same, rows & ~same):
+        counts = np.count_nonzero(kind)
+        found.append(kind if counts >= max(LEAST_ROWS, LEAST_SHARE * len(time)) else none)
+    stuck, encoders = none.copy(), []
+    for column, joint in enumerate(joints):
+        others_of = {name: measured[name][:, column] for name in ("velocity", "target_position") if name in measured}
+        for start, stop, evidence in _standstills(time, position[:, column], steps[column], others_of):
+            stuck[start + 1 : stop] = True
+            encoders.append(StuckEncoder(joint, float(time[start]), float(time[stop - 1]), evidence))
+    return StaleSamples(found[0], found[1], stuck, tuple(encoders))
+
+
+def stale_rows(stream: Stream) -> StaleSamples:
+    """The stale samples of a stream that holds positions, of the joints that they are of."""
+    joints = stream.channels["position"].columns
+    measured = {}
+    for name in (*MEASURED, "target_position"):
+        channel = stream.channels.get(name)
+        if channel is not None and all(joint in channel.columns for joint in joints):
+            measured[name] = channel.values[:, [channel.columns.index(joint) for joint in joints]]
+    return stale_samples(stream.time, joints, measured)
+
+
+def fresh_recording(recording: Recording) -> tuple[Recording, StaleSamples | None]:
+    """The recording without the stale rows of its joint stream, and which they are; None where there are none."""
+    stream = recording.streams.get(JOINTS_STREAM)
+    if stream is None or "position" not in stream.channels:
+        return recording, None
+    stale = stale_rows(stream)
+    rows = ~stale.left_out
+    if rows.all():
+        return recording, None
+    channels = {name: replace(channel, values=channel.values[rows]) for name, channel in stream.channels.items()}
+    fresh = replace(stream, time=stream.time[rows], host_time=stream.host_time[rows], channels=channels)
+    return replace(recording, streams={**recording.streams, JOINTS_STREAM: fresh}), stale
+
+
+def _step(column: FloatArray) -> float:
+    """Resolution of a position (N,): its grid, else what few of its changes are below; inf where it never changes."""
+    step = quantisation_step(column)
+    if np.isfinite(step):
+        return step
+    changes = np.abs(np.diff(column))
+    changes = changes[changes > _ROUNDING * float(np.max(np.abs(column), initial=0.0))]
+    return float(np.quantile(changes, _SMALL)) if len(changes) else np.inf
+
+
+def _repeated(position: FloatArray, steps: FloatArray) -> BoolArray:
+    """(N,) rows whose positions all repeat those of the row before while a joint moves, before and after."""
+    same = np.concatenate([[False], np.all(position[1:] == position[:-1], axis=1)])
+    found = np.zeros(len(same), dtype=np.bool_)
+    for start, stop in _runs(same):
+        before, after = start - 1 - _WINDOW, stop - 1 + _WINDOW
+        if stop - start > LONGEST_REPETITION or before < 0 or after >= len(position):
+            continue
+        slowest = np.minimum(
+            np.abs(position[start - 1] - position[before]), np.abs(position[after] - position[stop - 1])
+        )
+        found[start:stop] = np.any(slowest >= STEPS_PER_SAMPLE * _WINDOW * steps)
+    return found
+
+
+def _standstills(
+    time: FloatArray, position: FloatArray, step: float, others: Mapping[str, FloatArray]
+) -> Iterator[tuple[int, int, Evidence]]:
+    """First and last sample (exclusive) of each standstill of one encoder whose joint moves, and what shows it."""
+    if not np.isfinite(step):
+        return  # the joint never moves
+    same = np.concatenate([[False], position[1:] == position[:-1]])
+    changes = np.abs(np.diff(position))
+    velocity, target = others.get("velocity"), others.get("target_position")
+    floor = 0.0 if velocity is None else NOISE * white_noise(velocity)
+    for first, stop in _runs(same):
+        start = first - 1
+        if stop - start < STANDSTILL_ROWS or time[stop - 1] - time[start] < STANDSTILL:
+            continue
+        if velocity is not None and _moves(time[start:stop], velocity[start:stop], velocity, floor, step):
+            yield start, stop, "velocity"
+        elif target is not None and _leaves(position, target, start, stop, step):
+            yield start, stop, "target"
+        elif stop < len(position) and _jumps(changes, start, stop, step):
+            yield start, stop, "jump"
+
+
+def _moves(time: FloatArray, velocity: FloatArray, whole: FloatArray, floor: float, step: float) -> bool:
+    """Whether a velocity (M,) is that of a moving joint, by that of the whole recording (N,)."""
+    if not np.all(np.isfinite(whole)):
+        return False
+    size = float(np.sqrt(np.mean(velocity**2)))
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time))])
+    usual = float(np.sqrt(np.mean(whole**2)))
+    return size > max(floor, VELOCITY_SHARE * usual) and float(np.ptp(way)) > max(FAR_STEPS * step, LEAST_WAY)
+
+
+def _leaves(position: FloatArray, target: FloatArray, start: int, stop: int, step: float) -> bool:
+    """Whether a target (N,) moves on during a standstill of the position."""
+    outside = np.ones(len(position), dtype=np.bool_)
+    outside[start : min(len(position), stop + _AROUND)] = False
+    error = np.abs(target - position)[outside]
+    if not len(error) or not np.all(np.isfinite(target)):
+        return False
+    return float(np.ptp(target[start:stop])) > max(
+        TRACKING * float(np.quantile(error, 0.999)), FAR_STEPS * step, LEAST_WAY
+    )
+
+
+def _jumps(changes: FloatArray, start: int, stop: int, step: float) -> bool:
+    """Whether a moving joint seems to stop at once and to jump on later; `changes` (N − 1,) of the position per sample.
+
+    From rest a servo may reach its speed within a sample, so that a jump alone says nothing.
+    """
+    before, after = changes[max(0, start - _AROUND) : start], changes[stop : stop + _AROUND]
+    if len(before) < _AROUND or len(after) < _AROUND:
+        return False
+    stopped, speed = float(np.median(before[-_WINDOW:])), float(max(np.median(before), np.median(after)))
+    jump = float(changes[stop - 1])
+    return stopped >= STEPS_PER_SAMPLE * step and jump > max(JUMP * speed, FAR_STEPS * step)
+
+
+def _runs(mask: BoolArray) -> Iterator[tuple[int, int]]:
+    """First and last index (exclusive) of each run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)

@@ -1,0 +1,81 @@
+"""The check on short stretches of time that the torque leaves the model in: found, and tried without them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from drivers.errors import IdentificationError
+from ident.assessment.residual_bursts import Burst, bends_fit, residual_bursts
+from ident.estimators.torque_estimator import reduce_torques
+from ident.identify.identification import Identification
+from ident.model.regressor import RegressorKernel
+from ident.regression.comparison import compare_torques
+from ident.regression.least_squares import weighted_least_squares
+from ident.signals.prepared import Prepared, Segment
+from ident.verdict.catalogue import raised
+from ident.verdict.check import Check
+
+MOST_SHOWN = 6
+"""Stretches that the sentence lists."""
+
+ROBUST = ("irls", "iirls")
+"""Methods that weigh such stretches down by themselves."""
+
+
+def burst_checks(identification: Identification) -> list[Check]:
+    """Stretches of time that bend the fit; none for a method that fits no torques."""
+    runs, torques = identification.runs, identification.experiment.torques
+    if identification.choices.estimator.equations == "energy" or not torques:
+        return []
+    bursts = residual_bursts(identification.fit_series, torques)
+    if not any(bursts):
+        return []
+    kernel = RegressorKernel(identification.model, identification.base.columns)
+    place, parts = iter(bursts), []
+    for run in runs:
+        segments = tuple(_without(segment, next(place)) for segment in run.prepared.segments)
+        parts.append(replace(run.prepared, segments=segments))
+    try:
+        reduction = reduce_torques(kernel, parts, torques)
+        solution = weighted_least_squares(reduction, identification.solution.active)
+    except IdentificationError:  # too little is left
+        return []
+    fits = [
+        compare_torques(kernel.model, kernel.columns, values, run.prepared.segments, run.prepared.parallel_filter)
+        for values in (identification.solution.parameters, solution.parameters)
+        for run in runs
+    ]
+    before, after = ([part for fit in half for part in fit] for half in (fits[: len(runs)], fits[len(runs) :]))
+    larger = bends_fit(before, after, bursts, torques)
+    if larger is None:
+        return []
+    place = iter(bursts)
+    shown = [
+        text
+        for run in runs
+        for text in _texts(run.prepared, float(run.signals.time[0]), place, run.signals.label if len(runs) > 1 else "")
+    ]
+    more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
+    robust = "" if identification.choices.estimator.name in ROBUST else ", or compare --method irls"
+    text = (
+        f"the torque leaves the model in short stretches, by {larger:.0f} times the usual residual, and these bend the "
+        f"fit: {', '.join(shown[:MOST_SHOWN])}{more}; did something touch the arm? Leave these times out{robust}"
+    )
+    return [raised("residual-bursts", text)]
+
+
+def _without(segment: Segment, bursts: Sequence[Burst]) -> Segment:
+    """The segment with the samples of bursts not used."""
+    used = segment.used.copy()
+    for burst in bursts:
+        used &= ~burst.within(segment.time)
+    return replace(segment, used=used)
+
+
+def _texts(prepared: Prepared, first: float, place: Iterator[list[Burst]], label: str) -> list[str]:
+    """The bursts of a run as times [s] after its first stamp."""
+    before = f"{label}: " if label else ""
+    return [
+        f"{before}{one.start - first:.1f}-{one.stop - first:.1f} s" for _ in prepared.segments for one in next(place)
+    ]
