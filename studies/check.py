@@ -1,6 +1,6 @@
 """Run the commands behind the tables of docs/ again, and name the tables that no longer agree with what they print.
 
-    python studies/check.py [--list] [--seconds S] [WORD…]
+    python studies/check.py [--list] [--write] [--seconds S] [WORD…]
 
 A table says how it was measured in a comment above it:
 
@@ -12,8 +12,9 @@ difference that is allowed, 2 % where absent; a number may always differ by one 
 is compared with the printed line of the same words; where there is none, with the one whose numbers are nearest.
 `| anywhere` is for tables of another shape than what is printed, such as ranges over rows: each number must then be
 among the printed ones, rounded. A command is run once, whatever the number of its tables. WORD keeps the tables whose
-page or command contains it; `--list` runs nothing, and also names tables of figures that say nothing. Exit status 1
-where a table is stale.
+page or command contains it; `--list` runs nothing, and also names tables of figures that say nothing. `--write`
+replaces stale rows by the printed ones of a table with the same heading; the text around is the author's to correct.
+Exit status 1 where a table is stale.
 
 All of it takes hours; a command ends after `--seconds` (3600).
 """
@@ -269,6 +270,45 @@ def run(command: str, seconds: float) -> tuple[str, str]:
     return done.stdout, ""
 
 
+def rewritten(table: DocsTable, lines: Sequence[str], output: str) -> dict[int, str]:
+    """Lines of a page, by index, that printed rows of a table with the same heading replace, each by its first cells.
+
+    Empty where a row has no printed one, or several. `lines` are the page's.
+    """
+    printed: list[tuple[list[str], str]] = []
+    inside = False
+    for line in output.splitlines():
+        cells = cells_of(line) if line.strip().startswith("|") else []
+        inside = bool(cells) and (inside or tuple(cells) == table.heading)
+        if inside and tuple(cells) != table.heading and not RULE.match(line):
+            printed.append((cells, line))
+    places = range(table.line + 1, table.line + 1 + len(table.rows))
+    for count in (1, 2, 3):
+        by_key: dict[str, list[str]] = {}
+        for cells, line in printed:
+            by_key.setdefault(row_key(cells[:count]), []).append(line)
+        found = {place: by_key.get(row_key(cells_of(lines[place])[:count]), []) for place in places}
+        if all(len(candidates) == 1 for candidates in found.values()):
+            return {place: candidates[0] for place, candidates in found.items()}
+    return {}
+
+
+def row_key(cells: Sequence[str]) -> str:
+    """First cells of a row without their markup."""
+    return " | ".join(re.sub(r"[`*\\]", "", cell) for cell in cells)
+
+
+def write(table: DocsTable, output: str) -> bool:
+    """Put the printed rows in the table's place; whether that was possible."""
+    page = ROOT / "docs" / table.page
+    lines = page.read_text(encoding="utf-8").split("\n")
+    changed = rewritten(table, lines, output)
+    for place, line in changed.items():
+        lines[place] = line
+    page.write_text("\n".join(lines), encoding="utf-8")
+    return bool(changed)
+
+
 def all_tables(folder: Path) -> list[DocsTable]:
     """Tables of all pages."""
     pages = sorted(folder.glob("*.md"))
@@ -297,7 +337,7 @@ def show_list(tables: Sequence[DocsTable]) -> None:
             print(f"{table.place}: measured once: {table.measurement.reason}")
 
 
-def check(tables: Sequence[DocsTable], seconds: float) -> bool:
+def check(tables: Sequence[DocsTable], seconds: float, *, writing: bool = False) -> bool:
     """Run, compare, report; whether all agree."""
     commands = dict.fromkeys(t.measurement.command for t in tables if t.measurement and t.measurement.command)
     good = True
@@ -313,6 +353,9 @@ def check(tables: Sequence[DocsTable], seconds: float) -> bool:
                 print(f"  {table.place}: FAILED ({failure})", flush=True)
             elif stale:
                 print(f"  {table.place}: STALE, {len(stale)} of {len(table.rows)} rows", flush=True)
+                if writing and write(table, output):
+                    print("    written: look at the text around it", flush=True)
+                    continue
                 for row, measured in stale[:OFFERED]:
                     print(f"    docs:    {row.text}\n    printed: {measured}")
             else:
@@ -326,6 +369,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("words", nargs="*", metavar="WORD", help="pages or commands; all if absent")
     parser.add_argument("--list", action="store_true", help="show the tables and their commands, and run nothing")
+    parser.add_argument("--write", action="store_true", help="put printed rows in the place of stale ones where it can")
     parser.add_argument("--seconds", type=float, default=SECONDS, help="time limit of a command")
     arguments = parser.parse_args()
     try:
@@ -336,7 +380,7 @@ def main() -> int:
     if arguments.list:
         show_list(tables)
         return 0
-    good = check(tables, arguments.seconds)
+    good = check(tables, arguments.seconds, writing=arguments.write)
     show_list([table for table in tables if table.measurement is None])
     return 0 if good else 1
 

@@ -6,10 +6,9 @@ simulated drives' gains are drawn around Table 2's by its uncertainties; the ide
 is Table 3's. About half a minute. Printed:
 
 1. The gains drawn.
-2. A line for each of the 56 parameters: truth; X̂ of the free arm and half its 95 % interval, first by noise alone,
-   then with the gains' uncertainty; Z_L = X̂ + load by the regrouping; X̂_L of the loaded arm likewise; X̂_L − Z_L
-   in standard deviations of both. `p` marks what is pruned (15 %) from the free, `l` from the loaded arm's essential
-   model. Behind the bar the paper's own X̂, Z_L and X̂_L, where it prints them.
+2. A row for each parameter that the paper prints: truth; X̂ of the free arm with its 95 % interval, the gains'
+   uncertainty included; Z_L = X̂ + load by the regrouping; X̂_L of the loaded arm likewise; X̂_L − Z_L in standard
+   deviations of both; the paper's own X̂, Z_L and X̂_L. "(pruned)" marks what is not in the essential model.
 3. The essential parameters' number, the errors on the data and on another motion (cross-validation), and how many
    intervals hold.
 """
@@ -27,7 +26,7 @@ import numpy as np
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.streams import FloatArray
-from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.model.parameters import INERTIAL, link_parameters
@@ -84,7 +83,9 @@ def recorded(robot_file: RobotFile, seed: int, moves: int) -> Recording:
 
 def identified(robot_file: RobotFile, seed: int, moves: int) -> Identification:
     run, held_out = recorded(robot_file, seed, moves), recorded(robot_file, seed + 1, moves // 2)
-    return identify([run], [held_out], IdentifyChoices(method="wls", reversals=0.0))
+    return identify(
+        [run], [held_out], IdentifyChoices(method="wls", model=ModelChoices(friction="coulomb-viscous"), reversals=0.0)
+    )
 
 
 def drawn_gains(robot_file: RobotFile, seed: int) -> dict[str, float]:
@@ -134,19 +135,19 @@ def experiment(seed: int, moves: int, gains: dict[str, float]) -> Table:
 def print_table(table: Table) -> None:
     """Parts 2 and 3."""
     free, loaded = table.free, table.loaded
-    heads = ("truth", "X", "2s noise", "2s", "Z_L", "X_L", "2s noise", "2s", "apart")
-    print(f"{'name':5}" + "".join(f"{head:>9}" for head in heads) + "      |" + "".join(
-        f"{head:>7}" for head in ("X", "Z_L", "X_L")
-    ))  # fmt: skip
+    print("| | truth | X̂ ± 95 % | Z_L | X̂_L ± 95 % | difference | paper: X̂ | Z_L | X̂_L |")
+    print("|---" * 9 + "|")
     for i, name in enumerate(free.base.names):
-        x, x_l = free.solution.parameters[i], loaded.solution.parameters[i]
-        values = (table.truth[i], x, INTERVAL * free.std[i], INTERVAL * table.std[i], table.predicted[i])
-        values += (x_l, INTERVAL * loaded.std[i], INTERVAL * table.loaded_std[i])
-        pruned = "" if i in free.pruned.solution.active else "p"
-        pruned += "" if i in loaded.pruned.solution.active else "l"
-        printed = "".join("       " if value is None else f"{value:7g}" for value in PAPER.get(name, (None,) * 3))
-        rows = "".join(f"{value:9.3f}" for value in values)
-        print(f"{name:5}{rows}{table.apart[i]:9.2f} {pruned:4} |{printed}".rstrip())
+        if name not in PAPER:
+            continue
+        values = [f"{table.truth[i]:.3f}"]
+        for fit, std, column in ((free, table.std, None), (loaded, table.loaded_std, table.predicted)):
+            values += [] if column is None else [f"{column[i]:.3f}"]
+            pruned = "" if i in fit.pruned.solution.active else " (pruned)"
+            values.append(f"{fit.solution.parameters[i]:.3f} ± {INTERVAL * std[i]:.3f}{pruned}")
+        values.append(f"{table.apart[i]:.2f}")
+        values += ["" if value is None else f"{value:g}" for value in PAPER[name]]
+        print(f"| {name} | {' | '.join(values)} |".replace(" -", " −"))
     print()
     for label, fit in (("free", free), ("loaded", loaded)):
         print(

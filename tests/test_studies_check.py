@@ -101,6 +101,17 @@ def test_a_table_that_cannot_be_measured_again_says_why(check):
     assert (table.measurement.command, table.measurement.reason) == ("", "by hand")
 
 
+def test_stale_rows_are_replaced_by_printed_ones_of_the_same_heading(check):
+    (table,) = check.tables_of("page.md", PAGE)
+    lines = PAGE.split("\n")
+    written = check.rewritten(table, lines, PRINTED.replace("6.849", "7.1"))
+    assert [lines[place].split()[1] for place in sorted(written)] == ["`ur10`,", "panda"]
+    assert [line.split("|")[2].strip() for _, line in sorted(written.items())] == ["7.1", "-0.991"]
+    assert check.rewritten(table, lines, PRINTED.replace("kept", "left")) == {}  # another heading
+    assert check.rewritten(table, lines, PRINTED.replace("panda", "kuka")) == {}  # a row less
+    assert check.rewritten(table, lines, PRINTED + "| panda | -0.991 | 42 | 77 |\n") == {}  # which of the two
+
+
 @pytest.mark.parametrize(
     ("stated", "measured", "same"),
     [("70 000", "69,500", True), ("4e-16", "4.4e-16", True), ("4e-16", "6e-16", False), ("0.0", "0.04", True)],
