@@ -589,9 +589,10 @@ class Model:
     def export_c(
         self, path: str | PathLike[str], *, real: Literal["double", "float"] = "double", force: bool = False
     ) -> Export:
-        """Write C99 source of this model: torque, gravity, friction, inertia matrix and base regressor.
+        """Write C99 source of this model: torque and its parts, inertia matrix, forward dynamics, payload, regressor.
 
-        Straight-line code for this arm and these parameters, without allocation, with a self-test.
+        Straight-line code for this arm and these parameters, without allocation, with a self-test. The header says
+        where the parameters come from: versions, recordings with their hashes, held-out error.
 
         Args:
             path: of both files, without suffix: `arm` gives arm.h and arm.c.
@@ -602,7 +603,9 @@ class Model:
             UsageError: a file exists, cannot be written, or has a name that C cannot include.
             ModelError: a parameter was not identified, or loops of the arm are solved numerically.
         """
+        from ident.export.c_code.source import Parameter
         from ident.export.c_code.write import write_c
+        from ident.result.origin import origin_lines
 
         if self._missing:
             raise ModelError(
@@ -613,7 +616,28 @@ class Model:
             )
         if self.kind == "consistent":
             _ = self._exported  # refuses friction that no recording determined
-        return write_c(self._dynamics, path, real=real, kind=KINDS[self.kind], force=force)
+        deviations = self._known_std()
+        parameters = [
+            Parameter(entry.name, float(value), deviations[entry.name], entry.unit, entry.expression)
+            for entry, value in zip(self._entries, self._values, strict=True)
+        ]
+        return write_c(
+            self._dynamics,
+            path,
+            real=real,
+            kind=KINDS[self.kind],
+            origin=origin_lines(self.result, self.kind),
+            parameters=parameters,
+            force=force,
+        )
+
+    def _known_std(self) -> dict[str, float | None]:
+        """Standard deviations by name; None where a result does not hold what they follow from."""
+        if self.kind == "consistent" and self.result.estimate is None:
+            return dict.fromkeys(self._base.names)
+        return {
+            name: std if std is not None and np.isfinite(std) else None for name, std in self._parameter_std().items()
+        }
 
     @cached_property
     def _exported(self) -> ExportedArm:

@@ -16,8 +16,23 @@ import numpy as np
 
 from drivers.streams import FloatArray
 
-Kind = Literal["constant", "symbol", "add", "subtract", "multiply", "sin", "cos", "sign", "tanh", "decay", "power"]
-"""What a node computes; decay is exp(−x), power |x| to a constant."""
+Kind = Literal[
+    "constant",
+    "symbol",
+    "add",
+    "subtract",
+    "multiply",
+    "sin",
+    "cos",
+    "sign",
+    "tanh",
+    "decay",
+    "power",
+    "inverse",
+    "inverse_negated",
+]
+"""What a node computes; decay is exp(−x), power |x| to a constant, inverse 1/x and inverse_negated 1/(−x) of what is
+positive, not a number of anything else."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +69,7 @@ class Operations:
             f"{self.sines} sines and cosines",
         ]
         if self.others:
-            parts.append(f"{self.others} signs, tanh, exp or pow")
+            parts.append(f"{self.others} divisions, signs, tanh, exp or pow")
         return ", ".join(parts)
 
 
@@ -97,7 +112,7 @@ class Graph:
             multiplications=kinds.count("multiply"),
             additions=kinds.count("add") + kinds.count("subtract"),
             sines=kinds.count("sin") + kinds.count("cos"),
-            others=sum(kinds.count(kind) for kind in ("sign", "tanh", "decay", "power")),
+            others=sum(kinds.count(kind) for kind in ("sign", "tanh", "decay", "power", "inverse", "inverse_negated")),
         )
 
     def evaluate(self, outputs: Sequence[Expression], inputs: Mapping[str, FloatArray]) -> FloatArray:
@@ -131,6 +146,8 @@ _NUMERIC: dict[str, Callable[..., FloatArray]] = {
     "sign": np.sign,
     "tanh": np.tanh,
     "decay": lambda value: np.exp(-value),
+    "inverse": lambda value: np.divide(1.0, value, out=np.full_like(value, np.nan), where=value > 0.0),
+    "inverse_negated": lambda value: np.divide(-1.0, value, out=np.full_like(value, np.nan), where=value < 0.0),
     "power": lambda value, exponent: np.abs(value) ** exponent,
 }
 
@@ -269,6 +286,14 @@ def power(value: Expression, exponent: float) -> Expression:
     if exponent == 2.0:
         return value * value
     return Expression(value.graph, value.graph.operation("power", value.node, value.graph.constant(exponent).node))
+
+
+def inverse(value: Expression) -> Expression:
+    """1/x of a positive x; of any other not a number."""
+    if value.constant is not None and value.constant > 0.0:
+        return value.graph.constant(1.0 / value.constant)
+    kind: Kind = "inverse_negated" if value.negative else "inverse"
+    return Expression(value.graph, value.graph.operation(kind, value.node))
 
 
 def _odd(kind: Kind, value: Expression, of_number: Callable[[float], float]) -> Expression:

@@ -14,12 +14,27 @@ from ident.export.c_code.composite import tree_inertia
 from ident.export.c_code.expressions import Expression, Graph
 from ident.export.c_code.frames import combination, joint_frames
 from ident.export.c_code.joint_terms import friction, joint_parameter_column, joint_terms
+from ident.export.c_code.payload import payload_torque
+from ident.export.c_code.positive_system import solved
 from ident.export.c_code.recursion import link_motions, link_wrench, tree_torques
+from ident.model.base_parameters import random_states
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.model.kinematics.transmission import LinearTransmission
 from ident.model.parameters import INERTIAL
 
 SIZE = len(INERTIAL)
+
+PAYLOAD = "payload"
+PAYLOAD_SIZE = 10
+"""Mass, centre of mass x y z, inertia xx xy xz yy yz zz about it."""
+
+POSTURES = 100
+"""Random ones at which the inertia matrix has to be positive definite for forward dynamics."""
+
+
+def input_size(name: str, joints: int) -> int:
+    """Length of an input array."""
+    return PAYLOAD_SIZE if name == PAYLOAD else joints
 
 
 @dataclass(frozen=True)
@@ -29,7 +44,7 @@ class Function:
     Attributes:
         name: without the arm's prefix.
         summary: what it gives, for a comment.
-        inputs: names of its arrays (n,).
+        inputs: names of its arrays (n,); `payload` is (10,).
         output: name of what it writes.
         rows: the output's entries, (1, n) for a vector.
         matrix: whether the output has rows and columns.
@@ -49,7 +64,7 @@ class Function:
 
 
 def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ...]:
-    """The functions of an arm with identified parameters.
+    """The functions of an arm with identified parameters; those that the parameters do not allow are left out.
 
     Raises:
         ModelError: loops of the arm are solved numerically.
@@ -89,7 +104,16 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
     rubbing = friction(graph, terms, model.smoothing, dq, load_torque)
     torque = tuple(a + b + c for a, b, c in zip(links, rotors, rubbing, strict=True))
 
-    gravity = tuple(held(inertial))
+    held_links = held(inertial)
+    gravity = tuple(part + float(weight) for part, weight in zip(held_links, dynamics.weight, strict=True))
+    rubbing_alone = tuple(part - float(weight) for part, weight in zip(rubbing, dynamics.weight, strict=True))
+    drifting_frames = joint_frames(graph, model, q, dq, still)
+    drifting = link_motions(graph, drifting_frames, np.zeros(3))
+    carried = tree_torques(drifting_frames, [link_wrench(*pair) for pair in zip(drifting, inertial, strict=True)])
+    coriolis = tuple(combination(graph, column, carried) for column in follow.T)
+    driving = [
+        graph.symbol(f"tau{joint}") - (coriolis[joint] + held_links[joint] + rubbing[joint]) for joint in range(count)
+    ]
 
     mass = _joint_inertia(graph, tree_inertia(graph, resting_frames, inertial), follow, terms.inertia)
     axes = link_axes(graph, frames)
@@ -105,13 +129,16 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
         Function(
             "torque", "Torques of a motion, friction and motor inertia included.", ("q", "dq", "ddq"), "tau", (torque,)
         ),
+        Function(
+            "coriolis", "Coriolis and centrifugal torques, the vector C(q, dq) dq.", ("q", "dq"), "tau", (coriolis,)
+        ),
         Function("gravity", "Torques of gravity.", ("q",), "tau", (gravity,)),
         Function(
             "friction",
             "Torques of friction, constant offsets included.",
             ("q", "dq") if model.needs_load_torque else ("dq",),
             "tau",
-            (tuple(rubbing),),
+            (rubbing_alone,),
         ),
         Function(
             "mass_matrix",
@@ -130,9 +157,41 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
             matrix=True,
         ),
     ]
+    tool = model.tool_link
+    functions.append(
+        Function(
+            "payload_torque",
+            "Torques that a payload on the last link adds to those of a motion (at rest: its weight).",
+            ("q", "dq", "ddq", PAYLOAD),
+            "tau",
+            (payload_torque(graph, motions[tool], axes[tool], follow),),
+        )
+    )
+    functions.append(
+        Function(
+            "forward_dynamics",
+            "Accelerations that torques cause, friction included; the inverse of torque.",
+            ("q", "dq", "tau"),
+            "ddq",
+            (solved(mass, driving),),
+        )
+    )
     if not np.array_equal(dynamics.coupling, np.eye(count)):
         functions.append(_motor_torque(graph, dynamics))
-    return tuple(functions)
+    lacking = left_out(dynamics)
+    return tuple(function for function in functions if function.name not in lacking)
+
+
+def left_out(dynamics: InverseDynamics) -> dict[str, str]:
+    """Functions that these parameters do not allow, by name, and why."""
+    reasons: dict[str, str] = {}
+    if dynamics.confounded:
+        together = f"weight and offset of {', '.join(dynamics.confounded)} are one parameter, which no motion separates"
+        reasons |= {"gravity": together, "friction": together}
+    position = random_states(dynamics.model, POSTURES)[0]
+    if not np.all(np.linalg.eigvalsh(dynamics.inertia(position))[:, 0] > 0.0):
+        reasons["forward_dynamics"] = "the inertia matrix is not positive definite everywhere within the limits"
+    return reasons
 
 
 def _joint_inertia(

@@ -9,10 +9,11 @@ import numpy as np
 from drivers.errors import ModelError
 from drivers.streams import FloatArray
 from ident.export.c_code.expressions import Graph
-from ident.export.c_code.functions import Function
+from ident.export.c_code.functions import PAYLOAD, Function
 from ident.export.c_code.statements import Real
 from ident.model.base_parameters import random_states
 from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.parameters import INERTIAL, link_parameters
 from ident.model.regressor import regressor
 
 STATES = 8
@@ -26,9 +27,10 @@ class Reference:
     """What the functions should give.
 
     Attributes:
-        inputs: q, dq, ddq and tau (N, n) by name.
+        inputs: q, dq, ddq and tau (N, n), and payload (N, 10), by name.
         outputs: (N, …) by the function's name.
-        scales: largest value of each, that deviations are relative to; of all torques the same.
+        scales: largest value of each, that deviations are relative to; of all torques the same, of accelerations
+            times the condition number of the inertia matrix, which multiplies rounding.
     """
 
     inputs: dict[str, FloatArray]
@@ -51,6 +53,11 @@ def reference(dynamics: InverseDynamics, real: Real, count: int = STATES, seed: 
         with np.errstate(over="ignore"):  # parameters that do not fit are refused where they are written
             torque = torque.astype(np.float32).astype(np.float64)
     still = np.zeros_like(position)
+    payload = random_payloads(count, seed)
+    if real == "float":
+        payload = payload.astype(np.float32).astype(np.float64)
+    inertia = dynamics.inertia(position)
+    at_rest = dynamics.torque(position, velocity, still)
     rows = np.einsum(
         "mn,mbN->Nnb",
         dynamics.coupling,
@@ -58,17 +65,41 @@ def reference(dynamics: InverseDynamics, real: Real, count: int = STATES, seed: 
     )
     outputs = {
         "torque": torque.T,
-        "gravity": dynamics.links(position, still, still).T,
+        "coriolis": (dynamics.links(position, velocity, still) - dynamics.links(position, still, still)).T,
+        "gravity": dynamics.gravity(position).T,
         "friction": dynamics.friction(velocity, position).T,
-        "mass_matrix": dynamics.inertia(position),
+        "mass_matrix": inertia,
         "regressor": rows,
+        "payload_torque": _loaded(dynamics, (position, velocity, acceleration), payload),
+        "forward_dynamics": np.linalg.solve(inertia, (torque - at_rest).T[..., None])[..., 0],
         "motor_torque": np.linalg.solve(dynamics.coupling.T, torque).T,
     }
     largest = {name: float(np.max(np.abs(values), initial=0.0)) or 1.0 for name, values in outputs.items()}
-    torques = max(largest[name] for name in ("torque", "gravity", "friction"))
-    scales = {**largest, "torque": torques, "gravity": torques, "friction": torques}
-    inputs = {"q": position.T, "dq": velocity.T, "ddq": acceleration.T, "tau": torque.T}
+    names = ("torque", "coriolis", "gravity", "friction")
+    torques = max(largest[name] for name in names)
+    worst = float(np.max(np.linalg.cond(inertia)))
+    scales = {**largest, **dict.fromkeys(names, torques), "forward_dynamics": worst * largest["forward_dynamics"]}
+    inputs = {"q": position.T, "dq": velocity.T, "ddq": acceleration.T, PAYLOAD: payload, "tau": torque.T}
     return Reference(inputs, outputs, scales)
+
+
+def random_payloads(count: int, seed: int) -> FloatArray:
+    """Mass, centre and inertia (N, 10) of balls of up to 10 kg, as C's `payload`, with products of inertia."""
+    generator = np.random.default_rng(seed + 1)
+    mass = generator.uniform(0.5, 10.0, (count, 1))
+    centre = generator.uniform(-0.2, 0.2, (count, 3))
+    return np.hstack([mass, centre, mass * 0.01 * np.array([1.0, 0.1, -0.1, 1.2, 0.2, 1.4])])
+
+
+def _loaded(
+    dynamics: InverseDynamics, motion: tuple[FloatArray, FloatArray, FloatArray], payload: FloatArray
+) -> FloatArray:
+    """Torques (N, n) of payloads (N, 10) on the last link."""
+    model, size = dynamics.model, len(INERTIAL)
+    columns = tuple(size * model.tool_link + kind for kind in range(size))
+    parts = regressor(model, *motion, columns=columns)
+    standard = np.array([link_parameters(body[0], body[1:4].tolist(), body[4:].tolist()) for body in payload])
+    return np.asarray(np.einsum("mn,mbN,Nb->Nn", dynamics.coupling, parts, standard))
 
 
 def deviation(graph: Graph, function: Function, expected: Reference) -> float:

@@ -26,7 +26,7 @@ static int beyond(const char *name, const double *values, const double *expected
             break; /* not a number */
         }
     }
-    printf("%-12s %.1e\\n", name, largest);
+    printf("%-16s %.1e\\n", name, largest);
     return !(largest <= TOLERANCE);
 }
 """
@@ -35,7 +35,6 @@ static int beyond(const char *name, const double *values, const double *expected
 def self_test(functions: Sequence[Function], expected: Reference, prefix: str, dialect: Dialect) -> str:
     """C source behind `#ifdef PREFIX_SELF_TEST`."""
     macro, count = prefix.upper(), len(expected.inputs["q"])
-    joints = f"{macro}_JOINTS"
     arrays = sorted({name for function in functions for name in function.inputs}, key=list(expected.inputs).index)
     parts = [
         f"#ifdef {macro}_SELF_TEST\n#include <stdio.h>\n",
@@ -43,10 +42,10 @@ def self_test(functions: Sequence[Function], expected: Reference, prefix: str, d
     ]
     for name in arrays:
         parts.append(
-            f"static const {dialect.type_name} input_{name}[STATES][{joints}] = "
+            f"static const {dialect.type_name} input_{name}[STATES][{len(expected.inputs[name][0])}] = "
             f"{{\n{_table(expected.inputs[name], dialect)}}};\n"
         )
-    in_double = Dialect("double", "double", "")
+    in_double = Dialect("double", "double", "", "")
     bodies = ["    int failed = 0;"]
     for function in functions:
         values = expected.outputs[function.name]

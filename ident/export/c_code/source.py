@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ident.export.c_code.expressions import Graph
-from ident.export.c_code.functions import Function
+from ident.export.c_code.functions import PAYLOAD, PAYLOAD_SIZE, Function
 from ident.export.c_code.names import comment_text
 from ident.export.c_code.reference import TOLERANCES, Reference
 from ident.export.c_code.self_test import self_test
@@ -17,6 +18,32 @@ WIDTH = 120
 
 
 @dataclass(frozen=True)
+class Parameter:
+    """One base parameter.
+
+    Attributes:
+        name: as in the report.
+        value: in its unit.
+        std: its standard deviation; None where it is not known.
+        unit: of both.
+        expression: what it combines.
+    """
+
+    name: str
+    value: float
+    std: float | None = None
+    unit: str = ""
+    expression: str = ""
+
+    @property
+    def text(self) -> str:
+        """For a comment: name, unit, σ, expression."""
+        std = "unknown" if self.std is None else f"{self.std:.3g}"
+        combined = f"; {self.expression}" if self.expression not in ("", self.name) else ""
+        return f"{self.name} [{self.unit}] std {std}{combined}"
+
+
+@dataclass(frozen=True)
 class Description:
     """What the comments and declarations say.
 
@@ -24,15 +51,21 @@ class Description:
         robot: its name.
         prefix: of all C names.
         joints: names (n,), prismatic ones marked.
-        parameters: (name, value) of the base parameters.
+        parameters: of the base.
         kind: which parameters these are.
+        origin: lines on where they come from.
+        left_out: lines on functions that are not there.
+        tool: name of the joint whose frame the payload is given in.
     """
 
     robot: str
     prefix: str
     joints: tuple[str, ...]
-    parameters: tuple[tuple[str, float], ...]
+    parameters: tuple[Parameter, ...]
     kind: str
+    origin: tuple[str, ...]
+    left_out: tuple[str, ...]
+    tool: str
 
 
 def header(description: Description, functions: Sequence[Function], dialect: Dialect) -> str:
@@ -42,6 +75,10 @@ def header(description: Description, functions: Sequence[Function], dialect: Dia
     declarations = "\n\n".join(
         f"/* {function.summary} */\n{_signature(function, prefix, len(description.joints))};" for function in functions
     )
+    origin = _lines(("", *description.origin)) if description.origin else ""
+    lacking = (
+        _lines(("", "Not there:", *(f"  {line}" for line in description.left_out))) if description.left_out else ""
+    )
     return f"""\
 /* Dynamic model of {comment_text(description.robot)}, written by dynid; it holds {comment_text(description.kind)}.
  *
@@ -50,10 +87,12 @@ def header(description: Description, functions: Sequence[Function], dialect: Dia
  * at the joints with a motor, in this order:
  *
 {order}
- *
+{origin} *
  * Units: rad, rad/s, rad/s^2, N m; of prismatic joints m, m/s, m/s^2, N. C99, straight-line code: no allocation, no
  * state, no loop. The arrays of a call may overlap. cc -D{macro}_SELF_TEST makes a program that tests the code.
- */
+ * A payload is its mass, its centre of mass x y z and its inertia xx xy xz yy yz zz about that centre [kg, m, kg m^2],
+ * in the frame of joint {comment_text(description.tool)}; add payload_torque to torque.
+{lacking} */
 #ifndef {macro}_H
 #define {macro}_H
 
@@ -68,8 +107,10 @@ typedef {dialect.real} {dialect.type_name};
 
 {declarations}
 
-/* The base parameters that the code holds, in the order of the regressor's columns. */
+/* The base parameters that the code holds, in the order of the regressor's columns, and their standard deviations
+ * (negative where they are not known). */
 extern const {dialect.type_name} {prefix}_parameters[{macro}_PARAMETERS];
+extern const {dialect.type_name} {prefix}_parameters_std[{macro}_PARAMETERS];
 
 #ifdef __cplusplus
 }}
@@ -89,7 +130,7 @@ def source(
 ) -> str:
     """Text of the .c file."""
     prefix, macro = description.prefix, description.prefix.upper()
-    signs = any(graph.nodes[number].kind == "sign" for function in functions for number in graph.live(function.outputs))
+    kinds = {graph.nodes[number].kind for function in functions for number in graph.live(function.outputs)}
     parts = [
         f"/* Dynamic model of {comment_text(description.robot)}, written by dynid; what it means stands in "
         f"{header_name}.\n"
@@ -97,8 +138,16 @@ def source(
         f"{TOLERANCES[dialect.real]:g} of the largest value pass). */",
         f'#include "{header_name}"\n\n#include <math.h>',
         _parameter_table(description, dialect),
+        _deviation_table(description, dialect),
     ]
-    if signs:
+    if kinds & {"inverse", "inverse_negated"}:
+        one = dialect.number(1.0)
+        parts.append(
+            f"/* 1/x of what a positive definite matrix leaves positive; not a number where it is none. */\n"
+            f"static {dialect.type_name} {dialect.inverse}({dialect.type_name} x)\n"
+            f"{{\n    return x > 0 ? {one} / x : ({dialect.type_name})NAN;\n}}"
+        )
+    if "sign" in kinds:
         parts.append(
             f"static {dialect.type_name} {dialect.sign}({dialect.type_name} x)\n"
             f"{{\n    return ({dialect.type_name})((x > 0) - (x < 0));\n}}"
@@ -115,7 +164,9 @@ def source(
 
 def _signature(function: Function, prefix: str, joints: int) -> str:
     macro, real = prefix.upper(), f"{prefix}_real"
-    inputs = [f"const {real} {name}[{macro}_JOINTS]" for name in function.inputs]
+    inputs = [
+        f"const {real} {name}[{PAYLOAD_SIZE if name == PAYLOAD else f'{macro}_JOINTS'}]" for name in function.inputs
+    ]
     columns = ""
     if function.matrix:
         columns = f"[{macro}_JOINTS]" if len(function.rows[0]) == joints else f"[{macro}_PARAMETERS]"
@@ -127,8 +178,28 @@ def _signature(function: Function, prefix: str, joints: int) -> str:
 
 def _parameter_table(description: Description, dialect: Dialect) -> str:
     rows = [
-        f"    {dialect.number(value)}, /* {index} {comment_text(name)} */"
-        for index, (name, value) in enumerate(description.parameters)
+        f"    {dialect.number(parameter.value)}, /* {index} {comment_text(parameter.text)} */"
+        for index, parameter in enumerate(description.parameters)
     ]
     opening = f"const {dialect.type_name} {description.prefix}_parameters[{description.prefix.upper()}_PARAMETERS] = {{"
     return "\n".join([opening, *rows, "};"])
+
+
+def _deviation_table(description: Description, dialect: Dialect) -> str:
+    rows = [
+        f"    {dialect.number(-1.0 if parameter.std is None else parameter.std)}, /* {comment_text(parameter.name)} */"
+        for parameter in description.parameters
+    ]
+    count = f"{description.prefix.upper()}_PARAMETERS"
+    return "\n".join([f"const {dialect.type_name} {description.prefix}_parameters_std[{count}] = {{", *rows, "};"])
+
+
+def _lines(texts: Sequence[str]) -> str:
+    """Lines of the header's comment, wrapped."""
+    lines: list[str] = []
+    for text in texts:
+        indent = " " * (len(text) - len(text.lstrip()))
+        lines += textwrap.wrap(
+            comment_text(text), WIDTH - 8, initial_indent=indent, subsequent_indent=f"{indent}  "
+        ) or [""]
+    return "".join(f" * {line}".rstrip() + "\n" for line in lines)

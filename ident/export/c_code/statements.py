@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.errors import ModelError
 from ident.export.c_code.expressions import Expression, Graph
-from ident.export.c_code.functions import Function
+from ident.export.c_code.functions import Function, input_size
 
 Real = Literal["double", "float"]
 
@@ -26,11 +26,13 @@ class Dialect:
         real: C type of the arithmetic.
         type_name: of the arm's numbers.
         sign: name of the function for signs.
+        inverse: name of the function for 1/x of a positive x.
     """
 
     real: Real
     type_name: str
     sign: str
+    inverse: str
 
     def number(self, value: float) -> str:
         """A floating constant.
@@ -48,9 +50,9 @@ class Dialect:
         return f"{plain if len(plain) <= len(text) else text}f"
 
     def function(self, kind: str) -> str:
-        """Name of sin, cos, tanh, exp, pow, fabs or sign."""
-        if kind == "sign":
-            return self.sign
+        """Name of sin, cos, tanh, exp, pow, fabs, sign or inverse."""
+        if kind in ("sign", "inverse"):
+            return self.sign if kind == "sign" else self.inverse
         return f"{kind}f" if self.real == "float" else kind
 
 
@@ -66,12 +68,22 @@ def statements(graph: Graph, function: Function, joints: int, dialect: Dialect) 
     """The body of a function: inputs read, temporaries, outputs written, a line each.
 
     Inputs are read before anything is written, so that arrays may overlap.
+
+    Args:
+        graph: of the function's expressions.
+        function: to write.
+        joints: number n of joints with a motor.
+        dialect: of C.
     """
     outputs = function.outputs
     live = graph.live(outputs)
     uses = Counter(operand for number in live for operand in graph.nodes[number].operands)
     uses.update(output.node for output in outputs)
-    names = {f"{array}{joint}": f"{array}[{joint}]" for array in function.inputs for joint in range(joints)}
+    names = {
+        f"{array}{joint}": f"{array}[{joint}]"
+        for array in function.inputs
+        for joint in range(input_size(array, joints))
+    }
     lines = []
     for array in function.inputs:
         read = [name for name in names if name.rstrip("0123456789") == array and _reads(graph, live, name)]
@@ -117,6 +129,8 @@ def _text(graph: Graph, number: int, texts: dict[int, _Text], dialect: Dialect) 
         return _Text(f"{left.text} {'+' if node.kind == 'add' else '-'} {_bound(right, 1)}", 2)
     if node.kind == "decay":
         return _Text(f"{dialect.function('exp')}(-{_bound(operands[0], 0)})", 0)
+    if node.kind == "inverse_negated":
+        return _Text(f"{dialect.inverse}(-{_bound(operands[0], 0)})", 0)
     if node.kind == "power":
         base = f"{dialect.function('fabs')}({operands[0].text})"
         return _Text(f"{dialect.function('pow')}({base}, {operands[1].text})", 0)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 
 from daq.output_files import check_outputs, replace_files
 from ident.export.c_code.expressions import Graph
-from ident.export.c_code.functions import arm_functions
+from ident.export.c_code.functions import arm_functions, left_out
 from ident.export.c_code.names import identifier, source_paths
 from ident.export.c_code.reference import check_expressions, reference
-from ident.export.c_code.source import Description, header, source
+from ident.export.c_code.source import Description, Parameter, header, source
 from ident.export.c_code.statements import Dialect, Real
 from ident.export.export import Export
 from ident.model.inverse_dynamics import InverseDynamics
@@ -22,15 +23,19 @@ def write_c(
     *,
     real: Real = "double",
     kind: str = "base parameters",
+    origin: Sequence[str] = (),
+    parameters: Sequence[Parameter] | None = None,
     force: bool = False,
 ) -> Export:
-    """Write a C99 header and source with an arm's inverse dynamics, its terms and its base regressor.
+    """Write a C99 header and source: an arm's inverse and forward dynamics, their terms, payload and regressor.
 
     Args:
         dynamics: of the identified parameters.
         path: of both files, without suffix: `arm` for arm.h and arm.c.
         real: type of the arithmetic.
         kind: which parameters these are, for a comment.
+        origin: lines on where they come from, for the header.
+        parameters: (b,) the base parameters with their deviations; without these where None.
         force: whether to overwrite.
 
     Raises:
@@ -43,8 +48,12 @@ def write_c(
     functions = arm_functions(graph, dynamics)
     check_expressions(graph, functions, dynamics)
     prefix = identifier(dynamics.model.name)
-    dialect = Dialect(real, f"{prefix}_real", f"{prefix}_sign")
+    dialect = Dialect(real, f"{prefix}_real", f"{prefix}_sign", f"{prefix}_inverse")
     model = dynamics.model
+    lacking = tuple(f"{name}: {reason}" for name, reason in left_out(dynamics).items())
+    plain = [
+        Parameter(name, float(value)) for name, value in zip(dynamics.base.names, dynamics.parameters, strict=True)
+    ]
     description = Description(
         robot=model.name,
         prefix=prefix,
@@ -52,8 +61,11 @@ def write_c(
             f"{model.joints[index].name}{' (prismatic)' if model.joints[index].prismatic else ''}"
             for index in model.active
         ),
-        parameters=tuple(zip(dynamics.base.names, dynamics.parameters.tolist(), strict=True)),
+        parameters=tuple(plain if parameters is None else parameters),
         kind=kind,
+        origin=tuple(origin),
+        left_out=lacking,
+        tool=model.joints[model.tool_link].name,
     )
     texts = {
         header_path: header(description, functions, dialect),
@@ -65,7 +77,7 @@ def write_c(
         path=source_path,
         format=f"C99 in {real}, {kind}; header {header_path.name}; {torque.name}: "
         f"{graph.operations(torque.outputs).text()}",
-        left_out=(),
+        left_out=lacking,
         readings=(),
         checks=(),
     )

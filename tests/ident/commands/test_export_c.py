@@ -14,6 +14,7 @@ from true_results import true_result
 import dynid
 from daq.robot.loader import load_robot
 from drivers.errors import ModelError
+from drivers.percentage import percent_text
 from ident.result.schema import write_result
 
 
@@ -37,6 +38,24 @@ def test_code_of_all_three_models_passes_its_test(model, kind, tmp_path, monkeyp
     assert status == 0
     assert "multiplications" in out
     assert self_test(tmp_path / "arm.c", "up6").returncode == 0
+
+
+@pytest.mark.parametrize("kind", ["consistent", "full"])
+def test_the_header_says_where_the_parameters_come_from(model, kind, tmp_path):
+    loaded = dynid.load_model(model, kind)
+    loaded.export_c(tmp_path / "arm")
+    header, source = ((tmp_path / name).read_text() for name in ("arm.h", "arm.c"))
+    result = loaded.result
+    flowing = " ".join(header.replace("\n *", " ").split())
+    assert f"Identified {result.created} by dynid {result.versions['dynid']}, method wls" in flowing
+    assert all(use.sha256 in flowing for use in result.recordings)
+    fit = result.consistent.validation if kind == "consistent" else result.validation
+    assert f"Held-out error of the torque: {percent_text(fit.relative_error)}" in flowing
+    assert f"Verdict: {result.verdict.headline}" in flowing
+    std = dict(zip(loaded.parameters["name"], loaded.parameters["std"], strict=True))
+    for name, value in std.items():
+        (line,) = (text for text in source.splitlines() if f" {name} [" in text)
+        assert f"std {value:.3g}" in line
 
 
 def test_json(model, tmp_path, monkeypatch, capsys):

@@ -7,15 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from loop_arms import FOUR_BAR, four_bar_arm, spatial_arm
+from random_arms import random_arm
 
-from daq.robot.loader import load_robot, parse_robot
+from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.errors import ModelError
 from ident.export.c_code.expressions import Graph
-from ident.export.c_code.functions import arm_functions
+from ident.export.c_code.functions import arm_functions, left_out
 from ident.export.c_code.reference import check_expressions, deviation, reference
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.true_parameters import truth_vector
 
 COUPLED_PARALLELOGRAM = load_robot("sr400").text.replace("j6: {j6: 1, j5: 1}", "j6: {j6: 1.5, j5: 0.7, j4: -0.2}")
 """The SR400 with a coupling of no integers."""
@@ -56,6 +58,43 @@ def assert_equal(dynamics: InverseDynamics) -> None:
 @pytest.mark.parametrize("name", ["ur5e", "panda", "rocr6", "aubo_i5", "sr400"])
 def test_built_in_robots(name):
     assert_equal(random_dynamics(build_model(load_robot(name))))
+
+
+def true_dynamics(robot_file: RobotFile) -> InverseDynamics:
+    """An arm of its true bodies."""
+    model, truth = build_model(robot_file), truth_vector(robot_file)
+    base = base_parameters(model)
+    return InverseDynamics(model, base, base.projection @ truth, truth)
+
+
+@pytest.mark.parametrize("name", ["ur5e", "panda", "sr400"])
+def test_bodies_have_every_function(name):
+    dynamics = true_dynamics(load_robot(name))
+    assert_equal(dynamics)
+    names = {function.name for function in arm_functions(Graph(), dynamics)}
+    assert {"torque", "coriolis", "gravity", "friction", "mass_matrix", "forward_dynamics", "payload_torque"} <= names
+    assert not left_out(dynamics)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_bodies_have_every_function(seed):
+    dynamics = true_dynamics(random_arm(seed, joints=2 + seed, sliding=0.5))
+    assert not left_out(dynamics)
+    assert_equal(dynamics)
+
+
+def test_what_the_parameters_do_not_allow_is_left_out_and_said():
+    for seed in range(20):
+        dynamics = true_dynamics(random_arm(seed, joints=2, sliding=1.0))
+        confounded = InverseDynamics(dynamics.model, dynamics.base, dynamics.parameters)
+        if confounded.confounded:
+            break
+    assert set(left_out(confounded)) == {"gravity", "friction"}
+    assert {"gravity", "friction"}.isdisjoint(function.name for function in arm_functions(Graph(), confounded))
+    assert_equal(confounded)
+    assert not left_out(dynamics)
+    negative = InverseDynamics(dynamics.model, dynamics.base, -dynamics.parameters)
+    assert "not positive definite" in left_out(negative)["forward_dynamics"]
 
 
 @pytest.mark.parametrize("aligned", [True, False])

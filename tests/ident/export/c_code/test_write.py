@@ -13,6 +13,7 @@ from loop_arms import four_bar_arm
 
 from daq.robot.loader import load_robot
 from drivers.errors import ModelError, UsageError
+from ident.export.c_code.functions import left_out
 from ident.export.c_code.names import identifier
 from ident.export.c_code.reference import reference
 from ident.export.c_code.write import write_c
@@ -31,6 +32,12 @@ def dynamics_of(model: DynamicModel) -> InverseDynamics:
     return InverseDynamics(model, base, np.random.default_rng(0).normal(size=base.count))
 
 
+def true_dynamics(name: str) -> InverseDynamics:
+    model, truth = build_model(load_robot(name)), truth_vector(load_robot(name))
+    base = base_parameters(model)
+    return InverseDynamics(model, base, base.projection @ truth, truth)
+
+
 @pytest.fixture(scope="module")
 def ur5e() -> InverseDynamics:
     return dynamics_of(build_model(load_robot("ur5e")))
@@ -43,12 +50,16 @@ def compared(dynamics: InverseDynamics, arm: CompiledArm, real: str, count: int)
     calls = {
         "torque": (("q", "dq", "ddq"), (joints,)),
         "gravity": (("q",), (joints,)),
+        "coriolis": (("q", "dq"), (joints,)),
         "friction": (("dq",), (joints,)),
+        "payload_torque": (("q", "dq", "ddq", "payload"), (joints,)),
         "mass_matrix": (("q",), (joints, joints)),
         "regressor": (("q", "dq", "ddq"), (joints, dynamics.base.count)),
     }
     if not np.array_equal(dynamics.coupling, np.eye(joints)):
         calls["motor_torque"] = (("tau",), (joints,))
+    if "forward_dynamics" not in left_out(dynamics):
+        calls["forward_dynamics"] = (("q", "dq", "tau"), (joints,))
     worst = 0.0
     for name, (arrays, shape) in calls.items():
         given = arm(name, [inputs[array] for array in arrays], shape)
@@ -58,9 +69,23 @@ def compared(dynamics: InverseDynamics, arm: CompiledArm, real: str, count: int)
 
 @pytest.mark.parametrize("name", ["ur5e", "sr400"])
 def test_compiled_functions_equal_the_model(name, tmp_path):
-    dynamics = dynamics_of(build_model(load_robot(name)))
+    dynamics = true_dynamics(name)
     source = write_c(dynamics, tmp_path / "arm").path
     assert compared(dynamics, CompiledArm(source, name), "double", 1000) < 1e-12
+    done = self_test(source, name)
+    assert done.returncode == 0, done.stdout
+    tested = {line.split()[0] for line in done.stdout.splitlines()[:-1]}
+    assert tested >= {"torque", "coriolis", "gravity", "friction", "mass_matrix", "forward_dynamics", "payload_torque"}
+
+
+def test_forward_dynamics_is_not_a_number_where_no_inertia_is_positive(tmp_path):
+    """The code is asked beyond what an export checked: a pivot that is not positive."""
+    source = write_c(true_dynamics("up6"), tmp_path / "arm").path
+    text = source.read_text()
+    changed = tmp_path / "changed.c"
+    changed.write_text(text.replace("return x > 0 ? 1.0 / x", "return x > 1e9 ? 1.0 / x"))
+    accelerations = CompiledArm(changed, "up6")("forward_dynamics", [np.zeros((1, 6))] * 3, (6,))
+    assert np.isnan(accelerations).any()
 
 
 def test_single_precision(ur5e, tmp_path):
