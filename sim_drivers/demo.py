@@ -14,7 +14,7 @@ from daq.motion.trajectory_file import dump_trajectory, load_trajectory
 from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder, replace_files
 from daq.recording.reader import read_recording
 from daq.robot.loader import RobotFile, load_robot
-from drivers.errors import UsageError
+from drivers.errors import UsageError, WorkError
 from drivers.streams import FloatArray
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
@@ -29,13 +29,16 @@ from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report import ReportData, TruthTable, recorded_runs, write_result_folder
 from ident.result.schema import Result
-from sim_drivers.simulated_arm import Record, over_rtde
+from sim_drivers.simulated_arm import Record, Recorded, over_rtde
 
 PERIOD = 15.0
 """Period of the identification motion [s]."""
 
 VALIDATION_PERIOD = 10.0
 """Seed of the other motion, designed in the same way: `dynid excite --seed 2` for a user."""
+
+ATTEMPTS = 3
+"""Of each recording: a stall of this computer ends a motion."""
 
 RAMP = 2.0
 """From rest into the periodic motion and back [s]."""
@@ -135,8 +138,8 @@ def run_demo(
         motion = load_trajectory(trajectory, robot_file.robot).motion
         progress(f"recording {motion.duration:.0f} s for {name} over RTDE")
         # The arm stands where the motion starts: a slow approach takes 20 s and shows nothing.
-        with arm(robot, seed, motion.evaluate(np.zeros(1))[0][:, 0]) as record:
-            recorded = record(trajectory, paths[-1])
+        start = motion.evaluate(np.zeros(1))[0][:, 0]
+        recorded = _recorded(lambda: arm(robot, seed, start), trajectory, paths[-1], progress)
         lost += recorded.lost
         samples += recorded.samples
     # From here on it is what a user does: two recordings on disk, nothing known but their content.
@@ -154,6 +157,27 @@ def run_demo(
         ),
     )
     return Demo(identification, result, truth, folder, lost, samples)
+
+
+def _recorded(
+    served: Callable[[], AbstractContextManager[Record]],
+    trajectory: Path,
+    out: Path,
+    progress: Callable[[str], None],
+) -> Recorded:
+    """A recording of a freshly served arm; again where this computer, which does all the work, was too busy for it.
+
+    Raises:
+        WorkError: the last attempt failed, too.
+    """
+    for _ in range(ATTEMPTS - 1):
+        try:
+            with served() as record:
+                return record(trajectory, out)
+        except WorkError as error:
+            progress(f"{error.message}; recording again")
+    with served() as record:
+        return record(trajectory, out)
 
 
 def _excitation(robot_file: RobotFile, choices: DesignChoices, seed: int) -> str:
