@@ -16,6 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from consistency import public
+from friction_models import choices_of
 
 from ident.assessment.validation import fit_figures
 from ident.identify.identification import Identification
@@ -41,7 +42,7 @@ def main(names: list[str]) -> None:
     )
     for name in names or ["ur10", "tx40", "panda"]:
         recording, choices = public(folder, name)
-        found = identify([recording], [], choices)
+        found = identify([recording], [], choices_of(choices, "coulomb-viscous"))
         print(_row(name, "all parameters", found, Pruned(found.solution, (), "")), flush=True)
         for rule, threshold in RULES:
             pruned = prune(

@@ -18,9 +18,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from consistency import public
+from friction_models import choices_of
 
 from daq.robot.loader import load_robot
-from ident.identify.identification import IdentifyChoices
+from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import true_model, truth_vector
@@ -28,6 +29,7 @@ from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
 RATIOS = (1.0, 0.1, 0.01, 0.001)
+PLAIN = IdentifyChoices(model=ModelChoices("coulomb-viscous"))
 METHODS = ("wls", *(f"kalman-wls:ratio={ratio:g}" for ratio in RATIOS), "kalman-wls:ratio=0.01:rounds=5")
 
 
@@ -37,10 +39,10 @@ def main(seeds: int = 5) -> None:
     arms = {name: public(folder, name) for name in ("ur10", "tx40", "panda")}
     print(f"| method | {' | '.join(arms)} |\n|---|{'---|' * len(arms)}")
     for method in METHODS:
-        errors = [
-            100.0 * identify([recording], [], replace(choices, method=method)).validation.relative_error
-            for recording, choices in arms.values()
-        ]
+        errors = []
+        for recording, choices in arms.values():
+            found = identify([recording], [], replace(choices_of(choices, "coulomb-viscous"), method=method))
+            errors.append(100.0 * found.validation.relative_error)
         print(f"| `{method}` | {' | '.join(f'{error:.2f}' for error in errors)} |", flush=True)
     robot_file = load_robot("rocr6")
     truth = truth_vector(robot_file, true_model(robot_file))
@@ -53,7 +55,7 @@ def main(seeds: int = 5) -> None:
     for method in METHODS:
         errors, held, held_out = [], [], []
         for seed, (run, other) in enumerate(runs):
-            found = identify([run], [other], IdentifyChoices(method))
+            found = identify([run], [other], replace(PLAIN, method=method))
             if method == "wls":
                 deviations.append(found.std)
             error = np.abs(found.solution.parameters - found.base.projection @ truth)
