@@ -27,6 +27,7 @@ from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import LOAD_POWERS, TEMPERATURE_KINDS, temperature_coefficients
 from ident.model.parameters import Kind
 from ident.regression.estimate import Estimate
+from ident.regression.gain_uncertainty import gain_deviations, gain_sensitivity, relative_gain_std
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observability import Experiment, describe
@@ -93,7 +94,13 @@ def summarise(
         ],
         delay=delay_figures(identification.choices.preprocess.delay, identification.delay),
         base_parameters=parameter_results(
-            model, base, solution, identification.std, pruned, identification.choices.significant_rsd
+            model,
+            base,
+            solution,
+            identification.std,
+            pruned,
+            identification.choices.significant_rsd,
+            _gain_std(identification),
         ),
         friction=friction_results(
             model, base, solution, identification.std, corrected.covariance, identification.shape_std
@@ -293,8 +300,24 @@ def _options(identification: Identification) -> dict[str, float | int | str | bo
     }
 
 
+def _gain_std(identification: Identification) -> FloatArray | None:
+    """Standard deviations (b,) of base parameters by the gains that were used; None where no row is a joint's own."""
+    reduction, robot = identification.estimation.reduction, identification.robot_file.robot
+    if len(reduction.joints) != identification.model.dof or identification.choices.estimator.equations != "torque":
+        return None
+    used = {name for run in identification.runs for name in run.signals.gains_used}
+    of_used = relative_gain_std(robot) * np.array([name in used for name in robot.joint_names])
+    return gain_deviations((gain_sensitivity(reduction, identification.solution) * of_used).T)
+
+
 def parameter_results(
-    model: DynamicModel, base: BaseParameters, solution: LeastSquares, std: FloatArray, pruned: Pruned, threshold: float
+    model: DynamicModel,
+    base: BaseParameters,
+    solution: LeastSquares,
+    std: FloatArray,
+    pruned: Pruned,
+    threshold: float,
+    gain_std: FloatArray | None = None,
 ) -> list[BaseParameterResult]:
     """The table of base parameters.
 
@@ -305,6 +328,7 @@ def parameter_results(
         std: (b,) corrected standard deviations; inf where a parameter was not estimated.
         pruned: the essential model.
         threshold: of significance [%].
+        gain_std: (b,) standard deviations by the drive gains; None where they are unknown.
     """
     essential = pruned.solution
     rsd, f_values = relative_std(solution.parameters, std), partial_f(solution.parameters, std)
@@ -322,6 +346,7 @@ def parameter_results(
             std=float(std[i]),
             rsd_percent=float(rsd[i]),
             f_value=float(f_values[i]),
+            gain_std=float(gain_std[i]) if gain_std is not None and estimated else None,
             classical_std=float(solution.std[i]),
             significant=bool(rsd[i] < threshold),
             essential_value=float(essential.parameters[i]) if kept else None,

@@ -81,6 +81,11 @@ class BaseParameterResult(_Part):
     f_value: Number = Field(
         default=None, description="partial F: loss of fit without this parameter, AUBO Table II; (value / std)²"
     )
+    gain_std: Number = Field(
+        default=None,
+        description="σ by the drive gains' gain_std in the robot file, not part of std; null where the method has no "
+        "equations of single joints",
+    )
     classical_std: Number = Field(description="for white residuals, SR400 eq. 14")
     significant: bool = Field(description="relative standard deviation below the threshold")
     essential_value: Number = Field(description="of the essential model; null where the parameter was left out")
