@@ -72,14 +72,12 @@ def _print_object(result: Path, validation: Validation) -> None:
 
 
 def _print_tables(validation: Validation) -> None:
-    from drivers.percentage import percent_text
     from ident.commands.print_result import print_fit, print_verdict
+    from ident.identify.data_split import labelled
     from ident.result.delivered import DELIVERED_WORDS
 
     for one in validation.recordings:
-        print(one.recording)
-        if not one.delivered.held_out:
-            print(f"NOT HELD OUT: {percent_text(one.delivered.overlap, 2)} of its samples are the identification's")
+        print(labelled(one.recording, one.delivered.overlap))
         words = DELIVERED_WORDS[validation.delivered.parameters]
         print_fit(f"{words} model, all samples", validation.joints, one.delivered.all_samples)
         print_fit(f"{words} model, in motion", validation.joints, one.delivered.in_motion)

@@ -11,6 +11,7 @@ import numpy as np
 from daq.recording.recording import Recording
 from daq.robot.schema import Robot
 from drivers.errors import DataError, UsageError
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.validation import HELD_OUT_SHARE
 from ident.identify.held_friction import HeldFriction
@@ -122,7 +123,7 @@ def split_data(
                     where="--validate",
                     hint="validate with another recording; without --validate the last 30 % are held out",
                 )
-        return DataSplit(runs, held_out, ", ".join(run.signals.label for run in held_out))
+        return DataSplit(runs, held_out, ", ".join(labelled(run.signals.label, run.overlap) for run in held_out))
     halves = [_split(run, split) for run in runs]
     share = "last 30 %" if split is None else f"part after {split:g} s"
     return DataSplit(
@@ -130,6 +131,18 @@ def split_data(
         held_out=tuple(last for _, last in halves),
         validation_source=f"the {share} of the recording{'s' if len(runs) > 1 else ''}, held out of the identification",
     )
+
+
+def labelled(label: str, overlap: float) -> str:
+    """A held-out recording's name; says so where it is not held out.
+
+    Args:
+        label: the name.
+        overlap: share of its samples that are the identification's.
+    """
+    if overlap == 0.0:
+        return label
+    return f"{label} (NOT held out: {percent_text(overlap, 2)} of its samples were used in the identification)"
 
 
 def run_window(recording: Recording, robot: Robot, chosen: PreprocessChoices) -> RunWindow:

@@ -11,6 +11,7 @@ from daq.robot.schema import Robot
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.validation import fit_figures, overfitting_checks
+from ident.identify.data_split import labelled
 from ident.identify.presliding import with_presliding
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel
@@ -276,9 +277,9 @@ def _basis(result: Result, runs: Sequence[HeldOutErrors]) -> str:
     """What was compared with what, and how much the model holds."""
     parameters = delivered_parameters(result.consistent)
     sentences = [
-        f"On {run.recording}, the torque of the {DELIVERED_WORDS[parameters]} model, which load_model hands out, "
-        f"differs from measured torque by {percent_text(run.in_motion.relative_error)} in motion and "
-        f"{percent_text(run.all_samples.relative_error)} over all samples{_rest(run)}."
+        f"On {labelled(run.recording, run.overlap)}, the torque of the {DELIVERED_WORDS[parameters]} model, which "
+        f"load_model hands out, differs from measured torque by {percent_text(run.in_motion.relative_error)} in motion "
+        f"and {percent_text(run.all_samples.relative_error)} over all samples{_rest(run)}."
         for run in runs
     ]
     fitted = None if result.delivered is None else result.delivered.fit

@@ -25,6 +25,7 @@ from ident.experiments.method_comparison import (
     paired_difference,
     run_errors,
 )
+from ident.identify.data_split import labelled
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import Progress
 from ident.identify.identify import identify as identify_recordings
@@ -254,7 +255,7 @@ def compare(
             continue
         seconds = time.process_time() - start
         groups = joint_groups(identification.model.joint_names)
-        labels = tuple(run.signals.label for run in identification.validation_runs)
+        labels = tuple(labelled(run.signals.label, run.overlap) for run in identification.validation_runs)
         models += _models(method, model, identification, groups, seconds)
     if not labels:
         raise IdentificationError(f"no method has a solution; {models[0].label}: {models[0].failure}")

@@ -139,7 +139,8 @@ def _parameters(one: Result, other: Result) -> Table:
 
 
 def _errors(one: Result, other: Result) -> Table:
-    fits = (one.validation, other.validation)
+    delivered = (one.delivered, other.delivered)
+    fits = tuple(None if part is None else part.validation_all_samples for part in delivered)
     rows: list[tuple[Cell, ...]] = [
         (
             joint,

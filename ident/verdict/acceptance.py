@@ -34,7 +34,11 @@ OfJoints = Annotated[float | dict[str, float], BeforeValidator(_checked)]
 
 
 class AcceptanceLimits(Section):
-    """Limits for a model; what is not named is not asked. Errors are those of the physically consistent model."""
+    """Limits for a model; what is not named is not asked.
+
+    Errors are those of the model that is handed out by default, over all samples, and unknown where a recording is not
+    held out.
+    """
 
     relative_error: Positive | None = Field(default=None, description="held-out error of all joints, as a ratio")
     joint_relative_error: OfJoints | None = Field(default=None, description="the same per joint")

@@ -50,7 +50,7 @@ def test_the_other_way_round_the_signs_change(models):
 
 def test_errors_purposes_and_checks_are_those_of_the_models(models):
     difference = dynid.diff(models[0], models[2])
-    one, other = (model.result.validation for model in (models[0], models[2]))
+    one, other = (model.delivered.validation_all_samples for model in (models[0], models[2]))
     np.testing.assert_array_equal(difference.errors["first_rmse"][:-1], one.rmse)
     assert difference.errors.row("all")["second"] == 100.0 * other.relative_error
     assert len(difference.purposes) == 4

@@ -18,6 +18,7 @@ from ident.experiments.merge.merge import CONTRADICTING, MergedEstimate, identif
 from ident.experiments.merge.merge_input import MergeInput, merge_inputs, used_recordings
 from ident.identify.body_checks import body_checks
 from ident.identify.checks import consistency_checks
+from ident.identify.data_split import labelled
 from ident.identify.held_out import HeldOutRun, delivered_model, model_verdict
 from ident.identify.revalidate import Revalidation, revalidate
 from ident.identify.summary import (
@@ -99,7 +100,7 @@ def merge_results(
     if held_out is None:
         return _judged(result, checks, ()), None
     validated = revalidate(result, held_out)
-    return _judged(_with_validation(result, validated, held_out.label), checks, (validated.delivered,)), validated
+    return _judged(_with_validation(result, validated), checks, (validated.delivered,)), validated
 
 
 def _result(
@@ -324,7 +325,7 @@ def _judged(result: Result, checks: Sequence[Check], runs: Sequence[HeldOutRun])
     return result.model_copy(update={"verdict": replace(verdict, basis=f"{text} {verdict.basis}")})
 
 
-def _with_validation(result: Result, validated: Revalidation, source: str) -> Result:
+def _with_validation(result: Result, validated: Revalidation) -> Result:
     """The result with its held-out errors."""
     errors = validated.delivered.errors
 
@@ -341,5 +342,6 @@ def _with_validation(result: Result, validated: Revalidation, source: str) -> Re
                 "not_simulated": errors.not_simulated,
             }
         )
+    source = labelled(errors.recording, errors.overlap)
     changes = {"validation": marked(validated.full), "validation_source": source, "essential": essential}
     return result.model_copy(update=changes | {"consistent": consistent})
