@@ -6,6 +6,7 @@ import gc
 import os
 import signal
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -56,6 +57,35 @@ def data_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real recordings in {folder}; set DYNID_DATA")
     return folder
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """How much of the held-out motion an identification simulates: the longest stretch [s], and the windows."""
+
+    longest: float
+    windows: int
+
+
+@pytest.fixture(scope="session", autouse=True)
+def short_simulations() -> Iterator[Simulated]:
+    """Simulate little after each identification, or it takes most of its time; what dynid itself simulates."""
+    from ident.simulation import open_loop, tracking
+
+    with pytest.MonkeyPatch.context() as patch:
+        whole = Simulated(tracking.LONGEST, open_loop.WINDOWS)
+        patch.setattr(tracking, "LONGEST", 2.0)
+        patch.setattr(open_loop, "WINDOWS", 2)
+        yield whole
+
+
+@pytest.fixture
+def whole_simulations(short_simulations: Simulated, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Simulate as much as dynid does."""
+    from ident.simulation import open_loop, tracking
+
+    monkeypatch.setattr(tracking, "LONGEST", short_simulations.longest)
+    monkeypatch.setattr(open_loop, "WINDOWS", short_simulations.windows)
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, parse_robot
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
+from ident.tasks.friction import IdentifiedFriction, friction
 from sim_drivers.synthetic.measurement import simulate_recording
 
 RATE = 100.0
@@ -75,3 +76,9 @@ def sweeps(warmer: float = 10.0, seed: int = 1) -> tuple[Recording, ...]:
         one = simulate_recording(loaded, motion, motion.duration, 10 * seed + index, celsius=heat)
         recordings.append(Recording(arm().text, one.streams))
     return tuple(recordings)
+
+
+@cache
+def experiment() -> IdentifiedFriction:
+    """The friction that these recordings tell, of the terms that are given."""
+    return friction(sweeps(), friction=GIVEN, delay=0.0)

@@ -77,7 +77,7 @@ def test_identify_fails_where_a_limit_is_not_kept_and_writes_everything(monkeypa
     status, out, _ = run(monkeypatch, capsys, folder, *arguments)
     assert status == 1
     assert "Acceptance FAILED: 0 of 1 limits kept." in out
-    assert "held-out error of the consistent model is" in out
+    assert "held-out error of the physically consistent model is" in out
     stored = json.loads((folder / "failed" / "result.json").read_text())
     assert stored["acceptance"]["passed"] is False
     assert "Acceptance failed" in (folder / "failed" / "report.html").read_text()

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chromium import BrowserPage, chromium, chromium_path
-from friction_experiment_arm import GIVEN, sweeps
+from friction_experiment_arm import experiment
 from loaded_arm import LOAD
 from loaded_arm import runs as loaded_runs
 from page_layout import COLLIDING_TEXTS, OVERFLOW
@@ -30,7 +30,6 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.report import ReportData, TruthTable, write_result_folder
-from ident.tasks.friction import friction
 from ident.tasks.identification import identify
 from ident.tasks.loads import drive_gains, payload
 from ident.tasks.prediction import predict
@@ -107,7 +106,7 @@ def gains_page(folder: Path) -> Path:
 
 
 def friction_page(folder: Path) -> Path:
-    friction(sweeps(), friction=GIVEN, delay=0.0).save(folder)
+    experiment().save(folder)
     return folder / REPORT_FILE
 
 

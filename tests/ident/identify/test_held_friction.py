@@ -6,13 +6,12 @@ import json
 
 import numpy as np
 import pytest
-from friction_experiment_arm import GIVEN, arm, sweeps
+from friction_experiment_arm import arm, experiment
 
 from daq.recording.recording import Recording
 from drivers.errors import DataError, UsageError
 from ident.model.true_parameters import true_model
 from ident.result.model import load_model
-from ident.tasks.friction import friction
 from ident.tasks.identification import identify
 from ident.tasks.validation import validate
 from sim_drivers.synthetic.measurement import simulate_recording
@@ -34,7 +33,7 @@ def exciting(seed: int, least: float, greatest: float) -> Recording:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("friction")
-    friction(sweeps(), friction=GIVEN, delay=0.0).save(path)
+    experiment().save(path)
     return path
 
 
@@ -55,11 +54,11 @@ def test_the_model_predicts_at_another_temperature(held):
 
 
 def test_held_values_show_their_origin_and_error(held, folder):
-    experiment = json.loads((folder / "friction.json").read_text(encoding="utf-8"))
+    stored = json.loads((folder / "friction.json").read_text(encoding="utf-8"))
     entries = {entry.name: entry for entry in held.result.base_parameters}
     names = ("Ft1", "Fts1", "Ft2", "Fts2")
     assert {name for name, entry in entries.items() if entry.origin} == set(names)
-    first = experiment["joints"][0]
+    first = stored["joints"][0]
     place = first["kinds"].index("temperature_slope")
     assert entries["Fts1"].value == first["values"][place]
     assert entries["Fts1"].std == pytest.approx(np.sqrt(first["covariance"][place][place]))

@@ -14,6 +14,8 @@ from ident.result.stored_model import stored_model
 from ident.signals.prepared import Segment
 from ident.simulation.tracking import LONGEST, NATURAL_FREQUENCY, tracking_error
 
+pytestmark = pytest.mark.usefixtures("whole_simulations")
+
 
 def inverse_of(name: str, **changes: float) -> InverseDynamics:
     """The true arm, some base parameters changed."""

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from friction_experiment_arm import GIVEN, arm, sweeps
+from friction_experiment_arm import GIVEN, arm, experiment, sweeps
 
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot, parse_robot
@@ -36,7 +36,7 @@ def off(joint) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def given():
-    return friction(sweeps(), friction=GIVEN, delay=0.0)
+    return experiment()
 
 
 def test_the_true_friction_lies_within_the_intervals(given):
@@ -83,10 +83,10 @@ def _without_temperature(stream):
 
 
 def test_the_curve_is_the_torque_of_the_coefficients(given):
-    experiment = given.experiment
-    joint = experiment.joints[0]
+    found = given.experiment
+    joint = found.joints[0]
     velocity, kelvin, load, torque = joint.points
-    model = friction_torque(experiment.periods.model, joint, velocity, kelvin, load)
+    model = friction_torque(found.periods.model, joint, velocity, kelvin, load)
     assert np.sqrt(np.mean((torque - model) ** 2)) < 0.2  # its columns are not filtered as the torque is
 
 
