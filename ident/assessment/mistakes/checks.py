@@ -71,14 +71,18 @@ def _check(model: DynamicModel, found: Sequence[Mistake]) -> Check:
     joints = sorted({joint for one in found for joint in one.joints})
     names = [model.joint_names[joint] for joint in joints]
     if len(found) == 1:
-        return raised(first.name, _SENTENCES[first.name].format(joints=" and ".join(names)), names)
-    what = " or ".join(_CLAUSES[one.name].format(joints=_and(model, one)) for one in found)
+        text = f"{_clause(model, first)}: the data are explained with this and not as recorded; {_REMEDIES[first.name]}"
+        return raised(first.name, text, names)
+    what = ", or ".join(_clause(model, one) for one in found)
     text = f"a sign or a column is wrong: {what}; the data fit each equally well, and none of them as recorded"
     return raised("sign-or-column", text, names)
 
 
-def _and(model: DynamicModel, one: Mistake) -> str:
-    return " and ".join(model.joint_names[joint] for joint in one.joints)
+def _clause(model: DynamicModel, one: Mistake) -> str:
+    """What a mistake says."""
+    names = " and ".join(model.joint_names[joint] for joint in one.joints)
+    clause = _CLAUSES[one.name].format(joints=names)
+    return clause.replace("the torque of", "each torque of") if one.name == "torque-sign" and one.joints[1:] else clause
 
 
 _CLAUSES = {
@@ -100,8 +104,4 @@ _REMEDIES = {
     "torques-exchanged": "check the order of the torque or current columns",
     "positions-exchanged": "check the order of the position columns",
     "joints-exchanged": "check the order of the columns, and of the joints in the robot file",
-}
-_SENTENCES = {
-    name: f"{clause}: the data are explained with this and not as recorded; {_REMEDIES[name]}"
-    for name, clause in _CLAUSES.items()
 }

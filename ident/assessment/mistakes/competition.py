@@ -188,7 +188,7 @@ def _whole(system: Equations, torques: Columns, fit: Fit) -> float:
 
 
 def explanations(competition: Competition, deviations: Sequence[Deviation]) -> list[Mistake]:
-    """The mistake that explains the recording, and those that explain it as well; none where none does.
+    """The mistake that explains the recording, and others that do so as simply; none where none does.
 
     Args:
         competition: the recording.
@@ -206,4 +206,13 @@ def explanations(competition: Competition, deviations: Sequence[Deviation]) -> l
     other = competition.with_deviation(deviations[0]) if deviations else None
     if other is not None and other[0].level < lowest + RIVAL:
         return []
-    return [one.mistake for one in found if one.fit.level < lowest + RIVAL]
+    return _simplest([one.mistake for one in found if one.fit.level < lowest + RIVAL])
+
+
+def _simplest(alike: Sequence[Mistake]) -> list[Mistake]:
+    """Those of several equal explanations that need nothing more than another one of the same kind."""
+    return [
+        one
+        for one in alike
+        if not any(other.name == one.name and set(other.joints) < set(one.joints) for other in alike)
+    ]

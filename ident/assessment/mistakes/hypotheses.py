@@ -12,6 +12,10 @@ from ident.assessment.instants import Columns
 Signal = Literal["torque", "position", "both"]
 
 
+MOST_JOINTS = 7
+"""Joints up to which every pattern of the torques' signs is tried; of more joints two wrong signs at most."""
+
+
 @dataclass(frozen=True)
 class Mistake:
     """A sign or a pair of columns that is wrong.
@@ -36,14 +40,18 @@ def as_recorded(count: int) -> Mistake:
 
 
 def mistakes(count: int, joints: Sequence[int]) -> list[Mistake]:
-    """One sign, all signs or one exchange wrong, of the torques, of the positions or of both.
+    """Signs or one exchange wrong, of the torques, of the positions or of both.
 
     Args:
         count: n.
         joints: that moved and whose torques are used.
     """
-    found = []
     kept = _kept(count)
+    found = [
+        _mistake("torque-sign", "torque", several, _opposite(count, several), kept)
+        for size in range(2, len(joints) if len(joints) <= MOST_JOINTS else 3)
+        for several in combinations(joints, size)
+    ]
     for signal in ("torque", "position", "both"):
         for one in joints:
             found.append(_mistake(f"{_CHECKS[signal]}-sign", signal, (one,), _opposite(count, (one,)), kept))
