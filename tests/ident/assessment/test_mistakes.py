@@ -1,0 +1,157 @@
+"""Mistakes of sign, column and gravity: what every arm satisfies, and which hypothesis wins."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from random_arms import random_arm
+
+from daq.robot.loader import RobotFile
+from ident.assessment.instants import BLOCKS, Columns, Instants, instants
+from ident.assessment.mistakes.checks import mistake_checks
+from ident.assessment.mistakes.competition import Competition, explanations
+from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions
+from ident.assessment.mistakes.hypotheses import as_recorded, mistakes
+from ident.assessment.refit import Refit, Unknown, tangents
+from ident.assessment.torque_level import weight_checks
+from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identify import identify
+from ident.model.base_parameters import base_parameters, random_states
+from ident.model.dynamic_model import build_model
+from ident.model.regressor import RegressorKernel
+from ident.model.true_parameters import truth_vector
+from ident.regression.observability import whole_arm
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
+
+BOTH = Columns((0, 1, 2), (1.0, 1.0, 1.0))
+
+
+@cache
+def found_of(robot_file_text: str) -> Identification:
+    from daq.robot.loader import parse_robot
+
+    robot_file = parse_robot(robot_file_text, where="mistakes", folder=None)
+    motion = random_fourier_motion(build_model(robot_file), 10.0, 1, candidates=3)
+    return identify([simulate_recording(robot_file, motion, 20.0, 1)], [], IdentifyChoices(search_delay=False))
+
+
+@pytest.fixture(scope="module")
+def found(three_joint: RobotFile) -> Identification:
+    """A sound recording of the three-joint arm."""
+    return found_of(three_joint.text)
+
+
+def light(found: Identification) -> Instants:
+    kernel = RegressorKernel(found.model, found.base.columns)
+    return instants(kernel, [run.prepared for run in found.runs])
+
+
+def competition(found: Identification, spoilt: Instants) -> Competition:
+    return Competition(found.model, found.experiment, found.base, found.solution.active, spoilt)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_true_parameters_meet_the_conditions(seed):
+    """Whatever the arm: sliding joints, branches, no motor inertia, no friction."""
+    robot_file = random_arm(seed)
+    model = build_model(robot_file)
+    base = base_parameters(model)
+    truth = base.projection @ truth_vector(robot_file)
+    position, velocity, acceleration = random_states(model, 200)
+    counted = np.ones(position.shape, dtype=np.bool_)
+    states = Instants(position, velocity, acceleration, position, counted, np.zeros(200, dtype=np.int64))
+    kernel = RegressorKernel(model, base.columns)
+    energies = inertia_conditions(model, whole_arm(model), base) @ truth
+    powers = friction_conditions(model, base, states, states.regressor(kernel)) @ truth
+    assert len(energies)
+    assert np.min(energies) > -1e-9 * np.max(np.abs(energies))
+    assert np.min(powers, initial=0.0) > -1e-9 * np.max(np.abs(powers), initial=1.0)
+
+
+def test_every_hypothesis_undoes_itself():
+    for one in mistakes(4, range(4)):
+        values = np.arange(8.0).reshape(4, 2)
+        for columns in (one.torques, one.positions):
+            assert np.array_equal(columns.of(columns.of(values)), values)
+
+
+@pytest.mark.parametrize("number", range(len(mistakes(3, range(3)))))
+def test_each_mistake_is_what_explains_the_data_or_stays_among_those_that_do(found, number):
+    """What was done to the recording is undone by the same columns."""
+    mistake = mistakes(3, range(3))[number]
+    few = light(found)
+    spoilt = replace(few.with_positions(mistake.positions), torque=mistake.torques.of(few.torque))
+    said = explanations(competition(found, spoilt), [])
+    if mistake.name == "joint-sign" and mistake.joints == (0,):  # a mirrored arm, the first axis being vertical
+        assert not said
+        return
+    alike = {(one.name, one.joints) for one in said}
+    assert said
+    # Signs of a torque and of a position differ by the sign of both, which the first joint does not show.
+    joints = {joint for one in said for joint in one.joints}
+    assert (mistake.name, mistake.joints) in alike or joints <= {*mistake.joints, 0}
+
+
+def test_a_sound_recording_is_explained_as_it_is(found):
+    sound = competition(found, light(found))
+    assert sound.well_explained()
+    assert explanations(sound, []) == []
+    runs = [run.prepared for run in found.runs]
+    independent = found.corrected.effective_rows
+    assert mistake_checks(found.model, found.experiment, found.base, runs, found.solution, independent) == []
+
+
+def test_noise_alone_is_explained_by_nothing(found):
+    """Torques that no arm made: no sign and no column explains them."""
+    few = light(found)
+    noise = np.random.default_rng(1).normal(size=few.torque.shape)
+    assert explanations(competition(found, replace(few, torque=noise)), []) == []
+
+
+@pytest.mark.parametrize("degrees", [4.0, 15.0, 80.0, 180.0])
+@pytest.mark.parametrize("around", [0.0, 2.0])
+def test_gravity_s_direction_is_found_within_its_interval(found, degrees, around):
+    few = light(found)
+    across = np.array([np.cos(around), np.sin(around)]) @ tangents(found.model.gravity)
+    angle = np.deg2rad(degrees)
+    believed = np.cos(angle) * found.model.gravity + 9.81 * np.sin(angle) * across
+    refit = Refit(replace(found.model, gravity=believed), found.experiment, found.base.columns, few, found.solution)
+    start = None if degrees < 90.0 else found.model.gravity + 1.0
+    estimate = refit.deviation(Unknown("gravity"), start=start)
+    assert estimate is not None
+    error = np.arccos(np.clip(estimate.model.gravity @ found.model.gravity / 9.81**2, -1.0, 1.0))
+    independent = refit.rows.sum() / found.corrected.effective_rows
+    assert error < 4.0 * estimate.std * np.sqrt(independent)
+    assert estimate.value == pytest.approx(angle, abs=np.deg2rad(1.5))
+    assert estimate.std * np.sqrt(independent) < np.deg2rad(1.5)
+
+
+@pytest.mark.parametrize("factor", [0.02, 0.1, 30.0])
+def test_a_gain_that_was_left_at_1_is_found_from_afar(found, factor):
+    few = light(found)
+    spoilt = replace(few, torque=few.torque * np.array([1.0, 1.0, factor])[:, None])
+    refit = Refit(found.model, found.experiment, found.base.columns, spoilt, found.solution)
+    starts = (0.01, 0.1, 10.0, 100.0)
+    estimates = [one for start in starts if (one := refit.deviation(Unknown("gain", 2), start=start)) is not None]
+    best = max(estimates, key=lambda one: one.likelihood)
+    assert 1.0 + best.value == pytest.approx(1.0 / (1.0 / factor), rel=0.1)
+
+
+def test_blocks_cover_the_recording(found):
+    few = light(found)
+    assert set(few.block) == set(range(BLOCKS))
+    assert as_recorded(3).torques == BOTH
+
+
+def test_currents_in_milliampere_show_in_gravity(found):
+    positions = np.concatenate(
+        [one.position[:, one.used] for run in found.runs for one in run.prepared.segments], axis=1
+    )
+    parameters = found.solution.parameters
+    assert weight_checks(found.model, found.base, parameters, positions) == []
+    (check,) = weight_checks(found.model, found.base, 1e3 * parameters, positions)
+    assert check.name == "implausible-load"
