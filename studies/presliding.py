@@ -25,9 +25,9 @@ from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
-from ident.identify.presliding import with_presliding
+from ident.identify.preparation import compare_run
 from ident.model.dynamic_model import build_model
-from ident.model.presliding import dry_friction
+from ident.model.regressor import RegressorKernel
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from sim_drivers.plant.plant import Plant
 from sim_drivers.synthetic.controlled_run import record_plant
@@ -44,11 +44,12 @@ def line(name: str, found: Identification) -> str:
     """The table's row."""
     presliding = found.presliding
     assert presliding is not None
-    runs = [(run.prepared.segments, run.prepared.parallel_filter) for run in found.validation_runs]
-    dry = dry_friction(found.model, found.base, found.solution.parameters)
-    travels = {one.parameter: one.travel for one in presliding.travels}
-    changed = replace(found, validation_series=with_presliding(dry, travels, runs, found.validation_series))
-    (whole, _, slow), (whole_with, _, slow_with) = errors(found), errors(changed)
+    static = RegressorKernel(replace(found.model, presliding=()), found.base.columns)
+    series = [part for run in found.validation_runs for part in compare_run(static, found.solution.parameters, run)]
+    (whole, _, slow), (whole_with, _, slow_with) = (
+        errors(replace(found, validation_series=tuple(series))),
+        errors(found),
+    )
     texts = [
         f"{one.parameter} {1e3 * one.travel:.3g} ± {1e3 * WITHIN_95_PERCENT * one.std:.1g}"
         for one in presliding.travels
@@ -82,12 +83,12 @@ def main(names: list[str]) -> None:
                 (run, plant), (other, _) = (controlled(robot_file, seed) for seed in (1, 2))
                 joints = robot_file.robot.truth.joints.values()
                 actual = np.array([joint.coulomb + joint.stribeck for joint in joints]) / plant._friction._stiffness
-                row = line(f"UR5e, {1e3 * travel:g}", identify([run], [other], IdentifyChoices(presliding=True)))
+                row = line(f"UR5e, {1e3 * travel:g}", identify([run], [other], IdentifyChoices()))
                 print(f"{row} break-away {np.array2string(1e3 * actual, precision=3)}", flush=True)
             continue
         recording, choices = public(folder, name)
         for friction in FRICTION:
-            found = identify([recording], [], replace(choices_of(choices, friction), presliding=True))
+            found = identify([recording], [], choices_of(choices, friction))
             print(line(f"{name}, `{friction}`", found), flush=True)
 
 

@@ -56,8 +56,9 @@ drives:   # joint torque = gain · signal, joint side, sign included
   # inertia: false where torque is sensed behind the gearbox, so that the motor's inertia is not in it.
 {drives}
 
-# model: none, viscous, coulomb or coulomb-viscous; offset: a constant torque per joint
-friction: {{model: coulomb-viscous, offset: true}}
+# model: auto (coulomb-viscous, and what else the recordings show), or what you know it to be: none, viscous, coulomb or
+# coulomb-viscous; offset: a constant torque per joint
+friction: {{model: auto, offset: true}}
 
 workspace:
   tool: {tool}   # m, the flange or the tool's tip in the frame of the last joint{tool_note}

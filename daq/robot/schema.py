@@ -172,6 +172,8 @@ class Drive(Section):
 Exponent = Annotated[Positive, AfterValidator(within(EXPONENT))] | Literal["estimated"]
 StribeckVelocity = Annotated[Positive, AfterValidator(within(STRIBECK_VELOCITY))] | Literal["estimated"]
 LoadFriction = Literal["none", "linear", "quadratic"]
+FRICTION_TERMS = ("exponent", "stribeck", "stribeck_velocity", "load", "temperature")
+"""Keys of terms beside Coulomb and viscous friction, of the arm or of a joint."""
 TemperatureFriction = Literal["none", "linear", "full"]
 
 
@@ -192,7 +194,11 @@ class JointFriction(Section):
 class Friction(Section):
     """The friction columns of every joint (SR400 eq. 7; ROCR6 eq. 3-4; AUBO eq. 3-6)."""
 
-    model: Literal["none", "viscous", "coulomb", "coulomb-viscous"] = "coulomb-viscous"
+    model: Literal["auto", "none", "viscous", "coulomb", "coulomb-viscous"] = Field(
+        default="auto",
+        description="'auto' is coulomb-viscous, and what else `identify` finds in the data; the default, but where a "
+        "further term is stated",
+    )
     offset: bool = Field(default=True, description="a constant torque per joint, Fo")
     smoothing: NonNegative = Field(default=0.0, description="ε [rad/s] of tanh(q̇/ε) in place of sign(q̇); 0 means sign")
     exponent: Exponent = Field(default=1.0, description="α of |q̇|^α in the viscous column, or 'estimated'")
@@ -203,6 +209,23 @@ class Friction(Section):
         default="none", description="√|q̇| times a function of the temperature: 'linear', or 'full' as AUBO eq. 5"
     )
     joints: dict[str, JointFriction] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _auto_chooses_terms(self) -> Self:
+        stated = self.model_fields_set & set(FRICTION_TERMS)
+        stated |= {key for joint in self.joints.values() for key in joint.model_fields_set & set(FRICTION_TERMS)}
+        if stated and self.model == "auto":
+            if "model" in self.model_fields_set:
+                raise ValueError(
+                    f"auto chooses the terms itself, and '{min(stated)}' is stated: model: coulomb-viscous"
+                )
+            object.__setattr__(self, "model", "coulomb-viscous")
+        return self
+
+    @property
+    def base(self) -> str:
+        """The model without the terms that `identify` may add."""
+        return "coulomb-viscous" if self.model == "auto" else self.model
 
 
 class TruthLink(Section):

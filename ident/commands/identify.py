@@ -30,7 +30,9 @@ def identify_recordings(
     validate_with: list[Path] = typer.Option([], "--validate", help="Held-out recording; the last 30 % without one."),
     split: float = typer.Option(None, "--split", help="Identify on the first SECONDS, validate on the rest."),
     robot: str = typer.Option(None, "--robot", help="Robot file in place of the recording's own."),
-    friction: str = typer.Option(None, "--friction", help="coulomb-viscous+stribeck+load, …, or auto; see docs."),
+    friction: str = typer.Option(
+        None, "--friction", help="auto (default), coulomb-viscous, coulomb-viscous+stribeck+load, …; see docs."
+    ),
     friction_from: Path = typer.Option(
         None, "--friction-from", help="Folder or friction.json of dynid friction: terms, shapes, temperature terms."
     ),
@@ -65,7 +67,7 @@ def identify_recordings(
         help="Leave out velocity reversals: motors slower than this share of their RMS velocity; default 0.05.",
     ),
     presliding: bool = typer.Option(
-        False, "--presliding", help="Find pre-sliding travels, for predict and validate --presliding."
+        True, "--presliding/--no-presliding", help="Dry friction that changes over a travel at velocity reversals."
     ),
     start: float = typer.Option(None, "--start", help="Leave out samples before this time [s from the first stamp]."),
     stop: float = typer.Option(None, "--stop", help="Leave out samples after this time [s from the first stamp]."),

@@ -13,9 +13,6 @@ from daq.commands.options import JSON as JSON
 from drivers.errors import UsageError
 
 ROBOT = typer.Argument(help="Built-in robot or robot file.")
-PRESLIDING = typer.Option(
-    False, "--presliding", help="Dry friction near velocity reversals by the travels of identify --presliding."
-)
 ESSENTIAL = typer.Option(
     "rsd", "--essential", help="Which parameters leave the essential model: rsd (--significance) or f-test."
 )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import FORCE, JSON, PRESLIDING
+from ident.commands.options import FORCE, JSON
 
 app = typer.Typer()
 
@@ -19,7 +19,6 @@ def predict_torque(
     parameters: str = typer.Option(
         None, "--parameters", help="consistent, full or essential; consistent where there are any, else full."
     ),
-    presliding: bool = PRESLIDING,
     page: Path = typer.Option(None, "--page", help="Page with plots to write (.html)."),
     force: bool = FORCE,
     as_json: bool = JSON,
@@ -37,7 +36,7 @@ def predict_torque(
     check_outputs([file, page], [recording, result_path(model)], overwrite=force)
     with progress_line(quiet=as_json) as progress:
         progress("prediction")
-        prediction = predict(model, recording, parameters=parameters, presliding=presliding)  # type: ignore[arg-type]  # the task checks it
+        prediction = predict(model, recording, parameters=parameters)  # type: ignore[arg-type]  # the task checks it
         progress(f"writing {file}")
         prediction.save(file, overwrite=force)
         if page is not None:
@@ -50,7 +49,7 @@ def predict_torque(
                 "file": str(file),
                 "page": None if page is None else str(page),
                 "parameters": parameters,
-                "presliding": presliding,
+                "presliding": prediction.segments.presliding,
                 "samples": len(prediction.time),
                 "segments": len(prediction.segments.segments),
                 "rate_hz": prediction.segments.segments[0].rate,

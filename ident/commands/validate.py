@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ident.commands.options import ACCEPT, JSON, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE, PRESLIDING
+from ident.commands.options import ACCEPT, JSON, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE
 
 if TYPE_CHECKING:
     from ident.tasks.validation import RecordingValidation, Validation
@@ -19,7 +19,6 @@ app = typer.Typer()
 def validate_model(
     result: Path = typer.Argument(help="Folder that identify wrote, or its result.json."),
     recordings: list[Path] = typer.Argument(help="Held-out recordings (.h5), each judged apart."),
-    presliding: bool = PRESLIDING,
     accept: Path = ACCEPT,
     max_error: float = MAX_ERROR,
     max_joint_error: float = MAX_JOINT_ERROR,
@@ -37,7 +36,7 @@ def validate_model(
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
     with progress_line(quiet=as_json) as progress:
         progress("prediction")
-        validation = validate(result, recordings, presliding=presliding, accept=limits)
+        validation = validate(result, recordings, accept=limits)
     if as_json:
         _print_object(result, validation)
     else:

@@ -1,9 +1,10 @@
-"""Friction with unknown shapes, load torque or terms, settled before the regression, which is then linear.
+"""Friction with unknown shapes, load torque, terms or travels, settled before the regression, which is then linear.
 
 The load torque comes from the gravity parameters of the estimate before (AUBO eq. 18), until it does not change. The
 shapes, exponent α and Stribeck velocity v_s, are found by variable projection: Gauss-Newton on the shapes, all linear
 parameters estimated anew at each of them, with exact derivatives ∂τ/∂α and ∂τ/∂v_s as columns of the regression
-(Golub and Pereyra, Inverse Problems 19, 2003). The search begins at the best shapes of a grid.
+(Golub and Pereyra, Inverse Problems 19, 2003). The search begins at the best shapes of a grid. Pre-sliding travels
+follow, and all other parameters are estimated with them.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from daq.robot.loader import RobotFile
 from drivers.reading_process import Progress
 from ident.assessment.excitation import excited_base_columns
 from ident.estimators.friction_steps import (
@@ -25,20 +27,22 @@ from ident.estimators.friction_steps import (
     own_column,
     shortened_step,
 )
-from ident.estimators.torque_estimator import reduce_torques
-from ident.identify.data_split import DataSplit
-from ident.identify.friction.candidates import FOLDS, candidate_grams, candidates_of, greatest_speeds
-from ident.identify.friction.choice import AUTO
-from ident.identify.friction.selection import FrictionSearch, FrictionStep
+from ident.identify.friction.candidates import FOLDS, candidates_of, greatest_speeds, motor_motion
+from ident.identify.friction.delivered import delivered_errors, falls
+from ident.identify.friction.rows import FrictionRows
+from ident.identify.friction.selection import FrictionSearch
 from ident.identify.identification import FrictionFit, IdentifyChoices
-from ident.identify.preparation import prepare_data
+from ident.identify.preparation import PreparedData, compare_run
+from ident.identify.presliding import PreslidingTravel, find_travels
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import FrictionTerms, LoadTorque, no_terms
+from ident.model.joint_columns import combined
+from ident.model.presliding import dry_friction
 from ident.model.regressor import RegressorKernel
 from ident.regression.autocorrelation import independent_share, residual_autocorrelation
-from ident.regression.comparison import compare_torques
-from ident.regression.jackknife import distinct_samples
+from ident.regression.comparison import TorqueSeries
+from ident.regression.jackknife import block_length, distinct_samples
 from ident.regression.least_squares import (
     LeastSquares,
     LinearMethod,
@@ -46,47 +50,60 @@ from ident.regression.least_squares import (
     weighted_least_squares,
 )
 from ident.regression.observability import Experiment, experiment_base
-from ident.signals.prepared import Prepared
+from ident.regression.observation_matrix import Reduction
 
 ROUNDS = 20
 """Of Gauss-Newton steps and new load torques."""
 
+TRAVEL_ROUNDS = 2
+"""Of travels and all other parameters in turn; the second moves them by a fraction of the first."""
+
+LEAST_REVERSALS = 3
+"""Different velocity reversals that a motor's data must hold before its friction gets further terms: a curve over the
+velocity needs more than one passage through it."""
+
+MOVING_SHARE = 0.05
+"""Of a velocity's root mean square, which a stroke between two reversals exceeds."""
+
 
 def fit_friction(
-    model: DynamicModel, data: DataSplit, experiment: Experiment, choices: IdentifyChoices, progress: Progress
+    model: DynamicModel,
+    prepared: PreparedData,
+    experiment: Experiment,
+    robot_file: RobotFile,
+    choices: IdentifyChoices,
+    progress: Progress,
 ) -> FrictionFit:
     """The model with its friction settled on the identification data.
 
     Args:
         model: with the terms that are asked for; as it is where nothing is unknown of them.
-        data: held-out parts take no part.
+        prepared: the data; held-out parts take no part.
         experiment: locked joints, and motors whose torques are used.
+        robot_file: of the arm.
         choices: the user's.
         progress: called before each step.
 
     Raises:
         DataError: the friction depends on a temperature that was not recorded.
     """
-    automatic = choices.model.friction == AUTO
+    automatic = choices.chooses_friction(robot_file.robot.friction)
     terms = no_terms(model.dof) if model.terms is None else model.terms
-    if not automatic and not terms.shaped and not terms.loaded:
+    if not (automatic or terms.shaped or terms.loaded or choices.finds_travels(model)):
         return FrictionFit(model)
     progress("friction")
-    for run in data.identification:
-        heat = run.signals.temperature
-        model.require_temperature(None if heat is None else heat.T, run.signals.label)
-    plain = replace(model, terms=None)
-    kernel = RegressorKernel(plain, experiment_base(plain, [experiment]).columns)
-    prepared = prepare_data(kernel, replace(data, held_out=()), experiment.torques, (), choices, progress)
-    fit = _Fit([run.prepared for run in prepared.runs], experiment, "ols" if choices.estimator.name == "ols" else "wls")
-    steps: tuple[FrictionStep, ...] = ()
+    fit = _Fit(model, prepared, experiment, "ols" if choices.estimator.name == "ols" else "wls")
+    found = FrictionFit(model)
     if automatic:
-        terms, steps = fit.chosen(plain)
-    elif terms.shaped:
-        terms = fit.started(plain, terms)
-    progress("friction shapes" if terms.shaped else "load torque")
-    settled = fit.settled(replace(model, terms=terms))
-    return replace(settled, steps=steps)
+        found = fit.automatic(model, robot_file, progress)
+    elif terms.shaped or terms.loaded:
+        terms = fit.started(terms) if terms.shaped else terms
+        progress("friction shapes" if terms.shaped else "load torque")
+        found = fit.settled(replace(model, terms=terms))
+    if choices.finds_travels(model):
+        progress("presliding")
+        found = fit.with_travels(found)
+    return found
 
 
 @dataclass(frozen=True)
@@ -95,6 +112,7 @@ class _Solved:
 
     model: DynamicModel
     base: BaseParameters
+    reduction: Reduction
     solution: LeastSquares
 
     @property
@@ -129,25 +147,99 @@ class _Solved:
 class _Fit:
     """Solutions on the identification data."""
 
-    def __init__(self, runs: Sequence[Prepared], experiment: Experiment, method: LinearMethod) -> None:
-        self._runs, self._experiment, self._method = runs, experiment, method
+    def __init__(
+        self, model: DynamicModel, prepared: PreparedData, experiment: Experiment, method: LinearMethod
+    ) -> None:
+        self._prepared, self._runs = prepared.runs, [run.prepared for run in prepared.runs]
+        self._experiment, self._method = experiment, method
+        self._plain = replace(model, terms=None, presliding=())
+        plain_base = experiment_base(self._plain, [experiment])
+        self._rows = FrictionRows(self._plain, plain_base, self._runs)
+        self._bases = {tuple(parameter.name for parameter in self._plain.parameters): plain_base}
+
+    def base(self, model: DynamicModel) -> BaseParameters:
+        """Base parameters of a model; those of models with the same columns are the same."""
+        names = tuple(parameter.name for parameter in model.parameters)
+        if names not in self._bases:
+            self._bases[names] = experiment_base(model, [self._experiment])
+        return self._bases[names]
 
     def solve(self, model: DynamicModel) -> _Solved:
-        base = experiment_base(model, [self._experiment])
-        reduction = reduce_torques(RegressorKernel(model, base.columns), self._runs, self._experiment.torques)
+        base = self.base(model)
+        reduction = self._rows.reduction(model, base, self._experiment.torques)
         solve = ordinary_least_squares if self._method == "ols" else weighted_least_squares
-        return _Solved(model, base, solve(reduction, excited_base_columns(reduction, base, self._runs)))
+        return _Solved(model, base, reduction, solve(reduction, excited_base_columns(reduction, base, self._runs)))
 
-    def chosen(self, plain: DynamicModel) -> tuple[FrictionTerms, tuple[FrictionStep, ...]]:
-        """Terms and shapes chosen for each motor, and the steps that were tried."""
+    def automatic(self, model: DynamicModel, robot_file: RobotFile, progress: Progress) -> FrictionFit:
+        """Terms and shapes chosen for each motor, where the model that is delivered gains by them."""
+        plain = self._plain
         solved = self.solve(plain)
+        series = self._series(solved)
+        samples = distinct_samples(series)
+        folds = [_folds(indices, samples.count) for indices in samples.indices]
         start = replace(no_terms(plain.dof), load_torque=solved.load_torque)
-        search = self._search(replace(plain, terms=start), solved)
-        names = plain.joint_names
-        steps = [step for motor in self._experiment.torques for step in search.choose(motor, names[motor])]
-        return search.terms(start), tuple(steps)
+        search = self._search(replace(plain, terms=start), solved, series)
+        enough = [
+            motor
+            for motor in self._experiment.torques
+            if plain.viscous[motor]
+            and plain.coulomb[motor]
+            and self._reversals(motor) * samples.share >= LEAST_REVERSALS
+        ]
+        steps = [step for motor in enough for step in search.choose(motor, plain.joint_names[motor])]
+        terms = search.terms(start)
+        if not any(step.accepted for step in steps):
+            return FrictionFit(model, tuple(steps))
+        progress("friction shapes" if terms.shaped else "load torque")
+        settled = self.settled(replace(model, terms=terms))
+        errors = [
+            delivered_errors(
+                self._rows, one.model, one.base, one.reduction, one.solution, robot_file, solved.solution.weights, folds
+            )
+            for one in (solved, self.solve(settled.model))
+        ]
+        rows = solved.solution.rows
+        before, after = (float(np.sqrt(np.sum(one) / rows)) for one in errors)
+        kept = settled if falls(*errors) else FrictionFit(model)
+        return replace(kept, steps=tuple(steps), delivered=(before, after))
 
-    def started(self, plain: DynamicModel, terms: FrictionTerms) -> FrictionTerms:
+    def _reversals(self, motor: int) -> int:
+        """Velocity reversals of a motor in the data."""
+        count = 0
+        for run in self._runs:
+            for segment in run.segments:
+                velocity = combined(motor_motion(self._plain, motor).motion, segment.velocity)[segment.used]
+                moving = velocity[np.abs(velocity) > MOVING_SHARE * np.sqrt(np.mean(np.square(velocity)))]
+                count += int(np.count_nonzero(np.diff(np.sign(moving))))
+        return count
+
+    def _series(self, solved: _Solved, *, presliding: bool = True) -> list[TorqueSeries]:
+        """Torques of a solution, a series per segment."""
+        model = solved.model if presliding else replace(solved.model, presliding=())
+        kernel = RegressorKernel(model, solved.base.columns)
+        return [part for run in self._prepared for part in compare_run(kernel, solved.solution.parameters, run)]
+
+    def with_travels(self, found: FrictionFit) -> FrictionFit:
+        """The model with pre-sliding travels, and its shapes settled with them."""
+        runs = [(run.segments, run.parallel_filter) for run in self._runs]
+        travels: tuple[PreslidingTravel, ...] = ()
+        for _ in range(TRAVEL_ROUNDS):
+            solved = self.solve(found.model)
+            series = self._series(solved, presliding=False)
+            length = block_length(residual_autocorrelation(series), distinct_samples(series).count)
+            dry = dry_friction(solved.model, solved.base, solved.solution.parameters)
+            travels = find_travels(dry, runs, series, length)
+            if not travels and not found.model.presliding:
+                break
+            model = replace(found.model, presliding=tuple((one.parameter, one.travel) for one in travels))
+            terms = model.terms
+            if terms is not None and (terms.shaped or terms.loaded):
+                found = replace(found, model=self.settled(model).model)
+            else:
+                found = replace(found, model=model)
+        return replace(found, travels=travels)
+
+    def started(self, terms: FrictionTerms) -> FrictionTerms:
         """The terms with free shapes from the best of a grid."""
         without = replace(
             terms,
@@ -158,24 +250,23 @@ class _Fit:
                 wanted and not free for wanted, free in zip(terms.stribeck, terms.free_stribeck_velocity, strict=True)
             ),
         )
-        model = replace(plain, terms=without)
+        model = replace(self._plain, terms=without)
         if terms.loaded:
-            model = replace(plain, terms=replace(without, load_torque=self.solve(model).load_torque))
-        search = self._search(model, self.solve(model))
+            model = replace(model, terms=replace(without, load_torque=self.solve(model).load_torque))
+        solved = self.solve(model)
+        search = self._search(model, solved, self._series(solved))
         for motor in (*self._experiment.torques, *self._experiment.torques):  # the second time beside all others
             search.start_shapes(motor, terms.free_exponent[motor], terms.free_stribeck_velocity[motor])
         return search.terms(without)
 
-    def _search(self, model: DynamicModel, solved: _Solved) -> FrictionSearch:
-        """Choices among all candidates on these data."""
-        kernel = RegressorKernel(model, solved.base.columns)
-        series = [
-            part
-            for run in self._runs
-            for part in compare_torques(
-                model, solved.base.columns, solved.solution.parameters, run.segments, run.parallel_filter
-            )
-        ]
+    def _search(self, model: DynamicModel, solved: _Solved, series: Sequence[TorqueSeries]) -> FrictionSearch:
+        """Choices among all candidates on these data.
+
+        Args:
+            model: has the load torque, where there are to be load candidates.
+            solved: the model, or without its load torque.
+            series: its torques.
+        """
         samples = distinct_samples(series)
         folds = [_folds(indices, samples.count) for indices in samples.indices]
         heat = [segment.temperature for run in self._runs for segment in run.segments]
@@ -183,7 +274,7 @@ class _Fit:
         candidates = candidates_of(model, greatest_speeds(model, self._runs), temperature=known)
         shares = np.array([independent_share(one[None]) for one in residual_autocorrelation(series)]) * samples.share
         return FrictionSearch(
-            candidate_grams(kernel, self._runs, folds, candidates),
+            self._rows.candidate_grams(model, solved.base, folds, candidates),
             solved.solution.active,
             [solved.column("viscous", motor) for motor in range(model.dof)],
             [solved.column("coulomb", motor) for motor in range(model.dof)],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,11 +12,9 @@ from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.assessment.validation import fit_figures, overfitting_checks
 from ident.identify.data_split import labelled
-from ident.identify.presliding import with_presliding
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.inverse_dynamics import InverseDynamics
-from ident.model.presliding import dry_friction
 from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
 from ident.result.consistent_model import fit_result, simulated_motion_error
 from ident.result.delivered import DELIVERED_WORDS, delivered_parameters
@@ -87,7 +85,6 @@ class ParameterSets:
         base: its base parameters (b).
         full: (b,) all base parameters as estimated.
         consistent: (b,) of bodies that can exist; None where none were found.
-        travels: of presliding [rad or m], by Coulomb parameter; none without presliding.
         armature: (n,) of motors whose inertia the torque does not carry, with the consistent ones [kg·m²].
     """
 
@@ -96,7 +93,6 @@ class ParameterSets:
     base: BaseParameters
     full: FloatArray
     consistent: FloatArray | None
-    travels: Mapping[str, float]
     armature: FloatArray | None = None
 
     @property
@@ -108,9 +104,6 @@ class ParameterSets:
         """Measured and predicted torques for base parameters (b,), a series per segment."""
         columns, segments, run_filter = self.base.columns, prepared.segments, prepared.parallel_filter
         series = compare_torques(self.model, columns, values, segments, run_filter)
-        if self.travels:
-            dry = dry_friction(self.model, self.base, values)
-            series = with_presliding(dry, self.travels, [(segments, run_filter)], series)
         return tuple(only_predicted(part, torques) for part in series)
 
 

@@ -17,11 +17,11 @@ from ident.assessment.validation import FitFigures
 from ident.estimators.estimator import Estimation
 from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.estimators.method_choice import MethodChoice, chosen_method
-from ident.identify.friction.choice import check_friction, chosen_friction, friction_columns
+from ident.identify.friction.choice import AUTO, check_friction, chosen_friction, friction_columns
 from ident.identify.friction.selection import FrictionStep
 from ident.identify.held_friction import HeldFriction, experiment_terms
 from ident.identify.held_out import HeldOutRun
-from ident.identify.presliding import PreslidingFit
+from ident.identify.presliding import PreslidingFit, PreslidingTravel
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import friction_terms
@@ -80,7 +80,7 @@ class IdentifyChoices:
         experiment: joints that must be locked, and motors whose torques are used.
         reversals: equations of a motor slower than this share of its root mean square are left out; 0 keeps all, None
             is `REVERSAL_SHARE` for methods with an equation per motor.
-        presliding: find pre-sliding travels (`ident.identify.presliding`).
+        presliding: find pre-sliding travels (`ident.identify.presliding`), with methods that fit torques.
     """
 
     method: str = "wls"
@@ -92,7 +92,7 @@ class IdentifyChoices:
     significant_rsd: float = SIGNIFICANT_RSD
     experiment: ExperimentChoices = field(default_factory=ExperimentChoices)
     reversals: float | None = None
-    presliding: bool = False
+    presliding: bool = True
 
     def __post_init__(self) -> None:
         check_rule(self.essential)
@@ -109,6 +109,22 @@ class IdentifyChoices:
     def estimator(self) -> MethodChoice:
         """The method with its options."""
         return chosen_method(self.method)
+
+    def chooses_friction(self, stated: Friction) -> bool:
+        """Whether the data choose the friction's terms: asked for, or where robot file and user state no model.
+
+        Args:
+            stated: the robot file's section.
+        """
+        if self.model.friction is not None or self.model.friction_from is not None:
+            return self.model.friction == AUTO
+        return stated.model == AUTO and self.estimator.equations == "torque"
+
+    def finds_travels(self, model: DynamicModel) -> bool:
+        """Whether pre-sliding travels are looked for; tanh(q̇/ε) in place of sign(q̇) is another model of the same."""
+        return (
+            self.presliding and self.estimator.equations == "torque" and model.smoothing == 0.0 and any(model.coulomb)
+        )
 
     @property
     def reversal_share(self) -> float:
@@ -187,12 +203,17 @@ class FrictionFit:
         steps: of complexity that were tried; empty without `--friction auto`.
         rounds: that load torque and shapes took.
         settled: whether they converged.
+        delivered: root mean square error of the consistent model on held-out blocks without and with the chosen terms,
+            each motor's torque over its residual's standard deviation; None where none were chosen.
+        travels: of presliding.
     """
 
     model: DynamicModel
     steps: tuple[FrictionStep, ...] = ()
     rounds: int = 0
     settled: bool = True
+    delivered: tuple[float, float] | None = None
+    travels: tuple[PreslidingTravel, ...] = ()
 
 
 @dataclass(frozen=True)

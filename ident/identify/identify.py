@@ -32,9 +32,8 @@ from ident.identify.identification import (
     apply_model_choices,
 )
 from ident.identify.preparation import PreparedData, compare_run, prepare_data
-from ident.identify.presliding import PreslidingFit, find_travels, low_speed_error, with_presliding
+from ident.identify.presliding import PreslidingFit, low_speed_error
 from ident.model.dynamic_model import build_model
-from ident.model.presliding import dry_friction
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
 from ident.regression.estimate import estimate_of
@@ -84,13 +83,20 @@ def identify(
     predictable = [
         predictable_torques(model, [experiment], run.signals.label, run.position, tolerance) for run in data.held_out
     ]
-    friction = fit_friction(model, data, experiment, choices, progress)
+    for run in data.identification:
+        heat = run.signals.temperature
+        model.require_temperature(None if heat is None else heat.T, run.signals.label)
+
+    progress("preprocessing")
+    plain = replace(model, terms=None)
+    kernel = RegressorKernel(plain, experiment_base(plain, [experiment]).columns)
+    prepared = prepare_data(kernel, data, experiment.torques, predictable, choices, progress)
+    friction = fit_friction(model, prepared, experiment, robot_file, choices, progress)
     model = friction.model
     base = experiment_base(model, [experiment])
     kernel = RegressorKernel(model, base.columns)
-
-    progress("preprocessing")
-    prepared = prepare_data(kernel, data, experiment.torques, predictable, choices, progress)
+    if model.terms is not None:  # friction that fits better shows the delay better
+        prepared = prepare_data(kernel, data, experiment.torques, predictable, choices, progress)
 
     progress("regression")
     setup = Setup(kernel, base, experiment, robot_file, tuple(run.prepared for run in prepared.runs))
@@ -160,8 +166,7 @@ def identify(
         held=data.held,
     )
 
-    if choices.presliding:
-        progress("presliding")
+    if choices.finds_travels(model):
         identification = replace(identification, presliding=_presliding(identification))
 
     progress("plausibility")
@@ -187,17 +192,11 @@ def _consistent_fit(
 
 
 def _presliding(identification: Identification) -> PreslidingFit:
-    """Pre-sliding travels beside the full model, and its held-out error near standstill with them."""
+    """The travels, and what they are worth near standstill on the held-out data."""
     found = identification
-    runs, held_out = (
-        [(run.prepared.segments, run.prepared.parallel_filter) for run in runs]
-        for runs in (found.runs, found.validation_runs)
-    )
-    dry = dry_friction(found.model, found.base, found.solution.parameters)
-    travels = find_travels(dry, runs, found.fit_series, found.corrected.block_length)
-    by_name = {one.parameter: one.travel for one in travels}
-    changed = with_presliding(dry, by_name, held_out, found.validation_series)
-    return PreslidingFit(travels, low_speed_error(found.validation_series), low_speed_error(changed))
+    static = RegressorKernel(replace(found.model, presliding=()), found.base.columns)
+    without = _flat(compare_run(static, found.solution.parameters, run) for run in found.validation_runs)
+    return PreslidingFit(found.friction.travels, low_speed_error(without), low_speed_error(found.validation_series))
 
 
 def held_out_runs(identification: Identification, validation: Sequence[Recording]) -> tuple[HeldOutRun, ...]:
@@ -209,7 +208,6 @@ def held_out_runs(identification: Identification, validation: Sequence[Recording
         base=found.base,
         full=found.solution.parameters,
         consistent=None if found.consistent is None else found.consistent.parameters.base,
-        travels={},
         armature=None
         if found.consistent is None
         else armature_vector(found.model, found.consistent.parameters.armatures),

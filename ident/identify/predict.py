@@ -62,36 +62,34 @@ class RecordingPrediction:
             the result does not know it of every joint.
         torque_origin: where the recorded torque comes from; empty where none was recorded.
         steps: how the recording was processed, a sentence per step.
+        presliding: whether dry friction follows Dahl's model near velocity reversals.
     """
 
     segments: tuple[SegmentPrediction, ...]
     noise: FloatArray | None
     torque_origin: str
     steps: tuple[str, ...]
+    presliding: bool
 
 
-def predict_recording(
-    model: Model, robot_file: RobotFile, recording: Recording, *, presliding: bool = False
-) -> RecordingPrediction:
+def predict_recording(model: Model, robot_file: RobotFile, recording: Recording) -> RecordingPrediction:
     """Predict the torques of a recording, filters and delay as at the identification, samples at rest included.
 
     Args:
         model: what predicts.
         robot_file: of its result; its drive gains turn a recorded signal into torque.
         recording: of the same arm.
-        presliding: dry friction near velocity reversals by the result's pre-sliding travels.
 
     Raises:
         DataError: the recording lacks positions, a joint, or a gain.
         ModelError: a parameter without a value acts on the motion.
         ResultFileError: the result holds no covariance.
-        UsageError: it holds no pre-sliding travels, where asked for.
     """
     signals = _signals(recording, robot_file)
     model.require_temperature(signals.temperature, signals.label)
     choices = replace(stored_choices(model.result), keep_rest=True)
     prepared = prepare(signals, choices)
-    segments = tuple(_predicted(model, prepared, segment, signals, presliding) for segment in prepared.segments)
+    segments = tuple(_predicted(model, prepared, segment, signals) for segment in prepared.segments)
     deviations = model.result.residuals.joint_std
     known = len(deviations) == model.dof and all(value is not None for value in deviations)
     noise = model.coupling.T**2 @ np.square(np.array(deviations, dtype=np.float64)) if known else None
@@ -109,10 +107,11 @@ def predict_recording(
                 if model.confounded
                 else []
             ),
-            *(["presliding: dry friction by Dahl's model near velocity reversals"] if presliding else []),
+            *(["presliding: dry friction by Dahl's model near velocity reversals"] if model.slides_gradually else []),
             f"residual: measured and predicted torque, zero-phase low-pass of {prepared.cutoffs.torque:.4g} Hz, "
             "all samples kept",
         ),
+        presliding=model.slides_gradually,
     )
 
 
@@ -136,9 +135,7 @@ def _signals(recording: Recording, robot_file: RobotFile) -> JointSignals:
     )
 
 
-def _predicted(
-    model: Model, prepared: Prepared, segment: Segment, signals: JointSignals, presliding: bool
-) -> SegmentPrediction:
+def _predicted(model: Model, prepared: Prepared, segment: Segment, signals: JointSignals) -> SegmentPrediction:
     """The segment without its ends, where the filters are not valid."""
     used = segment.used
 
@@ -148,10 +145,8 @@ def _predicted(
     q, dq, ddq = rows(segment.position), rows(segment.velocity), rows(segment.acceleration)
     celsius = None if segment.temperature is None else rows(segment.temperature) - ZERO_CELSIUS
     parts = model.torque_parts(q, dq, ddq, celsius)
-    change = np.zeros_like(segment.position)
-    if presliding:
-        change = model.presliding_torque(segment.position.T, segment.velocity.T, segment.rate).T
-        parts["friction"] = parts["friction"] + rows(change)
+    change = model.presliding_torque(segment.position.T, segment.velocity.T, segment.rate).T
+    parts["friction"] = parts["friction"] + rows(change)
     measured = residual = None
     if signals.torque_origin:
         at_joints = model.coupling.T @ segment.torque

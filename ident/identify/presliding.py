@@ -1,13 +1,14 @@
-"""The pre-sliding travel of each joint, from the identification's equations near velocity reversals.
+"""The pre-sliding travel of each motion, from the identification's equations near velocity reversals.
 
-Everything else is held at the identified model. The equations away from reversals do not depend on the travel, so that
-all of them are compared: those that the regression left out decide.
+Everything else is held at a model that was estimated; it is estimated again with the travels (`friction_fit`). The
+equations away from reversals do not depend on the travel, so that all of them are compared: those that the regression
+left out decide.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -50,7 +51,8 @@ class PreslidingFit:
 
     Attributes:
         travels: of the motions in which presliding lowers the error on blocks that had no part in finding the travel.
-        static_error: relative error of held-out torques of joints slower than `LOW_SPEED`, without presliding.
+        static_error: relative error of held-out torques of joints slower than `LOW_SPEED`, without presliding, all
+            parameters the same.
         error: the same with it.
     """
 
@@ -67,7 +69,7 @@ def find_travels(
     Args:
         dry: dry friction of the identified model.
         runs: the identification data.
-        series: their torques, a series per segment.
+        series: their torques without presliding, a series per segment.
         length: of the jackknife's blocks [filtered samples].
     """
     samples = distinct_samples(series)
@@ -99,21 +101,6 @@ def find_travels(
         travel = float(TRAVELS[0] * np.exp(step * place))
         found.append(PreslidingTravel(name, travel, float(step * deviation * travel)))
     return tuple(found)
-
-
-def with_presliding(
-    dry: DryFriction, travels: Mapping[str, float], runs: Sequence[Run], series: Sequence[TorqueSeries]
-) -> tuple[TorqueSeries, ...]:
-    """The series with the predictions changed by presliding."""
-    segments = [(segment, run_filter) for of_run, run_filter in runs for segment in of_run]
-    return tuple(
-        replace(
-            part,
-            predicted=part.predicted
-            + run_filter.apply(dry.torque_change(travels, segment.position, segment.velocity, segment.rate)),
-        )
-        for (segment, run_filter), part in zip(segments, series, strict=True)
-    )
 
 
 def low_speed_error(series: Sequence[TorqueSeries]) -> float:

@@ -18,7 +18,7 @@ from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
 from ident.regression.observability import REST_TOLERANCE, predictable_torques
 from ident.regression.velocity_reversals import leave_out_rest
-from ident.result.schema import Result, file_sha256, presliding_of
+from ident.result.schema import Result, file_sha256
 from ident.result.stored_model import stored_model
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
@@ -56,20 +56,17 @@ class Revalidation:
         return None if self.consistent_series is None else fit_figures(self.consistent_series)
 
 
-def revalidate(result: Result, recording: Recording, *, presliding: bool = False) -> Revalidation:
+def revalidate(result: Result, recording: Recording) -> Revalidation:
     """Predict a recording's torques with a stored model, filters and delay as at its identification.
 
     Args:
         result: the model.
         recording: of the same arm.
-        presliding: dry friction near velocity reversals by the result's pre-sliding travels.
 
     Raises:
         ResultFileError: the stored parameters do not belong to the stored robot file.
         DataError: the recording lacks what is needed.
-        UsageError: the result holds no pre-sliding travels, where asked for.
     """
-    travels = presliding_of(result).by_parameter if presliding else {}
     stored_parts = stored_model(result)
     model, base = stored_parts.model, stored_parts.base
     stored = {parameter.name: parameter for parameter in result.base_parameters}
@@ -87,7 +84,7 @@ def revalidate(result: Result, recording: Recording, *, presliding: bool = False
     tolerance = stored_rest_tolerance(result)
     torques = predictable_torques(model, stored_parts.experiments, motion.label, window.position, tolerance)
     armature = None if found is None else armature_vector(model, found.armature)
-    parameters = ParameterSets(stored_parts.robot_file.robot, model, base, full, consistent, travels, armature)
+    parameters = ParameterSets(stored_parts.robot_file.robot, model, base, full, consistent, armature)
     data = HeldOutData(
         label=motion.label,
         prepared=prepared,

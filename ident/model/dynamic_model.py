@@ -51,6 +51,8 @@ class DynamicModel:
         smoothing: ε [rad/s] of tanh(q̇/ε) in the Coulomb column (ROCR6 eq. 4); 0 for sign(q̇) (SR400 eq. 7).
         transmission: between the tree's joints, those with a motor, and the motors; None where all are the same.
         terms: friction beside viscous, Coulomb and offset; None where there is none.
+        presliding: (name of a Coulomb parameter, pre-sliding travel [rad or m]) of each motion that has one: along a
+            motion in time its dry friction follows Dahl's state (`ident.model.presliding`), else sign(q̇).
     """
 
     name: str
@@ -64,6 +66,7 @@ class DynamicModel:
     smoothing: float = 0.0
     transmission: Transmission | None = None
     terms: FrictionTerms | None = None
+    presliding: tuple[tuple[str, float], ...] = ()
 
     @property
     def active(self) -> tuple[int, ...]:
@@ -225,7 +228,7 @@ def build_model(robot_file: RobotFile) -> DynamicModel:
 
 def _friction(robot: Robot, column: Literal["viscous", "coulomb", "offset"]) -> tuple[bool, ...]:
     friction = robot.friction
-    of_arm = friction.offset if column == "offset" else column in friction.model.split("-")
+    of_arm = friction.offset if column == "offset" else column in friction.base.split("-")
     present = []
     for name in robot.joint_names:
         exception = getattr(friction.joints[name], column) if name in friction.joints else None

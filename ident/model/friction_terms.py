@@ -45,6 +45,15 @@ FIRST_STRIBECK_VELOCITY = 0.1
 LOAD_POWERS: dict[LoadFriction, float] = {"linear": 1.0, "quadratic": 2.0}
 
 
+Motion = tuple[tuple[int, float], ...]
+"""(joint, factor) of the active joints that a motion is made of; Σ factor · q̇."""
+
+States = Mapping[Motion, FloatArray]
+"""Presliding states (…, m) in place of sign(q̇), by the motion that rubs (`ident.model.presliding`)."""
+
+NO_STATES: States = {}
+
+
 @dataclass(frozen=True)
 class LoadTorque:
     """Parameters whose gravity torque the load-dependent friction follows (AUBO eq. 18).
@@ -116,12 +125,12 @@ class FrictionConditions:
     Attributes:
         load_torque: (n, m) of the motors [N·m or N].
         temperature: (n, m) of the motors' joints [K].
-        presliding: states (…, m) in place of sign(q̇), by the motion (joint, factor) that rubs; see `presliding`.
+        presliding: states in place of sign(q̇).
     """
 
     load_torque: FloatArray | None = None
     temperature: FloatArray | None = None
-    presliding: Mapping[tuple[tuple[int, float], ...], FloatArray] = field(default_factory=dict)
+    presliding: States = field(default_factory=dict)
 
 
 def friction_terms(friction: Friction, joint_names: Sequence[str]) -> FrictionTerms | None:

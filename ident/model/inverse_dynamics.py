@@ -14,6 +14,7 @@ then need the standard parameters, of which base parameters do not tell.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,9 @@ LEAST_MASS = 0.01
 
 NEGLIGIBLE_WEIGHT = 1e-6
 """[N/kg, N·m/(kg·m)] Shares of inertial parameters in an offset below this are rounding."""
+
+_Arm = tuple[Any, Any, float]
+"""A Pinocchio model, its data, and the sign with which its torques count."""
 
 
 class InverseDynamics:
@@ -87,10 +91,8 @@ class InverseDynamics:
         self.weight, self.confounded = self._regrouped_weight(standard)
         self._load = LoadTorqueKernel(model) if model.needs_load_torque else None
         inertial, extra = with_masses(model, base, parameters)
-        self._arms: list[tuple[Any, Any, float]] = []
-        for arm, sign in ((pinocchio_model(model, inertial), 1.0), (_point_masses(model, extra), -1.0)):
-            if arm is not None:
-                self._arms.append((arm, arm.createData(), sign))
+        self._arms = _arms(model, inertial, extra)
+        self._load_arms = [] if self._load is None or self._coupled else _load_arms(model)
 
     def torque(
         self,
@@ -119,6 +121,11 @@ class InverseDynamics:
 
     def links(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Joint torques (n, N) [N·m] of the links alone: no motor inertia, no friction, no regrouped weight."""
+        return self._of_arms(self._arms, position, velocity, acceleration)
+
+    def _of_arms(
+        self, arms: Sequence[_Arm], position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> FloatArray:
         import pinocchio as pin
 
         motion = self.model.tree_motion(position, velocity, acceleration)
@@ -126,15 +133,19 @@ class InverseDynamics:
         tree = np.zeros_like(motion.position)
         inverse = pin.rnea
         signals = [np.ascontiguousarray(signal.T) for signal in motion_signals]
-        for arm, data, sign in self._arms:
+        for arm, data, sign in arms:
             for sample, (q, rate, change) in enumerate(zip(*signals, strict=True)):
                 tree[:, sample] += sign * inverse(arm, data, q, rate, change)
         return tree if self.model.transmission is None else _from_tree(motion.follow, tree)
 
     def conditions(self, position: FloatArray | None, temperature: FloatArray | None) -> FrictionConditions:
         """What friction depends on beside the velocity, at positions (n, N) and temperatures (n, N) [K]."""
-        load = None if self._load is None or position is None else self._load.torque(position)
-        return FrictionConditions(load, temperature)
+        if self._load is None or position is None:
+            return FrictionConditions(None, temperature)
+        if self._load_arms and position.shape[1] < LOOP_BELOW:
+            still = np.zeros_like(position)
+            return FrictionConditions(self._of_arms(self._load_arms, position, still, still), temperature)
+        return FrictionConditions(self._load.torque(position), temperature)
 
     def friction(
         self, velocity: FloatArray, position: FloatArray | None = None, temperature: FloatArray | None = None
@@ -199,6 +210,33 @@ class InverseDynamics:
         return np.asarray(self.coupling.T @ motors) if self._coupled else motors
 
 
+def _arms(model: DynamicModel, inertial: FloatArray, extra: dict[int, float]) -> list[_Arm]:
+    """Arms of inertial standard parameters (10·links,) and, to be subtracted, of the extra point masses in them."""
+    arms = ((pinocchio_model(model, inertial), 1.0), (_point_masses(model, extra), -1.0))
+    return [(arm, arm.createData(), sign) for arm, sign in arms if arm is not None]
+
+
+def _load_arms(model: DynamicModel) -> list[_Arm]:
+    """The same of the parameters that a model's load torque follows from; those of joints that move a link each."""
+    load = model.terms.load_torque if model.terms is not None else None
+    if load is None or model.transmission is not None:
+        return []
+    standard = np.zeros(10 * len(model.joints))
+    standard[list(load.columns)] = load.values
+    return _arms(model, standard, _lift_masses(model, standard))
+
+
+def _lift_masses(model: DynamicModel, standard: FloatArray) -> dict[int, float]:
+    """Give links without a mass one, for Pinocchio divides by it, and return what they got: link → [kg]."""
+    extra = {}
+    for link in range(len(model.joints)):
+        mass = 10 * link + INERTIAL.index("M")
+        if standard[mass] < LEAST_MASS:
+            extra[link] = PLACEHOLDER_MASS - float(standard[mass])
+            standard[mass] = PLACEHOLDER_MASS
+    return extra
+
+
 def _from_tree(follow: FloatArray, tree: FloatArray) -> FloatArray:
     """Gᵀ times torques (m, N) of the tree's joints: those (n, N) at the joints with a motor."""
     return np.asarray(follow.T @ tree if follow.ndim == 2 else np.einsum("mnN,mN->nN", follow, tree))
@@ -215,12 +253,7 @@ def with_masses(
     apart = [mass for mass in masses if mass not in base.columns and not np.any(base.projection[of_joints, mass])]
     standard[apart] = PLACEHOLDER_MASS
     standard[list(base.columns)] = parameters - base.projection @ standard
-    extra = {}
-    for mass, link in masses.items():
-        if standard[mass] < LEAST_MASS:
-            extra[link] = PLACEHOLDER_MASS - float(standard[mass])
-            standard[mass] = PLACEHOLDER_MASS
-    return standard[: 10 * len(model.joints)], extra
+    return standard[: 10 * len(model.joints)], _lift_masses(model, standard)
 
 
 def _point_masses(model: DynamicModel, masses: dict[int, float]) -> Any:

@@ -54,14 +54,14 @@ def joint_column(model: DynamicModel, parameter: StandardParameter) -> JointColu
     transmission = model.transmission
     if transmission is None:
         own = ((parameter.joint, 1.0),)
-        return JointColumn(_quantity(parameter), own, own, _shape(model, parameter.kind, parameter.joint))
+        return JointColumn(quantity_of(parameter), own, own, _shape(model, parameter.kind, parameter.joint))
     motor = transmission.active.index(parameter.joint)
     if parameter.kind != "coupling":
         motion, shape = _entries(transmission.coupling[motor]), _shape(model, parameter.kind, motor)
-        return JointColumn(_quantity(parameter), motion, ((motor, 1.0),), shape)
+        return JointColumn(quantity_of(parameter), motion, ((motor, 1.0),), shape)
     shares = transmission.joint_to_motor[:, motor]
     sign = 1.0 if parameter.symbol == "Iac" else -1.0
-    return JointColumn(_quantity(parameter), ((motor, 1.0),), _entries(sign * shares))
+    return JointColumn(quantity_of(parameter), ((motor, 1.0),), _entries(sign * shares))
 
 
 def combined(motion: Sequence[tuple[int, float]], signal: FloatArray) -> FloatArray:
@@ -181,7 +181,12 @@ def _shape(model: DynamicModel, kind: Kind, motor: int) -> float:
     return LOAD_POWERS[terms.load[motor]] if kind == "load" else 1.0
 
 
-def _quantity(parameter: StandardParameter) -> Quantity:
+def quantity_of(parameter: StandardParameter) -> Quantity:
+    """What a joint parameter's column follows.
+
+    Raises:
+        ValueError: it is a link's.
+    """
     if parameter.kind == "coupling":
         return PAIR_SYMBOLS[parameter.symbol]
     if parameter.kind == "inertial":

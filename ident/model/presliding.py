@@ -17,7 +17,7 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import FrictionConditions
+from ident.model.friction_terms import NO_STATES, FrictionConditions, Motion, States
 from ident.model.joint_columns import JointColumn, column_signal, combined, joint_column
 from ident.model.regressor import LoadTorqueKernel
 
@@ -44,6 +44,18 @@ def dahl_states(velocity: FloatArray, rate: float, travels: Sequence[float] | Fl
             decay = np.exp(-np.cumsum(distance[start:stop]) * scale)
             states[:, start:stop] = sign[start] + (state - sign[start]) * decay
             state = states[:, stop - 1 : stop]
+    return states
+
+
+def presliding_states(model: DynamicModel, velocity: FloatArray, rate: float) -> States:
+    """Dahl's state (N,) of each motion of the model that has a travel, along velocities (n, N) on a uniform grid."""
+    if not model.presliding:
+        return NO_STATES
+    standard = {parameter.name: parameter for parameter in model.parameters}
+    states: dict[Motion, FloatArray] = {}
+    for name, travel in model.presliding:
+        motion = joint_column(model, standard[name]).motion
+        states[motion] = dahl_states(combined(motion, velocity), rate, [travel])[0]
     return states
 
 
@@ -116,7 +128,7 @@ def dry_friction(model: DynamicModel, base: BaseParameters, parameters: FloatArr
         for name, column, value in zip(base.names, base.columns, parameters, strict=True)
         if model.parameters[column].kind != "inertial" and np.isfinite(value)
     ]
-    names: dict[tuple[tuple[int, float], ...], str] = {}
+    names: dict[Motion, str] = {}
     for name, column, _ in given:
         if column.quantity == "coulomb":
             names.setdefault(column.motion, name)

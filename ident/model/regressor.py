@@ -28,7 +28,7 @@ import numpy as np
 from drivers.streams import FloatArray
 from ident.linear_algebra.triangular import QrAccumulator
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import FrictionConditions
+from ident.model.friction_terms import NO_STATES, FrictionConditions, States
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
 from ident.model.kinematics.joints import ancestors
 from ident.model.kinematics.transmission import TreeMotion
@@ -234,6 +234,7 @@ class RegressorKernel:
         acceleration: FloatArray,
         out: FloatArray,
         temperature: FloatArray | None = None,
+        presliding: States = NO_STATES,
     ) -> None:
         """Write the packed regressor of m ≤ `chunk` samples into `out` (row_count, m).
 
@@ -243,6 +244,7 @@ class RegressorKernel:
             acceleration: (n, m) [rad/s² or m/s²].
             out: (row_count, m), written in full.
             temperature: (n, m) [K] of the joints, where the friction depends on it.
+            presliding: states (m,) in place of sign(q̇), by motion.
 
         Raises:
             ModelError: the friction depends on a temperature, and none is given.
@@ -256,7 +258,8 @@ class RegressorKernel:
         for block in self._blocks:
             if block.targets:
                 self._fill_link(block, count, out)
-        conditions = FrictionConditions(None if self._load is None else self._load.torque(position), temperature)
+        load = None if self._load is None else self._load.torque(position)
+        conditions = FrictionConditions(load, temperature, presliding)
         for entry in self.joint_parameter_rows:
             signal = column_signal(model, entry.column, velocity, acceleration, conditions)
             out[entry.row] = signal if entry.factor == 1.0 else entry.factor * signal
@@ -404,11 +407,12 @@ def model_torque(
     velocity: FloatArray,
     acceleration: FloatArray,
     temperature: FloatArray | None = None,
+    presliding: States = NO_STATES,
 ) -> FloatArray:
     """Torque (n, N) [N·m] of parameters (p,) on the standard `columns` (all where None) along a motion (n, N)."""
     kernel = RegressorKernel(model, columns)
     torque = np.empty_like(position)
-    for chunk, packed in evaluate_in_chunks(kernel, position, velocity, acceleration, temperature):
+    for chunk, packed in evaluate_in_chunks(kernel, position, velocity, acceleration, temperature, presliding):
         for joint, rows in enumerate(kernel.joint_rows):
             torque[joint, chunk] = parameters[list(rows.columns)] @ packed[rows.rows]
     return torque
@@ -437,6 +441,7 @@ def evaluate_in_chunks(
     velocity: FloatArray,
     acceleration: FloatArray,
     temperature: FloatArray | None = None,
+    presliding: States = NO_STATES,
 ) -> Iterator[tuple[slice, FloatArray]]:
     """Slices of the samples with their packed regressor (row_count, m), valid until the next one is requested."""
     count = position.shape[1]
@@ -445,5 +450,6 @@ def evaluate_in_chunks(
         chunk = slice(start, min(start + kernel.chunk, count))
         packed = buffer[:, : chunk.stop - chunk.start]
         heat = None if temperature is None else temperature[:, chunk]
-        kernel.evaluate(position[:, chunk], velocity[:, chunk], acceleration[:, chunk], packed, heat)
+        states = {motion: state[chunk] for motion, state in presliding.items()}
+        kernel.evaluate(position[:, chunk], velocity[:, chunk], acceleration[:, chunk], packed, heat, states)
         yield chunk, packed

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from drivers.streams import FloatArray
 from ident.model.dynamic_model import DynamicModel
+from ident.model.presliding import presliding_states
 from ident.model.regressor import model_torque
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
@@ -62,7 +63,9 @@ def compare_torques(
     for segment in segments:
         every = slice(None, None, parallel_filter.factor)
         motion = (segment.position, segment.velocity, segment.acceleration)
-        predicted, measured = model_torque(model, columns, parameters, *motion, segment.temperature), segment.torque
+        states = presliding_states(model, segment.velocity, segment.rate)
+        predicted = model_torque(model, columns, parameters, *motion, segment.temperature, states)
+        measured = segment.torque
         if segment.known_torque is not None:
             predicted, measured = predicted + segment.known_torque, measured + segment.known_torque
         series.append(

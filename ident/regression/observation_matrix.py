@@ -25,6 +25,7 @@ from ident.linear_algebra.triangular import (
     scaled_condition,
     triangular,
 )
+from ident.model.presliding import presliding_states
 from ident.model.regressor import RegressorKernel, evaluate_in_chunks, motion_factor
 from ident.signals.filters import StreamedFilter, ZeroPhaseFilter
 from ident.signals.prepared import Segment
@@ -173,7 +174,9 @@ def filtered_samples(
             torque[motor :: kernel.model.dof, left_out] = 0.0
         return FilteredSamples(regressor, torque, used[chunk], reversing[:, chunk])
 
-    chunks = evaluate_in_chunks(kernel, segment.position, segment.velocity, segment.acceleration, segment.temperature)
+    motion = segment.position, segment.velocity, segment.acceleration
+    states = presliding_states(kernel.model, segment.velocity, segment.rate)
+    chunks = evaluate_in_chunks(kernel, *motion, segment.temperature, states)
     if parallel_filter.factor == 1 and len(parallel_filter.sos) == 0:
         for chunk, packed in chunks:
             yield samples(packed, torques[:, chunk], chunk)

@@ -29,7 +29,7 @@ from ident.regression.observability import describe
 from ident.regression.pruning import pruned_covariance
 from ident.result.arrays import outward, samples
 from ident.result.delivered import Parameters, delivered_parameters
-from ident.result.schema import Result, presliding_of, read_result
+from ident.result.schema import Result, read_result
 from ident.result.simulated_motion import STEP, Controller, SimulatedMotion, simulated_motion
 from ident.result.stored_model import StoredModel, stored_estimate, stored_model
 from ident.result.tables import Table, table_of_rows
@@ -254,11 +254,16 @@ class Model:
             self._require(self._columns(*motion, kelvin))
         return outward(self._dynamics.torque(*motion, kelvin), single=single)
 
+    @property
+    def slides_gradually(self) -> bool:
+        """Whether some joint has a pre-sliding travel."""
+        return bool(self._stored.model.presliding)
+
     def presliding_torque(self, q: npt.ArrayLike, dq: npt.ArrayLike, rate: float) -> FloatArray:
         """What presliding adds to `torque` along a motion in time [N·m]; shape of `q`.
 
-        Near a velocity reversal, dry friction follows Dahl's model in place of sign(q̇), its travels found by
-        `identify(…, presliding=True)`. It slides at the first motion.
+        Near a velocity reversal, dry friction follows Dahl's model in place of sign(q̇) where `identify` found a travel;
+        0 elsewhere. It slides at the first motion.
 
         Args:
             q: (N, n) positions on a uniform grid of time [rad].
@@ -267,9 +272,8 @@ class Model:
 
         Raises:
             DataError: a wrong shape, or a value is not finite.
-            UsageError: the result holds no pre-sliding travels.
         """
-        travels = presliding_of(self.result).by_parameter
+        travels = dict(self._stored.model.presliding)
         (position, velocity), single = samples(self.joint_names, q=q, dq=dq)
         dry = dry_friction(self._stored.model, self._base, self._values)
         change = self._dynamics.coupling.T @ dry.torque_change(travels, position, velocity, rate)

@@ -22,7 +22,7 @@ from pydantic import (
 
 from daq.output_files import replace_files
 from daq.robot.section import within
-from drivers.errors import ResultFileError, UsageError
+from drivers.errors import ResultFileError
 from drivers.input_files import RESULT_FILE, read_text
 from drivers.ranges import EXPONENT, PRESLIDING_TRAVEL, RESULT_VALUE, SMOOTHING, STRIBECK_VELOCITY
 from ident.model.friction_terms import FrictionTerms
@@ -540,29 +540,18 @@ class PreslidingTravel(_Part):
 
 
 class Presliding(_Part):
-    """Dahl's state in place of sign(q̇), for prediction."""
+    """Dahl's state in place of sign(q̇) along a motion in time: in fit, validation and prediction."""
 
     travels: list[PreslidingTravel] = Field(description="where presliding lowers the error")
-    static_error: Number = Field(description="relative, of held-out torques of joints below 0.1 rad/s, without it")
+    static_error: Number = Field(
+        description="relative, of held-out torques of joints below 0.1 rad/s, the same parameters without it"
+    )
     error: Number = Field(description="the same with it")
 
     @property
     def by_parameter(self) -> dict[str, float]:
         """Travels [rad or m] by the name of the Coulomb parameter."""
         return {one.parameter: one.travel for one in self.travels}
-
-
-def presliding_of(result: Result) -> Presliding:
-    """The pre-sliding travels of a result.
-
-    Raises:
-        UsageError: it was identified without.
-    """
-    if result.presliding is None:
-        raise UsageError(
-            "this result holds no pre-sliding travels", where="--presliding", hint="identify again with --presliding"
-        )
-    return result.presliding
 
 
 _LISTS_OF_JOINTS = (
@@ -621,7 +610,9 @@ class Result(_Part):
     merge: Merge | None = None
     estimate: EstimateResult | None = None
     convergence: Convergence | None = Field(default=None, description="null for methods that solve in one step")
-    presliding: Presliding | None = Field(default=None, description="null without --presliding")
+    presliding: Presliding | None = Field(
+        default=None, description="null where it was not looked for (--no-presliding, energy methods, smoothed sign)"
+    )
 
     @model_validator(mode="after")
     def _lists_of_joints(self) -> Self:

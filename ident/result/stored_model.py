@@ -10,6 +10,7 @@ from daq.robot.loader import RobotFile, parse_robot
 from drivers.errors import ResultFileError
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel, build_model
+from ident.model.joint_columns import quantity_of
 from ident.model.parameters import INERTIAL
 from ident.regression.estimate import Estimate
 from ident.regression.observability import Experiment, experiment_base, whole_arm
@@ -60,7 +61,12 @@ def stored_model(result: Result) -> StoredModel:
         offset=tuple(options.offset),
         smoothing=options.smoothing,
         terms=options.terms,
+        presliding=() if result.presliding is None else tuple(result.presliding.by_parameter.items()),
     )
+    link_free = [parameter for parameter in model.parameters if parameter.kind != "inertial"]
+    rubbing = {parameter.name for parameter in link_free if quantity_of(parameter) == "coulomb"}
+    if not rubbing.issuperset(name for name, _ in model.presliding):
+        raise ResultFileError("names no Coulomb parameter of this model", where="presliding.travels", hint=AGAIN)
     load = None if options.terms is None else options.terms.load_torque
     if load is not None and not all(0 <= column < len(INERTIAL) * len(model.joints) for column in load.columns):
         raise ResultFileError("names columns that are no link's", where="model_options.terms.load_torque", hint=AGAIN)

@@ -216,7 +216,7 @@ def identify(
     torques_of: Sequence[str] = (),
     rest_tolerance: float | None = None,
     leave_out_reversals: float | None = None,
-    presliding: bool = False,
+    presliding: bool = True,
     start: float | None = None,
     stop: float | None = None,
     keep_rest: bool = False,
@@ -238,7 +238,8 @@ def identify(
         robot: in place of the recording's own robot file.
         friction: "none", "viscous", "coulomb" or "coulomb-viscous", and further terms with plus signs, as in
             "coulomb-viscous+stribeck+load" (power, stribeck, load, load-linear, temperature, temperature-linear); or
-            "auto", which chooses the terms of each joint by held-out error; the robot file's where None.
+            "auto", which chooses the terms of each joint by held-out error; the robot file's where None, "auto" where
+            that states none.
         friction_from: folder or friction.json of a friction experiment: its terms and shapes hold, and so do its
             temperature terms where the recordings span too little temperature; the rest is estimated.
         offset: a constant torque per joint [N·m].
@@ -260,8 +261,8 @@ def identify(
         rest_tolerance: range of positions within which a joint counts as locked [rad or m]; 0.005 where None.
         leave_out_reversals: leave out velocity reversals: motors slower than this share
             of their RMS velocity; 0 leaves out none, None is 0.05 for methods with an equation per joint.
-        presliding: also find each joint's pre-sliding travel, which `predict` and `validate` can use near velocity
-            reversals; all parameters are those without it.
+        presliding: near velocity reversals, let dry friction change over a travel that is found for each joint, where
+            that lowers the error; `predict` and `validate` follow.
         start: leave out samples before this time [s from the first stamp].
         stop: leave out samples after this time [s from the first stamp].
         keep_rest: keep segments in which no joint moves, and torques of motors at rest.

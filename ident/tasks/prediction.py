@@ -185,7 +185,6 @@ def predict(
     run: Run,
     *,
     parameters: Parameters | None = None,
-    presliding: bool = False,
 ) -> Prediction:
     """Predict the joint torques [N·m] of a recording, part by part, with standard deviations and what remains.
 
@@ -193,13 +192,12 @@ def predict(
         identified: a result, a model (its own parameters count), or the folder or file of a result.
         run: a recording of the same arm, or its path; without a recorded torque there is no residual.
         parameters: "consistent", "full" or "essential", as in `load_model`; None takes what that does.
-        presliding: dry friction near velocity reversals by the pre-sliding travels of `identify(…, presliding=True)`.
 
     Raises:
         DataError: the recording lacks positions, a joint or a gain, or is too short.
         ModelError: the model is not that of the whole arm, or a parameter without a value acts on the motion.
         ResultFileError: no result, or it holds no covariance.
-        UsageError: there are no such parameters, or no pre-sliding travels.
+        UsageError: there are no such parameters.
 
     Example:
         >>> import dynid
@@ -211,7 +209,7 @@ def predict(
     model = _model(identified, parameters)
     recording = recording_of(run)
     robot_file = stored_model(model.result).robot_file
-    predicted = predict_recording(model, robot_file, recording, presliding=presliding)
+    predicted = predict_recording(model, robot_file, recording)
     segments = predicted.segments
     std = np.concatenate([one.std for one in segments])
     measured = [one.measured for one in segments if one.measured is not None]

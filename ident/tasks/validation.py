@@ -101,22 +101,19 @@ class Validation:
         return f"{self.verdict._repr_html_()}{self.errors._repr_html_()}"
 
 
-def validate(
-    identified: Identified, runs: Runs, *, presliding: bool = False, accept: Limits | None = None
-) -> Validation:
+def validate(identified: Identified, runs: Runs, *, accept: Limits | None = None) -> Validation:
     """Predict the torques [N·m] of recordings with an identified model and compare, each recording apart.
 
     Args:
         identified: a result, a model, or the folder or file of one.
         runs: a held-out recording or several, or their paths.
-        presliding: dry friction near velocity reversals by the pre-sliding travels of `identify(…, presliding=True)`.
         accept: limits that all recordings together must keep, such as {"relative_error": 0.08}, or the path of a YAML
             file with them.
 
     Raises:
         DataError: a recording lacks signals, or its motion is outside what the model covers.
         ResultFileError: the result's parts do not belong together.
-        UsageError: wrong limits, or the result holds no pre-sliding travels.
+        UsageError: wrong limits.
 
     Example:
         >>> import dynid
@@ -130,7 +127,7 @@ def validate(
         raise UsageError("no recording to validate with")
     if limits is not None:
         check_joints(limits, result.joints)
-    compared = [revalidate(result, recording, presliding=presliding) for recording in recordings]
+    compared = [revalidate(result, recording) for recording in recordings]
     checks, held_out = model_checks(result), [fits.delivered for fits in compared]
     apart = tuple(
         RecordingValidation(

@@ -123,7 +123,10 @@ def _check_same_arm(results: Sequence[tuple[str, Result]]) -> None:
             )
 
 
-_SHAPES = "shapes and load torque were estimated for each: state the shapes in the robot file, leave the load term out"
+_SHAPES = (
+    "terms and shapes were found for each by itself: identify both with --friction coulomb-viscous, or with terms "
+    "whose shapes the robot file states"
+)
 
 
 def _first_difference(mine: str, theirs: str) -> str:

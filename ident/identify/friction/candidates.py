@@ -11,15 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from drivers.streams import FloatArray
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import TEMPERATURE_KINDS, FrictionConditions
 from ident.model.joint_columns import JointColumn, column_signal, combined, joint_column
 from ident.model.parameters import Quantity, StandardParameter
-from ident.model.regressor import LoadTorqueKernel, RegressorKernel
-from ident.regression.observation_matrix import filtered_samples
+from ident.model.regressor import LoadTorqueKernel
 from ident.signals.motion_masks import REST_FLOOR
 from ident.signals.prepared import Prepared, Segment
 
@@ -157,44 +155,9 @@ def greatest_speeds(model: DynamicModel, runs: Sequence[Prepared]) -> FloatArray
     )
 
 
-def candidate_grams(
-    kernel: RegressorKernel,
-    runs: Sequence[Prepared],
-    folds: Sequence[npt.NDArray[np.int64]],
-    candidates: tuple[tuple[Candidate, ...], ...],
-) -> CandidateGrams:
-    """Gram matrices of the kernel's columns and all candidates.
-
-    Args:
-        kernel: of the base columns; its model has the load torque, where there are load candidates.
-        runs: the data.
-        folds: fold (M,) of each filtered sample, an array per segment of all runs.
-        candidates: of each motor.
-    """
-    dof, width = kernel.model.dof, len(candidates[0])
-    grams = [np.zeros((FOLDS, size, size)) for size in (len(rows.columns) + width + 1 for rows in kernel.joint_rows)]
-    rows = np.zeros((FOLDS, dof))
-    fold_of = iter(folds)
-    for run in runs:
-        for segment in run.segments:
-            fold, position = next(fold_of), 0
-            signals = np.concatenate([_signals(kernel.model, segment, candidates), segment.torque])
-            for filtered in filtered_samples(kernel, segment, run.parallel_filter, signals):
-                here = fold[position : position + len(filtered.used)]
-                position += len(filtered.used)
-                for motor, gram in enumerate(grams):
-                    packed = filtered.regressor[kernel.joint_rows[motor].rows]
-                    stacked = np.concatenate([packed, filtered.torque[motor::dof]])
-                    counts = filtered.counts(motor)
-                    for part in np.unique(here[counts]):
-                        inside = stacked[:, counts & (here == part)]
-                        gram[part] += inside @ inside.T
-                        rows[part, motor] += inside.shape[1]
-    columns = tuple(joint.columns for joint in kernel.joint_rows)
-    return CandidateGrams(candidates, columns, tuple(grams), rows, len(kernel.columns))
-
-
-def _signals(model: DynamicModel, segment: Segment, candidates: tuple[tuple[Candidate, ...], ...]) -> FloatArray:
+def candidate_signals(
+    model: DynamicModel, segment: Segment, candidates: tuple[tuple[Candidate, ...], ...]
+) -> FloatArray:
     """(e·n, N) the candidates' signals, the first of all motors first."""
     loads = any(candidate.quantity == "load" for candidate in candidates[0])
     load = LoadTorqueKernel(model).torque(segment.position) if loads else None

@@ -2,8 +2,8 @@
 
 Joint by joint, one term is added at a time: that which most lowers the error on blocks held out of the identification
 data, all columns fitted to the others, shapes included. A step counts if the held-out error falls and the partial
-F-test, with as many equations as the autocorrelated residuals are worth, rejects chance at `LEVEL`. Validation data
-take no part.
+F-test, with as many equations as the autocorrelated residuals are worth, rejects chance at `LEVEL`. No friction
+coefficient may be negative: the consistent model, which is delivered, could not have it. Validation data take no part.
 """
 
 from __future__ import annotations
@@ -31,6 +31,10 @@ GROUPS: dict[str, str] = {
     "temperature": "temperature",
 }
 """Terms that can be added; of a group a joint has one."""
+
+
+BRAKING = ("viscous", "stribeck", "load")
+"""Quantities whose coefficients the consistent model holds above 0, as it does Coulomb friction."""
 
 
 @dataclass(frozen=True)
@@ -153,21 +157,26 @@ class FrictionSearch:
         return found
 
     def _brakes(self, motor: int, way: _Addition, parameters: FloatArray) -> bool:
-        """Whether the power law of a motor, where it has one, and Coulomb friction beside it are not negative."""
+        """Whether no friction of a motor is negative, that of the temperature aside, once it has a further term."""
         additions = (way, *(addition for (at, _), addition in self._added.items() if at == motor))
         of = self._grams.candidates[motor]
-        powers = {place for addition in additions for place in addition.candidates if of[place].quantity == "viscous"}
-        columns = [self._grams.index(motor, place) for place in powers]
-        dry = self._coulomb[motor]
-        return not columns or all(parameters[column] >= 0.0 for column in (*columns, *([] if dry is None else [dry])))
+        added = {place for addition in additions for place in addition.candidates if of[place].quantity in BRAKING}
+        if not added:
+            return True
+        dropped = {addition.dropped for addition in additions}
+        plain = {self._viscous[motor], self._coulomb[motor]} - dropped - {None}
+        columns = [column for column in plain if column is not None]
+        return all(
+            parameters[column] >= 0.0 for column in (*columns, *(self._grams.index(motor, one) for one in added))
+        )
 
-    def held_out(self, motor: int, ways: Sequence[_Addition]) -> float:
-        """Squared error on each fold of what fits the other folds best, summed."""
-        total = 0.0
+    def held_out(self, motor: int, ways: Sequence[_Addition]) -> FloatArray:
+        """Squared error (FOLDS,) on each fold of what fits the other folds best."""
+        errors = []
         for fold in self._weighted:
             _, way, parameters = self.best(motor, ways, self._total - fold)
-            total += float("inf") if way is None else squared_error(fold, parameters)
-        return total
+            errors.append(float("inf") if way is None else squared_error(fold, parameters))
+        return np.array(errors)
 
     def add(self, motor: int, term: str, addition: _Addition) -> None:
         """Keep an addition."""
@@ -187,7 +196,7 @@ class FrictionSearch:
             ]
             if not options:
                 return steps
-            after, term, ways = min(options, key=lambda option: option[0])
+            after, term, ways = min(options, key=lambda option: float(option[0].sum()))
             fitted, way, _ = self.best(motor, ways, self._total)
             if way is None:
                 return steps
@@ -196,8 +205,8 @@ class FrictionSearch:
             variance = max(fitted, np.finfo(np.float64).tiny) / max(1.0, rows - len(self._columns(motor, way)))
             f_value = float(self._shares[motor]) * max(plain - fitted, 0.0) / (freedom * variance)
             p_value = _f_tail(f_value, freedom, independent)
-            accepted = after < before and p_value < LEVEL
-            errors = (float(np.sqrt(before / rows)), float(np.sqrt(after / rows)))
+            accepted = bool(after.sum() < before.sum()) and p_value < LEVEL
+            errors = (float(np.sqrt(before.sum() / rows)), float(np.sqrt(after.sum() / rows)))
             steps.append(FrictionStep(name, term, way.shape, f_value, freedom, p_value, *errors, accepted))
             if not accepted:
                 return steps
@@ -209,7 +218,7 @@ class FrictionSearch:
         for key, kept in list(self._added.items()):
             others = [term for term, group in GROUPS.items() if key == (motor, group)]
             del self._added[key]
-            errors = {term: self.held_out(motor, ways) for term in others if (ways := self.ways(motor, term))}
+            errors = {term: self.held_out(motor, ways).sum() for term in others if (ways := self.ways(motor, term))}
             best = min(errors, key=lambda term: errors[term])
             way = self.best(motor, self.ways(motor, best), self._total)[1]
             exchanged = way is not None and len(others) > 1 and way.candidates != kept.candidates

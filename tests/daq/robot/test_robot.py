@@ -58,7 +58,27 @@ def test_a_robot_file_becomes_a_robot() -> None:
     assert robot.model.mdh[1].alpha == pytest.approx(-math.pi / 2)
     assert robot.model.gravity == (0.0, 0.0, -9.81)
     assert robot.joints[0].torque is None
-    assert robot.friction.model == "coulomb-viscous"
+    assert robot.friction.model == "auto"
+    assert robot.friction.base == "coulomb-viscous"
+
+
+@pytest.mark.parametrize(
+    ("friction", "model"),
+    [
+        ("{offset: false}", "auto"),
+        ("{joints: {j1: {viscous: false}}}", "auto"),
+        ("{model: coulomb-viscous}", "coulomb-viscous"),
+        ("{stribeck: true}", "coulomb-viscous"),
+        ("{joints: {j2: {load: linear}}}", "coulomb-viscous"),
+    ],
+)
+def test_friction_is_chosen_from_the_data_unless_a_model_or_a_term_is_stated(friction: str, model: str) -> None:
+    assert parse(f"{TWO_JOINTS}friction: {friction}\n").robot.friction.model == model
+
+
+def test_auto_friction_beside_a_stated_term_is_refused() -> None:
+    with pytest.raises(RobotFileError, match="auto chooses the terms itself, and 'load' is stated"):
+        parse(f"{TWO_JOINTS}friction: {{model: auto, load: linear}}\n")
 
 
 def test_a_joint_without_a_drive_has_one_of_unknown_gain() -> None:

@@ -58,18 +58,16 @@ def test_predict_prints_one_object_and_overwrites_by_force_only(monkeypatch, cap
     assert run(monkeypatch, capsys, folder, *arguments, "--force")[0] == 0
 
 
-def test_presliding_is_identified_then_used_on_request(monkeypatch, capsys, folder):
-    status, _, error = run(monkeypatch, capsys, folder, "validate", "model", "val.h5", "--presliding")
-    assert status == 2
-    assert "identify again with --presliding" in error
-    status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--presliding", "-o", "sliding")
+def test_presliding_is_found_and_used_unless_told_not_to(monkeypatch, capsys, folder):
+    status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "-o", "sliding")
     assert status == 0
     assert "presliding: travel [rad or m] by Coulomb parameter" in out
-    assert run(monkeypatch, capsys, folder, "validate", "sliding", "val.h5", "--presliding")[0] == 0
-    arguments = ("predict", "sliding", "val.h5", "-o", "sliding.h5", "--presliding", "--json")
-    status, out, _ = run(monkeypatch, capsys, folder, *arguments)
+    status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--no-presliding", "-o", "static")
     assert status == 0
-    assert json.loads(out)["presliding"] is True
+    assert "travel [rad or m]" not in out
+    status, out, _ = run(monkeypatch, capsys, folder, "predict", "static", "val.h5", "-o", "static.h5", "--json")
+    assert status == 0
+    assert json.loads(out)["presliding"] is False
 
 
 def test_identify_fails_where_a_limit_is_not_kept_and_writes_everything(monkeypatch, capsys, folder):

@@ -514,8 +514,8 @@ def test_progress_names_the_steps(recorded):
     steps = []
     identify([recorded()], [], IdentifyChoices(), progress=steps.append)
     assert steps == [
-        "base parameters", "preprocessing", "delay", "regression", "error bars", "physical consistency",
-        "validation", "plausibility", "simulation",
+        "base parameters", "preprocessing", "delay", "friction", "presliding", "regression", "error bars",
+        "physical consistency", "validation", "plausibility", "simulation",
     ]  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Pre-sliding travels: found where there are some, stored, and used by prediction and validation on request."""
+"""Pre-sliding travels: found where there are some, and part of fit, errors, stored result and prediction."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from daq.recording.recording import JOINTS_STREAM
-from drivers.errors import UsageError
+from drivers.errors import ResultFileError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.predict import predict_recording
@@ -53,7 +53,7 @@ def recordings(three_joint):
 @pytest.fixture(scope="module")
 def found(recordings):
     (_, run), (_, other) = recordings
-    return identify([run], [other], IdentifyChoices(presliding=True, reversals=0.2))
+    return identify([run], [other], IdentifyChoices(reversals=0.2))
 
 
 @pytest.fixture(scope="module")
@@ -72,25 +72,38 @@ def test_true_travels_are_found_and_lower_the_held_out_error(found):
 
 def test_friction_that_changes_at_once_has_no_travel(recordings):
     (run, _), (other, _) = recordings
-    presliding = identify([run], [other], IdentifyChoices(presliding=True)).presliding
+    presliding = identify([run], [other], IdentifyChoices()).presliding
     assert all(one.travel < 2e-4 for one in presliding.travels)
     assert presliding.error < 1.05 * presliding.static_error
 
 
-def test_a_stored_result_repeats_the_error_on_request(result, found, recordings):
+def test_the_travel_is_in_the_fit_and_its_errors(found, recordings):
+    (_, run), (_, other) = recordings
+    static = identify([run], [other], IdentifyChoices(presliding=False, reversals=0.2))
+    assert static.presliding is None
+    assert low_speed_error(found.validation_series) == found.presliding.error
+    assert found.validation.relative_error < static.validation.relative_error
+    assert found.consistent.validation.relative_error < static.consistent.validation.relative_error
+
+
+def test_a_stored_result_repeats_the_errors(result, found, recordings):
     other = recordings[1][1]
     assert result.presliding.by_parameter == {one.parameter: one.travel for one in found.presliding.travels}
     assert any(step.name == "presliding" and "Fs1" in step.text for step in result.preprocessing)
-    with_travels = revalidate(result, other, presliding=True)
-    assert low_speed_error(with_travels.series) == pytest.approx(found.presliding.error, rel=1e-9)
-    assert low_speed_error(revalidate(result, other).series) == pytest.approx(found.presliding.static_error, rel=1e-9)
-    assert with_travels.consistent.relative_error < revalidate(result, other).consistent.relative_error
+    again = revalidate(result, other)
+    assert low_speed_error(again.series) == pytest.approx(found.presliding.error, rel=1e-9)
+    assert again.full.relative_error == pytest.approx(result.validation.relative_error, rel=1e-9)
+    assert again.consistent.relative_error == pytest.approx(result.consistent.validation.relative_error, rel=1e-9)
+    static = revalidate(result.model_copy(update={"presliding": None}), other)
+    assert low_speed_error(static.series) == pytest.approx(found.presliding.static_error, rel=1e-9)
 
 
 def test_prediction_adds_the_change_to_the_friction(result, recordings, three_joint):
     other, model = recordings[1][1], Model(result, "full")
-    (static,) = predict_recording(model, three_joint, other).segments
-    (sliding,) = predict_recording(model, three_joint, other, presliding=True).segments
+    (static,) = predict_recording(
+        Model(result.model_copy(update={"presliding": None}), "full"), three_joint, other
+    ).segments
+    (sliding,) = predict_recording(model, three_joint, other).segments
     assert np.allclose(sliding.torque - sliding.parts["friction"], static.torque - static.parts["friction"])
     change = sliding.torque - static.torque
     assert np.max(np.abs(change[:, 0])) > 5.0  # twice Coulomb friction, right after a reversal
@@ -99,11 +112,8 @@ def test_prediction_adds_the_change_to_the_friction(result, recordings, three_jo
     assert np.std(sliding.residual) < np.std(static.residual)
 
 
-def test_a_result_without_travels_is_refused(result, recordings, three_joint):
-    plain = result.model_copy(update={"presliding": None})
-    for refused in (
-        lambda: revalidate(plain, recordings[1][1], presliding=True),
-        lambda: predict_recording(Model(plain), three_joint, recordings[1][1], presliding=True),
-    ):
-        with pytest.raises(UsageError, match="no pre-sliding travels"):
-            refused()
+def test_travels_of_another_model_are_refused(result):
+    travels = [one.model_copy(update={"parameter": "Fs9"}) for one in result.presliding.travels]
+    other = result.model_copy(update={"presliding": result.presliding.model_copy(update={"travels": travels})})
+    with pytest.raises(ResultFileError, match="no Coulomb parameter"):
+        Model(other)

@@ -1,0 +1,211 @@
+"""The filtered equations of the identification data, kept in memory, with friction columns that change.
+
+A search of friction solves the same data many times; what differs from one model to the next is a few friction columns.
+Bodies, motor inertia and offset are evaluated and filtered once; hundreds to thousands of filtered samples remain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.streams import FloatArray
+from ident.identify.friction.candidates import FOLDS, Candidate, CandidateGrams, candidate_signals
+from ident.linear_algebra.triangular import triangular
+from ident.model.base_parameters import BaseParameters
+from ident.model.dynamic_model import DynamicModel
+from ident.model.friction_terms import FrictionConditions, States
+from ident.model.joint_columns import JointColumn, column_signal, joint_column
+from ident.model.presliding import presliding_states
+from ident.model.regressor import LoadTorqueKernel, RegressorKernel
+from ident.regression.observation_matrix import JointFactor, Reduction, filtered_samples
+from ident.regression.velocity_reversals import all_equations
+from ident.signals.filters import ZeroPhaseFilter
+from ident.signals.prepared import Prepared, Segment
+
+MOST_SAMPLES = 20_000
+"""Filtered samples that are kept; of more, every second, third… one: friction's shapes need no more."""
+
+
+@dataclass(frozen=True, eq=False)
+class _SegmentRows:
+    """One segment's filtered samples, M of them.
+
+    Attributes:
+        segment: not filtered.
+        run_filter: its parallel filter.
+        packed: (kernel.row_count, M) of the plain model's columns.
+        torque: (n, M).
+        fitted, compared: (n, M) which equations the fit uses, and which the error of a delivered model counts.
+    """
+
+    segment: Segment
+    run_filter: ZeroPhaseFilter
+    packed: FloatArray
+    torque: FloatArray
+    fitted: npt.NDArray[np.bool_]
+    compared: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class FoldSums:
+    """[W τ]ᵀ[W τ] (FOLDS, n, b + 1, b + 1) by block and motor, of the fitted and of the compared equations."""
+
+    fitted: FloatArray
+    compared: FloatArray
+
+
+class FrictionRows:
+    """All equations of some runs.
+
+    Args:
+        plain: the arm without further friction terms.
+        base: its base parameters.
+        runs: the data.
+    """
+
+    def __init__(self, plain: DynamicModel, base: BaseParameters, runs: Sequence[Prepared]) -> None:
+        self._kernel = RegressorKernel(plain, base.columns)
+        count = sum(len(part.time) // run.parallel_filter.factor for run in runs for part in run.segments)
+        self.every = slice(None, None, max(1, -(-count // MOST_SAMPLES)))
+        self._segments = [part for run in runs for part in self._kept(run)]
+        names = [plain.parameters[column].name for column in base.columns]
+        self._places = {name: place for place, name in enumerate(names)}
+
+    def _kept(self, run: Prepared) -> Iterator[_SegmentRows]:
+        for segment, whole in zip(run.segments, all_equations(run).segments, strict=True):
+            parts = [
+                (part.regressor.copy(), part.torque.copy(), part.used)
+                for part in filtered_samples(self._kernel, whole, run.parallel_filter, segment.torque)
+            ]
+            if not parts:
+                continue
+            packed, torque, used = (np.concatenate(values, axis=-1) for values in zip(*parts, strict=True))
+            filtered = slice(None, None, run.parallel_filter.factor)
+            reversing, resting = (
+                np.zeros_like(torque, dtype=np.bool_) if mask is None else mask[:, filtered]
+                for mask in (segment.reversing, segment.resting)
+            )
+            yield _SegmentRows(
+                segment,
+                run.parallel_filter,
+                packed[:, self.every],
+                torque[:, self.every],
+                (used & ~reversing)[:, self.every],
+                (used & ~resting)[:, self.every],
+            )
+
+    def reduction(self, model: DynamicModel, base: BaseParameters, torques: Sequence[int]) -> Reduction:
+        """The system of a model that differs from the plain one in its friction, and of some motors' torques.
+
+        Args:
+            model: the arm.
+            base: its base parameters.
+            torques: of the motors whose equations count.
+        """
+        blocks: list[list[FloatArray]] = [[] for _ in range(model.dof)]
+        columns: list[tuple[int, ...]] = [()] * model.dof
+        for part in self._segments:
+            for motor, (of_motor, rows) in enumerate(self._equations(model, base, part)):
+                columns[motor] = of_motor
+                if motor in torques:
+                    blocks[motor].append(rows[:, part.fitted[motor]])
+        joints = []
+        for of_motor, rows_of in zip(columns, blocks, strict=True):
+            stacked = np.concatenate([*rows_of, np.zeros((len(of_motor) + 1, 0))], axis=1)
+            joints.append(JointFactor(of_motor, triangular(stacked.T), stacked.shape[1]))
+        samples = sum(int(np.any(part.fitted, axis=0).sum()) for part in self._segments)
+        return Reduction(tuple(joints), base.count, 1, samples, "QR of kept equations")
+
+    def fold_sums(self, model: DynamicModel, base: BaseParameters, folds: Sequence[npt.NDArray[np.int64]]) -> FoldSums:
+        """Sums of squares of a model's columns and the torque, by block of the data.
+
+        Args:
+            model: the arm.
+            base: its base parameters.
+            folds: block (M,) of each filtered sample, an array per segment of all runs.
+        """
+        size = base.count + 1
+        sums = FoldSums(*(np.zeros((FOLDS, model.dof, size, size)) for _ in range(2)))
+        for part, fold in zip(self._segments, folds, strict=True):
+            for motor, (of_motor, rows) in enumerate(self._equations(model, base, part)):
+                places = np.array([*of_motor, base.count])
+                for total, counts in ((sums.fitted, part.fitted[motor]), (sums.compared, part.compared[motor])):
+                    for block in np.unique(fold[self.every]):
+                        inside = rows[:, counts & (fold[self.every] == block)]
+                        total[block, motor][places[:, None], places] += inside @ inside.T
+        return sums
+
+    def candidate_grams(
+        self,
+        model: DynamicModel,
+        base: BaseParameters,
+        folds: Sequence[npt.NDArray[np.int64]],
+        candidates: tuple[tuple[Candidate, ...], ...],
+    ) -> CandidateGrams:
+        """Gram matrices of a model's columns and all candidates.
+
+        Args:
+            model: has the load torque, where there are load candidates.
+            base: its base parameters.
+            folds: block (M,) of each filtered sample, an array per segment of all runs.
+            candidates: of each motor.
+        """
+        dof, width = model.dof, len(candidates[0])
+        columns: list[tuple[int, ...]] = [()] * dof
+        grams: list[FloatArray] = []
+        count = np.zeros((FOLDS, dof))
+        for part, fold in zip(self._segments, folds, strict=True):
+            signals = part.run_filter.apply(candidate_signals(model, part.segment, candidates))[:, self.every]
+            for motor, (of_motor, rows) in enumerate(self._equations(model, base, part)):
+                columns[motor] = of_motor
+                if len(grams) == motor:
+                    grams.append(np.zeros((FOLDS, len(rows) + width, len(rows) + width)))
+                gram = grams[motor]
+                stacked = np.concatenate([rows[:-1], signals[motor::dof], rows[-1:]])
+                for block in np.unique(fold[self.every]):
+                    inside = stacked[:, part.fitted[motor] & (fold[self.every] == block)]
+                    gram[block] += inside @ inside.T
+                    count[block, motor] += inside.shape[1]
+        return CandidateGrams(candidates, tuple(columns), tuple(grams), count, base.count)
+
+    def _equations(
+        self, model: DynamicModel, base: BaseParameters, part: _SegmentRows
+    ) -> Iterator[tuple[tuple[int, ...], FloatArray]]:
+        """Of each motor, the base columns in its equations, and these with the torque (k + 1, M)."""
+        of_motor: list[list[tuple[int, FloatArray]]] = [[] for _ in range(model.dof)]
+        segment = part.segment
+        states = presliding_states(model, segment.velocity, segment.rate)
+        new: list[tuple[int, JointColumn]] = []
+        for place, standard in enumerate(base.columns):
+            parameter = model.parameters[standard]
+            column = None if parameter.kind == "inertial" else joint_column(model, parameter)
+            if column is not None and self._changed(parameter.name, column, states):
+                new.append((place, column))
+                continue
+            kept = self._places[parameter.name]
+            for motor, rows in enumerate(self._kernel.joint_rows):
+                if kept in rows.columns:
+                    of_motor[motor].append((place, part.packed[rows.rows.start + rows.columns.index(kept)]))
+        if new:
+            load = LoadTorqueKernel(model).torque(segment.position) if model.needs_load_torque else None
+            conditions = FrictionConditions(load, segment.temperature, states)
+            signals = np.array(
+                [column_signal(model, column, segment.velocity, segment.acceleration, conditions) for _, column in new]
+            )
+            filtered = part.run_filter.apply(signals)[:, self.every]
+            for (place, column), row in zip(new, filtered, strict=True):
+                for motor, factor in column.rows:
+                    of_motor[motor].append((place, factor * row))
+        for motor, found in enumerate(of_motor):
+            ordered = sorted(found, key=lambda one: one[0])
+            yield tuple(place for place, _ in ordered), np.array([*(row for _, row in ordered), part.torque[motor]])
+
+    def _changed(self, name: str, column: JointColumn, states: States) -> bool:
+        """Whether a column is none of the plain model's."""
+        if name not in self._places or (column.quantity == "viscous" and column.shape != 1.0):
+            return True
+        return column.quantity == "coulomb" and column.motion in states
