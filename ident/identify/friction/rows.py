@@ -7,7 +7,7 @@ Bodies, motor inertia and offset are evaluated and filtered once; hundreds to th
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,6 @@ from ident.model.joint_columns import JointColumn, column_signal, joint_column
 from ident.model.presliding import presliding_states
 from ident.model.regressor import LoadTorqueKernel, RegressorKernel
 from ident.regression.observation_matrix import JointFactor, Reduction, filtered_samples
-from ident.regression.velocity_reversals import all_equations
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Prepared, Segment
 
@@ -76,7 +75,8 @@ class FrictionRows:
         self._places = {name: place for place, name in enumerate(names)}
 
     def _kept(self, run: Prepared) -> Iterator[_SegmentRows]:
-        for segment, whole in zip(run.segments, all_equations(run).segments, strict=True):
+        for segment in run.segments:
+            whole = replace(segment, reversing=None)
             parts = [
                 (part.regressor.copy(), part.torque.copy(), part.used)
                 for part in filtered_samples(self._kernel, whole, run.parallel_filter, segment.torque)

@@ -561,9 +561,10 @@ def test_friction_that_sticks_at_reversals_is_warned_of(recorded, three_joint):
     stuck = current.values - np.where(slow, 0.3 * np.abs(current.values).mean(axis=0) * np.sign(speed), 0.0)
     channels = dict(stream.channels) | {"current": replace(current, values=stuck)}
     sticking = replace(clean, streams={JOINTS_STREAM: replace(stream, channels=channels)})
-    (told,) = warned(identify([sticking], [], IdentifyChoices(reversals=0.0)))
+    stated = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), presliding=False)
+    (told,) = warned(identify([sticking], [], replace(stated, reversals=0.0)))
     assert "Fs" in told
     assert f"--leave-out-reversals {STICKING_SHARE:g}" in told
-    assert warned(identify([sticking], [], IdentifyChoices()))
-    assert not warned(identify([sticking], [], IdentifyChoices(reversals=STICKING_SHARE)))
+    assert warned(identify([sticking], [], stated))
+    assert not warned(identify([sticking], [], replace(stated, reversals=STICKING_SHARE)))
     assert not warned(identify([sticking], [], IdentifyChoices(model=ModelChoices(friction="viscous"))))

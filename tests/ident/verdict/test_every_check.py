@@ -453,9 +453,15 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.found(robot_file=b.said({"alpha: 0, d: 0.4, r: 0.1": "alpha: 0, d: 0.45, r: 0.1"})),
         lambda b: b.clean(),
     ),
-    "friction-near-reversals": (lambda b: b.found(b.sticking()), lambda b: b.found(b.sticking(), reversals=0.2)),
+    "friction-near-reversals": (
+        lambda b: b.found(b.sticking(), model=ModelChoices("coulomb-viscous"), presliding=False),
+        lambda b: b.found(b.sticking()),
+    ),
     "indefinite-inertia": (lambda b: b.found(changed(b.recorded(), lambda i: i * [-1, 1, 1])), lambda b: b.clean()),
-    "residuals-curved": (lambda b: b.found(b.with_stribeck()), lambda b: b.clean()),
+    "residuals-curved": (
+        lambda b: b.found(b.with_stribeck(), model=ModelChoices("coulomb-viscous")),
+        lambda b: b.clean() | b.found(b.with_stribeck()),
+    ),
     "residuals-autocorrelated": (lambda b: b.found(changed(b.recorded(), drifting)), lambda b: b.clean()),
     "residuals-uneven": (lambda b: b.found(b.with_uneven_noise()), lambda b: b.clean()),
     "residuals-not-normal": (lambda b: b.found(changed(b.recorded(), bursts)), lambda b: b.clean()),
