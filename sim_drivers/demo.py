@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -139,7 +140,7 @@ def run_demo(
         progress(f"recording {motion.duration:.0f} s for {name} over RTDE")
         # The arm stands where the motion starts: a slow approach takes 20 s and shows nothing.
         start = motion.evaluate(np.zeros(1))[0][:, 0]
-        recorded = _recorded(lambda: arm(robot, seed, start), trajectory, paths[-1], progress)
+        recorded = _recorded(partial(arm, robot, seed, start), trajectory, paths[-1], progress)
         lost += recorded.lost
         samples += recorded.samples
     # From here on it is what a user does: two recordings on disk, nothing known but their content.
