@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from drivers.streams import FloatArray
 from ident.export.arm import ExportedArm
+from ident.model.joint_units import joint_unit
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 """[m/s²] what simulators take where a file does not say it."""
@@ -15,19 +14,17 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
 def left_out_of_urdf(arm: ExportedArm) -> tuple[str, ...]:
     """What a URDF lacks; friction and limits of joints, and the bodies of links, are in it."""
-    names, joints = arm.model.joint_names, arm.at_joints
+    joints = arm.at_joints
     coupled = np.array(arm.coupled)
     sentences = []
     if np.any(joints.inertia):
-        sentences.append(
-            f"motor inertia [kg·m²], to be added to the diagonal of M(q): {_listed(names, joints.inertia)}"
-        )
+        sentences.append(f"motor inertia, to be added to the diagonal of M(q): {_listed(arm, joints.inertia, 'kg·m²')}")
     if np.any(joints.offset):
-        sentences.append(f"constant offsets of the torque [N·m]: {_listed(names, joints.offset)}")
+        sentences.append(f"constant offsets of the torque: {_listed(arm, joints.offset, 'N·m')}")
     if np.any(coupled):
         sentences.append(f"coupled motors: {'; '.join(_motor(arm, int(motor)) for motor in np.flatnonzero(coupled))}")
     if arm.closed:
-        passive = [name for name in arm.model.link_names if name not in names]
+        passive = [name for name in arm.model.link_names if name not in arm.model.joint_names]
         sentences.append(f"closed loops: {', '.join(passive)} have no motor and follow the others; here they are free")
     if not np.allclose(arm.model.gravity, STANDARD_GRAVITY, atol=0.01):
         gravity = " ".join(f"{value:g}" for value in arm.model.gravity)
@@ -71,13 +68,17 @@ def _motor(arm: ExportedArm, motor: int) -> str:
     """`the motor of j6 (1·j5 + 1·j6: inertia 0.3 kg·m², …)`."""
     names, terms, row = arm.model.joint_names, arm.motors, arm.coupling[motor]
     motion = " + ".join(f"{row[joint]:g}·{names[joint]}" for joint in np.flatnonzero(row))
+    mass, rate, torque = (joint_unit(unit, sliding=arm.model.sliding[motor]) for unit in ("kg·m²", "N·m·s/rad", "N·m"))
     return (
-        f"the motor of {names[motor]} ({motion}: inertia {terms.inertia[motor]:.6g} kg·m², viscous friction "
-        f"{terms.viscous[motor]:.6g} N·m·s/rad, Coulomb friction {terms.coulomb[motor]:.6g} N·m, offset "
-        f"{terms.offset[motor]:.6g} N·m)"
+        f"the motor of {names[motor]} ({motion}: inertia {terms.inertia[motor]:.6g} {mass}, viscous friction "
+        f"{terms.viscous[motor]:.6g} {rate}, Coulomb friction {terms.coulomb[motor]:.6g} {torque}, offset "
+        f"{terms.offset[motor]:.6g} {torque})"
     )
 
 
-def _listed(names: Sequence[str], values: FloatArray) -> str:
-    """`j1 0.3, j2 0.12` of those that are not 0."""
-    return ", ".join(f"{name} {value:.6g}" for name, value in zip(names, values, strict=True) if value)
+def _listed(arm: ExportedArm, values: FloatArray, unit: str) -> str:
+    """`j1 0.3 kg·m², j2 0.12 kg` of the joints whose value is not 0; the unit is that of a turning joint."""
+    joints = zip(arm.model.joint_names, arm.model.sliding, values, strict=True)
+    return ", ".join(
+        f"{name} {value:.6g} {joint_unit(unit, sliding=slides)}" for name, slides, value in joints if value
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import joint_column
+from ident.model.joint_units import joint_unit
 from ident.result.schema import UNITS
 
 
@@ -19,9 +20,4 @@ def parameter_unit(model: DynamicModel, column: int) -> str:
             unit = f"N·m·(s/rad)^{shape:.3g}"
         elif parameter.kind == "load":
             unit = "1" if shape == 1.0 else "1/(N·m)"
-    return sliding_unit(unit) if model.joints[parameter.joint].prismatic else unit
-
-
-def sliding_unit(unit: str) -> str:
-    """The unit of a sliding joint's parameter: N for N·m, m for rad, kg for kg·m²."""
-    return unit.replace("(N·m)", "N").replace("N·m", "N").replace("rad", "m").replace("kg·m²", "kg")
+    return joint_unit(unit, sliding=model.joints[parameter.joint].prismatic)

@@ -6,6 +6,7 @@ import numpy as np
 
 from drivers.errors import ModelError
 from drivers.streams import FloatArray
+from ident.model.joint_units import joint_unit
 from ident.simulation.forward_arm import ForwardArm
 
 FASTEST = 1e4
@@ -39,8 +40,8 @@ def divergence(
             hint="look for lengths, masses or parameters of the result that are out of proportion",
         )
     joint = int(np.argmax(np.where(np.isfinite(velocities[-1]), np.abs(velocities[-1]), np.inf)))
-    name, slides = arm.joint_names[joint], arm.sliding[joint]
-    speed, torque, mass = ("m/s", "N", "kg") if slides else ("rad/s", "N·m", "kg·m²")
+    name = arm.joint_names[joint]
+    speed, torque, mass = (joint_unit(unit, sliding=arm.sliding[joint]) for unit in ("rad/s", "N·m", "kg·m²"))
     moved = 1.0 / float(np.linalg.inv(inertia)[joint, joint])
     return ModelError(
         f"the simulated motion diverges at {time:.4g} s: {name} passes {FASTEST:g} {speed}, its inertia {moved:.2g} "

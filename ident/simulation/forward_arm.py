@@ -20,6 +20,7 @@ from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import SLOWEST, TEMPERATURE_KINDS, FrictionConditions
 from ident.model.inverse_dynamics import InverseDynamics, with_masses
 from ident.model.joint_columns import JointColumn, column_signal, combined
+from ident.model.joint_units import joint_unit
 from ident.model.parameters import INERTIAL
 from ident.model.rigid_arm import RigidArm, rigid_arm
 
@@ -164,9 +165,10 @@ def _rigid_arms(model: DynamicModel, inverse: InverseDynamics) -> list[tuple[Rig
 
 
 def _check_dissipative(model: DynamicModel, directions: FloatArray, dry: FloatArray) -> None:
+    joints = [(int(np.argmax(np.abs(motion))), value) for motion, value in zip(directions, dry, strict=True)]
     wrong = [
-        f"{model.joint_names[int(np.argmax(np.abs(motion)))]} ({value:.3g} N·m)"
-        for motion, value in zip(directions, dry, strict=True)
+        f"{model.joint_names[joint]} ({value:.3g} {joint_unit('N·m', sliding=model.sliding[joint])})"
+        for joint, value in joints
         if value < 0.0
     ]
     if wrong:
