@@ -1,16 +1,17 @@
 """Held-out errors of every method with every friction model on public recordings: a table of docs/aubo.md.
 
-    python studies/methods_public.py [NAME…]
+    python studies/methods_public.py [METHODS, separated by commas [RECORDINGS [FRICTION]]]
 
-Relative error of the held-out torques [%] (last 30 %; their folder in DYNID_DATA): all samples, joints above 0.1 rad/s,
-joints below it (reversals and their neighbourhood), and all samples by the physically consistent parameters; CPU time.
+Relative error of the held-out torques [%] (last 30 %; their folder in DYNID_DATA): all samples; joints above 0.1 rad/s;
+joints below it (reversals and their neighbourhood); in brackets all samples by the physically consistent parameters.
+Hours for everything.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,33 +20,41 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from consistency import public
 from friction_models import choices_of, errors
 
+from daq.recording.recording import Recording
 from drivers.errors import DynidError
+from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 
-METHODS = ("wls", "ols", "ridge", "tls", "iv", "ml", "energy", "power", "irls", "iirls", "didim")
+NAMES = {"ur10": "UR10", "tx40": "TX40", "panda": "Panda"}
+METHODS = ("wls", "ols", "ridge", "tls", "iv", "ml", "irls", "iirls", "didim")
 FRICTION = ("coulomb-viscous", "coulomb-viscous+power+load", "coulomb-viscous+power+stribeck+load", "auto")
 
 
-def main(names: list[str]) -> None:
-    """Print a table for each recording."""
+def cell(recording: Recording, choices: IdentifyChoices) -> str:
+    """The errors of one identification; why there are none where it fails."""
+    try:
+        found = identify([recording], [], choices)
+    except DynidError as error:
+        return error.message
+    text = "; ".join(f"{error:.2f}" for error in errors(found))
+    consistent = found.consistent
+    return text if consistent is None else f"{text} ({100.0 * consistent.validation.relative_error:.2f})"
+
+
+def main(
+    methods: Sequence[str] = METHODS, names: Sequence[str] = tuple(NAMES), frictions: Sequence[str] = FRICTION
+) -> None:
+    """Print the table."""
     folder = Path(os.environ.get("DYNID_DATA", "../shared/data"))
-    for name in names or ["ur10", "tx40", "panda"]:
-        recording, choices = public(folder, name)
-        print(f"\n| {name} | friction | all | fast | slow | consistent | CPU s |\n|---|---|---|---|---|---|---|")
-        for friction in FRICTION:
-            for method in METHODS:
-                start = time.process_time()
-                try:
-                    found = identify([recording], [], replace(choices_of(choices, friction), method=method))
-                except DynidError as error:
-                    print(f"| `{method}` | {friction} | {error} |", flush=True)
-                    continue
-                consistent = found.consistent
-                cells = [f"{error:.2f}" for error in errors(found)]
-                cells.append("" if consistent is None else f"{100.0 * consistent.validation.relative_error:.2f}")
-                spent = time.process_time() - start
-                print(f"| `{method}` | {friction} | {' | '.join(cells)} | {spent:.1f} |", flush=True)
+    runs = [public(folder, name) for name in names]
+    print(f"| friction | method | {' | '.join(NAMES[name] for name in names)} |\n|---|---|{'---|' * len(names)}")
+    for friction in frictions:
+        for method in methods:
+            cells = [
+                cell(recording, replace(choices_of(choices, friction), method=method)) for recording, choices in runs
+            ]
+            print(f"| {friction} | `{method}` | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main(*(argument.split(",") for argument in sys.argv[1:]))
