@@ -83,6 +83,11 @@ PERCENT = Range(1e-3, 100.0, "%")
 
 COEFFICIENTS = Range(1, 1000)
 """Of one joint in a trajectory file: harmonics or sines; the check of the limits of 13,000 takes a minute and 4 GB."""
+PIECE = Range(1e-3, 86_400.0, "s")
+"""Of a move, or of all of a motion; shorter than a period of the commands it would be a step, and no check of limits on
+floating-point times could tell where."""
+SAMPLE_STEP = Range(1e-4, 86_400.0, "s")
+"""Between samples of a trajectory."""
 PERIOD = Range(0.1, 3600.0, "s")
 """Of an excitation trajectory."""
 PERIODS = Range(1, 10_000)

@@ -59,8 +59,9 @@ def record_command(
     from daq.robot.assumptions import assumed_limits
     from daq.robot.loader import load_robot
     from daq.session.bus_room import session_warnings
+    from daq.session.play import Play, motion_rate
     from daq.session.realtime import ask_for_realtime
-    from daq.session.session import ENDED_BY, Play, load_driver, motion_rate, record
+    from daq.session.session import ENDED_BY, load_driver, record
     from daq.session.supervisor import Limits, Supervisor
     from drivers.clock import SYSTEM_CLOCK
     from drivers.errors import UsageError

@@ -27,7 +27,7 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from daq.motion.fourier_quintic import FourierQuintic
 from daq.motion.limits import check_limits, check_rest
@@ -41,10 +41,10 @@ from daq.motion.trajectories import (
     SumOfSines,
 )
 from daq.robot.schema import Robot
-from daq.robot.section import Finite, NonNegative, Positive
+from daq.robot.section import Finite, NonNegative, NotTruthValue, within
 from drivers.errors import UsageError
 from drivers.input_files import TRAJECTORY_FILE, TRAJECTORY_SAMPLES, read_text
-from drivers.ranges import COEFFICIENTS
+from drivers.ranges import COEFFICIENTS, PIECE, SAMPLE_STEP
 from drivers.streams import FloatArray
 from drivers.yaml_file import describe, read_mapping, validated
 
@@ -54,6 +54,7 @@ _LOOKS = 997
 
 Row = Annotated[tuple[Finite, ...], Field(min_length=1, max_length=int(COEFFICIENTS.most))]
 Rows = Annotated[tuple[Row, ...], Field(min_length=1)]
+Duration = Annotated[float, Field(gt=0, allow_inf_nan=False), AfterValidator(within(PIECE)), NotTruthValue]
 Ramp = Annotated[Finite, Field(ge=SHORTEST_RAMP, description="[s] from rest to full speed, and back")]
 
 
@@ -87,7 +88,7 @@ class FourierTrajectory(_Trajectory):
     """A Fourier series (ROCR6 eq. 21; AUBO eq. 20 with amplitudes: position)."""
 
     kind: Literal["fourier"]
-    period: Positive = Field(description="[s]")
+    period: Duration = Field(description="[s]")
     offset: Row
     sine: Rows
     cosine: Rows
@@ -111,7 +112,7 @@ class FourierQuinticTrajectory(_Trajectory):
     """A Fourier series that a fifth-order polynomial brings to rest at the ends of every period."""
 
     kind: Literal["fourier-quintic"]
-    period: Positive = Field(description="[s]")
+    period: Duration = Field(description="[s]")
     offset: Row
     sine: Rows
     cosine: Rows
@@ -132,7 +133,7 @@ class SinesTrajectory(_Trajectory):
     """A sum of sines (UP6 eq. 8)."""
 
     kind: Literal["sines"]
-    duration: Positive = Field(description="[s]")
+    duration: Duration = Field(description="[s]")
     offset: Row
     amplitude: Rows
     frequency: Rows = Field(description="[rad/s]")
@@ -156,7 +157,7 @@ class PointsTrajectory(_Trajectory):
 
     kind: Literal["points"]
     points: Rows
-    durations: Annotated[tuple[Positive, ...], Field(min_length=1)] = Field(description="[s]")
+    durations: Annotated[tuple[Duration, ...], Field(min_length=1)] = Field(description="[s]")
     dwell: NonNegative = Field(default=0.0, description="[s]")
 
     @model_validator(mode="after")
@@ -188,6 +189,10 @@ class SamplesTrajectory(_Trajectory):
         if np.any(np.diff(self.time) <= 0):
             row = int(np.argmax(np.diff(self.time) <= 0)) + 1
             raise ValueError(f"'time' does not rise at sample {row}: {self.time[row - 1]:g}, {self.time[row]:g}")
+        steps = np.diff(np.array(self.time) - self.time[0])
+        if not SAMPLE_STEP.holds(float(steps.min())):
+            row = int(np.argmin(steps)) + 1
+            raise ValueError(f"samples {row - 1} and {row} are {steps.min():.3g} s apart; allowed: {SAMPLE_STEP}")
         return self
 
     def motion(self) -> Motion:

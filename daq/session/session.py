@@ -8,43 +8,33 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import FrameType
-from typing import Protocol
 
 import numpy as np
 
-from daq.motion.limits import check_limits
 from daq.motion.player import Path as MotionPath
 from daq.motion.player import Player, Punctuality, dry_run
-from daq.motion.trajectories import Motion
 from daq.recording.recorder import Recorder
-from daq.recording.recording import JOINTS_STREAM
 from daq.robot.schema import Robot
 from daq.session.clocks import ClockLog
-from daq.session.command_gate import COMMAND_RATE, CommandGate, GateLimits
 from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
-from daq.session.permission import Permission
+from daq.session.course import Course, View
+from daq.session.play import Play, follow_motion, motion_rate, permitted_approach, prepare, wait_for_position
 from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
 from drivers.base import DRIVERS_GROUP, Attributing, Driver, DriverSettings, Notice
 from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionLostError, DynidError, MotionRefusedError, SafetyStopError, UsageError, WorkError
-from drivers.standstill import StandstillWatch
-from drivers.streams import Batch, FloatArray
+from drivers.errors import DynidError, MotionRefusedError, SafetyStopError, UsageError, WorkError
 
 READ_TIMEOUT = 0.01
 LOSS_LIMIT = 0.01
 """Share of a stream's samples that may be lost before a recording counts as failed."""
-FIRST_SAMPLE_LIMIT = 5.0
-"""Time limit [s] for the first samples."""
 SWITCH_INTERVAL = 2e-4
 """Longest time [s] that a thread holds the interpreter while another one waits for it."""
-MOVED_MEANWHILE = 0.02
-"""A joint that moved this far [rad or m] while the answer was awaited is somewhere else than the person saw."""
 INTERRUPTED = "interrupted"
 """`stopped_by` after Ctrl-C (SIGINT)."""
 ENDED_BY: dict[signal.Signals, str] = {
@@ -58,16 +48,6 @@ ENDED_BY: dict[signal.Signals, str] = {
     if hasattr(signal, name)  # Windows has two of them
 }
 """Signals that end a session, and its `stopped_by` after them."""
-REST_TIME = 0.5
-"""How long [s] an arm, and what its controller aims at, must have been at rest before control of it is taken."""
-REST_LIMIT = 2.0
-"""How long [s] is waited for that."""
-ARRIVAL_LIMIT = 3.0
-"""How long [s] an arm may take to come to rest after the last command of a motion."""
-ARRIVAL_ERROR = 0.02
-"""Distance [rad or m] from the end of the motion at which an arm at rest is said not to have reached it."""
-_GAP = 0.1
-"""Samples [s] apart in which an arm may have moved and come back."""
 _PLAYER_PATIENCE = 0.1
 _PLAYER_LIMIT = 10.0
 
@@ -95,86 +75,6 @@ class SessionReport:
     error: DynidError | None = None
     heavy_loss: str = ""
     file: Path | None = None
-
-
-@dataclass(frozen=True)
-class Play:
-    """A motion that a session is to play.
-
-    Attributes:
-        motion: from rest to rest.
-        robot: whose limits every command keeps.
-        permission: to move, with the approach to the motion's start.
-    """
-
-    motion: Motion
-    robot: Robot
-    permission: Permission
-
-
-class View(Protocol):
-    """Display of a running session; it must neither block nor raise."""
-
-    def add(self, batch: Batch) -> None:
-        """Note a batch."""
-
-    def show(self, state: str, elapsed: float, total: float) -> None:
-        """Show the state; `elapsed` of `total` [s]."""
-
-
-@dataclass
-class _Course:
-    """State of a running session.
-
-    `breach_time` [s, the source's clock] is that of what stopped it, where it has one; `silent` are the streams whose
-    silence is an event already; `host_ahead` is by stream the host's clock less the source's at its last sample [s];
-    `heard` is the host's time of the newest position, `rest` watches it and what the controller aims at.
-    """
-
-    clock: Clock
-    clocks: ClockLog
-    samples: dict[str, int] = field(default_factory=dict)
-    lost: dict[str, int] = field(default_factory=dict)
-    position: FloatArray | None = None
-    heard: float = float("-inf")
-    rest: StandstillWatch = field(default_factory=lambda: StandstillWatch(_GAP, REST_TIME))
-    gate: CommandGate | None = None
-    source_minus_host: float = float("nan")
-    view: View | None = None
-    moves: bool = False
-    interrupted: str | None = None
-    breach_time: float = float("nan")
-    silent: set[str] = field(default_factory=set)
-    host_ahead: dict[str, float] = field(default_factory=dict)
-
-    def add(self, batch: Batch) -> None:
-        self.samples[batch.stream] = self.samples.get(batch.stream, 0) + len(batch.time)
-        self.lost[batch.stream] = self.lost.get(batch.stream, 0) + batch.lost
-        self.silent.discard(f"stream {batch.stream}")
-        self.clocks.add(batch)
-        if len(batch.time):
-            self.host_ahead[batch.stream] = float(batch.host_time[-1] - batch.time[-1])
-        if batch.stream == JOINTS_STREAM and len(batch.time):
-            self.position = batch.values["position"][-1].copy()
-            self.heard = float(batch.host_time[-1])
-            watched = [batch.values[name] for name in ("position", "target_position") if name in batch.values]
-            for host_time, row in zip(batch.host_time.tolist(), np.hstack(watched), strict=True):
-                self.rest.add(host_time, row)
-            if self.gate is not None:
-                self.gate.measured(self.clock.now(), self.position)
-            self.source_minus_host = float(batch.time[-1] - batch.host_time[-1])
-        if self.view is not None:
-            self.view.add(batch)
-
-    def source_time(self) -> float:
-        """Now, in the clock of the joints' stream [s]."""
-        return self.clock.now() + self.source_minus_host
-
-    def joints_time(self, when: float, stream: str) -> float:
-        """A time of a stream's clock, in the clock of the joints' stream [s]."""
-        if stream == JOINTS_STREAM or JOINTS_STREAM not in self.host_ahead:
-            return when
-        return when + self.host_ahead[stream] + self.source_minus_host
 
 
 def load_driver(
@@ -252,7 +152,7 @@ def record(
         view: shows every batch and the progress of the session.
         clock: the host's; the driver's and the recorder's, too.
     """
-    course = _Course(clock, ClockLog(clock), view=view)
+    course = Course(clock, ClockLog(clock), view=view)
     player: Player | None = None
     error: DynidError | None = None
     with _signals_noted(course), _undisturbed():
@@ -263,15 +163,15 @@ def record(
                 rate = motion_rate(driver)
                 dry_run(rate, clock)
                 cycle = partial(_cycle, driver, recorder, supervisor, course)
-                _wait_for_position(cycle, course)
-                approach = _permitted_approach(driver, cycle, course, play)
+                wait_for_position(cycle, course)
+                approach = permitted_approach(driver, cycle, course, play)
                 if approach is not None:
                     path = MotionPath([approach, play.motion], rate)
-                    player = _prepare(driver, supervisor, recorder, play, course, path)
+                    player = prepare(driver, supervisor, recorder, play, course, path)
                     supervisor.restart_ages(clock.now())
                     course.moves = True
                     player.start()
-                    _follow_motion(cycle, recorder, course, player, path)
+                    follow_motion(cycle, recorder, course, player, path)
             if player is None:
                 _follow(partial(_cycle, driver, recorder, supervisor, course), course, begun, duration)
         except KeyboardInterrupt:
@@ -320,7 +220,7 @@ def record(
     )
 
 
-def _heavy_loss(driver: Driver, course: _Course) -> str:
+def _heavy_loss(driver: Driver, course: Course) -> str:
     said = []
     for stream, lost in course.lost.items():
         total = course.samples[stream] + lost
@@ -330,155 +230,7 @@ def _heavy_loss(driver: Driver, course: _Course) -> str:
     return "; ".join(said)
 
 
-def motion_rate(driver: Driver) -> float:
-    """The rate [Hz] at which a driver that is open takes positions.
-
-    Raises:
-        UsageError: it moves no arm, or positions are sent or measured too slowly for a motion to be supervised.
-    """
-    rate = driver.command_rate()
-    measured = next((layout.rate for layout in driver.streams() if layout.name == JOINTS_STREAM), 0.0)
-    if rate <= 0.0:
-        raise UsageError("this connection cannot move the arm; it only records")
-    for what, value in (("positions would be sent", rate), ("positions are measured", measured)):
-        if value < COMMAND_RATE:
-            raise UsageError(
-                f"{what} at {value:g} Hz, and a motion needs {COMMAND_RATE:g} Hz",
-                hint=f"set the connection's rate (sync_rate) to {COMMAND_RATE:g} Hz or more; recording works as it is",
-            )
-    return rate
-
-
-def _wait_for_position(cycle: Callable[[], None], course: _Course) -> None:
-    limit = course.clock.now() + FIRST_SAMPLE_LIMIT
-    while course.position is None and course.interrupted is None:
-        cycle()
-        if course.clock.now() > limit:
-            raise ConnectionLostError(f"no joint position within {FIRST_SAMPLE_LIMIT:g} s")
-
-
-def _wait_for_rest(cycle: Callable[[], None], course: _Course) -> None:
-    limit = course.clock.now() + REST_LIMIT
-    while not course.rest.at_rest and course.interrupted is None:
-        cycle()
-        if course.clock.now() > limit:
-            raise MotionRefusedError(
-                f"the arm, or what its controller aims at, was not at rest for {REST_TIME:g} s",
-                hint="something else moves it: end that first",
-            )
-
-
-def _permitted_approach(driver: Driver, cycle: Callable[[], None], course: _Course, play: Play) -> Motion | None:
-    """The approach to the start pose, once the arm may move and is in control; None where interrupted before."""
-    check_limits(play.motion, play.robot.joints, "the trajectory")
-    _wait_for_rest(cycle, course)
-    shown = course.position
-    if shown is None or course.interrupted is not None:
-        return None
-    play.permission.approach(shown)
-    play.permission.ask()
-    while (answer := play.permission.answer()) is None:
-        cycle()
-        if course.interrupted is not None:
-            return None
-    if not answer:
-        raise MotionRefusedError("not confirmed, so nothing was moved")
-    _wait_for_rest(cycle, course)
-    _require_unmoved(course, shown, "before the motion was confirmed")
-    _take_control(driver, cycle, course)
-    _wait_for_rest(cycle, course)
-    if course.interrupted is not None:
-        return None
-    here = _require_unmoved(course, shown, "while control of it was taken")
-    return play.permission.approach(here)
-
-
-def _require_unmoved(course: _Course, shown: FloatArray, when: str) -> FloatArray:
-    """Where the arm is, which must be about where it was shown to be.
-
-    Raises:
-        MotionRefusedError: it is not.
-    """
-    here = shown if course.position is None else course.position
-    if np.max(np.abs(here - shown)) > MOVED_MEANWHILE:
-        raise MotionRefusedError(f"the arm moved {when}", hint="start again when it is at rest")
-    return here
-
-
-def _take_control(driver: Driver, cycle: Callable[[], None], course: _Course) -> None:
-    """Take control of the arm, which may last seconds, while samples are read; then wait for a newer position.
-
-    Raises:
-        DynidError: the driver's.
-    """
-    failures: list[DynidError] = []
-
-    def take() -> None:
-        try:
-            driver.take_control()
-        except DynidError as error:
-            failures.append(error)
-
-    thread = course.clock.thread(take, "taking control")
-    thread.start()
-    while thread.is_alive() and course.interrupted is None:
-        cycle()
-    if failures:
-        raise failures[0]
-    taken = course.clock.now()
-    while course.heard <= taken and course.interrupted is None:
-        cycle()  # ends by stale data where nothing comes
-
-
-def _prepare(
-    driver: Driver, supervisor: Supervisor, recorder: Recorder, play: Play, course: _Course, path: MotionPath
-) -> Player:
-    """The player of a path, with the command gate between it and the driver."""
-    limits = GateLimits.of_joints(play.robot.joints)
-    approach = float(path.starts[1])
-    recorder.event(course.source_time(), "info", "player", f"approach to the start pose, {approach:.2f} s")
-    course.gate = CommandGate(driver.command, supervisor.commanded, limits, 1.0 / path.rate, course.clock)
-    if course.position is not None:
-        course.gate.measured(course.clock.now(), course.position)
-    return Player(course.gate.command, path, limits.acceleration, course.clock)
-
-
-def _follow_motion(
-    cycle: Callable[[], None], recorder: Recorder, course: _Course, player: Player, path: MotionPath
-) -> None:
-    """Until the arm has arrived at the end of the motion."""
-    begun = False
-    while not player.done and course.interrupted is None:
-        cycle()
-        _raise_failure(cycle, player)
-        if not begun and player.elapsed > path.starts[1] + 1e-9:
-            begun = True
-            recorder.event(course.source_time(), "info", "player", "motion begins")
-        if course.view is not None:
-            state = "motion" if begun else "approach to the start pose"
-            course.view.show(state, player.elapsed, player.duration)
-    course.rest, limit = StandstillWatch(_GAP), course.clock.now() + ARRIVAL_LIMIT
-    while not course.rest.at_rest and course.interrupted is None:
-        cycle()
-        _raise_failure(cycle, player)
-        if course.clock.now() > limit:
-            raise WorkError(f"the arm did not come to rest within {ARRIVAL_LIMIT:g} s of the motion's last command")
-    if course.interrupted is None and course.position is not None:
-        short = np.abs(course.position - path.positions(np.array([path.duration]))[0])
-        if np.max(short) > ARRIVAL_ERROR:
-            said = f"the arm came to rest {np.max(short):.3f} rad from the end of the motion"
-            recorder.event(course.source_time(), "warning", "player", said)
-        recorder.event(course.source_time(), "info", "player", "motion ends")
-
-
-def _raise_failure(cycle: Callable[[], None], player: Player) -> None:
-    """End the session where the player has ended; by what the driver says of the cause, if it does."""
-    if player.failure is not None:
-        cycle()
-        raise player.failure
-
-
-def _follow(cycle: Callable[[], None], course: _Course, begun: float, duration: float | None) -> None:
+def _follow(cycle: Callable[[], None], course: Course, begun: float, duration: float | None) -> None:
     """Until the recording has lasted for as long as wanted."""
     while course.interrupted is None:
         cycle()
@@ -490,7 +242,7 @@ def _follow(cycle: Callable[[], None], course: _Course, begun: float, duration: 
 
 
 def _cycle(
-    driver: Driver, recorder: Recorder, supervisor: Supervisor, course: _Course, looked_twice: bool = False
+    driver: Driver, recorder: Recorder, supervisor: Supervisor, course: Course, looked_twice: bool = False
 ) -> None:
     """One cycle: samples, notices, limits, ages, the disk."""
     before = course.clock.now()
@@ -555,7 +307,7 @@ def _stop(driver: Driver, player: Player | None) -> None:
 
 
 @contextmanager
-def _signals_noted(course: _Course) -> Iterator[None]:
+def _signals_noted(course: Course) -> Iterator[None]:
     """Signals that end a session are noted only; as exceptions they could cut the stop itself short."""
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 
 from daq.motion import player
-from daq.session import command_gate, session
+from daq.session import command_gate, play
 from daq.session import supervisor as safety
 from drivers.canopen402 import driver, settings
 from drivers.canopen402.setup import configuration
@@ -21,8 +21,8 @@ safety.Limits.of_robot.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defi
 command_gate.GateLimits.of_joints.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defined]
 player.DRY_RUN_PERIODS = 10_000
 player.STALL_LIMIT = command_gate.STALL_LIMIT = command_gate.FRESH = PATIENCE
-session.ARRIVAL_LIMIT = session.REST_LIMIT = PATIENCE
-session.FIRST_SAMPLE_LIMIT = PATIENCE
+play.ARRIVAL_LIMIT = play.REST_LIMIT = PATIENCE
+play.FIRST_SAMPLE_LIMIT = PATIENCE
 receiver.SILENCE_LIMIT = PATIENCE
 motion.SILENCE_LIMIT = motion.PATIENCE = motion.STOP_LIMIT = PATIENCE
 motion.WATCHDOG_RATE = 0.25

@@ -16,7 +16,8 @@ from daq.recording.recorder import Recorder
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
 from daq.session.connections import driver_settings
-from daq.session.session import Play, SessionReport, record
+from daq.session.play import Play
+from daq.session.session import SessionReport, record
 from daq.session.supervisor import Limits, Supervisor
 from drivers.can_signals.driver import CanFramesDriver
 from drivers.streams import Batch

@@ -26,6 +26,6 @@ class Unchecked:
 
 def unchecked_play(motion, robot):
     """What a session plays without asking."""
-    from daq.session.session import Play
+    from daq.session.play import Play
 
     return Play(motion, robot, Unchecked(motion, robot))

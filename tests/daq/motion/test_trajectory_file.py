@@ -186,3 +186,21 @@ def test_a_series_of_too_many_harmonics_is_refused_before_it_is_evaluated() -> N
     )
     with pytest.raises(UsageError, match="at most 1000"):
         parse_trajectory(text, ROBOT, where="t.yaml", folder=None)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ({**POINTS, "durations": [1e-12] * len(POINTS["durations"])}, "is not within 0.001 to 86400 s"),
+        ({**SINES, "duration": 1e-4}, "is not within 0.001 to 86400 s"),
+        (
+            {**SAMPLES, "time": [17005.0 + t for t in (0.0, 1.0, 1.0 + 1e-11, 2.0)], "position": [[0.1, 0.1]] * 4},
+            "samples 1 and 2 are 1.09e-11 s apart; allowed: 0.0001 to 86400 s",
+        ),
+    ],
+)
+def test_a_piece_of_almost_no_duration_is_refused(content, said):
+    """At 17,005 s floating point tells times of 4e-12 s apart: a move of 1e-12 s there would be a step."""
+    with pytest.raises(UsageError) as error:
+        parse(content)
+    assert said in str(error.value)

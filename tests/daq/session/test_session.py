@@ -22,13 +22,12 @@ from daq.recording import recorder as recorder_module
 from daq.recording.reader import read_recording
 from daq.recording.recorder import Recorder
 from daq.recording.recording import Event, Recording
+from daq.session.course import REST_TIME
+from daq.session.play import FIRST_SAMPLE_LIMIT, Play
 from daq.session.session import (
     ENDED_BY,
-    FIRST_SAMPLE_LIMIT,
     INTERRUPTED,
     READ_TIMEOUT,
-    REST_TIME,
-    Play,
     SessionReport,
     load_driver,
     record,

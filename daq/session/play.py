@@ -1,0 +1,211 @@
+"""Playing a motion: from an arm that rests, through taking control of it, until it has arrived."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.motion.limits import check_limits
+from daq.motion.player import Path, Player
+from daq.motion.trajectories import Motion
+from daq.recording.recorder import Recorder
+from daq.recording.recording import JOINTS_STREAM
+from daq.robot.schema import Robot
+from daq.session.command_gate import COMMAND_RATE, CommandGate, GateLimits
+from daq.session.course import GAP, REST_TIME, Course
+from daq.session.permission import Permission
+from daq.session.supervisor import Supervisor
+from drivers.base import Driver
+from drivers.errors import ConnectionLostError, DynidError, MotionRefusedError, UsageError, WorkError
+from drivers.standstill import StandstillWatch
+from drivers.streams import FloatArray
+
+MOVED_MEANWHILE = 0.02
+"""A joint that moved this far [rad or m] while the answer was awaited is somewhere else than the person saw."""
+FIRST_SAMPLE_LIMIT = 5.0
+"""Time limit [s] for the first samples."""
+REST_LIMIT = 2.0
+"""How long [s] is waited for that."""
+ARRIVAL_LIMIT = 3.0
+"""How long [s] an arm may take to come to rest after the last command of a motion."""
+ARRIVAL_ERROR = 0.02
+"""Distance [rad or m] from the end of the motion at which an arm at rest is said not to have reached it."""
+
+
+@dataclass(frozen=True)
+class Play:
+    """A motion that a session is to play.
+
+    Attributes:
+        motion: from rest to rest.
+        robot: whose limits every command keeps.
+        permission: to move, with the approach to the motion's start.
+    """
+
+    motion: Motion
+    robot: Robot
+    permission: Permission
+
+
+def motion_rate(driver: Driver) -> float:
+    """The rate [Hz] at which a driver that is open takes positions.
+
+    Raises:
+        UsageError: it moves no arm, or positions are sent or measured too slowly for a motion to be supervised.
+    """
+    rate = driver.command_rate()
+    measured = next((layout.rate for layout in driver.streams() if layout.name == JOINTS_STREAM), 0.0)
+    if rate <= 0.0:
+        raise UsageError("this connection cannot move the arm; it only records")
+    for what, value in (("positions would be sent", rate), ("positions are measured", measured)):
+        if value < COMMAND_RATE:
+            raise UsageError(
+                f"{what} at {value:g} Hz, and a motion needs {COMMAND_RATE:g} Hz",
+                hint=f"set the connection's rate (sync_rate) to {COMMAND_RATE:g} Hz or more; recording works as it is",
+            )
+    return rate
+
+
+def wait_for_position(cycle: Callable[[], None], course: Course) -> None:
+    """Until the arm has said where it is.
+
+    Raises:
+        ConnectionLostError: it does not.
+    """
+    limit = course.clock.now() + FIRST_SAMPLE_LIMIT
+    while course.position is None and course.interrupted is None:
+        cycle()
+        if course.clock.now() > limit:
+            raise ConnectionLostError(f"no joint position within {FIRST_SAMPLE_LIMIT:g} s")
+
+
+def _wait_for_rest(cycle: Callable[[], None], course: Course) -> None:
+    limit = course.clock.now() + REST_LIMIT
+    while not course.rest.at_rest and course.interrupted is None:
+        cycle()
+        if course.clock.now() > limit:
+            raise MotionRefusedError(
+                f"the arm, or what its controller aims at, was not at rest for {REST_TIME:g} s",
+                hint="something else moves it: end that first",
+            )
+
+
+def permitted_approach(driver: Driver, cycle: Callable[[], None], course: Course, play: Play) -> Motion | None:
+    """The approach to the start pose, once the arm may move and obeys; None where the session was interrupted before.
+
+    Raises:
+        UsageError: the motion passes a limit.
+        MotionRefusedError: the arm does not rest, moved meanwhile, or the motion was not confirmed.
+        DynidError: the driver's own.
+    """
+    check_limits(play.motion, play.robot.joints, "the trajectory")
+    _wait_for_rest(cycle, course)
+    shown = course.position
+    if shown is None or course.interrupted is not None:
+        return None
+    play.permission.approach(shown)
+    play.permission.ask()
+    while (answer := play.permission.answer()) is None:
+        cycle()
+        if course.interrupted is not None:
+            return None
+    if not answer:
+        raise MotionRefusedError("not confirmed, so nothing was moved")
+    _wait_for_rest(cycle, course)
+    _require_unmoved(course, shown, "before the motion was confirmed")
+    _take_control(driver, cycle, course)
+    _wait_for_rest(cycle, course)
+    if course.interrupted is not None:
+        return None
+    here = _require_unmoved(course, shown, "while control of it was taken")
+    return play.permission.approach(here)
+
+
+def _require_unmoved(course: Course, shown: FloatArray, when: str) -> FloatArray:
+    """Where the arm is, which must be about where it was shown to be.
+
+    Raises:
+        MotionRefusedError: it is not.
+    """
+    here = shown if course.position is None else course.position
+    if np.max(np.abs(here - shown)) > MOVED_MEANWHILE:
+        raise MotionRefusedError(f"the arm moved {when}", hint="start again when it is at rest")
+    return here
+
+
+def _take_control(driver: Driver, cycle: Callable[[], None], course: Course) -> None:
+    """Take control of the arm, which may last seconds, while samples are read; then wait for a newer position.
+
+    Raises:
+        DynidError: the driver's.
+    """
+    failures: list[DynidError] = []
+
+    def take() -> None:
+        try:
+            driver.take_control()
+        except DynidError as error:
+            failures.append(error)
+
+    thread = course.clock.thread(take, "taking control")
+    thread.start()
+    while thread.is_alive() and course.interrupted is None:
+        cycle()
+    if failures:
+        raise failures[0]
+    taken = course.clock.now()
+    while course.heard <= taken and course.interrupted is None:
+        cycle()  # ends by stale data where nothing comes
+
+
+def prepare(
+    driver: Driver, supervisor: Supervisor, recorder: Recorder, play: Play, course: Course, path: Path
+) -> Player:
+    """The player of a path, with the command gate between it and the driver."""
+    limits = GateLimits.of_joints(play.robot.joints)
+    approach = float(path.starts[1])
+    recorder.event(course.source_time(), "info", "player", f"approach to the start pose, {approach:.2f} s")
+    course.gate = CommandGate(driver.command, supervisor.commanded, limits, 1.0 / path.rate, course.clock)
+    if course.position is not None:
+        course.gate.measured(course.clock.now(), course.position)
+    return Player(course.gate.command, path, limits.acceleration, course.clock)
+
+
+def follow_motion(cycle: Callable[[], None], recorder: Recorder, course: Course, player: Player, path: Path) -> None:
+    """Until the arm has arrived at the end of the motion.
+
+    Raises:
+        WorkError: it does not come to rest.
+        DynidError: what ended the player.
+    """
+    begun = False
+    while not player.done and course.interrupted is None:
+        cycle()
+        _raise_failure(cycle, player)
+        if not begun and player.elapsed > path.starts[1] + 1e-9:
+            begun = True
+            recorder.event(course.source_time(), "info", "player", "motion begins")
+        if course.view is not None:
+            state = "motion" if begun else "approach to the start pose"
+            course.view.show(state, player.elapsed, player.duration)
+    course.rest, limit = StandstillWatch(GAP), course.clock.now() + ARRIVAL_LIMIT
+    while not course.rest.at_rest and course.interrupted is None:
+        cycle()
+        _raise_failure(cycle, player)
+        if course.clock.now() > limit:
+            raise WorkError(f"the arm did not come to rest within {ARRIVAL_LIMIT:g} s of the motion's last command")
+    if course.interrupted is None and course.position is not None:
+        short = np.abs(course.position - path.positions(np.array([path.duration]))[0])
+        if np.max(short) > ARRIVAL_ERROR:
+            said = f"the arm came to rest {np.max(short):.3f} rad from the end of the motion"
+            recorder.event(course.source_time(), "warning", "player", said)
+        recorder.event(course.source_time(), "info", "player", "motion ends")
+
+
+def _raise_failure(cycle: Callable[[], None], player: Player) -> None:
+    """End the session where the player has ended; by what the driver says of the cause, if it does."""
+    if player.failure is not None:
+        cycle()
+        raise player.failure
