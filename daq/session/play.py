@@ -190,6 +190,8 @@ def follow_motion(cycle: Callable[[], None], recorder: Recorder, course: Course,
         if course.view is not None:
             state = "motion" if begun else "approach to the start pose"
             course.view.show(state, player.elapsed, player.duration)
+    if course.interrupted is None:
+        recorder.event(course.source_time(), "info", "player", "motion ends")
     course.rest, limit = StandstillWatch(GAP), course.clock.now() + ARRIVAL_LIMIT
     while not course.rest.at_rest and course.interrupted is None:
         cycle()
@@ -201,7 +203,6 @@ def follow_motion(cycle: Callable[[], None], recorder: Recorder, course: Course,
         if np.max(short) > ARRIVAL_ERROR:
             said = f"the arm came to rest {np.max(short):.3f} rad from the end of the motion"
             recorder.event(course.source_time(), "warning", "player", said)
-        recorder.event(course.source_time(), "info", "player", "motion ends")
 
 
 def _raise_failure(cycle: Callable[[], None], player: Player) -> None:
