@@ -28,3 +28,13 @@ def quantisation_step(values: FloatArray) -> float:
         return float("nan")
     multiples = gaps / step
     return step if np.max(np.abs(multiples - np.round(multiples))) < LATTICE_TOLERANCE else float("nan")
+
+
+def encoder_step(values: FloatArray) -> float:
+    """Step of an encoder whose positions are (N,), also of one that shows few of its levels; nan where there is none."""
+    spread = values[:: max(1, len(values) // _LATTICE_VALUES)]
+    step = quantisation_step(spread)
+    if np.isfinite(step):
+        return step
+    levels = np.unique(spread)
+    return float(np.diff(levels).min()) if 1 < len(levels) <= _FEWEST_GAPS else float("nan")

@@ -53,12 +53,13 @@ def find_friction(
             joint.viscous,
             None if joint.viscous_std is None else WITHIN_95_PERCENT * joint.viscous_std,
             joint.offset,
+            None if joint.offset_std is None else WITHIN_95_PERCENT * joint.offset_std,
             joint.rmse,
             joint.terms_text,
         )
         for joint in result.joints
     ]
-    headings = ("joint", "Coulomb", "±", "viscous", "±", "offset", "residual RMS", "further terms")
+    headings = ("joint", "Coulomb", "±", "viscous", "±", "offset", "±", "residual RMS", "further terms")
     print_table("\nFriction [N·m, s/rad]", headings, rows)
     for warning in result.warnings:
         print(f"warning: {warning}")

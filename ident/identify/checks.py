@@ -28,6 +28,7 @@ from ident.estimators.estimator import Setup
 from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.body_checks import body_checks
+from ident.identify.cutoff_search import cutoff_checks
 from ident.identify.identification import Identification
 from ident.identify.residual_bursts import burst_checks
 from ident.model.regressor import RegressorKernel
@@ -78,6 +79,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         identification
     )
     checks += delay_checks(identification.delay)
+    checks += cutoff_checks(identification.lowered)
     checks += burst_checks(identification)
     checks += _size_checks(identification)
     checks += _convergence_checks(identification)

@@ -17,6 +17,7 @@ from ident.assessment.validation import FitFigures
 from ident.estimators.estimator import Estimation
 from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.estimators.method_choice import MethodChoice, chosen_method
+from ident.identify.cutoff_search import LoweredCutoffs
 from ident.identify.friction.choice import AUTO, check_friction, chosen_friction, friction_columns
 from ident.identify.friction.selection import FrictionStep
 from ident.identify.held_friction import HeldFriction, experiment_terms
@@ -242,6 +243,7 @@ class Identification:
         held: friction held at an experiment's values, in no parameter above; None without an experiment.
         presliding: pre-sliding travels; None where not asked for.
         held_out: the delivered model on each held-out run.
+        lowered: cut-offs that were lowered because the positions jitter; None where they were not.
     """
 
     robot_file: RobotFile
@@ -269,6 +271,7 @@ class Identification:
     shape_std: dict[tuple[str, int], float]
     held: HeldFriction | None = None
     presliding: PreslidingFit | None = None
+    lowered: LoweredCutoffs | None = None
     held_out: tuple[HeldOutRun, ...] = ()
 
     @property

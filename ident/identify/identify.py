@@ -164,6 +164,7 @@ def identify(
         friction=replace(friction, model=model),
         shape_std=shape_std,
         held=data.held,
+        lowered=prepared.lowered,
     )
 
     if choices.finds_travels(model):

@@ -5,18 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from drivers.reading_process import Progress
 from drivers.streams import FloatArray
 from ident.assessment.delay.delay import DelaySearch, search_delay
+from ident.identify.cutoff_search import LoweredCutoffs, lowered_cutoffs
 from ident.identify.data_split import DataSplit, RunWindow
 from ident.identify.held_friction import HeldFriction
 from ident.identify.identification import IdentifyChoices, PreparedRun
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
 from ident.regression.velocity_reversals import leave_out_rest, leave_out_reversals
-from ident.signals.options import PreprocessChoices
+from ident.signals.options import POSITION_CUTOFF_OF_RATE, POSITION_CUTOFF_PER_TORQUE, PreprocessChoices
 from ident.signals.pipeline import prepare
-from ident.signals.prepared import Step
+from ident.signals.prepared import Prepared, Step
 
 
 @dataclass(frozen=True)
@@ -27,12 +30,14 @@ class PreparedData:
         runs, validation_runs: to identify from, and held out.
         delay: the search, where one was made.
         choices: of all recordings, cut-offs and delay filled in.
+        lowered: cut-offs that were lowered because the positions jitter; None where they were not.
     """
 
     runs: tuple[PreparedRun, ...]
     validation_runs: tuple[PreparedRun, ...]
     delay: DelaySearch | None
     choices: PreprocessChoices
+    lowered: LoweredCutoffs | None = None
 
 
 def prepare_data(
@@ -53,8 +58,15 @@ def prepare_data(
         choices: the user's.
         progress: called before the search for the delay.
     """
-    first = _prepare_run(kernel, data.identification[0], choices.preprocess, torques, data.held).prepared
-    resolved, delay = first.choices, None
+    run = data.identification[0]
+
+    def prepared(preprocess: PreprocessChoices) -> Prepared:
+        return _prepare_run(kernel, run, preprocess, torques, data.held).prepared
+
+    first = prepared(choices.preprocess)
+    lowered = lowered_cutoffs(kernel, first, prepared, choices.preprocess, torques)
+    first = first if lowered is None else prepared(lowered.choices)
+    resolved, delay = _for_all_rates(first.choices, choices.preprocess, data), None
     if choices.search_delay:
         progress("delay")
         delay = search_delay(kernel, first.segments, first.parallel_filter, torques)
@@ -70,7 +82,19 @@ def prepare_data(
         ),
         delay=delay,
         choices=resolved,
+        lowered=lowered,
     )
+
+
+def _for_all_rates(resolved: PreprocessChoices, given: PreprocessChoices, data: DataSplit) -> PreprocessChoices:
+    """The cut-offs chosen by the first recording, low enough for the rate of every other."""
+    runs = (*data.identification, *data.held_out)
+    most = POSITION_CUTOFF_OF_RATE * min(1.0 / float(np.median(np.diff(run.signals.time))) for run in runs)
+    if given.position_cutoff is None and resolved.position_cutoff is not None:
+        resolved = replace(resolved, position_cutoff=min(resolved.position_cutoff, most))
+    if given.torque_cutoff is None and resolved.torque_cutoff is not None:
+        resolved = replace(resolved, torque_cutoff=min(resolved.torque_cutoff, most / POSITION_CUTOFF_PER_TORQUE))
+    return resolved
 
 
 def _prepare_run(
@@ -83,7 +107,7 @@ def _prepare_run(
     choices = replace(resolved, start=run.start, stop=run.stop)
     temperature = run.signals.temperature
     kernel.model.require_temperature(None if temperature is None else temperature.T, run.signals.label)
-    prepared = leave_out_rest(kernel, prepare(run.signals, choices))
+    prepared = leave_out_rest(kernel, prepare(run.signals, choices), run.signals.encoder_steps)
     if run.played:
         steps = (_played(step) if step.name == "window" else step for step in prepared.steps)
         prepared = replace(prepared, steps=tuple(steps))

@@ -80,7 +80,9 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
     choices = replace(stored_choices(result), start=window.start, stop=window.stop)
     kernel = RegressorKernel(model, base.columns)
     everything = prepare(motion, replace(choices, keep_rest=True))
-    prepared = everything if choices.keep_rest else leave_out_rest(kernel, prepare(motion, choices))
+    prepared = everything
+    if not choices.keep_rest:
+        prepared = leave_out_rest(kernel, prepare(motion, choices), motion.encoder_steps)
     tolerance = stored_rest_tolerance(result)
     torques = predictable_torques(model, stored_parts.experiments, motion.label, window.position, tolerance)
     armature = None if found is None else armature_vector(model, found.armature)

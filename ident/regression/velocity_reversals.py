@@ -12,14 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, maximum_filter1d, minimum_filter1d
 
 from drivers.errors import UsageError
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.model.joint_columns import combined
 from ident.model.regressor import RegressorKernel
-from ident.signals.motion_masks import moving_mask
+from ident.signals.motion_masks import SHORTEST_REST, moving_mask
 from ident.signals.prepared import Prepared, Segment, Step
 
 REVERSAL_SHARE = 0.05
@@ -30,23 +30,31 @@ STICKING_SHARE = 0.2
 """The same, below which a joint that sticks can affect an equation: the search of a delay and the check of friction
 near reversals do without these, where data are plenty and a bias counts."""
 
+TOGGLING = 1.2
+"""Encoder steps within which a joint is at rest: the smoothed position of one that toggles between two counts."""
+
 REST_REACH = 0.5
 """Periods of the parallel filter's cut-off by which a rest reaches into the motion before and after it: half the width
 of the filter's impulse response."""
 
 
-def leave_out_rest(kernel: RegressorKernel, prepared: Prepared) -> Prepared:
+def leave_out_rest(kernel: RegressorKernel, prepared: Prepared, steps: FloatArray | None = None) -> Prepared:
     """The same data without the torques of motors at rest, unless samples at rest are to be kept.
 
     A motor rests where a velocity whose sign is in its equation stays below the rest velocity as long as a window
-    without motion lasts (see `moving_mask`).
+    without motion lasts (see `moving_mask`), or its joints stay within a step of their encoders as long.
+
+    Args:
+        kernel: says which motors have Coulomb friction, and of which motion.
+        prepared: data.
+        steps: (n,) of the joints' encoders [rad or m], nan where not known.
     """
     if prepared.choices.keep_rest:
         return prepared
     reach = REST_REACH / prepared.cutoffs.torque
     segments = []
     for segment in prepared.segments:
-        resting = _rest_mask(kernel, segment, prepared.rest_velocity, round(reach * segment.rate))
+        resting = _rest_mask(kernel, segment, prepared.rest_velocity, round(reach * segment.rate), steps)
         reversing = resting if segment.reversing is None else resting | segment.reversing
         segments.append(replace(segment, resting=resting, reversing=reversing))
     counted = sum(int(segment.used.sum()) for segment in segments) * kernel.model.dof
@@ -107,23 +115,36 @@ def check_share(share: float) -> None:
 def reversal_mask(kernel: RegressorKernel, segment: Segment, share: float) -> npt.NDArray[np.bool_]:
     """(n, N) motors near a reversal: a velocity whose sign is in their equation is below `share` of its rms."""
     reversing = np.zeros((kernel.model.dof, segment.velocity.shape[1]), dtype=np.bool_)
-    for motor, velocity in _rubbing(kernel, segment):
-        speed = np.abs(velocity)
+    for motor, motion in _rubbing(kernel):
+        speed = np.abs(combined(motion, segment.velocity))
         reversing[motor] |= speed < share * np.sqrt(np.mean(np.square(speed[segment.used])))
     return reversing
 
 
-def _rest_mask(kernel: RegressorKernel, segment: Segment, rest_velocity: float, reach: int) -> npt.NDArray[np.bool_]:
+def _rest_mask(
+    kernel: RegressorKernel, segment: Segment, rest_velocity: float, reach: int, steps: FloatArray | None
+) -> npt.NDArray[np.bool_]:
     """(n, N) motors at rest, and `reach` samples before and after."""
     resting = np.zeros((kernel.model.dof, segment.velocity.shape[1]), dtype=np.bool_)
-    for motor, velocity in _rubbing(kernel, segment):
-        resting[motor] |= ~moving_mask(velocity[None], segment.rate, rest_velocity)
+    still = np.zeros_like(resting) if steps is None else _within_a_step(segment, steps)
+    for motor, motion in _rubbing(kernel):
+        resting[motor] |= ~moving_mask(combined(motion, segment.velocity)[None], segment.rate, rest_velocity)
+        resting[motor] |= np.all(still[[joint for joint, _ in motion]], axis=0)
     return np.asarray(binary_dilation(resting, np.ones((1, 2 * reach + 1), dtype=np.bool_)))
 
 
-def _rubbing(kernel: RegressorKernel, segment: Segment) -> Iterator[tuple[int, FloatArray]]:
-    """Motors and the velocities (N,) whose signs are in their equations."""
+def _within_a_step(segment: Segment, steps: FloatArray) -> npt.NDArray[np.bool_]:
+    """(n, N) joints whose positions stay within a step of their encoder for `SHORTEST_REST` or longer."""
+    width = max(1, round(SHORTEST_REST * segment.rate))
+    spread = maximum_filter1d(segment.position, width, axis=1) - minimum_filter1d(segment.position, width, axis=1)
+    with np.errstate(invalid="ignore"):
+        still = spread <= TOGGLING * steps[:, None]  # false where the step is nan
+    return np.asarray(binary_dilation(still, np.ones((1, width), dtype=np.bool_)))
+
+
+def _rubbing(kernel: RegressorKernel) -> Iterator[tuple[int, tuple[tuple[int, float], ...]]]:
+    """Motors and the motions whose velocities' signs are in their equations."""
     for row in kernel.joint_parameter_rows:
         if row.column.quantity == "coulomb":
             motor = next(joint for joint, rows in enumerate(kernel.joint_rows) if row.row < rows.rows.stop)
-            yield motor, combined(row.column.motion, segment.velocity)
+            yield motor, row.column.motion

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from daq.recording.outliers import without_outliers
+from daq.recording.quantisation import encoder_step
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.recording.stale_samples import StaleSamples, fresh_recording
 from daq.robot.loops import coupling_matrix
@@ -99,6 +101,11 @@ class JointSignals:
         optional = {} if self.velocity is None else {"velocity": self.velocity}
         quantities = {"position": self.position, "torque": self.torque, **optional}
         _check(self.label, self.joint_names, self.time, quantities)
+
+    @cached_property
+    def encoder_steps(self) -> FloatArray:
+        """Steps (n,) of the joints' encoders [rad or m]; nan where the positions lie on no grid."""
+        return np.array([encoder_step(column) for column in self.position.T])
 
 
 _RANGES = {"position": RECORDED_POSITION, "velocity": RECORDED_VELOCITY, "torque": RECORDED_TORQUE}

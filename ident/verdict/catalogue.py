@@ -120,6 +120,11 @@ _RECORDING = (
         "drop-outs of a signal were filled with zeros",
         "Leave these samples out, or write nan and import with --repair drop-nan.",
     ),
+    _note(
+        "positions-jitter",
+        "positions jitter, and the cut-offs that their spectrum would give were lowered",
+        "Record the controller's own stamps and positions; --position-cutoff and --torque-cutoff set others.",
+    ),
     CheckKind("no-motion", "serious", ALL, "there is no motion to analyse", "Record an excitation trajectory."),
     _note(
         "high-condition",

@@ -1,0 +1,91 @@
+"""Deliberate mistakes in the data: each is named, none is taken for another, and sound data raise none of the checks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+import dynid
+from daq.recording.recording import Recording
+from sim_drivers.synthetic.data_mistakes import (
+    contact,
+    filled_with_zeros,
+    jittering_position,
+    repeated_rows,
+    stuck_encoder,
+    with_velocity,
+)
+
+ARMS = ("ur5e", "rocr6")
+DATA_CHECKS = {"encoder-stuck", "rows-repeated", "filled-with-zeros", "residual-bursts", "positions-jitter"}
+MODEL_CHECKS = {
+    "gravity-opposite",
+    "gravity-other-axis",
+    "gravity-tilted",
+    "torque-sign",
+    "torques-exchanged",
+    "inconsistent-gain",
+    "inconsistent-length",
+    "wrong-time-axis",
+    "clocks-drift",
+}
+"""Checks that these mistakes used to raise."""
+
+Mistake = Callable[[Recording], Recording]
+
+
+@pytest.fixture(scope="module", params=ARMS)
+def sound(request: pytest.FixtureRequest) -> Recording:
+    """A motion of 12 s at 200 Hz with its velocity."""
+    return with_velocity(dynid.simulate(request.param, duration=12.0, seed=1, rate=200.0))
+
+
+def checks(result: dynid.IdentificationResult) -> set[str]:
+    return {check.name for check in result.verdict.checks}
+
+
+def test_sound_data_raise_none(sound: Recording) -> None:
+    assert not checks(dynid.identify(sound)) & (DATA_CHECKS | MODEL_CHECKS)
+
+
+@pytest.mark.parametrize(
+    ("name", "mistake", "largest"),
+    [
+        ("encoder-stuck", lambda run: stuck_encoder(run, 1, 3.0, 1.0), 0.04),
+        ("rows-repeated", lambda run: repeated_rows(run, 0.13, 1), 0.04),
+        ("rows-repeated", lambda run: repeated_rows(run, 0.3, 1, ("position",)), 0.04),
+        ("positions-jitter", lambda run: jittering_position(run, 0.015, 1), 0.06),
+    ],
+    ids=["encoder", "rows", "positions", "jitter"],
+)
+def test_a_mistake_that_can_be_repaired_is_named_and_repaired(
+    sound: Recording, name: str, mistake: Mistake, largest: float
+) -> None:
+    result = dynid.identify(mistake(sound))
+    assert checks(result) & DATA_CHECKS == {name}
+    assert not checks(result) & MODEL_CHECKS
+    assert result.validation is not None
+    assert result.validation.relative_error < largest
+
+
+def test_a_stuck_encoder_is_named_with_its_time(sound: Recording) -> None:
+    result = dynid.identify(stuck_encoder(sound, 1, 3.0, 1.0))
+    (check,) = (check for check in result.verdict.checks if check.name == "encoder-stuck")
+    joint = sound.streams["joints"].channels["position"].columns[1]
+    assert check.joints == (joint,)
+    assert f"{joint} from 3.00 to 4.00 s while its velocity goes on" in check.text
+
+
+def test_contacts_are_named_by_their_times(sound: Recording) -> None:
+    result = dynid.identify(contact(sound, 0.1, 1.0, 2))
+    (check,) = (check for check in result.verdict.checks if check.name in DATA_CHECKS)
+    assert check.name == "residual-bursts"
+    assert "--method irls" in check.text
+    assert not checks(result) & MODEL_CHECKS
+
+
+def test_drop_outs_that_were_filled_with_zeros_are_named(sound: Recording) -> None:
+    result = dynid.identify(filled_with_zeros(sound, 0.5, 1))
+    assert "filled-with-zeros" in checks(result)
+    assert "poor" in result.verdict.headline.lower()
