@@ -31,7 +31,7 @@ def quantisation_step(values: FloatArray) -> float:
 
 
 def encoder_step(values: FloatArray) -> float:
-    """Step of an encoder whose positions are (N,), also of one that shows few of its levels; nan where there is none."""
+    """Step of an encoder with positions (N,), also of one that shows few of its levels; nan where there is none."""
     spread = values[:: max(1, len(values) // _LATTICE_VALUES)]
     step = quantisation_step(spread)
     if np.isfinite(step):

@@ -211,6 +211,13 @@ _EXCITATION = (
         "many base parameters are smaller than their standard deviation",
         "Record a more exciting motion.",
     ),
+    CheckKind(
+        "few-parameters-determined",
+        "warning",
+        ALL,
+        "the motion determines few of the base parameters",
+        "Record a more exciting motion, or longer.",
+    ),
     _note(
         "few-moves-for-energy",
         "the energy model has one equation for all joints together",

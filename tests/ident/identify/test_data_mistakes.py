@@ -1,4 +1,4 @@
-"""Deliberate mistakes in the data: each is named, none is taken for another, and sound data raise none of the checks."""
+"""Deliberate mistakes in the data: each is named, none is taken for another; sound data raise no such check."""
 
 from __future__ import annotations
 
