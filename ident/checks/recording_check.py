@@ -169,8 +169,8 @@ def _precision_checks(sufficiency: Sufficiency | None) -> list[Check]:
     if determined >= LEAST_DETERMINED * len(ratios):
         return []
     text = (
-        f"{determined} of {len(ratios)} base parameters are expected to be known within {SIGNIFICANT_RSD:g} %: record a "
-        "more exciting motion, or longer"
+        f"{determined} of {len(ratios)} base parameters are expected to be known within {SIGNIFICANT_RSD:g} %: record "
+        "a more exciting motion, or longer"
     )
     return [raised("few-parameters-determined", text)]
 

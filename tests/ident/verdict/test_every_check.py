@@ -36,6 +36,14 @@ from ident.result.schema import Result
 from ident.signals.pipeline import PreprocessChoices
 from ident.verdict.catalogue import CATALOGUE
 from sim_drivers.plant.altered_arm import with_load
+from sim_drivers.synthetic.data_mistakes import (
+    contact,
+    filled_with_zeros,
+    jittering_position,
+    repeated_rows,
+    stuck_encoder,
+    with_velocity,
+)
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
@@ -361,6 +369,27 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "many-outliers": (
         lambda b: b.found(changed(b.recorded(), glitches(0.04), "position")),
         lambda b: b.found(changed(b.recorded(), glitches(1e-3), "position")),
+    ),
+    "rows-repeated": (
+        lambda b: b.names(repeated_rows(b.recorded(), 0.1, 1)),
+        lambda b: b.names(b.recorded()),
+    ),
+    "encoder-stuck": (
+        lambda b: b.names(stuck_encoder(with_velocity(b.recorded()), 1, 3.0, 1.0)),
+        lambda b: b.names(with_velocity(b.recorded())),
+    ),
+    "filled-with-zeros": (
+        lambda b: b.names(filled_with_zeros(b.recorded(), 0.5, 1)),
+        lambda b: b.names(b.recorded()),
+    ),
+    "positions-jitter": (
+        lambda b: b.found(jittering_position(b.recorded(), 0.02, 1)),
+        lambda b: b.clean(),
+    ),
+    "residual-bursts": (lambda b: b.found(contact(b.recorded(), 0.05, 1.0, 1)), lambda b: b.clean()),
+    "few-parameters-determined": (
+        lambda b: b.info(changed(b.recorded(1, 4.5, (0.02, 0.02, 0.02)), noisy)),
+        lambda b: b.clean_info(),
     ),
     "no-motion": (
         lambda b: b.info(changed(b.recorded(), lambda q: np.zeros_like(q), "position")),
