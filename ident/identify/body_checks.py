@@ -30,17 +30,21 @@ LEAST_SHARE = 0.005
 """Of the arm's mass; the centre of a link lighter than that says nothing."""
 
 
-def body_checks(model: DynamicModel, robot_file: RobotFile, consistent: ConsistentParameters) -> list[Check]:
+def body_checks(
+    model: DynamicModel, robot_file: RobotFile, consistent: ConsistentParameters, *, whole: bool
+) -> list[Check]:
     """What no arm of this size and geometry has, and what was assumed of its motors.
 
     Args:
         model: the arm.
         robot_file: its file, for the URDF's bodies.
         consistent: what was found.
+        whole: whether all joints moved and all torques were used; else they do not show the arm's mass.
     """
     links = consistent.values[: len(INERTIAL) * len(model.joints)].reshape(-1, len(INERTIAL))
     masses = links[:, INERTIAL.index("M")]
-    checks = _total_checks(mass_of_size(model), _urdf_mass(model, robot_file), consistent.apparent_mass)
+    apparent = consistent.apparent_mass if whole else None
+    checks = _total_checks(mass_of_size(model), _urdf_mass(model, robot_file), apparent)
     checks += _link_checks(model, masses)
     checks += _centre_checks(model, masses, links[:, 6:9] / masses[:, None])
     assumed = [one for one in consistent.armatures if one.source == ASSUMED]

@@ -106,7 +106,8 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         None if consistent is None else (identification.fit.relative_error, consistent.fit.relative_error),
     )
     if consistent is not None:
-        checks += body_checks(identification.model, identification.robot_file, consistent.parameters)
+        whole = identification.experiment == whole_arm(identification.model)
+        checks += body_checks(identification.model, identification.robot_file, consistent.parameters, whole=whole)
     return checks + residual_checks(identification.residual_tests, identification.model.joint_names)
 
 

@@ -95,7 +95,8 @@ def merge_results(
         threshold,
     )
     result, consistent = _result(model, base, inputs, merged, std, pruned, essential, threshold)
-    bodies = [] if consistent is None else body_checks(model, inputs[0].stored.robot_file, consistent)
+    whole = base.count == base_parameters(model).count
+    bodies = [] if consistent is None else body_checks(model, inputs[0].stored.robot_file, consistent, whole=whole)
     checks = [*result.verdict.checks, *consistency_checks(model.link_names, consistent), *bodies]
     if held_out is None:
         return _judged(result, checks, ()), None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import command_line
@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 import pytest
 
+import dynid
 from daq.recording.reader import read_recording
 from daq.recording.recording import Event
 from daq.recording.writer import write_recording
@@ -119,8 +120,15 @@ def test_identify_validates_writes_and_prints(monkeypatch, capsys, folder):
         apart = [one["verdict"]["purposes"][purpose] for one in judged["recordings"]]
         assert verdict == result["verdict"]["purposes"][purpose] == apart[0]  # data of the identification do not count
         assert order.index(apart[1]["grade"]) >= order.index("usable")
+    called = dynid.validate(folder / "model", [folder / "val.h5", folder / "run.h5"])
+    assert {purpose: asdict(one) for purpose, one in called.verdict.purposes.items()} == judged["verdict"]["purposes"]
+    status, _, err = run(monkeypatch, capsys, folder, "identify", "run.h5", "--validate", "run.h5", "-o", "refused")
+    assert status == 2
+    assert "nothing is held out" in err
+    assert not (folder / "refused").exists()
     status, out, _ = run(monkeypatch, capsys, folder, "validate", "model", "val.h5", "run.h5")
     assert status == 0
+    assert "run.h5 (NOT held out: 100 % of its samples were used in the identification)" in out
     assert judged["verdict"]["headline"] in out
 
 
