@@ -98,7 +98,7 @@ def relisted(robot_file: RobotFile, priority: list[int]) -> RobotFile:
     ],
     ids=["parallelogram", "closing frames"],
 )
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(data=st.data())
 def test_arms_with_loops_whose_joints_are_listed_in_any_order(
     robot_file: RobotFile, posture: list[float], data: st.DataObject
