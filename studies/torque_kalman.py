@@ -2,9 +2,10 @@
 
     python studies/torque_kalman.py [SEEDS]
 
-The model's change of torque is the filter's input (`--method kalman-wls`). Public recordings (their folder in
-DYNID_DATA): relative error of the held-out torques [%]. Simulated ROCR6, 20 s: median error of the base parameters in
-σ of `wls`, share of 95 % intervals that hold the truth, and error on another motion without noise [%]; five seeds.
+The model's change of torque is the filter's input (`--method kalman-wls`); friction is coulomb-viscous without
+presliding. Public recordings (their folder in DYNID_DATA): relative error of the held-out torques [%]. Simulated ROCR6,
+20 s: median error of the base parameters in σ of `wls`, share of 95 % intervals that hold the truth, and error on
+another motion without noise [%]; five seeds.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
 RATIOS = (1.0, 0.1, 0.01, 0.001)
-PLAIN = IdentifyChoices(model=ModelChoices("coulomb-viscous"))
+PLAIN = IdentifyChoices(model=ModelChoices("coulomb-viscous"), presliding=False)
 METHODS = ("wls", *(f"kalman-wls:ratio={ratio:g}" for ratio in RATIOS), "kalman-wls:ratio=0.01:rounds=5")
 
 
@@ -41,7 +42,9 @@ def main(seeds: int = 5) -> None:
     for method in METHODS:
         errors = []
         for recording, choices in arms.values():
-            found = identify([recording], [], replace(choices_of(choices, "coulomb-viscous"), method=method))
+            found = identify(
+                [recording], [], replace(choices_of(choices, "coulomb-viscous"), method=method, presliding=False)
+            )
             errors.append(100.0 * found.validation.relative_error)
         print(f"| `{method}` | {' | '.join(f'{error:.2f}' for error in errors)} |", flush=True)
     robot_file = load_robot("rocr6")

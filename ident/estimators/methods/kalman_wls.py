@@ -21,6 +21,7 @@ from drivers.streams import FloatArray
 from ident.estimators.estimator import Estimation, Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.torque_estimator import TorqueEstimator
+from ident.model.presliding import presliding_states
 from ident.model.regressor import model_torque
 from ident.regression.least_squares import LeastSquares, weighted_least_squares
 from ident.regression.observation_matrix import Reduction
@@ -82,7 +83,8 @@ class KalmanEstimator(TorqueEstimator):
 
         def of(segment: Segment) -> Segment:
             motion = segment.position, segment.velocity, segment.acceleration, segment.temperature
-            modelled = model_torque(kernel.model, kernel.columns, solution.parameters, *motion)
+            states = presliding_states(kernel.model, segment.velocity, segment.rate)
+            modelled = model_torque(kernel.model, kernel.columns, solution.parameters, *motion, states)
             return replace(segment, torque=filtered_torque(segment.torque, modelled, self.ratio))
 
         return replace(run, segments=tuple(of(segment) for segment in run.segments))
