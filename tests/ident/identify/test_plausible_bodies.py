@@ -1,0 +1,176 @@
+"""Bodies of the default model on random arms and public recordings: plausible, and fit to be simulated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from random_arm import random_arm, recorded
+
+from daq.importers import ImportChoices, import_file
+from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.robot.loader import RobotFile, load_robot, parse_robot
+from ident.assessment.arm_mass import arm_length, mass_of_size
+from ident.estimators.feasible.armature import armature_vector
+from ident.estimators.feasible.problem import COASTING, friction_rates
+from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identify import identify
+from ident.identify.summary import summarise
+from ident.model.base_parameters import random_states
+from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.true_parameters import truth_vector
+from ident.result.model import Model
+from ident.signals.pipeline import PreprocessChoices
+
+OF_BODIES = {
+    "implausible-mass",
+    "implausible-link",
+    "implausible-centre",
+    "known-contradicts-data",
+    "simulation-failed",
+}
+CONTRADICTED = "known-contradicts-data"
+QUICK = IdentifyChoices(search_delay=False)
+TX40 = Path(__file__).parents[3] / "examples" / "tx40.yaml"
+FILES = {"panda": "panda_gaz1.npz", "tx40": "tx40_t1.npz", "ur10": "ur10_unisa1.npz"}
+ARMS = range(3)
+"""`studies/plausible_bodies.py` has more."""
+
+
+@cache
+def arm(seed: int, light: bool) -> RobotFile:
+    return random_arm(seed, link_side=light, wrist=0.3 if light else 1.0)
+
+
+@cache
+def recording(seed: int, light: bool) -> Recording:
+    return recorded(arm(seed, light), seed, duration=8.0)
+
+
+@cache
+def found(seed: int, light: bool) -> Identification:
+    return identify([recording(seed, light)], [], QUICK)
+
+
+def masses(identification: Identification) -> np.ndarray:
+    assert identification.consistent is not None
+    count = len(identification.model.joints)
+    return identification.consistent.parameters.values[: 10 * count].reshape(count, 10)[:, 9]
+
+
+def scaled(of: Recording, factor: float) -> Recording:
+    stream = of.streams[JOINTS_STREAM]
+    torque = stream.channels["torque"]
+    channels = dict(stream.channels) | {"torque": replace(torque, values=factor * torque.values)}
+    return replace(of, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+
+
+@pytest.mark.parametrize("light", [False, True])
+@pytest.mark.parametrize("seed", ARMS)
+def test_true_arms_have_plausible_bodies_that_simulate(seed: int, light: bool) -> None:
+    """No check of bodies; a mass of the arm's size; no joint that friction stops at once; a motion that stays near."""
+    identification = found(seed, light)
+    consistent = identification.consistent
+    assert consistent is not None
+    assert not OF_BODIES & {check.name for check in identification.checks}
+    size = mass_of_size(identification.model)
+    true = truth_vector(arm(seed, light))[9 : 10 * identification.model.dof : 10]
+    assert size is not None
+    assert size.least < masses(identification).sum() < size.most
+    assert masses(identification).sum() < 3.0 * true.sum()
+    parameters = consistent.parameters
+    inverse = InverseDynamics(identification.model, identification.base, parameters.base)
+    inertia = np.diagonal(inverse.inertia(random_states(identification.model, 50)[0]), axis1=1, axis2=2)
+    rates = friction_rates(identification.model, range(len(parameters.values)), parameters.values)
+    assert np.all(inertia.min(axis=0) > 0.5 * COASTING * rates)
+    assert np.all((armature_vector(identification.model, parameters.armatures) > 0) == light)
+    result = summarise(identification, [recording(seed, light)], [])
+    assert result.delivered is not None
+    run = result.delivered.runs[0]
+    assert run.simulation is not None
+    assert max(run.simulation.position_rmse) < 0.05
+    assert run.open_loop is not None
+    assert run.open_loop.ratio is not None
+    assert run.open_loop.ratio < 1.0
+
+
+@pytest.mark.parametrize("light", [False, True])
+def test_an_explicit_integrator_with_steps_of_1_ms_is_stable(light: bool) -> None:
+    """Semi-implicit Euler, friction explicit: released at rest, no joint gains more speed than gravity gives it."""
+    identification = found(1, light)
+    model = Model(summarise(identification, [recording(1, light)], []))
+    q, dq = np.zeros(identification.model.dof), np.zeros(identification.model.dof)
+    energy = []
+    for _ in range(300):
+        inertia = model.mass_matrix(q) + np.diag(model.armature)
+        dq = dq - 1e-3 * np.linalg.solve(inertia, model.torque(q, dq, np.zeros_like(q)))
+        q = q + 1e-3 * dq
+        energy.append(0.5 * dq @ inertia @ dq)
+    assert np.all(np.isfinite(energy))
+    assert max(energy) < 2.0 * 9.81 * masses(identification).sum() * arm_length(identification.model)
+
+
+def test_the_motor_behind_a_sensor_moves_in_simulation_and_in_no_torque() -> None:
+    identification = found(0, True)
+    content = yaml.safe_load(arm(0, True).text)
+    for drive in content["drives"]:
+        drive["armature"] = 0.7
+    given = parse_robot(yaml.safe_dump(content), where="given", folder=None)
+    stated = identify([recording(0, True)], [], QUICK, given)
+    assumed, fixed = (Model(summarise(one, [recording(0, True)], [])) for one in (identification, stated))
+    assert np.all(fixed.armature == 0.7)
+    assert {one.source for one in fixed.result.consistent.armature} == {"robot file"}  # type: ignore[union-attr]
+    assert {one.source for one in assumed.result.consistent.armature} == {"assumed"}  # type: ignore[union-attr]
+    names = {check.name for check in stated.checks}
+    assert "armature-assumed" not in names
+    dof = identification.model.dof
+    motion = np.full(dof, 0.3), np.full(dof, 0.4), np.full(dof, 2.0)
+    np.testing.assert_allclose(fixed.torque(*motion), assumed.torque(*motion), rtol=1e-6)
+    drive = fixed.torque(*motion) + fixed.armature * motion[2]
+    moved = fixed.simulate(motion[0], motion[1], drive, 1e-3, step=1e-4)
+    np.testing.assert_allclose((moved.velocity[-1] - motion[1]) / 1e-3, motion[2], rtol=0.05)
+
+
+@pytest.mark.parametrize("factor", [30.0, 0.01])
+def test_torques_of_another_unit_are_no_arm_of_this_size(factor: float) -> None:
+    identification = identify([scaled(recording(1, False), factor)], [], QUICK)
+    assert "implausible-mass" in {check.name for check in identification.checks}
+
+
+@pytest.mark.parametrize("name", ["Fs2", "Fv3"])
+def test_what_the_file_says_against_the_data_is_named(name: str) -> None:
+    """A friction of a thousandth of the true one."""
+    names = [parameter.name for parameter in found(1, False).model.parameters]
+    truth = dict(zip(names, truth_vector(arm(1, False)).tolist(), strict=True))
+    content = yaml.safe_load(arm(1, False).text) | {"known": {name: truth[name] / 1000.0}}
+    given = parse_robot(yaml.safe_dump(content), where="given", folder=None)
+    said = [one.text for one in identify([recording(1, False)], [], QUICK, given).checks if one.name == CONTRADICTED]
+    assert len(said) == 1
+    assert f"known.{name}" in said[0]
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(("name", "heaviest"), [("panda", 18.0), ("tx40", 27.0), ("ur10", 28.9)])
+def test_public_recordings_have_plausible_bodies(data_dir: Path, name: str, heaviest: float) -> None:
+    """None raises a check of bodies, and none weighs more than the arm's data sheet says with its base."""
+    if name == "tx40":
+        robot_file = parse_robot(TX40.read_text(encoding="utf-8"), where=name, folder=data_dir)
+        choices = replace(QUICK, preprocess=PreprocessChoices(stop=7.45))
+    else:
+        sensor = ", inertia: false" if name == "panda" else ""
+        joints = load_robot(data_dir / f"{name}.urdf").robot.joint_names
+        limits = "\n".join(f"  - {{name: {joint}, position: [-6.3, 6.3], velocity: 6}}" for joint in joints)
+        drives = "\n".join(f"  - {{joint: {joint}, signal: torque{sensor}}}" for joint in joints)
+        text = f"name: {name}\nmodel: {{urdf: {name}.urdf, mounting: free}}\njoints:\n{limits}\ndrives:\n{drives}\n"
+        robot_file, choices = parse_robot(text, where=name, folder=data_dir), QUICK
+    recorded_run = import_file(data_dir / FILES[name], robot_file, ImportChoices())
+    identification = identify([recorded_run], [], choices)
+    assert not OF_BODIES & {check.name for check in identification.checks}
+    assert masses(identification).sum() < heaviest
+    consistent = identification.consistent
+    assert consistent is not None
+    assert consistent.validation.relative_error < 1.1 * identification.validation.relative_error
