@@ -58,7 +58,7 @@ FRICTION_CHANGE = 3.0
 that were followed exactly it changes by up to 2.4 σ, since data are left out."""
 
 
-REJECTED = 0.01
+REJECTED = 1e-3
 """p-value of the F-test of consistent against unconstrained parameters below which a note says so; a warning follows
 from the errors' difference alone (`consistency-costs`), since any model is rejected by enough data."""
 

@@ -17,7 +17,7 @@ from daq.robot.loader import RobotFile, load_robot, parse_robot
 from ident.assessment.arm_mass import arm_length, mass_of_size
 from ident.estimators.feasible.armature import armature_vector
 from ident.estimators.feasible.problem import COASTING, friction_rates
-from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.base_parameters import random_states
@@ -34,10 +34,10 @@ OF_BODIES = {
     "simulation-failed",
 }
 CONTRADICTED = "known-contradicts-data"
-QUICK = IdentifyChoices(search_delay=False)
+QUICK = IdentifyChoices(search_delay=False, presliding=False, model=ModelChoices(friction="coulomb-viscous"))
 TX40 = Path(__file__).parents[3] / "examples" / "tx40.yaml"
 FILES = {"panda": "panda_gaz1.npz", "tx40": "tx40_t1.npz", "ur10": "ur10_unisa1.npz"}
-ARMS = range(3)
+ARMS = range(2)
 """`studies/plausible_bodies.py` has more."""
 
 
