@@ -49,7 +49,7 @@ INDEPENDENT_PER_PARAMETER = 2
 """Independent equations per parameter that must remain; a fit to fewer hides what a wrong number leaves."""
 
 WORTH_A_LOOK = 2.0
-"""Doubled log-likelihood ratio from which on the residuals without the deviation are looked at."""
+"""Doubled log-likelihood ratio of an unknown, linearised at the file's value, from which on it is looked at."""
 
 RIVAL_LIKELIHOOD = 9.0
 """Difference of the doubled log-likelihood ratios (three σ) below which two deviations explain the data alike."""
@@ -97,16 +97,14 @@ def most_likely(refit: Refit, runs: Sequence[Prepared], independent: float, poor
     total = float(refit.rows.sum())
     if not found:
         return []
-    clear = found[0].likelihood * independent / total
-    if clear >= LIKELIHOOD_LEVEL or poor:
-        tried = list(dict.fromkeys([*(one.unknown for one in found[:REFINED]), Unknown("gravity")]))
-        finer = [refit.deviation(unknown) for unknown in tried] + _other_directions(refit)
-        if poor:
-            finer += _far_gains(refit)
-        found = [one for one in finer if one is not None and _plausible(refit.model, one)]
-        found.sort(key=lambda one: -one.likelihood)
-    elif clear < WORTH_A_LOOK:
+    if not poor and found[0].likelihood * independent / total < WORTH_A_LOOK:
         return []
+    tried = list(dict.fromkeys([*(one.unknown for one in found[:REFINED]), Unknown("gravity")]))
+    finer = [refit.deviation(unknown) for unknown in tried] + _other_directions(refit)
+    if poor:
+        finer += _far_gains(refit)
+    found = [one for one in finer if one is not None and _plausible(refit.model, one)]
+    found.sort(key=lambda one: -one.likelihood)
     if not found:
         return []
     shares = [

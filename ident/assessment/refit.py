@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -219,8 +220,7 @@ class Refit:
             columns = experiment_base(in_unknown_gravity(self.model), [self.experiment]).columns
         except IdentificationError:
             return None
-        weightless = self._of_gravity(columns, np.zeros(3))
-        parts = [self._of_gravity(columns, axis) - weightless for axis in np.eye(3)]
+        weightless, *parts = self._gravity_parts
         everything = list(range(len(columns)))
         gravity = self.model.gravity if start is None else size * start / np.linalg.norm(start)
         across, solved = np.empty((0, 3)), None
@@ -254,6 +254,13 @@ class Refit:
         along = away / length if length > 1e-9 else np.linalg.eigh(solved.covariance)[1][:, -1]
         deviation = self._deviation(unknown, angle, float(along @ solved.covariance @ along), solved)
         return replace(deviation, model=replace(self.model, gravity=gravity), columns=columns)
+
+    @cached_property
+    def _gravity_parts(self) -> list[FloatArray]:
+        """Regressors (n, b, N) without gravity, and what 1 m/s² along each axis of the base adds."""
+        columns = experiment_base(in_unknown_gravity(self.model), [self.experiment]).columns
+        weightless = self._of_gravity(columns, np.zeros(3))
+        return [weightless, *(self._of_gravity(columns, axis) - weightless for axis in np.eye(3))]
 
     def _of_gravity(self, columns: Sequence[int], gravity: FloatArray) -> FloatArray:
         return self.instants.filtered_regressor(RegressorKernel(replace(self.model, gravity=gravity), columns))
