@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Literal, get_args
 
+from drivers.percentage import percent_text
 from ident.verdict.catalogue import CATALOGUE
 from ident.verdict.check import PURPOSE_WORDS, PURPOSES, SEVERITIES, Check, Purpose, Severity
 from ident.verdict.evidence import Evidence, MotionError, known
@@ -178,21 +179,25 @@ def _purpose(purpose: Purpose, checks: Sequence[Check], evidence: Evidence | Non
     """The worst of its reasons: checks first, then errors. Where all is good, the error is the reason."""
     reasons = [_check_reason(check) for check in checks if purpose in check.purposes]
     if evidence is not None:
-        if purpose == "simulation":
-            reasons += _simulation_reasons(evidence)
-        reasons += _torque_reasons(evidence)
+        simulated = purpose == "simulation" and evidence.motions
+        reasons += _simulation_reasons(evidence) if simulated else _torque_reasons(evidence)
+        if purpose == "simulation" and not simulated and evidence.whole.judged is not None:
+            reasons.append(_Reason("usable", "its motion was not simulated"))
     worst = _worst(reasons or [_Reason("good", "no check failed")])
     return PurposeVerdict(worst.grade, worst.text)
 
 
 def _simulation_reasons(evidence: Evidence) -> list[_Reason]:
-    if not evidence.motions and evidence.whole.judged is not None:
-        return [_Reason("usable", "its motion was not simulated")]
+    """From the simulated motion, and from the torque error in motion: at rest a simulation has its own stiction."""
     reasons = []
     for motion in evidence.motions:
         others = [f"{other.whole:.2g} times in the {other.text}" for other in evidence.motions if other is not motion]
         reasons += _motion_reasons(motion, f" ({'; '.join(others)})" if others else "")
-    return reasons
+    moving = known(evidence.whole.all_samples if evidence.whole.in_motion is None else evidence.whole.in_motion)
+    if moving is None:
+        return [*reasons, _Reason("usable", "no held-out torque error is known")]
+    grade = _grade(moving, GOOD_ERROR, USABLE_ERROR)
+    return [*reasons, _Reason(grade, f"the held-out torque error in motion is {percent_text(moving, 2)}")]
 
 
 def _torque_reasons(evidence: Evidence) -> list[_Reason]:

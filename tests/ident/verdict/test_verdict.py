@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -118,9 +118,10 @@ def test_nothing_held_out_is_not_good() -> None:
     assert judge([], evidence(None, {"j1": None}, None)).purposes["simulation"].grade == "usable"
 
 
-def test_one_bad_joint_spoils_every_purpose() -> None:
+def test_one_bad_joint_spoils_every_purpose_that_predicts_torque() -> None:
     verdict = judge([], evidence(0.03, {"j1": 0.02, "j2": 0.4}))
-    for purpose in PURPOSES:
+    assert verdict.purposes["simulation"].grade == "good"
+    for purpose in set(PURPOSES) - {"simulation"}:
         assert verdict.purposes[purpose].grade == "poor"
         assert "j2" in verdict.purposes[purpose].because
 
@@ -147,6 +148,9 @@ def test_a_simulation_no_better_than_constant_velocity_is_poor(torque: TorqueErr
     grade = judge([], known).purposes["simulation"].grade
     assert grade == "poor" or ratio < 1.0
     assert grade != "good" or ratio < 0.5
+    resting = replace(torque, all_samples=2.0, in_motion=0.01)  # at rest a simulation has a stiction of its own
+    at_rest = judge([], Evidence(resting, {"j1": resting}, evidence(0.01, {"j1": 0.01}, ratio).motions))
+    assert at_rest.purposes["simulation"].grade == ("good" if ratio < 0.5 else "usable" if ratio < 1.0 else "poor")
     without = judge([], Evidence(torque, {"j1": torque})).purposes
     assert all(
         without[purpose] == judge([], known).purposes[purpose] for purpose in PURPOSES if purpose != "simulation"
