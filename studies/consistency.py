@@ -1,7 +1,7 @@
 """What physical consistency costs: held-out errors of the unconstrained and the consistent model, and its CPU time.
 
 *Least* is the smallest eigenvalue of a link's pseudo-inertia relative to its prior's, which the margin holds above
-0.001; *p* the p-value of the F-test on the constraint.
+0.001; *p* the p-value of the F-test on the constraint. Friction is `coulomb-viscous`, without presliding.
 
     python studies/consistency.py [DATA]
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from daq.robot.loader import RobotFile, load_robot, parse_robot
 from ident.estimators.feasible.consistent import consistent_parameters
 from ident.estimators.feasible.prior import link_priors
 from ident.estimators.feasible.pseudo_inertia import pseudo_inertia
-from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
@@ -62,7 +63,8 @@ def simulated(name: str) -> tuple[Recording, IdentifyChoices]:
 
 def line(name: str, recording: Recording, choices: IdentifyChoices) -> str:
     """One row of the table."""
-    identified = identify([recording], [], choices)
+    plain = replace(choices, presliding=False, model=ModelChoices(friction="coulomb-viscous"))
+    identified = identify([recording], [], plain)
     start = time.process_time()
     consistent_parameters(identified.model, identified.base, identified.estimate, identified.robot_file)
     milliseconds = 1e3 * (time.process_time() - start)

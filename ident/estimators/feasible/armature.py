@@ -19,7 +19,7 @@ from ident.estimators.feasible.problem import friction_rates
 from ident.model.dynamic_model import DynamicModel
 
 ASSUMED_COASTING = 1.0
-"""[s] in which the friction that the sensor sees would stop the motor: a Panda then gets 0.03 to 0.2 kg·m² per joint,
+"""[s] in which the friction that the sensor sees would stop the motor: a Panda then gets 0.06 to 0.12 kg·m² per joint,
 where MuJoCo Menagerie assumes 0.1. Its gear's own friction, which no sensor behind it sees, stops it much sooner."""
 
 GIVEN, ASSUMED = "robot file", "assumed"
@@ -49,7 +49,8 @@ def armatures(model: DynamicModel, robot: Robot, columns: Sequence[int], values:
         columns: (c,) of standard parameters, friction among them.
         values: (c,) theirs.
     """
-    rates = friction_rates(model, columns, values)
+    behind = np.array([not robot.drive(name).inertia for name in model.joint_names])
+    rates = _falling(np.where(behind, friction_rates(model, columns, values), 0.0), model.sliding)
     found = []
     for name, rate in zip(model.joint_names, rates.tolist(), strict=True):
         drive = robot.drive(name)
@@ -58,6 +59,18 @@ def armatures(model: DynamicModel, robot: Robot, columns: Sequence[int], values:
         elif not drive.inertia and rate > 0.0:
             found.append(Armature(name, ASSUMED_COASTING * rate, ASSUMED))
     return tuple(found)
+
+
+def _falling(rates: FloatArray, sliding: Sequence[bool]) -> FloatArray:
+    """Friction (n,) that does not grow towards the tool: no motor is smaller than one that it carries.
+
+    A single joint whose sensor sees little friction would else have hardly any motor.
+    """
+    falling = rates.copy()
+    for kind in set(sliding):
+        own = np.flatnonzero(np.array(sliding) == kind)
+        falling[own] = np.maximum.accumulate(rates[own][::-1])[::-1]
+    return falling
 
 
 class _OfJoint(Protocol):
