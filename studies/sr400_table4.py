@@ -84,7 +84,9 @@ def recorded(robot_file: RobotFile, seed: int, moves: int) -> Recording:
 def identified(robot_file: RobotFile, seed: int, moves: int) -> Identification:
     run, held_out = recorded(robot_file, seed, moves), recorded(robot_file, seed + 1, moves // 2)
     return identify(
-        [run], [held_out], IdentifyChoices(method="wls", model=ModelChoices(friction="coulomb-viscous"), reversals=0.0)
+        [run],
+        [held_out],
+        IdentifyChoices(method="wls", model=ModelChoices(friction="coulomb-viscous"), reversals=0.0, presliding=False),
     )
 
 
