@@ -29,6 +29,7 @@ def find_friction(
     from daq.output_files import REPORT_FILE, check_output_folder
     from daq.robot.loader import load_robot
     from ident.commands.options import delay_option
+    from ident.model.joint_units import common_unit
     from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
     from ident.result.friction_experiment import FRICTION_FILE
     from ident.tasks.friction import friction as friction_task
@@ -60,7 +61,8 @@ def find_friction(
         for joint in result.joints
     ]
     headings = ("joint", "Coulomb", "±", "viscous", "±", "offset", "±", "residual RMS", "further terms")
-    print_table("\nFriction [N·m, s/rad]", headings, rows)
+    sliding = [joint.sliding for joint in result.joints]
+    print_table(f"\nFriction [{common_unit('N·m', sliding)}, {common_unit('s/rad', sliding)}]", headings, rows)
     for warning in result.warnings:
         print(f"warning: {warning}")
     print(f"\n{folder / FRICTION_FILE}\n{folder / REPORT_FILE}")

@@ -12,6 +12,7 @@ from drivers.units import ZERO_CELSIUS
 from ident.experiments.friction.experiment import FrictionExperiment
 from ident.experiments.friction.joint_friction import JointFriction, friction_torque
 from ident.model.dynamic_model import DynamicModel
+from ident.model.joint_units import common_unit
 from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
 from ident.report.figures.traces import packed
@@ -43,6 +44,7 @@ def friction_page(result: FrictionExperimentResult, experiment: FrictionExperime
         .get_template("friction_page.html.j2")
         .render(
             result=result,
+            units=_units(result),
             tiles=_tiles(result),
             speed=_figure("speed-plot", model, joints, _speed_panel, SPEED_CAPTION),
             temperature=_figure("temperature-plot", model, heated, _temperature_panel, TEMPERATURE_CAPTION),
@@ -72,7 +74,10 @@ def _tiles(result: FrictionExperimentResult) -> list[Tile]:
         Tile("Joints", str(len(result.joints)), f"of {len(result.joints) + len(result.not_moved)}"),
         Tile("Recordings", str(len(result.recordings))),
         Tile("Widest range of temperature", "–" if widest is None else f"{number(widest, 3)} K"),
-        Tile("Highest load torque", f"{number(max(joint.load_range.greatest for joint in result.joints), 3)} N·m"),
+        Tile(
+            "Highest load torque",
+            f"{number(max(joint.load_range.greatest for joint in result.joints), 3)} {_units(result)['torque']}",
+        ),
     ]
 
 
@@ -104,6 +109,7 @@ def _heading(joint: JointFriction) -> str:
 
 def _speed_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Panel:
     velocity, heat, load, torque = _sample(joint)
+    unit, speed = _joint_units(model, joint)
     known = joint.temperature is not None
     scale = {"color": packed(heat - ZERO_CELSIUS), "colorscale": "Portland"} if known else {"color": MEASURED}
     traces: list[dict[str, Any]] = [_points("data", velocity, torque, {**scale, "size": 3}, first)]
@@ -119,10 +125,22 @@ def _speed_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Pane
         joint.joint,
         _heading(joint),
         traces,
-        x={"title": {"text": "velocity [rad/s]"}},
-        y={"title": {"text": "N·m"}},
+        x={"title": {"text": f"velocity [{speed}]"}},
+        y={"title": {"text": unit}},
         height=PANEL,
     )
+
+
+def _joint_units(model: DynamicModel, joint: JointFriction) -> tuple[str, str]:
+    """Units of a joint's torque and velocity."""
+    return ("N", "m/s") if model.joints[model.joint_names.index(joint.joint)].prismatic else ("N·m", "rad/s")
+
+
+def _units(result: FrictionExperimentResult) -> dict[str, str]:
+    """Units of columns of all joints."""
+    sliding = [joint.sliding for joint in result.joints]
+    units = {"torque": "N·m", "speed": "rad/s", "viscous": "N·m·(s/rad)^α"}
+    return {name: common_unit(unit, sliding) for name, unit in units.items()}
 
 
 def _temperature_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Panel:
@@ -133,7 +151,8 @@ def _temperature_panel(model: DynamicModel, joint: JointFriction, first: bool) -
     def at(speed: float) -> tuple[FloatArray, FloatArray]:
         return axis - ZERO_CELSIUS, friction_torque(model, joint, np.full_like(axis, speed), axis, level)
 
-    return _speeds_panel(joint, first, joint.points[1] - ZERO_CELSIUS, at, "temperature [°C]")
+    unit, _ = _joint_units(model, joint)
+    return _speeds_panel(joint, unit, first, joint.points[1] - ZERO_CELSIUS, at, "temperature [°C]")
 
 
 def _load_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Panel:
@@ -143,11 +162,13 @@ def _load_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Panel
     def at(speed: float) -> tuple[FloatArray, FloatArray]:
         return axis, friction_torque(model, joint, np.full_like(axis, speed), heat, axis)
 
-    return _speeds_panel(joint, first, np.abs(joint.points[2]), at, "|load torque| [N·m]")
+    unit, _ = _joint_units(model, joint)
+    return _speeds_panel(joint, unit, first, np.abs(joint.points[2]), at, f"|load torque| [{unit}]")
 
 
 def _speeds_panel(
     joint: JointFriction,
+    unit: str,
     first: bool,
     abscissa: FloatArray,
     curve: Callable[[float], tuple[FloatArray, FloatArray]],
@@ -168,7 +189,7 @@ def _speeds_panel(
         traces.append(_points(name, abscissa[near], dissipated[near], {"color": colour, "size": 3}, False))
         traces.append(_line(name, x, model - offset, colour, first))
     return Panel(
-        joint.joint, _heading(joint), traces, x={"title": {"text": title}}, y={"title": {"text": "N·m"}}, height=PANEL
+        joint.joint, _heading(joint), traces, x={"title": {"text": title}}, y={"title": {"text": unit}}, height=PANEL
     )
 
 
@@ -181,7 +202,7 @@ def _points(name: str, x: FloatArray, y: FloatArray, marker: dict[str, Any], sho
     return {
         "type": "scatter", "mode": "markers", "name": name, "legendgroup": name, "showlegend": shown,
         "x": packed(x), "y": packed(y), "marker": {"opacity": 0.5, **marker},
-        "hovertemplate": "%{x:.3g}<br>%{y:.3g} N·m<extra></extra>",
+        "hovertemplate": "%{x:.3g}<br>%{y:.3g}<extra></extra>",
     }  # fmt: skip
 
 
@@ -189,5 +210,5 @@ def _line(name: str, x: FloatArray, y: FloatArray, colour: str, shown: bool) -> 
     return {
         "type": "scatter", "mode": "lines", "name": name, "legendgroup": name, "showlegend": shown,
         "x": packed(x), "y": packed(y), "line": {"color": colour, "width": 2},
-        "hovertemplate": "%{x:.3g}<br>%{y:.3g} N·m<extra></extra>",
+        "hovertemplate": "%{x:.3g}<br>%{y:.3g}<extra></extra>",
     }  # fmt: skip

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from odd_recordings import DAMAGES, MOTIONS, odd_recording
 
@@ -78,3 +80,23 @@ def test_a_recording_that_supervision_stopped_is_answered(data_dir: Path, tmp_pa
 def test_a_torque_that_was_not_measured_is_named(arm: RobotFile) -> None:
     with pytest.raises(DynidError, match=r"the torque of j2 does not change.*--torques-of j1,j3"):
         dynid.identify(odd_recording(arm, "together", "a torque zero", seconds=8.0, rate=50.0))
+
+
+def test_a_joint_that_toggles_an_encoder_step_is_at_rest(arm: RobotFile) -> None:
+    recording = odd_recording(arm, "one after the other", "none", seconds=18.0, rate=100.0)
+    stream = recording.streams["joints"]
+    noise = 0.1e-3 * np.random.default_rng(0).standard_normal((len(stream.time), 3))
+    values = np.round((stream.channels["position"].values + 0.5e-3 + noise) / 1e-3) * 1e-3
+    channels = {**stream.channels, "position": replace(stream.channels["position"], values=values)}
+    toggling = replace(recording, streams={"joints": replace(stream, channels=channels)})
+    found = dynid.friction(toggling, friction="coulomb-viscous").result
+    assert [joint.joint for joint in found.joints] == ["j1", "j2", "j3"]
+    assert [joint.coulomb for joint in found.joints] == pytest.approx([6.0, 7.0, 2.0], rel=0.03)
+    assert all(joint.offset_std is not None and joint.offset_std > 0.0 for joint in found.joints)
+
+
+def test_recordings_of_different_rates_go_together(arm: RobotFile) -> None:
+    fast, slow = (odd_recording(arm, "one after the other", "none", seconds=18.0, rate=rate) for rate in (200.0, 20.0))
+    for recordings in ([fast, slow], [slow, fast]):
+        found = dynid.friction(recordings, friction="coulomb-viscous").result
+        assert [joint.coulomb for joint in found.joints] == pytest.approx([6.0, 7.0, 2.0], rel=0.03)

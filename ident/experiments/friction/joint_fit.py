@@ -101,7 +101,9 @@ class _JointFit:
         self._base: tuple[Quantity, ...] = tuple(
             kind for kind in ("coulomb", "viscous") if kind in friction_columns(friction)
         )
-        if not model.joints[model.joint_names.index(name)].prismatic:  # else confounded with the weight
+        sliding = model.joints[model.joint_names.index(name)].prismatic
+        self._unit = "N" if sliding else "N·m"
+        if not sliding:  # else confounded with the weight
             self._base += ("offset",)
         self._load = [np.zeros_like(one.velocity) for one in periods]
         plain = self.solve(no_terms(1))
@@ -123,8 +125,8 @@ class _JointFit:
             self._notes["load"] = "no load term: gravity does not act on this joint"
         elif not self.loads:
             self._notes["load"] = (
-                f"no load term: the load torque varies by {load.width:.3g} N·m, at least {least:.3g} are needed "
-                "(record other poses, or a weight on the tool)"
+                f"no load term: the load torque varies by {load.width:.3g} {self._unit}, at least {least:.3g} are "
+                "needed (record other poses, or a weight on the tool)"
             )
         width = 0.0 if self.temperature is None else self.temperature.width
         self.slope, self.curvature = width >= LEAST_TEMPERATURE_SPAN, width >= LEAST_CURVATURE_SPAN

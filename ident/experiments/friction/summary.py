@@ -13,6 +13,7 @@ from ident.experiments.friction.experiment import FrictionExperiment
 from ident.experiments.friction.joint_friction import JointFriction
 from ident.identify.summary import PLAIN_KINDS
 from ident.model.friction_terms import LEAST_TEMPERATURE_SPAN, LOAD_POWERS, TEMPERATURE_KINDS, temperature_coefficients
+from ident.model.joint_units import common_unit
 from ident.result.friction_experiment import FrictionExperimentResult, JointFrictionExperiment, ValueRange
 from ident.result.schema import FrictionStepResult
 from ident.result.tables import Table, table_of_rows
@@ -30,7 +31,10 @@ def friction_result(experiment: FrictionExperiment) -> FrictionExperimentResult:
         asked=experiment.asked,
         delay=data.choices.delay,
         delay_note="as given, not searched" if search is None else search.note,
-        joints=[_joint_result(joint) for joint in experiment.joints],
+        joints=[
+            _joint_result(joint, experiment.periods.model.joints[names.index(joint.joint)].prismatic)
+            for joint in experiment.joints
+        ],
         friction_steps=[
             FrictionStepResult.model_validate(step, from_attributes=True)
             for joint in experiment.joints
@@ -41,7 +45,7 @@ def friction_result(experiment: FrictionExperiment) -> FrictionExperimentResult:
     )
 
 
-def _joint_result(joint: JointFriction) -> JointFrictionExperiment:
+def _joint_result(joint: JointFriction, sliding: bool) -> JointFrictionExperiment:
     value = dict(zip(joint.kinds, joint.values.tolist(), strict=True))
     std = dict(zip(joint.kinds, np.sqrt(np.diag(joint.covariance)).tolist(), strict=True))
     terms = joint.terms
@@ -71,6 +75,7 @@ def _joint_result(joint: JointFriction) -> JointFrictionExperiment:
         kinds=list(joint.kinds),
         values=joint.values.tolist(),
         covariance=np.where(np.isfinite(joint.covariance), joint.covariance, np.inf).tolist(),
+        sliding=sliding,
         speed_range=ValueRange.model_validate(joint.speed),
         temperature_range=None
         if heat is None
@@ -90,11 +95,14 @@ def friction_table(result: FrictionExperimentResult) -> Table:
     """One row per joint: coefficients and shapes with σ, what they hold for, and the residual."""
     named = ("coulomb", "viscous", "exponent", "offset", "stribeck", "stribeck_velocity", "load")
     units = ("N·m", "N·m·(s/rad)^α", "", "N·m", "N·m", "rad/s", "")
+    sliding = [joint.sliding for joint in result.joints]
+    units = tuple(common_unit(unit, sliding) for unit in units)
+    torque, speed = common_unit("N·m", sliding), common_unit("rad/s", sliding)
     headings = [("joint", "")]
     for name, unit in zip(named, units, strict=True):
         headings += [(name, unit), (f"{name}_std", unit)]
     headings += [(name, "") for index in (1, 2, 3) for name in (f"beta{index}", f"beta{index}_std")]
-    headings += [("fastest", "rad/s"), ("coldest", "°C"), ("warmest", "°C"), ("highest_load", "N·m"), ("rmse", "N·m")]
+    headings += [("fastest", speed), ("coldest", "°C"), ("warmest", "°C"), ("highest_load", torque), ("rmse", torque)]
     rows = []
     for joint in result.joints:
         heat = joint.temperature_range
