@@ -96,10 +96,9 @@ def friction_table(result: FrictionExperimentResult) -> Table:
     named = ("coulomb", "viscous", "exponent", "offset", "stribeck", "stribeck_velocity", "load")
     units = ("N·m", "N·m·(s/rad)^α", "", "N·m", "N·m", "rad/s", "")
     sliding = [joint.sliding for joint in result.joints]
-    units = tuple(common_unit(unit, sliding) for unit in units)
     torque, speed = common_unit("N·m", sliding), common_unit("rad/s", sliding)
     headings = [("joint", "")]
-    for name, unit in zip(named, units, strict=True):
+    for name, unit in zip(named, [common_unit(unit, sliding) for unit in units], strict=True):
         headings += [(name, unit), (f"{name}_std", unit)]
     headings += [(name, "") for index in (1, 2, 3) for name in (f"beta{index}", f"beta{index}_std")]
     headings += [("fastest", speed), ("coldest", "°C"), ("warmest", "°C"), ("highest_load", torque), ("rmse", torque)]
