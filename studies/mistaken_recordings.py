@@ -223,7 +223,7 @@ def judged(mistake: Mistake, said: list[tuple[str, tuple[str, ...]]], names: Seq
     name, joints = said[0]
     own = {names[joint] for joint in mistake.joints}
     if name == mistake.right and (own <= set(joints) or not mistake.joints):
-        return "right" if len(joints) <= max(1, len(own)) else "among others"
+        return "right" if not own or len(joints) <= len(own) else "among others"
     return "among others" if name == "sign-or-column" and own <= set(joints) else f"wrong: {name} {' '.join(joints)}"
 
 

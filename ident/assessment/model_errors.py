@@ -19,7 +19,7 @@ from ident.verdict.check import Check
 
 LIKELIHOOD_LEVEL = 16.0
 """What the doubled log-likelihood ratio must exceed: four σ, since some two dozen numbers are tried. On the public
-recordings and their halves no length reaches more than 12."""
+recordings and their halves no length reaches more than 6.5."""
 
 GAIN_OFF = 0.17
 """Relative deviation of a gain from which on `LIKELIHOOD_LEVEL` suffices. What friction models leave out moves the
@@ -27,7 +27,7 @@ estimate by up to 0.14 on halves of the public recordings (Panda)."""
 
 SMALL_GAIN_LEVEL = 40.0
 """What the ratio must exceed for a smaller deviation: what friction models leave out looks like a gain. On the public
-recordings it reaches 31 (Panda, joint 6: 12 %)."""
+recordings it reaches 20 (Panda, joint 6: 13 %)."""
 
 LEAST_GAIN_OFF = 0.05
 LEAST_SHIFT = 5e-3
