@@ -46,7 +46,7 @@ from sim_drivers.synthetic.motion import random_fourier_motion
 EXAMPLES = Path(__file__).parents[1] / "examples"
 UR10 = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 PANDA = tuple(f"joint_{number}" for number in range(1, 8))
-SIMULATED = ("ur5e", "up6")
+SIMULATED = ("up6",)
 WATCHED = (
     "torque-beyond-limits",
     "torque-far-below-limits",
