@@ -107,7 +107,7 @@ class JointFrictionResult(_Part):
     viscous_std: Number
     coulomb: Number
     coulomb_std: Number
-    offset: Number
+    offset: Number = Field(description="of a joint that slides along gravity with its weight [N·m or N]")
     offset_std: Number
     exponent: Number = Field(default=None, description="α; null where friction is linear in the velocity")
     exponent_std: Number = Field(default=None, description="null where it was not estimated")
