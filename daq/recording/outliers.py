@@ -196,7 +196,8 @@ def _fit_without_worst(basis: FloatArray, values: FloatArray, wanted: FloatArray
     inverse = np.linalg.pinv(basis)
     hat = basis @ inverse
     residual = values - np.einsum("mij,mj->mi", hat, values)
-    leverage = 1.0 - np.einsum("mii->mi", hat)
+    # 0 for a neighbour beyond a gap, through which the cubic goes whatever its value.
+    leverage = np.maximum(1.0 - np.einsum("mii->mi", hat), _ROUNDING)
     # Leaving out neighbour j takes r_j² / (1 − h_j) from the sum of squares, and moves the cubic by its share of that.
     saved = residual**2 / leverage
     worst = np.argmax(saved, axis=1)
