@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from drivers.errors import UsageError
 from drivers.reading_process import Progress
+from drivers.streams import FloatArray
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.validation import fit_figures
@@ -18,6 +20,7 @@ from ident.estimators.energy.estimator import estimable
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.feasible.armature import armature_vector
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
+from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.checks import identification_checks
 from ident.identify.data_split import check_torques, split_data
 from ident.identify.friction.shapes import with_free_shapes
@@ -38,9 +41,11 @@ from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
 from ident.regression.estimate import estimate_of
 from ident.regression.jackknife import FilteredRun
+from ident.regression.least_squares import LeastSquares, LinearMethod, inverse_deviations, residual_deviations
 from ident.regression.observability import experiment_base, find_experiment, predictable_torques
 from ident.regression.observation_matrix import Reduction
 from ident.regression.pruning import prune
+from ident.regression.systematic_errors import with_systematic_errors
 from ident.result.consistent_model import fit_result
 
 __all__ = ["Progress", "apply_model_choices", "identify"]
@@ -113,6 +118,19 @@ def identify(
     corrected, shape_std = with_free_shapes(
         estimator, estimation, experiment, filtered, estimator.covariance(filtered, estimation)
     )
+    if choices.estimator.equations == "torque":
+        # iirls moves the shapes of the friction, and with them the columns.
+        equations = reduction if kernel is setup.kernel else reduce_torques(kernel, setup.runs, experiment.torques)
+        corrected = with_systematic_errors(
+            corrected,
+            kernel,
+            setup.runs,
+            equations,
+            _weights(equations, solution),
+            solution.active,
+            experiment.torques,
+            _remaining_delay(prepared),
+        )
     inflation = np.ones(base.count)
     inflation[list(active)] = np.sqrt(np.diag(corrected.covariance) / np.diag(solution.covariance))
     pruned = prune(
@@ -177,6 +195,22 @@ def identify(
     runs_held_out = held_out_runs(identification, validation)
     checks += [check for run in runs_held_out for check in run.errors.checks]
     return replace(identification, checks=tuple(dict.fromkeys(checks)), held_out=runs_held_out)
+
+
+def _weights(reduction: Reduction, solution: LeastSquares) -> FloatArray:
+    """Weights (n,) of the motors' plain equations as the estimator had them, or by the solution's residuals."""
+    if len(solution.weights) == len(reduction.joints) and solution.method in get_args(LinearMethod):
+        return solution.weights
+    return inverse_deviations(reduction, residual_deviations(reduction, solution.parameters, len(solution.active)))
+
+
+def _remaining_delay(prepared: PreparedData) -> float:
+    """Root mean square of the delay that was found and not taken out [s]; 0 where none was searched or found."""
+    found = prepared.delay
+    if found is None or not np.isfinite(found.best) or not np.isfinite(found.std):
+        return 0.0
+    rest = 0.0 if found.used or found.joint_delays is not None else found.best
+    return float(np.hypot(rest, found.std))
 
 
 def _consistent_fit(

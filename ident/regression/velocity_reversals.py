@@ -33,6 +33,10 @@ near reversals do without these, where data are plenty and a bias counts."""
 TOGGLING = 1.2
 """Encoder steps within which a joint is at rest: the smoothed position of one that toggles between two counts."""
 
+REVERSAL_REACH = 0.5
+"""Periods of the parallel filter's cut-off by which a reversal reaches into the motion before and after it: the filter
+spreads what a joint that sticks for an instant does to friction over half the width of its impulse response."""
+
 REST_REACH = 0.5
 """Periods of the parallel filter's cut-off by which a rest reaches into the motion before and after it: half the width
 of the filter's impulse response."""
@@ -102,6 +106,16 @@ def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: floa
     return replace(prepared, segments=segments, steps=(*prepared.steps, step))
 
 
+def without_reversals(kernel: RegressorKernel, prepared: Prepared) -> Prepared:
+    """The same data without what velocity reversals reach: `REVERSAL_REACH` before and after each, and slow motors."""
+    reach = REVERSAL_REACH / prepared.cutoffs.torque
+    segments = []
+    for segment in prepared.segments:
+        mask = reversal_mask(kernel, segment, REVERSAL_SHARE, reach)
+        segments.append(replace(segment, reversing=mask if segment.reversing is None else mask | segment.reversing))
+    return replace(prepared, segments=tuple(segments))
+
+
 def check_share(share: float) -> None:
     """Refuse what is no share.
 
@@ -112,12 +126,24 @@ def check_share(share: float) -> None:
         raise UsageError(f"{share:g} is not a share of a velocity", where="--leave-out-reversals", hint="give 0 to 0.9")
 
 
-def reversal_mask(kernel: RegressorKernel, segment: Segment, share: float) -> npt.NDArray[np.bool_]:
-    """(n, N) motors near a reversal: a velocity whose sign is in their equation is below `share` of its rms."""
+def reversal_mask(kernel: RegressorKernel, segment: Segment, share: float, reach: float = 0.0) -> npt.NDArray[np.bool_]:
+    """(n, N) motors near a reversal: a velocity whose sign is in their equation is slow, or changes sign soon.
+
+    Args:
+        kernel: says which motors have Coulomb friction, and of which motion.
+        segment: the motion.
+        share: of a velocity's root mean square, below which it is slow.
+        reach: time before and after a change of sign [s].
+    """
     reversing = np.zeros((kernel.model.dof, segment.velocity.shape[1]), dtype=np.bool_)
+    width = round(reach * segment.rate)
     for motor, motion in _rubbing(kernel):
-        speed = np.abs(combined(motion, segment.velocity))
+        velocity = combined(motion, segment.velocity)
+        speed = np.abs(velocity)
         reversing[motor] |= speed < share * np.sqrt(np.mean(np.square(speed[segment.used])))
+        if width:
+            changes = np.append(False, np.diff(np.sign(velocity)) != 0.0)
+            reversing[motor] |= binary_dilation(changes, np.ones(2 * width + 1, dtype=np.bool_))
     return reversing
 
 
