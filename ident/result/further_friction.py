@@ -73,7 +73,7 @@ def _nearest(model: DynamicModel, value_of: dict[str, float]) -> dict[str, float
     if model.needs_load_torque:
         loads = LoadTorqueKernel(model).torque(random_states(model, POSES)[0])
         load = np.mean(np.abs(loads), axis=1)
-    found = {}
+    found: dict[str, float] = {}
     for motor, joint in enumerate(model.active):
         own = [
             parameter
