@@ -339,8 +339,12 @@ def _reversal_checks(identification: Identification) -> list[Check]:
     except IdentificationError:  # too little is left
         return []
     kinds = [identification.model.parameters[column].kind for column in base.columns]
+    random = identification.corrected.random_std
+    std = identification.std
+    if random is not None:
+        std[list(identification.solution.active)] = random
     changed = {
-        i: (after.parameters[i] - before.parameters[i]) / identification.std[i]
+        i: (after.parameters[i] - before.parameters[i]) / std[i]
         for i in before.active
         if kinds[i] in ("viscous", "coulomb")
         and abs(after.parameters[i] - before.parameters[i]) > NEGLIGIBLE * abs(before.parameters[i])
@@ -352,7 +356,7 @@ def _reversal_checks(identification: Identification) -> list[Check]:
     changes = ", ".join(f"{base.names[i]} by {changed[i]:+.1f} σ" for i in largest)
     text = (
         "Coulomb friction is not well defined near velocity reversals: with more of those equations left out the "
-        f"friction estimate changes ({changes}), which the error bars do not cover; compare "
+        f"friction estimate changes ({changes} of the jackknife), beyond chance; compare "
         f"--leave-out-reversals {STICKING_SHARE:g}"
     )
     return [raised("friction-near-reversals", text)]

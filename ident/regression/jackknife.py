@@ -51,6 +51,7 @@ class CorrectedCovariance:
         autocorrelation: (n,) lag-one autocorrelation of each joint's residual.
         effective_rows: number of independent rows that the residuals are worth.
         repetitions: how often the motion was repeated, on average; 1 where it was not.
+        random_std: (a,) σ by the jackknife alone, where `covariance` holds more (`systematic_errors`); else None.
     """
 
     covariance: FloatArray
@@ -59,6 +60,7 @@ class CorrectedCovariance:
     autocorrelation: FloatArray
     effective_rows: float
     repetitions: float
+    random_std: FloatArray | None = None
 
 
 @dataclass(frozen=True)

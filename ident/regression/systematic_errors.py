@@ -66,4 +66,4 @@ def with_systematic_errors(
         lagging = only_torques(stack_reductions(changes), torques)
         moved = delay * solve_weighted(lagging, active, weights, "wls", 1).parameters[chosen]
         total = total + np.outer(moved, moved)
-    return replace(corrected, covariance=total)
+    return replace(corrected, covariance=total, random_std=np.sqrt(np.diag(corrected.covariance)))
