@@ -104,7 +104,8 @@ class StaleSamples:
     @property
     def left_out(self) -> BoolArray:
         """(N,) rows that say nothing, or something wrong; those of stuck encoders only if most others stay."""
-        stuck = self.stuck if np.mean(self.stuck) <= MOST_STUCK else np.zeros_like(self.stuck)
+        few = np.count_nonzero(self.stuck) <= MOST_STUCK * len(self.stuck)
+        stuck = self.stuck if few else np.zeros_like(self.stuck)
         return self.repeated | self.held | stuck
 
 
