@@ -19,6 +19,9 @@ from ident.verdict.check import Check
 MOST_SHOWN = 6
 """Stretches that the sentence lists."""
 
+LEAST_ERROR = 0.005
+"""Relative error of the fit below which bursts do not matter: a simulation without noise leaves rounding in bursts."""
+
 ROBUST = ("irls", "iirls")
 """Methods that weigh such stretches down by themselves."""
 
@@ -26,7 +29,8 @@ ROBUST = ("irls", "iirls")
 def burst_checks(identification: Identification) -> list[Check]:
     """Stretches of time that bend the fit; none for a method that fits no torques."""
     runs, torques = identification.runs, identification.experiment.torques
-    if identification.choices.estimator.equations == "energy" or not torques:
+    small = identification.fit.relative_error < LEAST_ERROR
+    if identification.choices.estimator.equations == "energy" or not torques or small:
         return []
     bursts = residual_bursts(identification.fit_series, torques)
     if not any(bursts):
