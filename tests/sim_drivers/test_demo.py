@@ -80,7 +80,8 @@ def test_truth_is_projected_and_lies_inside(demo):
     assert np.all(error < 4.0 * demo.identification.std)
     assert demo.identification.validation.relative_error < 0.03
     assert demo.result.verdict.purposes["torque_prediction"].grade == "good"
-    assert not {"overfitting", "errors-near-standstill"} & {check.name for check in demo.identification.checks}
+    # A note may say that errors are larger near standstill, where the plant's bristles are no function of velocity.
+    assert "overfitting" not in {check.name for check in demo.identification.checks}
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ MOST_SAMPLES = 20_000
 
 _GRID = 12  # cut-offs that are tried before the best of them is refined
 _REFINED = 0.01  # relative accuracy of the cut-off
-_ROUNDING = 1e-14  # of the largest sample: what remains of a signal without any noise
+_ROUNDING = 1e-12  # of the largest sample: what remains of a signal without any noise, by any processor's arithmetic
 
 
 def cutoff_of_noise(density: float, variance: float, rate: float, order: int) -> float:
