@@ -51,6 +51,10 @@ def write_c(
     dialect = Dialect(real, f"{prefix}_real", f"{prefix}_sign", f"{prefix}_inverse")
     model = dynamics.model
     lacking = tuple(f"{name}: {reason}" for name, reason in left_out(dynamics).items())
+    if model.presliding:
+        lacking += (
+            "presliding: dry friction is that of the sign of dq, which knows no time (Model.presliding_torque)",
+        )
     plain = [
         Parameter(name, float(value)) for name, value in zip(dynamics.base.names, dynamics.parameters, strict=True)
     ]

@@ -197,3 +197,10 @@ def test_further_friction_is_in_the_code(tmp_path):
     q, dq, _ = random_states(model, 5, seed=4)
     friction = CompiledArm(source, "three_joint")("friction", [q.T, dq.T], (3,))
     assert np.allclose(friction, dynamics.friction(dq, q).T, rtol=0, atol=1e-9)
+
+
+def test_the_header_says_that_presliding_is_not_in_the_code(tmp_path: Path) -> None:
+    model = replace(build_model(load_robot("rocr6")), presliding=(("Fs1", 1e-3),))
+    sticking = InverseDynamics(model, base_parameters(model), true_dynamics("rocr6").parameters)
+    write_c(sticking, tmp_path / "arm", kind="true parameters")
+    assert "presliding: dry friction is that of the sign of dq" in (tmp_path / "arm.h").read_text()
