@@ -48,6 +48,7 @@ def record_command(
     import math
     import signal
     import sys
+    from contextlib import closing, nullcontext
 
     from daq.commands.confirmation import Confirmation, motion_lines, tell, terminal
     from daq.live.terminal_view import live_view
@@ -58,6 +59,7 @@ def record_command(
     from daq.recording.recorder import Recorder, require_room
     from daq.robot.assumptions import assumed_limits
     from daq.robot.loader import load_robot
+    from daq.session.arm_lock import only_mover
     from daq.session.bus_room import session_warnings
     from daq.session.play import Play, motion_rate
     from daq.session.realtime import ask_for_realtime
@@ -103,7 +105,8 @@ def record_command(
         ask_for_realtime()
     for warning in warnings:
         print(f"dynid: warning: {warning}", file=sys.stderr)
-    try:  # only now is the bus touched
+    lock = only_mover(robot_file.robot, wire, host) if motion is not None else nullcontext()
+    with lock, closing(driver):  # only now is the bus touched
         driver.open()
         layouts = driver.streams()
         if motion is not None:
@@ -130,8 +133,6 @@ def record_command(
         shown = sys.stderr.isatty() and not (no_ui or as_json)
         with live_view(shown=shown, limits=limits, recorder=recorder, clock=clock) as view:
             report = record(driver, recorder, supervisor, play, duration, view, clock)
-    finally:
-        driver.close()
     if report.file is None:
         raise report.error or KeyboardInterrupt
     approach = confirmation.figures if confirmation is not None else None
