@@ -34,7 +34,8 @@ class GrowingFile:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._reserved = 0
-        self.file: Any = h5py.File(path, "r+", libver="latest")
+        # Its name is its own, so that nobody else writes it; a reader that looks too early must not stop the recording.
+        self.file: Any = h5py.File(path, "r+", libver="latest", locking=False)
         """The HDF5 file; its datasets are to be opened before `allow_readers`."""
         try:
             self.reserve(0)
