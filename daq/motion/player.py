@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.motion.trajectories import Motion
+from daq.motion.trajectories import Motion, quintic_pace
 from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
 from drivers.errors import DynidError, SafetyStopError, WorkError
 from drivers.streams import FloatArray
@@ -107,8 +107,7 @@ class _Course:
         since = (ticks - self.tick) * period
         if self.ramp == 0.0:
             return np.asarray(self.begin + since)
-        share = np.minimum(since / self.ramp, 1.0)
-        risen = self.ramp * share**4 * (2.5 - 3.0 * share + share**2)
+        risen, _, _ = quintic_pace(since, self.ramp)
         return np.asarray(self.begin + risen + np.maximum(since - self.ramp, 0.0))
 
 
@@ -234,9 +233,7 @@ class Player:
 
     def _keeps_limits(self, course: _Course) -> bool:
         ticks = np.arange(course.tick, course.tick + int(course.ramp / self._period) + 2, dtype=float)
-        share = np.minimum((ticks - course.tick) * self._period / course.ramp, 1.0)
-        pace = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-        change = 30.0 * share**2 * (1.0 - share) ** 2 / course.ramp
+        _, pace, change = quintic_pace((ticks - course.tick) * self._period, course.ramp)
         _, velocity, acceleration = self._path.evaluate(course.at(ticks, self._period))
         wanted = np.abs(acceleration * pace[:, None] ** 2 + velocity * change[:, None])
         return bool(np.all(wanted <= self._acceleration * (1.0 + 1e-3)))

@@ -228,6 +228,20 @@ class SampledMotion:
         return Pieces(knots[:-1], knots[1:], np.array([speed, fastest, jerk, np.zeros_like(jerk)]))
 
 
+def quintic_pace(since: FloatArray, ramp: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A path's own time, its pace and the pace's rate of change (N,) on the way from standstill to full pace.
+
+    ṡ = 10u³ − 15u⁴ + 6u⁵ with u = t/ramp; after the ramp, the values at its end.
+
+    Args:
+        since: (N,) time t since the standstill [s].
+        ramp: duration [s].
+    """
+    u = np.clip(since / ramp, 0.0, 1.0)
+    risen = ramp * (u**4 * (2.5 - 3.0 * u + u**2))
+    return risen, u**3 * (10.0 - 15.0 * u + 6.0 * u**2), 30.0 * u**2 * (1.0 - u) ** 2 / ramp
+
+
 @dataclass(frozen=True)
 class RestToRest:
     """A periodic motion, repeated, that begins and ends at rest.
@@ -254,12 +268,10 @@ class RestToRest:
         """Position, velocity, acceleration (n, N) at times (N,) [s]; at rest before and after."""
         time = np.clip(time, 0.0, self.duration)
         from_end = np.minimum(time, self.duration - time)
-        u = np.clip(from_end / self.ramp, 0.0, 1.0)
-        pace = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-        pace_change = 30.0 * u**2 * (1.0 - u) ** 2 / self.ramp
+        risen, pace, pace_change = quintic_pace(from_end, self.ramp)
         pace_change = np.where(time < 0.5 * self.duration, pace_change, -pace_change)
         # ∫ṡ over a whole ramp is half of it, so full pace begins at s = 0.
-        behind = self.ramp * (u**4 * (2.5 - 3.0 * u + u**2) - 0.5)
+        behind = risen - 0.5 * self.ramp
         length = self.periods * self.motion.duration
         own = np.where(time <= self.ramp, behind, np.where(from_end < self.ramp, length - behind, time - self.ramp))
         position, velocity, acceleration = self.motion.evaluate(own)
