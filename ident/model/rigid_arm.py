@@ -84,8 +84,11 @@ class _Tree:
         self._data = self._arm.createData()
         self._aba, self._rnea, self._crba = pin.aba, pin.rnea, pin.crba
         self._gravity, self._bias = pin.computeGeneralizedGravity, pin.nonLinearEffects
-        self._depth_first, self._order = _numbered_depth_first(self._arm)
+        self._depth_first, order = _numbered_depth_first(self._arm)
         self._depth_first_data = self._depth_first.createData()
+        self._order, place = order, np.argsort(order)
+        # `crba` writes the upper triangle: where each element of the arm's matrix stands in it.
+        self._places = (np.minimum.outer(place, place), np.maximum.outer(place, place))
 
     @property
     def armature(self) -> FloatArray:
@@ -112,10 +115,9 @@ class _Tree:
         return np.array(self._gravity(self._arm, self._data, position))
 
     def inertia(self, position: FloatArray) -> FloatArray:
-        order = self._order
-        upper = np.triu(self._crba(self._depth_first, self._depth_first_data, position[order]))
-        matrix = np.diag(self.armature)
-        matrix[order[:, None], order] += upper + np.triu(upper, 1).T
+        upper = self._crba(self._depth_first, self._depth_first_data, position[self._order])
+        matrix: FloatArray = upper[self._places]
+        matrix.flat[:: len(matrix) + 1] += self._arm.armature
         return matrix
 
 

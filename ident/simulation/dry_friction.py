@@ -44,13 +44,16 @@ def dry_friction(matrix: FloatArray, free: FloatArray, limit: FloatArray, guess:
     """
     still = PRECISION * (np.abs(free) + np.abs(matrix) @ limit)
     torque = np.minimum(np.maximum(guess, -limit), limit)
-    sticking = _Sticking(matrix, (np.abs(torque) < limit).nonzero()[0].tolist())
+    sticking: _Sticking | None = None
     for _ in range(CHANGES * len(free)):
         velocity = free - matrix @ torque
         # Within its limit λ holds the velocity 0; at a limit it does not oppose the velocity.
-        violated = (np.abs(velocity) > still) & ((np.abs(torque) < limit) | (velocity * torque < 0.0))
-        if not violated.any():
+        within = np.abs(torque) < limit
+        violated = (np.abs(velocity) > still) & (within | (velocity * torque < 0.0))
+        if True not in violated.tolist():  # quicker than any() for so few
             return torque
+        if sticking is None:
+            sticking = _Sticking(matrix, within.nonzero()[0].tolist())
         step = np.zeros(len(free))
         if violated[sticking.directions].any():
             step[sticking.directions] = sticking.stopping(velocity)
