@@ -17,6 +17,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
 
+STALL_LIMIT = 0.05
+"""Longest stall of this computer [s] in a motion; one that is longer ends it."""
 _PR_SET_TIMERSLACK = 29
 
 

@@ -82,7 +82,8 @@ def record_command(
     if motion is not None and question is None and not yes:
         raise UsageError("the arm will move, and there is no terminal to ask on", hint="--yes moves it without asking")
     clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
-    driver = load_driver(robot_file.robot, wire, host, robot_file.folder, clock, robot_file.where)
+    moves = motion is not None
+    driver = load_driver(robot_file.robot, wire, host, robot_file.folder, clock, robot_file.where, moves=moves)
     warnings = session_warnings(robot_file, wire)
     if trajectory is not None:
         warnings += [f"assumed: {limit}" for limit in assumed_limits(robot_file)]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.motion.trajectories import Motion, quintic_pace
+from drivers.clock import STALL_LIMIT as STALL_LIMIT
 from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
 from drivers.errors import DynidError, SafetyStopError, WorkError
 from drivers.streams import FloatArray
@@ -16,8 +17,6 @@ SKIP_LIMIT = 3
 SKIP_TIME = 0.01
 """Overdue positions that are skipped, at most, and the time [s] that they may take beyond the first. Where a stall left
 more, the arm was held meanwhile: the motion goes on from rest, where it was."""
-STALL_LIMIT = 0.05
-"""Longest stall of this computer [s] in a motion; one that is longer ends it."""
 DRY_RUN = 0.3
 """Length of the dry run [s]."""
 DRY_RUN_PERIODS = 5

@@ -13,6 +13,9 @@ from drivers.config import WITH
 from drivers.errors import UsageError
 from drivers.gains import DriveGain
 
+READ_ONLY: Mapping[str, Mapping[str, object]] = {"canopen402": {"mode": "none"}}
+"""Keys by driver with which it prepares nothing for a motion, and sends no device anything that could end another's."""
+
 
 def connection_names(robot: Robot, wire: str | None = None, place: str = "") -> list[str]:
     """A connection's name, the first one's where `wire` is None, and those that it is recorded with.

@@ -21,7 +21,7 @@ from daq.motion.player import Player, Punctuality, dry_run
 from daq.recording.recorder import Recorder
 from daq.robot.schema import Robot
 from daq.session.clocks import ClockLog
-from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
+from daq.session.connections import READ_ONLY, connection_keys, connection_names, driver_settings, errors_of_connection
 from daq.session.course import Course, View
 from daq.session.play import Play, follow_motion, motion_rate, permitted_approach, prepare, wait_for_position
 from daq.session.sources import Sources
@@ -84,10 +84,13 @@ def load_driver(
     folder: Path | None = None,
     clock: Clock = SYSTEM_CLOCK,
     place: str = "",
+    *,
+    moves: bool = True,
 ) -> Driver:
     """The driver of a robot's connection, not yet open.
 
-    A connection's key `with` names others that are recorded in the same session; the driver is then one for all.
+    A connection's key `with` names others that are recorded in the same session; the driver is then one for all. They
+    are only recorded, whatever their keys say.
 
     Args:
         robot: names the connections.
@@ -96,6 +99,7 @@ def load_driver(
         folder: of the robot file, where relative paths among a connection's keys start; None for the current one.
         clock: the host's.
         place: the robot file in messages; its name where empty.
+        moves: whether the arm is to be moved; else nothing is prepared for it.
 
     Raises:
         UsageError: no such connection, or no such driver is installed.
@@ -105,17 +109,27 @@ def load_driver(
     keys = connection_keys(robot, name)
     if host is not None:
         keys["host"] = host
-    main = _make_driver(robot, name, keys, folder, clock, place)
+    main = _make_driver(robot, name, keys, folder, clock, place, moves=moves)
     beside = {
-        other: _make_driver(robot, other, connection_keys(robot, other), folder, clock, place) for other in others
+        other: _make_driver(robot, other, connection_keys(robot, other), folder, clock, place, moves=False)
+        for other in others
     }
     return Sources(name, main, beside) if beside else main
 
 
 def _make_driver(
-    robot: Robot, name: str, keys: Mapping[str, object], folder: Path | None, clock: Clock, place: str
+    robot: Robot,
+    name: str,
+    keys: Mapping[str, object],
+    folder: Path | None,
+    clock: Clock,
+    place: str,
+    *,
+    moves: bool,
 ) -> Driver:
     driver = robot.connections[name].driver
+    if not moves:
+        keys = {**keys, **READ_ONLY.get(driver, {})}
     drivers = {entry.name: entry for entry in entry_points(group=DRIVERS_GROUP)}
     if driver not in drivers:
         raise UsageError(

@@ -81,6 +81,11 @@ def sends_in_kernel(bus: can.BusABC) -> bool:
     return type(bus).__name__ == "SocketcanBus"
 
 
+def returns_own_frames(bus: can.BusABC) -> bool:
+    """Whether a sender receives its own frames."""
+    return type(bus).__name__ == "UdpMulticastBus"
+
+
 class Sender:
     """Sends frames from any thread, one at a time.
 

@@ -15,7 +15,7 @@ import can
 import numpy as np
 
 from drivers.base import DriverSettings, Notice, State, drained, require_state
-from drivers.can.bus import Sender, close_bus, open_bus, sends_in_kernel
+from drivers.can.bus import Sender, close_bus, open_bus, returns_own_frames, sends_in_kernel
 from drivers.can.receiver import Receiver
 from drivers.canopen402.monitor.drives import DriveWatch
 from drivers.canopen402.monitor.life_signs import LifeSigns, guard_requests, heartbeat
@@ -33,6 +33,7 @@ from drivers.canopen402.samples.temperature import TemperaturePoll, read_tempera
 from drivers.canopen402.settings import MODES, parse_settings
 from drivers.canopen402.setup.configuration import Configured, Identity, configure
 from drivers.canopen402.setup.error_control import check_own_id, release
+from drivers.canopen402.setup.other_masters import masters_heartbeats, require_alone
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from drivers.first_step import check_first_step, finite_position
 from drivers.standstill import StandstillWatch
@@ -68,7 +69,7 @@ class Canopen402Driver:
         self._clock = settings.clock
         self._motion_lock = self._clock.lock()
         self._motion: DriveMotion | None = None
-        self._halted = False
+        self._halted = self._end_told = False
         self._bus: can.BusABC | None = None
         self._poll: TemperaturePoll | None = None
         self._life: LifeSigns | None = None
@@ -79,16 +80,15 @@ class Canopen402Driver:
         self._skipped = self._asked = 0
 
     def open(self) -> None:
-        """Open the bus, check the drives and configure them, within the connection's `timeout`.
-
-        Drives that were left enabled are stopped and faults are reset, unless the connection's mode is "none".
+        """Open the bus, listen for other masters, then check the drives and configure them within `timeout`.
 
         Raises:
             ConnectionFailedError: no such bus, a drive does not answer, is not the right one, or refuses something.
+            MotionRefusedError: another master is on the bus, or a drive is powered; nothing was changed. Or a drive is
+                in fault, where the arm is to be moved.
             DriverStateError: it is open already.
         """
         require_state(self._state, "closed", "open")
-        deadline = self._clock.now() + self._settings.timeout
         settings = self._settings
         self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
         try:
@@ -97,6 +97,8 @@ class Canopen402Driver:
             stored = frozenset(base + node for base in objects.TPDO_BASES for node in self._ids)
             self._receiver = Receiver(self._bus, stored, network.take, self._clock)
             self._receiver.start()
+            require_alone(network, self._ids, settings.own_id, settings.heartbeat, self._clock)
+            deadline = self._clock.now() + settings.timeout
             pairs = zip(self._joints, self._ids, strict=True)
             self._drives = [
                 RemoteDrive(network, joint, node, settings.sdo_timeout, self._clock) for joint, node in pairs
@@ -111,6 +113,9 @@ class Canopen402Driver:
                 network.subscribe(objects.EMCY + node, self._watch.on_emergency)
                 network.subscribe(objects.HEARTBEAT + node, self._watch.on_error_control)
                 network.subscribe(objects.SDO_ANSWER + node, self._sdo_stop.on_answer)
+            for identifier, node in masters_heartbeats(self._ids, settings.own_id).items():
+                if node != settings.own_id or not returns_own_frames(self._bus):
+                    network.subscribe(identifier, self._watch.on_other_master)
             self._poll = self._make_poll()
             if self._life is not None:
                 self._life.start()
@@ -151,7 +156,7 @@ class Canopen402Driver:
         self._standstill = StandstillWatch(BEHIND + REST_LATENESS)
         self._skipped = self._sync.skipped
         self._motion = None if self._mode is None else self._make_motion(self._mode)
-        self._halted = False
+        self._halted = self._end_told = False
         for node in self._ids:
             self._sender.send(objects.NMT, bytes([objects.NMT_START, node]))
         self._last_row, self._asked = self._clock.now(), self._sync.count
@@ -251,10 +256,10 @@ class Canopen402Driver:
         if self._poll is not None:
             self._poll.finish()  # drives may have to be stopped by SDO
         with self._motion_lock:
+            moved = motion is not None and not motion.idle
             if motion is not None and self._state == "running":
-                for joint in motion.stop(lambda: self._sync.running):
-                    said = "the drive did not confirm that it is at rest and off"
-                    self._notices.append(Notice(math.nan, "error", f"{joint}: {said}"))
+                for trouble in motion.stop(lambda: self._sync.running):
+                    self._notices.append(Notice(math.nan, "error", trouble))
             self._motion = None
             if self._state == "running":
                 self._receiver.report_rest()
@@ -263,7 +268,9 @@ class Canopen402Driver:
                 if self._poll is not None:
                     self._poll.stop()
                 self._sync.stop()
-                for node in self._ids:
+                for index, node in enumerate(self._ids):
+                    if not moved and self._watch.powered(index):
+                        continue  # somebody else runs it: leaving operational would stop it
                     with contextlib.suppress(ConnectionLostError):
                         self._sender.send(objects.NMT, bytes([objects.NMT_PRE_OPERATIONAL, node]))
                 self._state = "open"
@@ -342,7 +349,7 @@ class Canopen402Driver:
                 self._life = heartbeat(self._sender, settings.own_id, settings.heartbeat, self._clock)
         controls = self._configured.controls
         expected, watching = [one.present for one in controls], [one.watching is not None for one in controls]
-        return DriveWatch(self._joints, ids, expected, presence, watching, self._sync.clock)
+        return DriveWatch(self._joints, ids, expected, presence, watching, self._sync.clock, self._moved_in)
 
     def _make_poll(self) -> TemperaturePoll | None:
         sources = [node.temperature for node in self._settings.nodes]
@@ -357,6 +364,11 @@ class Canopen402Driver:
     def _outputs(self, moment: float) -> Sequence[tuple[int, bytes]]:
         motion = self._motion
         return () if motion is None else motion.outputs(moment)
+
+    def _moved_in(self) -> int | None:
+        """The mode of operation in which the drives are being moved; None where they are not."""
+        motion = self._motion
+        return self._mode if motion is not None and motion.active else None
 
     def _at_rest(self) -> bool:
         """Whether the arm stands still, and nothing here moves it."""
@@ -381,8 +393,10 @@ class Canopen402Driver:
         self._standstill.add(float(rows.host_time[-1]), self._latest_position)
         self._last_row, self._asked = float(rows.host_time[-1]), self._sync.count
         motion = self._motion
-        moving = motion is not None and (motion.moving or motion.ended_by is not None)
-        self._watch.check_status(time_, rows.statusword, moving=moving)
+        if motion is not None and motion.ended_by is not None and motion.dropped_out is None and not self._end_told:
+            self._end_told = True
+            self._notices.append(Notice(float(time_[0]), "error", motion.ended_by))
+        self._watch.check_status(time_, rows.statusword, rows.mode)
         return [Batch("joints", time_, rows.host_time, values, lost)]
 
     def _thermal_blocks(self) -> list[Batch]:

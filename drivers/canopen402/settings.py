@@ -9,6 +9,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from drivers.can.settings import CanSettings
 from drivers.canopen402.protocol.objects import MODE_CYCLIC_POSITION, MODE_PROFILE_POSITION
+from drivers.clock import STALL_LIMIT
 from drivers.config import ConnectionSettings, read_settings, refused
 
 Mode = Literal["position", "profile", "none"]
@@ -20,6 +21,11 @@ MODES: Mapping[Mode, int | None] = {
 """Key `mode` → mode of operation; None where the drives are never enabled."""
 HIGHEST_ID = 127
 """Of the node ids of CiA 301."""
+HEARTBEATS_MISSED = 3
+"""Periods without a heartbeat after which its producer, a drive or dynid, counts as gone."""
+SHORTEST_PATIENCE, LONGEST_PATIENCE = 2.0 * STALL_LIMIT, 1.5
+"""For a motion: how long [s] drives wait for dynid beyond one period, at least (twice the stall that a motion may
+survive), and from its last sign of life on, at most."""
 SMALLEST, LARGEST = 1e-9, 1e12
 """Of a positive number."""
 
@@ -96,6 +102,9 @@ class CanopenSettings(CanSettings):
         None, description="a mapping such as {period: 0.1, factor: 3}, for drives without a heartbeat"
     )
     drives: dict[str, NodeSettings] = Field(alias="nodes", description="a mapping of joint → {id: …}")
+    reset_faults: bool = Field(
+        False, description="whether opening resets the faults of drives; they stay without power"
+    )
     own_id: int = Field(
         0, ge=1, le=HIGHEST_ID, description="dynid's own node id; left out, the highest that no drive has"
     )
@@ -133,6 +142,8 @@ class CanopenSettings(CanSettings):
                 "keys 'heartbeat' and 'guarding' exclude each other",
                 "write 'guarding' only where drives have no heartbeat (object 0x1017)",
             )
+        if self.mode != "none":
+            self._require_timely_loss()
         holder = {node.id: joint for joint, node in self.drives.items()}
         if self.own_id in holder:
             raise refused(
@@ -142,6 +153,22 @@ class CanopenSettings(CanSettings):
         if self.own_id:
             return self
         return self.model_copy(update={"own_id": max(set(range(1, HIGHEST_ID + 1)) - set(holder))})
+
+    def _require_timely_loss(self) -> None:
+        """Refuse periods with which drives stop after a stall that a motion survives, or long after dynid has died."""
+        key, period, factor = "heartbeat", self.heartbeat, HEARTBEATS_MISSED
+        if self.guarding is not None:
+            key, period, factor = "guarding", self.guarding.period, self.guarding.factor
+        patience = factor * period
+        if patience - period >= SHORTEST_PATIENCE - 1e-9 and patience <= LONGEST_PATIENCE + 1e-9:
+            return
+        lowest, highest = SHORTEST_PATIENCE / (factor - 1), LONGEST_PATIENCE / factor
+        allowed = f"{lowest:.3g} to {highest:.3g} s" if lowest <= highest else "a smaller factor"
+        raise refused(
+            f"key '{key}': with {period:g} s the drives stop {patience:.3g} s after they last heard of dynid",
+            f"to move the arm, mode '{self.mode}' needs a period of {allowed}: longer than stalls of a computer, and "
+            "short enough to stop an arm; with 'mode: none' any will do",
+        )
 
 
 def parse_settings(connection: Mapping[str, object], joints: Sequence[str]) -> CanopenSettings:

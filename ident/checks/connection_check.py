@@ -28,8 +28,6 @@ FEWEST_FOR_RATE = 20
 RATE_AGREEMENT = 0.05
 GAIN_AGREEMENT = 0.2
 """Relative differences above which a rate or a drive gain is reported as different."""
-READ_ONLY: Mapping[str, Mapping[str, object]] = {"canopen402": {"mode": "none"}}
-"""Keys by driver that keep its devices from being prepared for a motion."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +71,12 @@ class CheckedConnection:
 
 
 def check_connections(
-    robot_file: RobotFile, wire: str | None, host: str | None = None, clock: Clock = SYSTEM_CLOCK
+    robot_file: RobotFile,
+    wire: str | None,
+    host: str | None = None,
+    clock: Clock = SYSTEM_CLOCK,
+    *,
+    reset_faults: bool = False,
 ) -> list[CheckedConnection]:
     """Open a connection, and those that it is recorded with, one after the other, and listen.
 
@@ -82,30 +85,38 @@ def check_connections(
         wire: which of them; the first where None.
         host: in place of the connection's own.
         clock: the host's.
+        reset_faults: whether faults of the first one's drives are reset; its driver must have such a key.
 
     Raises:
         UsageError: no such connection, or its keys are wrong.
+        MotionRefusedError: somebody else uses its devices.
         ConnectionFailedError: no answer, the wrong device, or no sample arrives.
         ConnectionLostError: it broke.
     """
     first, *others = connection_names(robot_file.robot, wire, robot_file.where)
-    checked = [check_connection(robot_file, first, host, clock)]
+    checked = [check_connection(robot_file, first, host, clock, reset_faults=reset_faults)]
     return checked + [check_connection(robot_file, name, clock=clock) for name in others]
 
 
 def check_connection(
-    robot_file: RobotFile, name: str, host: str | None = None, clock: Clock = SYSTEM_CLOCK
+    robot_file: RobotFile,
+    name: str,
+    host: str | None = None,
+    clock: Clock = SYSTEM_CLOCK,
+    *,
+    reset_faults: bool = False,
 ) -> CheckedConnection:
     """Open one connection and listen; arguments as of `check_connections`.
 
     Raises:
-        UsageError, ConnectionFailedError, ConnectionLostError: as `check_connections`.
+        UsageError, MotionRefusedError, ConnectionFailedError, ConnectionLostError: as `check_connections`.
     """
     robot = robot_file.robot
     kind = robot.connections[name].driver
-    alone = robot.connections[name].model_copy(update={WITH: [], **READ_ONLY.get(kind, {})})
+    more = {"reset_faults": True} if reset_faults else {}
+    alone = robot.connections[name].model_copy(update={WITH: [], **more})
     changed = robot.model_copy(update={"connections": {**robot.connections, name: alone}})
-    driver = load_driver(changed, name, host, robot_file.folder, clock, robot_file.where)
+    driver = load_driver(changed, name, host, robot_file.folder, clock, robot_file.where, moves=False)
     try:
         driver.open()
         identities: tuple[Mapping[str, Any], ...] = ()

@@ -19,6 +19,7 @@ def check(
     connect: bool = typer.Option(False, "--connect", help="Open the connection and listen; nothing is enabled."),
     wire: str = typer.Option(None, "--wire", help="Connection to open; the first one if absent."),
     host: str = typer.Option(None, "--host", help="Address in place of the connection's own."),
+    reset_faults: bool = typer.Option(False, "--reset-faults", help="Reset faults of CiA 402 drives; enables nothing."),
     as_json: bool = JSON,
 ) -> None:
     """Check a robot file: its keys, kinematics, base parameters, connections and the load of their CAN buses.
@@ -40,8 +41,8 @@ def check(
     from ident.model.base_parameters import base_parameters
     from ident.model.dynamic_model import build_model
 
-    if not connect and (wire is not None or host is not None):
-        raise UsageError("--wire and --host apply to --connect only", hint="add --connect")
+    if not connect and (wire is not None or host is not None or reset_faults):
+        raise UsageError("--wire, --host and --reset-faults apply to --connect only", hint="add --connect")
     try:
         robot_file = load_robot(robot)
     except RobotFileError as error:
@@ -61,7 +62,7 @@ def check(
         for warning in found.warnings:
             print(f"  warning: {warning}")
         print_poses(found.poses)
-    connections = check_connections(robot_file, wire, host, SYSTEM_CLOCK) if connect else []
+    connections = check_connections(robot_file, wire, host, SYSTEM_CLOCK, reset_faults=reset_faults) if connect else []
     if not as_json:
         for checked in connections:
             print_connection(checked)

@@ -11,7 +11,8 @@ from daq.motion import player
 from daq.session import command_gate, play
 from daq.session import supervisor as safety
 from drivers.canopen402 import driver, settings
-from drivers.canopen402.setup import configuration
+from drivers.canopen402.motion import drive_motion
+from drivers.canopen402.setup import configuration, readiness
 from drivers.rtde import motion, receiver
 
 PATIENCE = 60.0
@@ -20,7 +21,7 @@ safety.STALE_FLOOR = safety.TRACKING_WINDOW = PATIENCE
 safety.Limits.of_robot.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defined]
 command_gate.GateLimits.of_joints.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defined]
 player.DRY_RUN_PERIODS = 10_000
-player.STALL_LIMIT = command_gate.STALL_LIMIT = command_gate.FRESH = PATIENCE
+player.STALL_LIMIT = drive_motion.STALL_LIMIT = command_gate.STALL_LIMIT = command_gate.FRESH = PATIENCE
 play.ARRIVAL_LIMIT = play.REST_LIMIT = PATIENCE
 play.FIRST_SAMPLE_LIMIT = PATIENCE
 receiver.SILENCE_LIMIT = PATIENCE
@@ -28,7 +29,7 @@ motion.SILENCE_LIMIT = motion.PATIENCE = motion.STOP_LIMIT = PATIENCE
 motion.WATCHDOG_RATE = 0.25
 settings.CanopenSettings.model_fields["sdo_timeout"].default = 5.0  # a poll of a bus that is gone lasts as long
 settings.CanopenSettings.model_rebuild(force=True)
-configuration.PROBE_LIMIT = configuration.SETTLE_LIMIT = PATIENCE
+configuration.PROBE_LIMIT = readiness.SETTLE_LIMIT = PATIENCE
 driver.SILENCE_LIMIT = driver.FIRST_ROW_LIMIT = PATIENCE
 
 if __name__ == "__main__":

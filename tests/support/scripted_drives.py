@@ -13,6 +13,7 @@ from simulated_clock import SimulatedClock
 _channels = itertools.count()
 SIZES = {
     0x1000: 4,
+    0x1001: 1,
     0x100C: 2,
     0x100D: 1,
     0x1017: 2,
@@ -79,6 +80,8 @@ class ScriptedDrive:
     quick_stop_stays: bool = False
     """Whether it stays in quick stop active (option code 6) instead of switching itself off (2)."""
     ignores_quick_stop: bool = False
+    ramp: float = RAMP
+    """Of its quick stop [s]."""
     clears_faults: bool = True
     mode_accepted: bool = True
     drop: dict[int, set[int]] = field(default_factory=dict)
@@ -185,7 +188,7 @@ class ScriptedDrive:
         elif command & 0x06 == 0x02:
             if self.state == "enabled" and not self.ignores_quick_stop:
                 self.enter("quick stop")
-                self._ramp_until = now + RAMP
+                self._ramp_until = now + self.ramp
                 self.objects[0x606C, 0] = 50000
             elif self.state in ("ready", "switched on"):
                 self.enter("disabled")

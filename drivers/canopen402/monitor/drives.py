@@ -16,6 +16,7 @@ from drivers.canopen402.protocol.state_machine import (
     FAULTY,
     FOLLOWING_ERROR,
     INTERNAL_LIMIT_BIT,
+    POWERED,
     WARNING_BIT,
     DriveState,
     drive_state,
@@ -42,6 +43,7 @@ class DriveWatch:
         presence: judges their heartbeats or answers.
         watching: whether each drive watches dynid.
         clock: a host's monotonic time [s] in the source's clock [s].
+        moved_in: the mode of operation in which the drives are being moved; None where they are not.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class DriveWatch:
         presence: Presence,
         watching: Sequence[bool],
         clock: Callable[[float], float],
+        moved_in: Callable[[], int | None],
     ) -> None:
         self._joints, self._ids = tuple(joints), tuple(ids)
         self._index = {node: index for index, node in enumerate(ids)}
@@ -59,6 +62,7 @@ class DriveWatch:
         self._presence = presence
         self._watching = tuple(watching)
         self._clock = clock
+        self._moved_in = moved_in
         self._notices: deque[Notice] = deque()
         self._emergency: list[Emergency | None] = [None] * len(self._ids)
         self._heard = [math.nan] * len(self._ids)
@@ -67,10 +71,13 @@ class DriveWatch:
         self._not_operational = [False] * len(self._ids)
         self._begin = math.inf
         self._status: IntArray | None = None
+        self._mode: IntArray | None = None
+        self._other_master = False
         self._troubles = np.zeros((3, 2, len(self._ids)), dtype=np.int64)
         self._skipped = 0
         self._troubles_reported = -math.inf
         self._all_skipped = 0
+        self._other_master = False
         self._unanswered = np.zeros(len(self._ids), dtype=np.int64)
 
     def start(self, now: float) -> None:
@@ -81,7 +88,7 @@ class DriveWatch:
         self._nmt = [None] * len(self._ids)
         self._gone = [False] * len(self._ids)
         self._not_operational = [False] * len(self._ids)
-        self._status = None
+        self._status = self._mode = None
         self._troubles[:] = 0
         self._skipped = self._all_skipped = 0
         self._unanswered[:] = 0
@@ -107,8 +114,16 @@ class DriveWatch:
             why = "it no longer received anything from dynid; was this computer stalled, or the bus cut?"
             self._report(arrived, "error", f"{self._joints[index]}: {emergency}: {why}")
             return
-        # That the drive falls into fault, where it does, its statusword says: that stops the session.
-        self._report(arrived, "info" if emergency.cleared else "warning", f"{self._joints[index]}: {emergency}")
+        level: Level = "info" if emergency.cleared else "warning" if self._moved_in() is None else "error"
+        self._report(arrived, level, f"{self._joints[index]}: {emergency}")
+
+    def on_other_master(self, identifier: int, _data: bytearray, arrived: float) -> None:
+        """Take another master's heartbeat, which appeared after this driver was opened; told once."""
+        if not self._other_master:
+            self._other_master = True
+            node = identifier - objects.HEARTBEAT
+            said = f"another master is on the bus: a heartbeat as node {node} (0x{identifier:03X}) that is not dynid's"
+            self._report(arrived, "warning" if self._moved_in() is None else "error", said)
 
     def on_error_control(self, identifier: int, data: bytearray, arrived: float) -> None:
         """Take a heartbeat, an answer to guarding or a boot-up message; called by the receiving thread."""
@@ -144,10 +159,17 @@ class DriveWatch:
             else:
                 self._not_operational[index] = False
 
-    def check_status(self, time: FloatArray, statusword: IntArray, *, moving: bool) -> None:
-        """Report changes of state in rows (N, n) at times (N,) [s, source's clock]; `moving`: drives were enabled."""
+    def check_status(self, time: FloatArray, statusword: IntArray, mode: IntArray) -> None:
+        """Report changes of state, and drives that leave the mode of the motion.
+
+        Args:
+            time: (N,) of the rows [s, source's clock].
+            statusword: (N, n).
+            mode: (N, n) of operation, as displayed.
+        """
         if not len(time):
             return
+        wanted = self._moved_in()
         first = self._status is None
         before = statusword[0] if self._status is None else self._status
         changed = statusword != np.concatenate([before[np.newaxis], statusword[:-1]])
@@ -155,8 +177,15 @@ class DriveWatch:
             self._report_states(float(time[0]), statusword[0])
         for row in np.flatnonzero(changed.any(axis=1)):
             previous = before if row == 0 else statusword[row - 1]
-            self._report_changes(float(time[row]), previous, statusword[row], moving=moving)
+            self._report_changes(float(time[row]), previous, statusword[row], moving=wanted is not None)
         self._status = statusword[-1].copy()
+        before_mode = mode[0] if self._mode is None else self._mode
+        left = (np.vstack([before_mode, mode[:-1]]) == wanted) & (mode != wanted)
+        for row, index in np.argwhere(left):
+            shown = objects.mode_words(int(mode[row, index]))
+            said = f"{self._joints[index]}: the drive left the mode of the motion: it displays mode {shown}"
+            self._notices.append(Notice(float(time[row]), "error", said))
+        self._mode = mode[-1].copy()
 
     def check_alignment(self, aligned: Aligned, skipped: int, now: float) -> None:
         """Note frames that did not come once a SYNC, and SYNCs that were not sent; reported from time to time.
@@ -200,6 +229,10 @@ class DriveWatch:
         if silent:
             said.append(f"no answer to SYNC in time: {', '.join(silent)}")
         return "; ".join(said)
+
+    def powered(self, index: int) -> bool:
+        """Whether the drive's last statusword says that its motor is powered."""
+        return self._status is not None and drive_state(int(self._status[index])) in POWERED
 
     def cause(self, index: int) -> str:
         """What a drive said last about its error, in words; empty where it said nothing."""

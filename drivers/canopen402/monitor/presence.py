@@ -7,9 +7,8 @@ import threading
 from typing import Protocol
 
 from drivers.canopen402.protocol.objects import STATE_BOOT_UP
+from drivers.canopen402.settings import HEARTBEATS_MISSED
 
-HEARTBEATS_MISSED = 3
-"""Periods without a heartbeat after which its producer, a drive or dynid, counts as gone."""
 _TOGGLE, _STATE = 0x80, 0x7F
 
 

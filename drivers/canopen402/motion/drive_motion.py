@@ -6,6 +6,7 @@ canopen's own profile (BaseNode402) is not used: its fault reset goes on to oper
 from __future__ import annotations
 
 import contextlib
+import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +18,8 @@ import numpy as np
 from drivers.can.bus import Frame, Sender
 from drivers.canopen402.motion.sdo_stop import SdoStop
 from drivers.canopen402.motion.target_path import TargetPath
-from drivers.canopen402.protocol.objects import MODE_NAMES, MODE_PROFILE_POSITION, RPDO1, SYNC, TPDO1, TPDO2
+from drivers.canopen402.protocol.emcy import HOW_TO_RESET
+from drivers.canopen402.protocol.objects import MODE_PROFILE_POSITION, RPDO1, SYNC, TPDO1, TPDO2, mode_words
 from drivers.canopen402.protocol.state_machine import (
     CHANGE_AT_ONCE,
     DISABLE_VOLTAGE,
@@ -32,11 +34,13 @@ from drivers.canopen402.protocol.state_machine import (
     drive_state,
 )
 from drivers.canopen402.samples.alignment import IntArray
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionLostError, DriverStateError
+from drivers.clock import STALL_LIMIT, SYSTEM_CLOCK, Clock
+from drivers.errors import ConnectionLostError, DriverStateError, MotionRefusedError
 
 STOP_LIMIT = 3.0
-"""How long [s] the drives may take to come to rest before their voltage is switched off all the same."""
+"""How long [s] the drives may go on without coming to rest or slowing down: then their voltage is switched off."""
+SLOWER = 0.9
+"""Share of the speed before, from which on drives are slowing down."""
 OFF_LIMIT = 0.3
 """How long [s] they may take to switch off."""
 _POLL = 0.002
@@ -111,6 +115,7 @@ class DriveMotion:
         self._path = TargetPath(self._targets, period)
         self._set_points: list[int | None] = [None] * len(self._ids)
         self._offered = [False] * len(self._ids)
+        self._last_moment = math.nan
         self._left: str | None = None
         self._dropped_out: int | None = None
 
@@ -123,6 +128,11 @@ class DriveMotion:
     def moving(self) -> bool:
         """Whether the drives are enabled and follow targets."""
         return self._phase == "moving"
+
+    @property
+    def active(self) -> bool:
+        """Whether the drives follow targets, or did until one of them left the motion by itself."""
+        return self._phase == "moving" or self._left is not None
 
     @property
     def ended_by(self) -> str | None:
@@ -150,8 +160,12 @@ class DriveMotion:
         phase = self._phase
         if phase == "idle":
             return ()
+        stalled, self._last_moment = moment - self._last_moment - self._period, moment
         if phase == "moving":
             self._watch_for_drop_outs()
+            if stalled > STALL_LIMIT and self._left is None:  # the drives have had no target meanwhile
+                self._left = f"this computer stalled for {stalled:.3f} s, more than {STALL_LIMIT:g} s"
+                self._phase = "stopping"
         wanted = self._path.at(moment)
         return [self._output(index, wanted[index]) for index in range(len(self._ids))]
 
@@ -160,9 +174,13 @@ class DriveMotion:
 
         Raises:
             DriverStateError: a drive is in fault, does not come along in time, or the motion was halted meanwhile.
+            MotionRefusedError: a drive is powered already.
         """
         deadline = self._clock.now() + timeout
+        if self._phase != "idle":
+            raise DriverStateError("the drives are being stopped", hint="start again before the next motion")
         self._check_faults()
+        self._check_unpowered()
         self._phase = "enabling"
         try:
             for controlword, goal in ENABLING:
@@ -204,23 +222,34 @@ class DriveMotion:
             sync_runs: whether SYNC is being sent; where it is not, this sends it.
 
         Returns:
-            The joints whose drive did not confirm that it is at rest.
+            What went wrong, in words: drives that did not confirm that they are at rest and off.
         """
         self._halted.set()
         if self._phase == "idle":
             return []
         self._phase = "stopping"
         unconfirmed = self._send_until(sync_runs, self._at_rest, STOP_LIMIT)
+        moving = [index for index in unconfirmed if self._speed(index) > 1.0]
         self._controlword = DISABLE_VOLTAGE
         self._phase = "off"
         still_on = self._send_until(sync_runs, self._is_off, OFF_LIMIT)
         self._phase = "idle"
-        return [joint for joint in self._joints if joint in unconfirmed or joint in still_on]
+        return [
+            f"{self._joints[index]}: "
+            + (
+                f"the drive went on for {STOP_LIMIT:g} s after its quick stop without slowing down; its voltage was cut"
+                if index in moving and index not in still_on
+                else "the drive did not confirm that it is at rest and off"
+            )
+            for index in sorted({*unconfirmed, *still_on})
+        ]
 
     def _send_until(
         self, sync_runs: Callable[[], bool], settled: Callable[[int, float], bool], limit: float
-    ) -> list[str]:
-        asked = self._clock.now()
+    ) -> list[int]:
+        """Send to all drives at once until they have settled; those that neither have nor slow down for `limit` [s]."""
+        asked = since = self._clock.now()
+        slowest = max(map(self._speed, range(len(self._ids))))
         with contextlib.suppress(ConnectionLostError):
             self._sender.send_all(self.outputs(self._clock.now()))  # now, not only after the next SYNC
         while True:
@@ -228,10 +257,19 @@ class DriveMotion:
                 with contextlib.suppress(ConnectionLostError):
                     self._sender.send_all([*self.outputs(self._clock.now()), (SYNC, b"")])
                 self._clock.sleep(5.0 * _POLL)
-            open_ones = [joint for index, joint in enumerate(self._joints) if not settled(index, asked)]
-            if not open_ones or self._clock.now() - asked > limit:
+            open_ones = [index for index in range(len(self._joints)) if not settled(index, asked)]
+            speed = max((self._speed(index) for index in open_ones), default=0.0)
+            if speed < SLOWER * slowest:
+                slowest, since = speed, self._clock.now()
+            if not open_ones or self._clock.now() - since > limit:
                 return open_ones
             self._clock.sleep(_POLL)
+
+    def _speed(self, index: int) -> float:
+        """A drive's last speed, over that below which it is at rest."""
+        frame = self._latest.get(TPDO2 + self._ids[index], (0.0, 0, b""))
+        speed = int.from_bytes(frame[2][:_SPEED_BYTES], "little", signed=True)
+        return abs(speed) / self._standstill[index]
 
     def _at_rest(self, index: int, asked: float) -> bool:
         heard = self.heard(index)
@@ -242,8 +280,7 @@ class DriveMotion:
         frame = self._latest.get(TPDO2 + self._ids[index])
         if frame is None or frame[0] <= asked or len(frame[2]) < _SPEED_BYTES:
             return False
-        speed = int.from_bytes(frame[2][:_SPEED_BYTES], "little", signed=True)
-        return abs(speed) <= self._standstill[index]
+        return self._speed(index) <= 1.0
 
     def _is_off(self, index: int, asked: float) -> bool:
         heard = self.heard(index)
@@ -280,11 +317,15 @@ class DriveMotion:
     def _watch_for_drop_outs(self) -> None:
         for index, joint in enumerate(self._joints):
             heard = self.heard(index)
-            if heard is not None and heard.state is not DriveState.ENABLED:
-                self._dropped_out = index
-                self._left = f"{joint} left operation enabled: {heard.state.value}"
-                self._phase = "stopping"  # the others must not go on without it
-                return
+            if heard is None or (heard.state is DriveState.ENABLED and heard.mode == self._mode):
+                continue
+            self._dropped_out = index
+            said = f"operation enabled: {heard.state.value}"
+            if heard.state is DriveState.ENABLED:
+                said = f"mode {mode_words(self._mode)}: it displays {mode_words(heard.mode)}"
+            self._left = f"{joint} left {said}"
+            self._phase = "stopping"  # the others must not go on without it
+            return
 
     def _check_faults(self) -> None:
         for index, joint in enumerate(self._joints):
@@ -293,7 +334,18 @@ class DriveMotion:
                 raise DriverStateError(
                     "the drive is in fault, and is not enabled",
                     where=f"{joint} (node {self._ids[index]})",
-                    hint="remove the cause; opening the connection anew resets the fault",
+                    hint=HOW_TO_RESET,
+                )
+
+    def _check_unpowered(self) -> None:
+        """Enabling begins with a controlword that cuts the voltage: not of drives that somebody else runs."""
+        for index, joint in enumerate(self._joints):
+            heard = self.heard(index)
+            if heard is not None and heard.state in POWERED:
+                raise MotionRefusedError(
+                    f"the drive is powered already ({heard.state.value}), and not by dynid",
+                    where=f"{joint} (node {self._ids[index]})",
+                    hint="end what moves the arm, or switch the drive off",
                 )
 
     def _wait(self, met: Callable[[Heard], bool], goal: DriveState | None, deadline: float) -> None:
@@ -315,7 +367,7 @@ class DriveMotion:
             return DriverStateError("the drive does not answer SYNC", where=where)
         if goal is None:
             return DriverStateError(
-                f"the drive displays mode {heard.mode} instead of {self._mode} ({MODE_NAMES[self._mode]})",
+                f"the drive displays mode {mode_words(heard.mode)} instead of {mode_words(self._mode)}",
                 where=where,
                 hint="does it need another setting to accept this mode?",
             )

@@ -11,6 +11,9 @@ _EMCY = struct.Struct("<HB5s")
 MASTER_MISSED = 0x8130
 """Error code of a node that misses the heartbeat or the guarding that it watches."""
 
+HOW_TO_RESET = "remove the cause, then reset the fault: dynid check ROBOT --connect --reset-faults"
+"""What to do about a drive in fault."""
+
 # The most specific entry counts: whole code, then its upper three digits, two, one.
 _ERROR_CODES: Mapping[int, str] = {
     0x0000: "error cleared",
@@ -120,9 +123,14 @@ class Emergency:
         if self.cleared:
             return "error cleared (EMCY 0x0000)"
         own = f", manufacturer's bytes {self.detail.hex(' ')}" if any(self.detail) else ""
-        words = ", ".join(word for bit, word in enumerate(_REGISTER_BITS) if word and self.register >> bit & 1)
+        words = register_words(self.register)
         register = f", register: {words}" if words else ""
         return f"{describe_error(self.code)} (EMCY 0x{self.code:04X}{register}{own})"
+
+
+def register_words(register: int) -> str:
+    """The bits of the error register (0x1001) in words; empty where none is set."""
+    return ", ".join(word for bit, word in enumerate(_REGISTER_BITS) if word and register >> bit & 1)
 
 
 def decode_emergency(data: bytes) -> Emergency | None:

@@ -46,6 +46,7 @@ class DriveObject:
 
 
 DEVICE_TYPE = DriveObject(0x1000, 0, 4, False, "device type")
+ERROR_REGISTER = DriveObject(0x1001, 0, 1, False, "error register")
 CYCLE_PERIOD = DriveObject(0x1006, 0, 4, False, "communication cycle period")
 DEVICE_NAME = DriveObject(0x1008, 0, 0, False, "device name")
 FIRMWARE = DriveObject(0x100A, 0, 0, False, "software version")
@@ -100,7 +101,24 @@ PROFILE_402 = 402
 
 MODE_PROFILE_POSITION = 1
 MODE_CYCLIC_POSITION = 8
-MODE_NAMES = {MODE_PROFILE_POSITION: "profile position", MODE_CYCLIC_POSITION: "cyclic synchronous position"}
+MODE_NAMES = {
+    0: "none",
+    MODE_PROFILE_POSITION: "profile position",
+    3: "profile velocity",
+    4: "torque profile",
+    6: "homing",
+    7: "interpolated position",
+    MODE_CYCLIC_POSITION: "cyclic synchronous position",
+    9: "cyclic synchronous velocity",
+    10: "cyclic synchronous torque",
+}
+"""CiA 402-2, object 0x6060."""
+
+
+def mode_words(mode: int) -> str:
+    """A mode of operation, such as "8 (cyclic synchronous position)"."""
+    return f"{mode} ({MODE_NAMES.get(mode, 'of the manufacturer' if mode < 0 else 'reserved')})"
+
 
 # Predefined connection set (CiA 301, 7.3.5): function code plus node id.
 NMT = 0x000
@@ -109,6 +127,7 @@ EMCY = 0x080
 TPDO1 = 0x180
 RPDO1 = 0x200
 TPDO2 = 0x280
+RPDO_BASES = (RPDO1, 0x300, 0x400, 0x500)
 SDO_ANSWER = 0x580
 SDO_REQUEST = 0x600
 HEARTBEAT = 0x700

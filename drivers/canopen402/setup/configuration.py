@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,31 +11,21 @@ import numpy as np
 from drivers.base import Level, Notice
 from drivers.can.bus import Sender
 from drivers.canopen402.protocol import objects
-from drivers.canopen402.protocol.emcy import describe_error
+from drivers.canopen402.protocol.emcy import HOW_TO_RESET
 from drivers.canopen402.protocol.sdo import RemoteDrive
-from drivers.canopen402.protocol.state_machine import (
-    DISABLE_VOLTAGE,
-    FAULT_RESET,
-    FAULTY,
-    POWERED,
-    QUICK_STOP,
-    DriveState,
-    drive_state,
-    supports_mode,
-)
+from drivers.canopen402.protocol.state_machine import supports_mode
 from drivers.canopen402.samples.alignment import Scaling
 from drivers.canopen402.settings import MODES, CanopenSettings, NodeSettings
 from drivers.canopen402.setup.error_control import ErrorControl, configure_error_control, warnings_of
 from drivers.canopen402.setup.pdo_mapping import configure_pdos
+from drivers.canopen402.setup.readiness import faults, require_unpowered, reset_faults
 from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionFailedError
+from drivers.errors import ConnectionFailedError, MotionRefusedError
 
 PROBE_LIMIT = 1.0
 """How long [s] all drives together may take to answer the first one."""
 SECOND_ANSWER = 0.02
 """How long [s] a second device with the same node id may take to answer as well."""
-SETTLE_LIMIT = 1.0
-"""How long [s] a drive may take to leave a fault, or to stop."""
 AGREEMENT = 0.01
 """Relative difference from which a rated value in the robot file and in the drive contradict each other."""
 
@@ -92,7 +82,9 @@ def configure(
     deadline: float,
     clock: Clock = SYSTEM_CLOCK,
 ) -> Configured:
-    """Put drives into pre-operational, check them, and configure their error control and their PDOs.
+    """Check drives, put them into pre-operational, and configure their error control and their PDOs.
+
+    A drive that somebody else has powered is left as it is, and so are all others then.
 
     Args:
         drives: one a joint.
@@ -103,6 +95,7 @@ def configure(
 
     Raises:
         ConnectionFailedError: a drive does not answer, is not the right one, or refuses something.
+        MotionRefusedError: a drive is powered already; or is in fault, where the arm is to be moved.
     """
     notices: list[Notice] = []
 
@@ -111,18 +104,24 @@ def configure(
 
     for drive in drives:
         drive.deadline = deadline
+    _probe(drives, sender, deadline, clock)
+    require_unpowered(drives)
+    for drive in drives:
         sender.send(objects.NMT, bytes([objects.NMT_PRE_OPERATIONAL, drive.node]))
-    _probe(drives, deadline, clock)
     mode = MODES[settings.mode]
     serials = {drive.joint: drive.read_optional(objects.SERIAL) for drive in drives}
     for drive, node in zip(drives, settings.nodes, strict=True):
         _check_profile(drive, mode)
         _check_serial(drive, node, serials, drives)
+    if settings.reset_faults:
+        for message in reset_faults(drives, clock):
+            report("warning", message)
+    if (in_fault := faults(drives)) and mode is not None:
+        raise MotionRefusedError("; ".join(in_fault), hint=HOW_TO_RESET)
+    for message in in_fault:
+        report("warning", message)
     identities, controls = [], []
     for drive, node in zip(drives, settings.nodes, strict=True):
-        if mode is not None:
-            for message in _bring_to_rest(drive, clock):
-                report("warning", message)
         identity, contradictions = _identify(drive, node, serials[drive.joint])
         for message in contradictions:
             report("warning", message)
@@ -144,8 +143,8 @@ def configure(
     return Configured(tuple(identities), scaling, tuple(controls), tuple(notices))
 
 
-def _probe(drives: Sequence[RemoteDrive], deadline: float, clock: Clock) -> None:
-    end = min(deadline, clock.now() + PROBE_LIMIT)
+def _probe(drives: Sequence[RemoteDrive], sender: Sender, deadline: float, clock: Clock) -> None:
+    end = min(deadline, clock.now() + max(PROBE_LIMIT, 2.0 * drives[0].timeout))
     silent = list(drives)
     while silent:
         for drive in silent:
@@ -161,6 +160,8 @@ def _probe(drives: Sequence[RemoteDrive], deadline: float, clock: Clock) -> None
             else:
                 hint = "is this drive on the bus, and does it have this node id?"
             raise ConnectionFailedError(f"no answer from {who}", hint=hint)
+        for drive in silent:  # a node that is "stopped" answers no SDO; one that nobody runs may be woken
+            sender.send(objects.NMT, bytes([objects.NMT_PRE_OPERATIONAL, drive.node]))
     clock.sleep(SECOND_ANSWER)
     for drive in drives:
         if drive.answers > 1 and (count := _answers_to_one_question(drive, clock)) > 1:
@@ -211,37 +212,6 @@ def _check_serial(
     raise ConnectionFailedError(
         f"the drive {has}, but the robot file expects {node.serial}", where=drive.where, hint=hint
     )
-
-
-def _bring_to_rest(drive: RemoteDrive, clock: Clock) -> list[str]:
-    """Stop a drive that was left enabled, reset a fault; what was done, in words."""
-    state = drive_state(drive.read(objects.STATUSWORD))
-    messages = []
-    if state in POWERED:
-        drive.write(objects.CONTROLWORD, QUICK_STOP)
-        _wait_for(drive, lambda now: now not in POWERED, clock)
-        drive.write(objects.CONTROLWORD, DISABLE_VOLTAGE)
-        messages.append(f"{drive.where} was still powered ({state.value}); it was stopped")
-        state = drive_state(drive.read(objects.STATUSWORD))
-    if state in FAULTY:
-        code = drive.read_optional(objects.ERROR_CODE)
-        cause = "" if not code else f": {describe_error(code)} (0x{code:04X})"
-        drive.write(objects.CONTROLWORD, DISABLE_VOLTAGE)
-        drive.write(objects.CONTROLWORD, FAULT_RESET)
-        state = _wait_for(drive, lambda now: now not in FAULTY, clock)
-        drive.write(objects.CONTROLWORD, DISABLE_VOLTAGE)
-        gone = "its fault was reset" if state not in FAULTY else "its fault stays: it can be recorded but not moved"
-        messages.append(f"{drive.where} was in fault{cause}; {gone}")
-    return messages
-
-
-def _wait_for(drive: RemoteDrive, met: Callable[[DriveState], bool], clock: Clock) -> DriveState:
-    end = clock.now() + SETTLE_LIMIT
-    while True:
-        state = drive_state(drive.read(objects.STATUSWORD))
-        if met(state) or clock.now() > end:
-            return state
-        clock.sleep(0.005)
 
 
 def _identify(drive: RemoteDrive, node: NodeSettings, serial: int | None) -> tuple[Identity, list[str]]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drivers.canopen402.monitor.presence import HEARTBEATS_MISSED
 from drivers.canopen402.protocol.emcy import VALUE_REFUSED
 from drivers.canopen402.protocol.objects import (
     ABORT_OPTION,
@@ -21,7 +20,7 @@ from drivers.canopen402.protocol.objects import (
     DriveObject,
 )
 from drivers.canopen402.protocol.sdo import RemoteDrive, abort_code
-from drivers.canopen402.settings import CanopenSettings
+from drivers.canopen402.settings import HEARTBEATS_MISSED, CanopenSettings
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import ConnectionFailedError, ConnectionLostError
 

@@ -166,14 +166,11 @@ def test_a_fault_of_a_drive_stops_at_its_row(tmp_path: Path) -> None:
     with arm_on_bus() as bench:
         bench.at(FAULT, "over-temperature 3")
         run = bench.record(tmp_path, motion=swing())
-        reason = "elbow_joint: fault: drive temperature too high (EMCY 0x4310, register: generic, temperature)"
-        assert assert_stopped(bench, run, reason) == 1.61
+        reason = "elbow_joint: drive temperature too high (EMCY 0x4310, register: generic, temperature)"
+        when = assert_stopped(bench, run, reason)
+        assert FAULT < when < FAULT + LOOK  # of the emergency message, before the first row that shows the fault
         assert_exact(bench, run)
-        assert run.slots[-1] == 161  # the first row that shows it
-        states = run.recording.streams["joints"].channels["statusword"].values.astype(int) & 0x6F
-        assert states[-2, 2] & 0x4F == 0x07
-        assert states[-1, 2] & 0x4F in (0x0F, 0x08)  # the reaction to the fault, or its end
-        assert set(states[-1, [0, 1, 3, 4, 5]]) == {0x27}
+        assert run.slots[-1] in (159, 160)
         # The others get their quick stop with the targets after SYNC 162 at the latest, and stop along their ramp.
         assert run.when("arm halted") < 1.7
 

@@ -120,11 +120,33 @@ def test_wrong_keys_are_named_with_what_is_allowed(path: str, value: object) -> 
 def test_guarding_takes_the_place_of_heartbeats() -> None:
     assert parse_settings(GOOD, JOINTS).guarding is None
     assert parse_settings({**GOOD, "guarding": {}}, JOINTS).guarding == Guarding(period=0.1, factor=3)
-    assert parse_settings({**GOOD, "guarding": {"period": 1, "factor": 5}}, JOINTS).guarding == Guarding(
-        period=1.0, factor=5
-    )
+    slow = {"period": 1, "factor": 5}
+    assert parse_settings({**GOOD, "mode": "none", "guarding": slow}, JOINTS).guarding == Guarding(period=1.0, factor=5)
     with pytest.raises(UsageError, match=r"'heartbeat' and 'guarding'.*exclude each other"):
         parse_settings({**GOOD, "guarding": {}, "heartbeat": 0.1}, JOINTS)
+
+
+@pytest.mark.parametrize(
+    ("keys", "allowed"),
+    [
+        ({"heartbeat": 0.05}, ""),
+        ({"heartbeat": 0.5}, ""),
+        ({"heartbeat": 0.01}, "0.05 to 0.5 s"),
+        ({"heartbeat": 10}, "0.05 to 0.5 s"),
+        ({"guarding": {"period": 0.05}}, ""),
+        ({"guarding": {"period": 0.01}}, "0.05 to 0.5 s"),
+        ({"guarding": {"period": 0.3, "factor": 6}}, "0.02 to 0.25 s"),
+        ({"guarding": {"period": 10, "factor": 255}}, "0.000394 to 0.00588 s"),
+    ],
+)
+def test_to_move_an_arm_drives_must_miss_dynid_neither_too_soon_nor_too_late(keys: object, allowed: str) -> None:
+    connection = {**GOOD, **keys}  # type: ignore[dict-item]
+    parse_settings({**connection, "mode": "none"}, JOINTS)
+    if not allowed:
+        parse_settings(connection, JOINTS)
+        return
+    with pytest.raises(UsageError, match=f"mode 'position' needs a period of {allowed}"):
+        parse_settings(connection, JOINTS)
 
 
 def test_dynids_own_id_is_one_that_no_drive_has() -> None:

@@ -19,7 +19,7 @@ from drivers.base import DRIVERS_GROUP, Notice
 from drivers.errors import ConnectionFailedError, RobotFileError, UsageError
 from drivers.streams import ChannelLayout, StreamLayout
 from dynid import command
-from ident.checks import connection_check, robot_check
+from ident.checks import robot_check
 from ident.checks.connection_check import FIRST_SAMPLE_LIMIT, LISTEN, check_connections
 from ident.checks.robot_check import check_robot
 
@@ -216,21 +216,23 @@ def test_a_source_that_says_nothing_is_an_error(three_joint, drivers, monkeypatc
 def test_drives_are_not_prepared_for_a_motion(monkeypatch):
     seen = []
 
-    def load(robot, name, host, folder, clock, place):
-        seen.append(dict(robot.connections[name].model_extra))
+    def make(settings):
+        seen.append(dict(settings.connection))
         raise ConnectionFailedError("far enough")
 
-    monkeypatch.setattr(connection_check, "load_driver", load)
-    with pytest.raises(ConnectionFailedError):
-        check_connections(load_robot("ur5e"), "canopen")
-    assert seen[0]["mode"] == "none"
-    assert seen[0]["sync_rate"] == 400
+    monkeypatch.setattr(session, "entry_points", lambda group: [SimpleNamespace(name="canopen402", load=lambda: make)])
+    for asked in (False, True):
+        with pytest.raises(ConnectionFailedError):
+            check_connections(load_robot("ur5e"), "canopen", reset_faults=asked)
+        assert (seen[-1]["mode"], seen[-1]["sync_rate"]) == ("none", 400)
+        assert seen[-1].get("reset_faults", False) is asked
 
 
 def test_wire_without_connect_is_refused(monkeypatch, capsys):
-    status, _, err = run(monkeypatch, capsys, "check", "ur5e", "--wire", "rtde")
-    assert status == 2
-    assert "add --connect" in err
+    for options in (("--wire", "rtde"), ("--reset-faults",)):
+        status, _, err = run(monkeypatch, capsys, "check", "ur5e", *options)
+        assert status == 2
+        assert "add --connect" in err
 
 
 def test_the_command_shows_what_answered(monkeypatch, capsys, tmp_path, three_joint, drivers, clock):

@@ -12,7 +12,7 @@ from scripted_drives import FRAME_TIME, RAMP, ScriptedDrive
 from drivers.can.receiver import POLL
 from drivers.canopen402.motion.drive_motion import OFF_LIMIT
 from drivers.canopen402.motion.sdo_stop import PATIENCE, REPEAT
-from drivers.errors import ConnectionLostError, DriverStateError
+from drivers.errors import ConnectionLostError, DriverStateError, MotionRefusedError
 
 ENABLING = ["disabled", "ready", "switched on", "enabled"]
 
@@ -95,13 +95,15 @@ def test_a_drive_that_does_not_come_along_keeps_all_from_moving(stuck: str) -> N
 
 def test_a_drive_that_does_not_take_the_mode_is_not_enabled() -> None:
     with bench(drives(ScriptedDrive(3, mode_accepted=False)), timeout=0.5) as one:
-        with pytest.raises(DriverStateError, match=r"displays mode 0 instead of 8"):
+        with pytest.raises(DriverStateError, match=r"displays mode 0 \(none\) instead of 8"):
             one.enable()
         assert "enabled" not in [state for drive in one.drives for state in drive.states]
 
 
 def test_a_drive_in_fault_is_not_enabled_and_its_fault_not_reset() -> None:
-    with bench(drives(ScriptedDrive(2, state="fault", clears_faults=False))) as one:
+    with bench() as one:
+        one.read_rows(2)
+        one.bus.fail(2)
         tried = one.drives[1].controlwords.copy()
         with pytest.raises(DriverStateError, match="in fault") as caught:
             one.enable()
@@ -276,6 +278,93 @@ def test_start_again_needs_enabling_again() -> None:
         assert all(drive.state == "disabled" for drive in one.drives)
         one.enable()
         assert all(drive.state == "enabled" for drive in one.drives)
+
+
+def test_a_drive_that_leaves_the_mode_stops_all_and_says_so() -> None:
+    with bench() as one:
+        one.enable()
+        one.drives[1].mode_accepted = False
+        one.drives[1].objects[0x6061, 0] = 6  # its own homing
+        one.read(lambda: all(drive.state == "disabled" for drive in one.drives))
+        assert one.said("error")[0] == "lift: the drive left the mode of the motion: it displays mode 6 (homing)"
+        with pytest.raises(DriverStateError, match=r"lift left mode 8 .*: it displays 6 \(homing\)"):
+            one.driver.command(one.position)
+
+
+def test_an_emergency_in_motion_is_an_error_and_a_warning_at_rest() -> None:
+    with bench() as one:
+        one.read_rows(2)
+        one.bus.send(0x82, bytes.fromhex("20 75 80 00 00 00 00 00"))
+        words = "lift: communication module (EMCY 0x7520, register: manufacturer's own)"
+        one.read(lambda: one.said("warning"))
+        assert (one.said("warning"), one.said("error")) == ([words], [])
+        one.enable()
+        one.bus.send(0x82, bytes.fromhex("20 75 80 00 00 00 00 00"))
+        one.bus.send(0x82, bytes(8))
+        one.read(lambda: one.said("error"))
+        assert one.said("error") == [words]
+
+
+def test_a_master_that_appears_in_a_motion_is_an_error() -> None:
+    with bench() as one:
+        one.enable()
+        one.bus.send(0x77F, b"\x05")
+        one.bus.send(0x77F, b"\x05")
+        one.read(lambda: one.said("error"))
+        assert one.said("error") == [
+            "another master is on the bus: a heartbeat as node 127 (0x77F) that is not dynid's"
+        ]
+
+
+def test_a_drive_that_somebody_powers_before_the_motion_keeps_its_voltage() -> None:
+    with bench() as one:
+        one.read_rows(2)
+        one.drives[2].enter("enabled")
+        one.read_rows(2)
+        with pytest.raises(MotionRefusedError, match="powered already"):
+            one.driver.take_control()
+        one.driver.close()
+        assert (one.drives[2].state, one.drives[2].nmt, one.drives[2].controlwords) == ("enabled", 5, [])
+
+
+@pytest.mark.parametrize("slows", [True, False])
+def test_voltage_is_not_cut_while_a_drive_still_slows_down(slows: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.canopen402.motion.drive_motion.STOP_LIMIT", 0.2)
+    drive = ScriptedDrive(2, ramp=1.0)
+    with bench(drives(drive)) as one:
+        one.enable()
+        drive.objects[0x606C, 0] = 50_000
+        one.read_rows(2)
+        begun = one.clock.now()
+        for tick in range(100) if slows else ():
+            speed = 50_000 * (1.0 - 0.01 * tick)
+            one.clock.call_at(
+                begun + 0.01 * tick, lambda speed=speed: drive.objects.update({(0x606C, 0): round(speed)})
+            )
+        one.driver.stop()
+        took = one.clock.now() - begun
+        said = one.said("error")
+        assert took > 0.9 if slows else 0.2 < took < 0.2 + OFF_LIMIT
+        went_on = "lift: the drive went on for 0.2 s after its quick stop without slowing down; its voltage was cut"
+        assert said == ([] if slows else [went_on])
+        assert off(one)
+
+
+def test_after_a_stall_all_drives_get_a_quick_stop_and_no_further_target() -> None:
+    with bench() as one:
+        one.enable()
+        start = one.position
+        for step in range(1, 11):
+            one.driver.command(start + 0.001 * step)
+            one.read_rows(1)
+        targets = [len(drive.targets) for drive in one.drives]
+        frames = len(one.bus.seen)
+        one.clock.stall(0.07)
+        one.read(lambda: all(drive.state == "disabled" for drive in one.drives))
+        assert [len(drive.targets) for drive in one.drives] <= [count + 1 for count in targets]  # one was on its way
+        after = [data[0] for identifier, data in one.bus.seen[frames:] if 0x200 < identifier < 0x280]
+        assert set(after[3:]) == {0x02}
+        assert one.said("error")[0].startswith("this computer stalled for 0.0")
 
 
 def test_profile_mode_hands_over_every_set_point_by_its_handshake() -> None:

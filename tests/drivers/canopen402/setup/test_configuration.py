@@ -7,7 +7,8 @@ from scripted_drives import ScriptedBus, ScriptedDrive
 from drivers.can.receiver import POLL
 from drivers.canopen402.setup.configuration import PROBE_LIMIT
 from drivers.canopen402.setup.error_control import OWN_ID_ANSWER
-from drivers.errors import ConnectionFailedError
+from drivers.canopen402.setup.other_masters import LISTEN
+from drivers.errors import ConnectionFailedError, MotionRefusedError
 
 
 def drives(*changed: ScriptedDrive) -> list[ScriptedDrive]:
@@ -76,8 +77,8 @@ def test_nobody_answers() -> None:
         with pytest.raises(ConnectionFailedError, match=r"pan \(node 1\), lift \(node 2\), elbow \(node 3\)") as caught:
             one.driver.open()
         assert "bit rate" in caught.value.hint
-        # Is dynid's own id free, then the probe; last the receiving thread ends.
-        assert 0.0 <= one.clock.now() - begun - OWN_ID_ANSWER - PROBE_LIMIT < POLL
+        # Other masters, is dynid's own id free, then the probe; last the receiving thread ends.
+        assert 0.0 <= one.clock.now() - begun - LISTEN - OWN_ID_ANSWER - PROBE_LIMIT < POLL
 
 
 def test_a_silent_node_is_named_with_its_joint() -> None:
@@ -164,28 +165,88 @@ def test_a_drive_without_optional_objects_is_configured() -> None:
         assert one.said("error") == []
 
 
-def test_opening_resets_a_fault_without_enabling() -> None:
-    faulty = ScriptedDrive(2, state="fault", objects={(0x603F, 0): 0x4310})
-    with bench(drives(faulty), begin="open") as one:
-        assert faulty.states == ["fault", "disabled"]
-        assert 0x80 in faulty.controlwords
-        assert one.said("warning") == [
-            "lift (node 2) was in fault: drive temperature too high (0x4310); its fault was reset"
-        ]
+def in_fault(**more: object) -> ScriptedDrive:
+    return ScriptedDrive(2, state="fault", objects={(0x603F, 0): 0x4310, (0x1001, 0): 0x09}, **more)  # type: ignore[arg-type]
 
 
-def test_a_fault_that_stays_leaves_recording_possible() -> None:
-    with bench(drives(ScriptedDrive(2, state="fault", clears_faults=False))) as one:
+FAULT = "lift (node 2) is in fault: drive temperature too high (0x603F: 0x4310), error register: generic, temperature"
+
+
+def test_a_fault_is_named_and_not_reset_unasked() -> None:
+    faulty = in_fault()
+    with bench(drives(faulty), begin="closed") as one:
+        with pytest.raises(MotionRefusedError) as caught:
+            one.driver.open()
+        assert caught.value.message == FAULT
+        assert "dynid check ROBOT --connect --reset-faults" in caught.value.hint
+        assert (faulty.states, faulty.controlwords) == (["fault"], [])
+    with bench(drives(in_fault()), mode="none") as one:
         one.read_rows(3)
-        assert any("can be recorded but not moved" in text for text in one.said("warning"))
-        assert one.said("error") == []
+        assert one.said("warning") == [FAULT, "lift: fault"]
+        assert one.drives[1].controlwords == []
 
 
-def test_a_drive_that_was_left_enabled_is_stopped() -> None:
-    left = ScriptedDrive(1, state="enabled")
-    with bench(drives(left), begin="open") as one:
-        assert left.states == ["enabled", "quick stop", "disabled"]
-        assert any("still powered (operation enabled); it was stopped" in text for text in one.said("warning"))
+@pytest.mark.parametrize(("clears", "outcome"), [(True, "the fault was reset"), (False, "the fault stays")])
+def test_a_fault_is_reset_where_that_was_asked_for_and_nothing_enabled(clears: bool, outcome: str) -> None:
+    faulty = in_fault(clears_faults=clears)
+    with bench(drives(faulty), mode="none", reset_faults=True) as one:
+        one.read_rows(3)
+        assert faulty.states == (["fault", "disabled"] if clears else ["fault"])
+        assert faulty.controlwords == [0x00, 0x80, 0x00]
+        assert f"{FAULT.replace('is in', 'was in')}; {outcome}" in one.said("warning")
+        assert [drive.controlwords for drive in one.drives if drive is not faulty] == [[], []]
+
+
+@pytest.mark.parametrize("mode", ["position", "none"])
+@pytest.mark.parametrize("state", ["enabled", "quick stop"])
+def test_a_drive_that_somebody_else_powered_is_refused_and_nothing_sent_that_changes_it(mode: str, state: str) -> None:
+    run_by_another = ScriptedDrive(1, state=state, nmt=5, quick_stop_stays=True)
+    with bench(drives(run_by_another), begin="closed", mode=mode) as one:
+        with pytest.raises(MotionRefusedError, match=r"powered already, .*: pan \(node 1\) \((operation|quick)"):
+            one.driver.open()
+        one.driver.close()
+        assert {identifier for identifier, _ in one.bus.seen} <= {0x601, 0x602, 0x603, 0x67F}
+        assert all(data[0] == 0x40 for _, data in one.bus.seen)  # SDO uploads
+        assert (run_by_another.states, run_by_another.nmt) == ([state], 5)
+
+
+def test_a_motion_that_somebody_else_begins_while_recording_is_not_stopped() -> None:
+    with bench(mode="none") as one:
+        one.read_rows(3)
+        one.drives[1].enter("enabled")
+        one.read_rows(3)
+        one.driver.close()
+        assert [drive.nmt for drive in one.drives] == [0x7F, 5, 0x7F]
+        assert one.drives[1].state == "enabled"
+
+
+@pytest.mark.parametrize(
+    ("identifier", "data", "words"),
+    [
+        (0x77F, b"\x05", "a heartbeat as node 127 (0x77F)"),
+        (0x77E, b"\x7f", "a heartbeat as node 126 (0x77E)"),
+        (0x080, b"", "SYNC (0x080)"),
+        (0x000, b"\x01\x00", "NMT commands (0x000)"),
+        (0x302, bytes(8), "targets (RPDO)"),
+        (0x601, bytes(8), "SDO requests"),
+        (0x701, b"\x85", "requests of node guarding"),
+    ],
+)
+@pytest.mark.parametrize("mode", ["position", "none"])
+def test_another_master_is_heard_before_anything_is_sent(identifier: int, data: bytes, words: str, mode: str) -> None:
+    with bench(begin="closed", own_id=126, mode=mode) as one:
+        one.clock.call_at(one.clock.now() + LISTEN - 0.01, lambda: one.bus.send(identifier, data))
+        with pytest.raises(MotionRefusedError) as caught:
+            one.driver.open()
+        assert caught.value.message == f"another master is on the bus: it sends {words}"
+        assert one.bus.seen == []
+
+
+def test_other_devices_on_the_bus_are_no_masters() -> None:
+    with bench(begin="closed") as one:
+        for identifier, data in ((0x701, b"\x05"), (0x750, b"\x05"), (0x1D0, bytes(8)), (0x6D0, bytes(8))):
+            one.clock.call_at(one.clock.now() + 0.1, lambda frame=(identifier, data): one.bus.send(*frame))
+        one.driver.open()
 
 
 def test_profile_mode_writes_velocity_and_acceleration() -> None:
@@ -213,7 +274,7 @@ def test_the_time_limit_holds() -> None:
         begun = one.clock.now()
         with pytest.raises(ConnectionFailedError, match="no answer from"):
             one.driver.open()
-        assert 0.1 <= one.clock.now() - begun < 0.1 + 1e-3 + POLL
+        assert 0.1 <= one.clock.now() - begun - LISTEN < 0.1 + 1e-3 + POLL
 
 
 @pytest.mark.parametrize(("sdo_timeout", "fails"), [(0.3, True), (1.0, False)])
@@ -235,5 +296,5 @@ def test_a_configuration_that_takes_longer_than_its_time_limit_is_given_up() -> 
         with pytest.raises(ConnectionFailedError, match="the configuration of the drives takes too long"):
             one.driver.open()
         # What was asked before the limit is waited for.
-        assert 0.12 < one.clock.now() - begun < 0.12 + 0.021 + POLL
+        assert 0.12 < one.clock.now() - begun - LISTEN < 0.12 + 0.021 + POLL
         assert not one.drives[0].number(0x1017)
