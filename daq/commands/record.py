@@ -84,7 +84,7 @@ def record_command(
     clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
     moves = motion is not None
     driver = load_driver(robot_file.robot, wire, host, robot_file.folder, clock, robot_file.where, moves=moves)
-    warnings = session_warnings(robot_file, wire)
+    warnings = session_warnings(robot_file, wire, moves=moves)
     if trajectory is not None:
         warnings += [f"assumed: {limit}" for limit in assumed_limits(robot_file)]
     samples = played.samples if played is not None else None

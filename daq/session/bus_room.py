@@ -9,8 +9,8 @@ from drivers.errors import RobotFileError
 from drivers.percentage import percent_text
 
 
-def bus_budget(robot_file: RobotFile, name: str) -> Budget | None:
-    """Bus load of a connection; None where it is not on a CAN bus.
+def bus_budget(robot_file: RobotFile, name: str, *, moves: bool = True) -> Budget | None:
+    """Bus load of a connection, where it moves its arm or only records; None where it is not on a CAN bus.
 
     Raises:
         UsageError: the connection's keys are wrong.
@@ -18,7 +18,7 @@ def bus_budget(robot_file: RobotFile, name: str) -> Budget | None:
     """
     robot = robot_file.robot
     where = f"{robot_file.where}: connections.{name}"
-    keys = connection_keys(robot, name)
+    keys = connection_keys(robot, name, moves=moves)
     with errors_of_connection(robot_file.where, name):
         budget = connection_budget(robot.connections[name].driver, driver_settings(robot, keys, robot_file.folder))
     if budget is not None and budget.load > 1.0:
@@ -40,14 +40,16 @@ def tight_bus(name: str, budget: Budget) -> str | None:
     )
 
 
-def session_warnings(robot_file: RobotFile, wire: str | None) -> list[str]:
+def session_warnings(robot_file: RobotFile, wire: str | None, *, moves: bool) -> list[str]:
     """Warnings about the buses of a session: of a connection (the first where None) and those recorded with it.
+
+    `moves`: whether the connection's arm is to be moved.
 
     Raises:
         UsageError: no such connection, or its keys are wrong.
         RobotFileError: a connection needs more than its bus carries.
     """
     names = connection_names(robot_file.robot, wire, robot_file.where)
-    budgets = ((name, bus_budget(robot_file, name)) for name in names)
+    budgets = ((name, bus_budget(robot_file, name, moves=moves and name == names[0])) for name in names)
     warnings = (tight_bus(name, budget) for name, budget in budgets if budget is not None)
     return [warning for warning in warnings if warning is not None]

@@ -47,9 +47,10 @@ def connection_names(robot: Robot, wire: str | None = None, place: str = "") -> 
     return [name, *given]
 
 
-def connection_keys(robot: Robot, name: str) -> dict[str, object]:
-    """A connection's keys without those of the session."""
-    return {key: value for key, value in (robot.connections[name].model_extra or {}).items() if key != WITH}
+def connection_keys(robot: Robot, name: str, *, moves: bool = True) -> dict[str, object]:
+    """A connection's keys without those of the session; where its arm is not to be moved, with those of `READ_ONLY`."""
+    keys = {key: value for key, value in (robot.connections[name].model_extra or {}).items() if key != WITH}
+    return keys if moves else {**keys, **READ_ONLY.get(robot.connections[name].driver, {})}
 
 
 @contextmanager

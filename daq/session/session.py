@@ -21,7 +21,7 @@ from daq.motion.player import Player, Punctuality, dry_run
 from daq.recording.recorder import Recorder
 from daq.robot.schema import Robot
 from daq.session.clocks import ClockLog
-from daq.session.connections import READ_ONLY, connection_keys, connection_names, driver_settings, errors_of_connection
+from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
 from daq.session.course import Course, View
 from daq.session.play import Play, follow_motion, motion_rate, permitted_approach, prepare, wait_for_position
 from daq.session.sources import Sources
@@ -106,30 +106,21 @@ def load_driver(
     """
     place = place or robot.name
     name, *others = connection_names(robot, wire, place)
-    keys = connection_keys(robot, name)
+    keys = connection_keys(robot, name, moves=moves)
     if host is not None:
         keys["host"] = host
-    main = _make_driver(robot, name, keys, folder, clock, place, moves=moves)
+    main = _make_driver(robot, name, keys, folder, clock, place)
     beside = {
-        other: _make_driver(robot, other, connection_keys(robot, other), folder, clock, place, moves=False)
+        other: _make_driver(robot, other, connection_keys(robot, other, moves=False), folder, clock, place)
         for other in others
     }
     return Sources(name, main, beside) if beside else main
 
 
 def _make_driver(
-    robot: Robot,
-    name: str,
-    keys: Mapping[str, object],
-    folder: Path | None,
-    clock: Clock,
-    place: str,
-    *,
-    moves: bool,
+    robot: Robot, name: str, keys: Mapping[str, object], folder: Path | None, clock: Clock, place: str
 ) -> Driver:
     driver = robot.connections[name].driver
-    if not moves:
-        keys = {**keys, **READ_ONLY.get(driver, {})}
     drivers = {entry.name: entry for entry in entry_points(group=DRIVERS_GROUP)}
     if driver not in drivers:
         raise UsageError(
