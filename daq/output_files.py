@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import errno
 import glob
+import hashlib
+import json
 import os
 import re
 import secrets
 import shutil
 import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from drivers.errors import DiskError, DynidError, UsageError
+from drivers.lock_file import held_lock
 
 RESULT_FILE = "result.json"
 """Name of a result in the folder that `identify` writes."""
@@ -23,12 +26,61 @@ REPORT_FILE = "report.html"
 DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 """What a disk that is full, or fails, answers to a write that nothing else is wrong with."""
 
+GENERATION_KEY = "files"
+"""In the JSON file of a folder: the SHA-256 of each file that was written with it."""
+
 _UNFINISHED = ".unfinished-"
+_LARGEST_PAGE = 100_000_000  # bytes, far above any page that dynid writes
 _LONGEST_STEM = 48  # characters, so that the name is not too long for any file system
 
 
+_own: set[str] = set()
+"""Outputs whose locks this process holds."""
+_until_the_command_ends: ExitStack | None = None
+
+
+@contextmanager
+def outputs_of_a_command() -> Iterator[None]:
+    """Until the context ends, the outputs that are checked in it are its own: no other program writes them."""
+    global _until_the_command_ends
+    with ExitStack() as stack:
+        _until_the_command_ends = stack
+        try:
+            yield
+        finally:
+            _until_the_command_ends = None
+
+
+@contextmanager
+def only_writer(files: Iterable[Path]) -> Iterator[None]:
+    """Hold the locks of outputs, those apart that this process holds already; its death releases them.
+
+    Raises:
+        UsageError: another program writes one of them.
+    """
+    with ExitStack() as stack:
+        for path in files:
+            key = os.path.realpath(path) if "\0" not in str(path) else ""
+            if not key or key in _own:
+                continue
+            if not stack.enter_context(held_lock(f"output {key}")):
+                raise UsageError(
+                    "is being written by another dynid command",
+                    where=str(path),
+                    hint="wait until it has ended, or choose another name",
+                )
+            _own.add(key)
+            stack.callback(_own.discard, key)
+        yield
+
+
+def _claim(files: Iterable[Path]) -> None:
+    if _until_the_command_ends is not None:
+        _until_the_command_ends.enter_context(only_writer(files))
+
+
 def check_outputs(files: Iterable[Path | None], inputs: Iterable[Path | None] = (), *, overwrite: bool) -> None:
-    """Whether files may be written, before anything is computed for them.
+    """Whether files may be written, before anything is computed for them; a command's are its own from here on.
 
     Args:
         files: to be written; None for one that was not asked for.
@@ -36,11 +88,12 @@ def check_outputs(files: Iterable[Path | None], inputs: Iterable[Path | None] = 
         overwrite: whether they may exist already.
 
     Raises:
-        UsageError: one exists already, is an input or another output, is a link or no regular file, or its folder
-            is missing or not the user's.
+        UsageError: one exists already, is an input or another output, is a link or no regular file, its folder
+            is missing or not the user's, or another program writes it.
     """
     outputs = [path for path in files if path is not None]
     read = [file for path in inputs if path is not None for file in _files_of(path)]
+    _claim(outputs)  # first: a file that another command writes may not exist yet
     for number, path in enumerate(outputs):
         exists = _regular_file(path)
         if any(_same(path, other) for other in outputs[:number]):
@@ -70,6 +123,7 @@ def check_output_folder(
         raise UsageError("is a file; a folder is needed", where=str(folder))
     above = next(parent for parent in folder.absolute().parents if os.path.lexists(parent))
     _check_folder(above, str(above))
+    _claim(folder / name for name in names)
 
 
 def _files_of(path: Path) -> list[Path]:
@@ -165,17 +219,51 @@ def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
     A new folder appears with all its files at once, even where the writer is killed; in one that exists already the
     files are replaced as by `replace_files`.
 
+    Args:
+        folder: to be written.
+        texts: the first one is a JSON object; it also gets the SHA-256 of the others (`strange_files`).
+
     Raises:
-        UsageError: it is a file, or cannot be written.
+        UsageError: it is a file, cannot be written, or another program writes it.
         DiskError: the disk is full or fails.
     """
-    if folder.is_dir():
-        replace_files({folder / name: text for name, text in texts.items()})
-        return
+    main, *others = texts
+    hashes = {name: _hash(texts[name].encode()) for name in others}
+    texts = dict(texts) | {main: texts[main].replace("{", f"{{\n {json.dumps({GENERATION_KEY: hashes})[1:-1]},", 1)}
+    with only_writer(folder / name for name in texts):
+        if folder.is_dir():
+            replace_files({folder / name: text for name, text in texts.items()})
+        else:
+            _new_folder(folder, texts)
+
+
+def strange_files(path: Path, content: Mapping[str, object]) -> list[str]:
+    """Files beside a JSON file that were not written with it: a writer was killed between two files, or one was edited.
+
+    Args:
+        path: of the JSON file.
+        content: its object.
+    """
+    hashes = content.get(GENERATION_KEY)
+    strange = []
+    for name, written in hashes.items() if isinstance(hashes, dict) else ():
+        file = path.with_name(Path(str(name)).name or "-")
+        with suppress(OSError, ValueError):  # it was not copied along; a NUL in its name
+            if file.is_file() and (file.stat().st_size > _LARGEST_PAGE or _hash(file.read_bytes()) != written):
+                strange.append(str(file))
+    return strange
+
+
+def _hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _new_folder(folder: Path, texts: Mapping[str, str]) -> None:
     beside = unfinished_name(folder)
     path = folder
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
+        _remove_unfinished(folder)
         beside.mkdir()
         try:
             for name, text in texts.items():
@@ -195,10 +283,11 @@ def replace_files(texts: Mapping[Path, str]) -> None:
     """Write text files as UTF-8, all of them or none: an error before the end leaves the old ones.
 
     They are written beside their places and renamed when all are on the disk, the first one last; a link is replaced,
-    not followed. A process killed between two renamings leaves the last files new and the first ones old.
+    not followed. A process killed between two renamings leaves the last files new and the first ones old; what it
+    leaves unfinished, the next writer removes.
 
     Raises:
-        UsageError: one cannot be written.
+        UsageError: one cannot be written, or another program writes it.
         DiskError: the disk is full or fails.
     """
     for path in texts:
@@ -206,19 +295,31 @@ def replace_files(texts: Mapping[Path, str]) -> None:
             raise UsageError("cannot be written: it is a folder", where=str(path))
     unfinished: dict[Path, Path] = {}
     path = next(iter(texts))
-    try:
-        for path, text in texts.items():
-            beside = unfinished_name(path)
-            unfinished[path] = beside
-            _write_new(beside, text)
-        with _old_files_kept(list(texts)[1:]):  # the one that is renamed last needs no way back
-            for path in reversed(list(texts)):
-                unfinished[path].replace(path)
-    except OSError as error:
-        raise _refused(error, path) from error
-    finally:
-        for beside in unfinished.values():
-            beside.unlink(missing_ok=True)
+    with only_writer(texts):
+        try:
+            for path, text in texts.items():
+                _remove_unfinished(path)
+                beside = unfinished_name(path)
+                unfinished[path] = beside
+                _write_new(beside, text)
+            with _old_files_kept(list(texts)[1:]):  # the one that is renamed last needs no way back
+                for path in reversed(list(texts)):
+                    unfinished[path].replace(path)
+        except OSError as error:
+            raise _refused(error, path) from error
+        finally:
+            for beside in unfinished.values():
+                beside.unlink(missing_ok=True)
+
+
+def _remove_unfinished(path: Path) -> None:
+    """Remove what killed writers of this file or folder left: whoever holds its lock is the only one."""
+    for beside in unfinished_files(path):
+        if intended_name(beside) == path:  # a long name is cut, and may be another's
+            if beside.is_dir() and not beside.is_symlink():
+                shutil.rmtree(beside, ignore_errors=True)
+            else:
+                beside.unlink(missing_ok=True)
 
 
 def _write_new(path: Path, text: str) -> None:

@@ -24,6 +24,8 @@ are raised only for mistakes in calling code (an array of the wrong shape), neve
 
 from __future__ import annotations
 
+import errno
+
 INTERRUPTED_STATUS = 130
 """Exit status of a command that Ctrl-C ended."""
 
@@ -57,6 +59,10 @@ class DynidError(Exception):
     def __str__(self) -> str:
         text = f"{self.where}: {self.message}" if self.where else self.message
         return f"{text} ({self.hint})" if self.hint else text
+
+
+class DynidWarning(UserWarning):
+    """A warning meant for people, about something that does not stop the work."""
 
 
 class InputError(DynidError):
@@ -130,3 +136,16 @@ class DiskError(WorkError):
 
 class SafetyStopError(WorkError):
     """A limit was passed and the arm was stopped."""
+
+
+def out_of_memory(error: BaseException) -> bool:
+    """Whether an error, or what caused it, is the system's refusal of memory, of a thread or of a library's pages."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, MemoryError) or (isinstance(cause, OSError) and cause.errno == errno.ENOMEM):
+            return True
+        said = str(cause) if isinstance(cause, (ImportError, RuntimeError, OSError)) else ""
+        if any(words in said for words in ("failed to map segment", "allocate memory", "start new thread")):
+            return True
+        cause = cause.__cause__ or cause.__context__
+    return False

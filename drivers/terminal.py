@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import codecs
+import os
 import re
 import sys
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any, TextIO
 
 _COMMANDING = re.compile(
@@ -21,6 +24,23 @@ def visible(text: str) -> str:
     Line feeds and tabs stay. Within a string of a JSON text the escapes are JSON's own.
     """
     return _COMMANDING.sub(lambda match: f"\\u{ord(match.group()):04x}", text)
+
+
+def hidden_character(name: str) -> str:
+    r"""The first character of a name that commands a terminal or ends a line, as `\u001b`; empty without one."""
+    found = _COMMANDING.search(name) or re.search("[\t\n]", name)
+    return f"\\u{ord(found.group()):04x}" if found else ""
+
+
+def _escaped(error: UnicodeError) -> tuple[str, int]:
+    r"""Error handler of an encoding: what it lacks as `\u00b5`, JSON's own escape, beyond 16 bits as a pair."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    pairs = error.object[error.start : error.end].encode("utf-16-be", "surrogatepass").hex()
+    return "".join(f"\\u{pairs[at : at + 4]}" for at in range(0, len(pairs), 4)), error.end
+
+
+codecs.register_error("dynid.escaped", _escaped)
 
 
 class VisibleStream:
@@ -48,11 +68,42 @@ class VisibleStream:
         return getattr(self.stream, name)
 
 
+def open_standard_streams() -> None:
+    """Open what was closed when the process started on nothing, or the next file would take its number."""
+    for descriptor, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            nothing = os.open(os.devnull, os.O_RDWR)
+            if nothing != descriptor:
+                os.dup2(nothing, descriptor)
+                os.close(nothing)
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(descriptor, mode, encoding="utf-8", closefd=False))
+
+
+def drop_unwritten() -> None:
+    """Drop what a standard stream holds and cannot write, or the interpreter would fail over it at the end."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):
+            with suppress(OSError, ValueError):
+                nothing = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(nothing, stream.fileno())
+                os.close(nothing)
+
+
 def show_visibly() -> None:
-    """From now on whatever this process prints is visible; what draws on a terminal asks for `styled`."""
+    """From now on whatever this process prints is visible; what draws on a terminal asks for `styled`.
+
+    What the encoding of a stream lacks is escaped.
+    """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if not isinstance(stream, VisibleStream):
+            if hasattr(stream, "reconfigure"):
+                stream.reconfigure(errors="dynid.escaped")
             setattr(sys, name, VisibleStream(stream))
 
 

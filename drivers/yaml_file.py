@@ -15,6 +15,7 @@ from pydantic_core import ErrorDetails
 
 from drivers.closest import did_you_mean
 from drivers.errors import InputError
+from drivers.terminal import visible
 
 Schema = TypeVar("Schema", bound=BaseModel)
 Refusal = TypeVar("Refusal", bound=InputError)
@@ -31,7 +32,7 @@ LONGEST_NUMBER = 100
 
 
 class UniqueKeyLoader(yaml.SafeLoader):
-    """safe_load that refuses a key given twice, and names the line of a value that YAML itself cannot construct."""
+    """safe_load without control characters and keys given twice; it names the line of what YAML cannot construct."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """The mapping of a node; a yaml.MarkedYAMLError where a key stands twice."""
@@ -50,6 +51,10 @@ class UniqueKeyLoader(yaml.SafeLoader):
             raise yaml.MarkedYAMLError(
                 problem=f"cannot read the number {describe(node.value)} of {len(node.value)} characters",
                 problem_mark=node.start_mark,
+            )
+        if isinstance(node, yaml.ScalarNode) and visible(node.value) != node.value:
+            raise yaml.MarkedYAMLError(
+                problem=f"{describe(node.value)} holds a control character", problem_mark=node.start_mark
             )
         try:
             return super().construct_object(node, deep=deep)

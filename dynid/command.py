@@ -9,16 +9,28 @@ from __future__ import annotations
 import json
 import os
 import sys
+import warnings
+from contextlib import suppress
+from functools import partial
 from importlib.metadata import entry_points
-from typing import NoReturn
+from typing import Any
 
 import typer
 
-from drivers.errors import INTERRUPTED_STATUS, DynidError, InputError
-from drivers.terminal import show_visibly
+from daq.output_files import DISK_ERRORS, outputs_of_a_command
+from drivers.errors import (
+    INTERRUPTED_STATUS,
+    DiskError,
+    DynidError,
+    DynidWarning,
+    InputError,
+    UsageError,
+    WorkError,
+    out_of_memory,
+)
+from drivers.terminal import drop_unwritten, open_standard_streams, show_visibly
 
 COMMANDS_GROUP = "dynid.commands"
-USAGE_STATUS = 2
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Set to 1 unless the user has set them, before NumPy is imported: dynid multiplies many small matrices, for which a
@@ -40,6 +52,8 @@ def build_app() -> typer.Typer:
         try:
             app.add_typer(entry.load())
         except Exception as error:  # a third party's package must not take the others down
+            if out_of_memory(error):
+                raise
             print(f"dynid: the commands of {entry.value} could not be loaded: {error}", file=sys.stderr)
     return app
 
@@ -65,46 +79,86 @@ def report_error(error: DynidError, as_json: bool) -> None:
     if as_json:
         print(json.dumps({"error": error.message, "where": error.where, "hint": error.hint}))
     else:
-        print(f"dynid: {error}", file=sys.stderr)
+        with suppress(OSError):  # the exit status says the rest
+            print(f"dynid: {error}", file=sys.stderr)
 
 
 def main() -> None:
     """Run the command line: exit status 0 done, 1 the work failed, 2 bad usage or input, 130 interrupted."""
-    as_json = "--json" in sys.argv[1:]
+    open_standard_streams()
     show_visibly()
     for variable in BLAS_THREADS:
         os.environ.setdefault(variable, "1")
     try:
-        status = build_app()(standalone_mode=False)
+        status = _status("--json" in sys.argv[1:])
+        sys.stdout.flush()
+    except OSError as error:  # of standard output or standard error
+        with suppress(OSError):
+            if not isinstance(error, BrokenPipeError):
+                print(f"dynid: standard output cannot be written: {error.strerror}", file=sys.stderr, flush=True)
+        status = WorkError.exit_status
+    finally:
+        drop_unwritten()
+    sys.exit(status)
+
+
+def _status(as_json: bool) -> int:
+    """Run the command; its exit status.
+
+    Raises:
+        OSError: standard output or standard error cannot be written.
+    """
+    try:
+        with warnings.catch_warnings(), outputs_of_a_command():
+            warnings.simplefilter("always", DynidWarning)
+            warnings.showwarning = partial(_show_warning, warnings.showwarning)
+            status = build_app()(standalone_mode=False)
     except DynidError as error:
         report_error(error, as_json)
-        sys.exit(error.exit_status)
+        return error.exit_status
     except (KeyboardInterrupt, typer.Abort):
-        _exit_interrupted()
-    except BrokenPipeError:
-        sys.stderr.close()
-        sys.exit(1)
-    except OSError as error:  # a folder that cannot be written, a full disk
-        report_error(InputError(error.strerror or str(error), where=str(error.filename or "")), as_json)
-        sys.exit(USAGE_STATUS)
+        status = INTERRUPTED_STATUS
     except Exception as error:
-        # Click's usage errors carry their own wording; everything else is a bug and keeps its traceback.
-        if not hasattr(error, "format_message"):
+        sys.stdout.flush()  # fails again where that is the reason
+        told = _told(error)
+        if told is None:  # a bug, which keeps its traceback
             raise
-        _report_usage(error, as_json)
-        sys.exit(USAGE_STATUS)
-    if status == INTERRUPTED_STATUS:  # what Typer makes of Ctrl-C within a command
-        _exit_interrupted()
-    sys.exit(status if isinstance(status, int) else 0)
+        report_error(told, as_json)
+        return told.exit_status
+    if status == INTERRUPTED_STATUS:  # Typer returns it after Ctrl-C within a command
+        print("dynid: interrupted", file=sys.stderr)
+    return status if isinstance(status, int) else 0
 
 
-def _exit_interrupted() -> NoReturn:
-    print("dynid: interrupted", file=sys.stderr)
-    sys.exit(INTERRUPTED_STATUS)
+def _told(error: Exception) -> DynidError | None:
+    """What people are told of an error of the system, or of the command's usage; None of a bug."""
+    if out_of_memory(error):
+        return WorkError(
+            "needs more memory than it may have", hint="close other programs, raise the limit, or give it less at once"
+        )
+    if isinstance(error, OSError):  # a folder that cannot be written, a full disk
+        kind = DiskError if error.errno in DISK_ERRORS else InputError
+        if error.filename is None and not _working_folder_exists():
+            return InputError("the working folder does not exist any more", hint="cd to one that does")
+        return kind(error.strerror or str(error), where=str(error.filename or ""))
+    if hasattr(error, "format_message"):  # Click's own wording
+        context = getattr(error, "ctx", None)
+        command = context.command_path if context is not None else "dynid"
+        return UsageError(error.format_message(), where=command, hint=f"see {command} --help")
+    return None
 
 
-def _report_usage(error: Exception, as_json: bool) -> None:
-    message = error.format_message()  # type: ignore[attr-defined]
-    context = getattr(error, "ctx", None)
-    command = context.command_path if context is not None else "dynid"
-    report_error(DynidError(message, where=command, hint=f"see {command} --help"), as_json)
+def _working_folder_exists() -> bool:
+    try:
+        os.getcwd()
+    except OSError:
+        return False
+    return True
+
+
+def _show_warning(others: Any, message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+    """A warning meant for people as one line; any other as Python shows it."""
+    if issubclass(category, DynidWarning):
+        print(f"dynid: warning: {message}", file=sys.stderr)
+    else:
+        others(message, category, *place, **more)

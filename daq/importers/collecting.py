@@ -13,6 +13,7 @@ from daq.importers.naming import Role
 from daq.importers.table import ForeignTable, Note, QuantityColumns, listed, printable
 from drivers.errors import ImportFileError
 from drivers.streams import FloatArray
+from drivers.terminal import hidden_character
 
 _FLOAT_INTEGERS = 2**53
 """Integers up to here are exact in float64."""
@@ -52,8 +53,14 @@ def collect(
         lines: (N,) line number of each sample.
 
     Raises:
-        ImportFileError: an array of another shape or type, a missing or surplus joint, two sources of one quantity.
+        ImportFileError: an array of another shape or type, a missing or surplus joint, two sources of one quantity,
+            a control character in a name.
     """
+    for name in (*arrays, *unused, *(array_joints or ())):
+        if hidden := hidden_character(name):
+            raise ImportFileError(
+                f"the name '{printable(name)}' holds the character {hidden}", where=where, hint="rename it in the file"
+            )
     units = units or {}
     notes = list(notes)
     unused = list(unused)

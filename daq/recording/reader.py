@@ -18,6 +18,7 @@ from drivers.input_files import RECORDING_FILE, check_input
 from drivers.ranges import STAMP
 from drivers.reading_process import read_apart
 from drivers.streams import FloatArray
+from drivers.terminal import hidden_character
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -180,6 +181,9 @@ def _read_stream(group: Any, where: str) -> Stream:
                 f"'{name}' has shape {dataset.shape}, type {dataset.dtype}; (N, n) numbers expected", where=where
             )
         columns = tuple(str(column) for column in dataset.attrs.get("joints", ()))
+        for text in (group.name, name, *columns):
+            if hidden := hidden_character(text):
+                raise RecordingError(f"the name '{text}' holds the character {hidden}", where=where)
         if len(columns) != dataset.shape[1]:
             raise RecordingError(
                 f"'{name}' has {dataset.shape[1]} columns, but its attribute 'joints' names {len(columns)}", where=where

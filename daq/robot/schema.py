@@ -31,6 +31,7 @@ from daq.robot.section import (
 )
 from daq.robot.workspace import Mounting, Workspace
 from drivers.ranges import EXPONENT, JOINTS, NUMBER, STRIBECK_VELOCITY
+from drivers.terminal import hidden_character
 from drivers.yaml_file import SeveralProblems
 
 ASSUMED_ACCELERATION = 10.0
@@ -325,6 +326,10 @@ class Robot(Section):
     def _check(self) -> Self:
         passive = self.passive_names
         driven = tuple(drive.joint for drive in self.drives)
+        rows = tuple(row.joint for row in self.model.mdh or ())
+        for name in (self.name, *self.joint_names, *passive, *rows, *self.connections):
+            if hidden := hidden_character(name):
+                raise ValueError(f"the name {name!r} holds the character {hidden}; a name is one line of visible text")
         if problems := name_problems(self._names(passive, driven)):
             raise SeveralProblems(problems)
         if contradictions := known_problems(self.known):

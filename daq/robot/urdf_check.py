@@ -7,6 +7,7 @@ from functools import lru_cache
 
 from drivers.errors import RobotFileError
 from drivers.ranges import INERTIA, JOINTS, LENGTH, MASS, NUMBER, Range
+from drivers.terminal import hidden_character
 
 MOST_LINKS = 1000
 """Links of a URDF; its parser calls itself for each along a chain, and a humanoid with hands has 100."""
@@ -26,7 +27,7 @@ def checked_urdf(xml: str, where: str) -> ElementTree.Element:
 
     Raises:
         RobotFileError: no XML, more links than `MOST_LINKS`, an axis without direction, numbers out of range; names
-            the joint or link.
+            the joint or link. A name that holds a control character.
     """
     root, problem = _checked(xml)
     if problem is not None:
@@ -51,6 +52,10 @@ def _checked(xml: str) -> tuple[ElementTree.Element | None, tuple[str, str] | No
     movable = sum(1 for joint in root.iter("joint") if joint.get("type") in MOVING)
     if not JOINTS.holds(movable) and movable:
         return root, ("", f"has {movable} movable joints; at most {JOINTS.most:g} are read")
+    for element in root.iter():
+        for key in ("name", "link", "joint"):
+            if hidden := hidden_character(element.get(key, "")):
+                return root, ("", f"has a {element.tag} whose {key} holds the character {hidden}; remove it")
     place = ""
     try:
         for joint in root.findall("joint"):

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from daq.robot.schema import Robot
 from daq.session.connections import connection_keys, connection_names
 from drivers.errors import MotionRefusedError
+from drivers.lock_file import held_lock
 
 _PLACE = ("host", "port", "interface", "channel", "url")
 """Keys that tell where an arm is."""
@@ -35,11 +32,6 @@ def only_mover(robot: Robot, wire: str | None = None, host: str | None = None) -
         MotionRefusedError: another program holds it.
         UsageError: no such connection.
     """
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        yield
-        return
     name = connection_names(robot, wire)[0]
     keys = {key: value for key, value in connection_keys(robot, name).items() if key in _PLACE}
     if host is not None:
@@ -49,22 +41,9 @@ def only_mover(robot: Robot, wire: str | None = None, host: str | None = None) -
         return
     place = ", ".join(str(value) for value in keys.values())
     text = json.dumps([robot.connections[name].driver, keys], sort_keys=True, default=str)
-    path = Path(tempfile.gettempdir()) / f"dynid-{hashlib.sha256(text.encode()).hexdigest()[:16]}.lock"
-    descriptor = _opened(path)
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+    with held_lock(text) as alone:
+        if not alone:
             raise MotionRefusedError(
                 "another program on this computer moves this arm", where=place, hint="wait until it has ended"
-            ) from error
+            )
         yield
-    finally:
-        os.close(descriptor)
-
-
-def _opened(path: Path) -> int:
-    try:
-        return os.open(path, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC, 0o666)
-    except PermissionError:  # it is another user's, in a folder where such files are not created over
-        return os.open(path, os.O_RDONLY | os.O_CLOEXEC)

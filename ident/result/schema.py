@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import re
+import warnings
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -20,9 +21,9 @@ from pydantic import (
     model_validator,
 )
 
-from daq.output_files import replace_files
+from daq.output_files import replace_files, strange_files
 from daq.robot.section import within
-from drivers.errors import ResultFileError
+from drivers.errors import DynidWarning, ResultFileError
 from drivers.input_files import RESULT_FILE, read_text
 from drivers.ranges import EXPONENT, PRESLIDING_TRAVEL, RESULT_VALUE, SMOOTHING, STRIBECK_VELOCITY
 from ident.model.friction_terms import FrictionTerms
@@ -692,6 +693,13 @@ def read_result(path: Path) -> Result:
     if not isinstance(schema, int) or schema > RESULT_SCHEMA:
         raise ResultFileError(
             f"has schema version {schema}, this dynid reads up to {RESULT_SCHEMA}", where=where, hint="update dynid"
+        )
+    for strange in strange_files(path, content):
+        warnings.warn(
+            f"{strange} was not written with {path.name}, or was changed: a command that wrote both may have been "
+            f"killed; run it again with --force",
+            DynidWarning,
+            stacklevel=2,
         )
     try:
         return Result.model_validate(content)

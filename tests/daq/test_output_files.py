@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import itertools
+import json
 import os
 import shutil
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,7 +18,10 @@ from daq.output_files import (
     check_output_folder,
     check_outputs,
     intended_name,
+    only_writer,
+    outputs_of_a_command,
     replace_files,
+    strange_files,
     take_place,
     unfinished_files,
     unfinished_name,
@@ -217,6 +222,56 @@ def test_a_death_leaves_whole_files_and_others_that_say_what_they_are(tmp_path: 
         prepare()
     assert len(ends) > (state is not None)
     assert contents(folder) == before | TEXTS
+
+
+def test_files_of_two_generations_are_told_and_the_next_writer_heals_them(tmp_path: Path):
+    folder = tmp_path / "model"
+    old, new = ({"result.json": f'{{"of": "{age}"}}', "report.html": age} for age in ("old", "new"))
+
+    def strange() -> list[str]:
+        path = folder / "result.json"
+        return strange_files(path, json.loads(path.read_text()))
+
+    write_folder(folder, old)
+    told = set()
+    for _ in deaths(lambda: write_folder(folder, new)):
+        generations = json.loads((folder / "result.json").read_text())["of"], (folder / "report.html").read_text()
+        assert strange() == ([] if len(set(generations)) == 1 else [str(folder / "report.html")])
+        told.add(generations)
+        write_folder(folder, old)
+        assert strange() == []
+        assert sorted(contents(folder)) == ["report.html", "result.json"]
+    assert told == {("old", "old"), ("old", "new"), ("new", "new")}
+    (folder / "report.html").unlink()  # not copied along
+    assert strange() == []
+    os.mkfifo(folder / "report.html")
+    assert strange() == []
+
+
+def test_an_output_that_another_program_writes_is_refused_until_that_is_dead(tmp_path: Path):
+    path, other = tmp_path / "new" / "result.json", tmp_path / "other"
+    held, held_end = os.pipe()
+    process = os.fork()
+    if process == 0:
+        with only_writer([path]):
+            os.write(held_end, b"x")
+            signal.pause()
+    os.read(held, 1)
+    for write in (
+        lambda: check_output_folder(path.parent, [path.name], overwrite=True),
+        lambda: write_folder(path.parent, {path.name: "{}"}),
+    ):
+        with pytest.raises(UsageError, match="is being written by another dynid command"), outputs_of_a_command():
+            write()
+    assert not path.parent.exists()
+    replace_files({other: "mine"})
+    os.kill(process, signal.SIGKILL)
+    os.waitpid(process, 0)
+    with outputs_of_a_command():
+        check_outputs([other], overwrite=True)
+        write_folder(path.parent, {path.name: "{}"})
+        replace_files({other: "its own"})
+    assert other.read_text() == "its own"
 
 
 def test_a_file_takes_its_place_without_replacing_one_that_came_meanwhile(tmp_path: Path, monkeypatch):

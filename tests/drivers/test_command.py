@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import resource
 import subprocess
 import sys
+import tempfile
+from functools import partial
+from typing import TextIO
 
 import pytest
 
@@ -125,3 +130,86 @@ def test_what_a_file_says_commands_no_terminal(monkeypatch, capsys, tmp_path):
     status, out, err = run(monkeypatch, capsys, "check", str(path))
     assert status == 2
     assert not set("\x1b\x07\x9b\u202e") & set(out + err)
+
+
+def closed(*descriptors: int) -> None:
+    for number in descriptors:
+        os.close(number)
+
+
+def stream_at_start(number: int) -> TextIO | None:
+    """As the interpreter makes it."""
+    try:
+        return os.fdopen(number, "rw"[number > 0], closefd=False)
+    except OSError:
+        return None
+
+
+def led_to(path: str, *descriptors: int) -> None:
+    for number in descriptors:
+        os.dup2(os.open(path, os.O_WRONLY), number)
+
+
+def led_to_a_broken_pipe() -> None:
+    reading, writing = os.pipe()
+    os.dup2(writing, 1)
+    os.close(reading)
+
+
+def in_no_folder() -> None:
+    folder = tempfile.mkdtemp()
+    os.chdir(folder)
+    os.rmdir(folder)
+
+
+def without_memory() -> None:
+    with open("/proc/self/statm", encoding="ascii") as file:
+        used = int(file.read().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + 1_000_000, used + 1_000_000))
+
+
+@pytest.mark.parametrize(
+    ("prepare", "arguments", "status", "said"),
+    [
+        (partial(closed, 0, 1, 2), "robots", 0, ""),
+        (partial(closed, 1), "robots", 0, ""),
+        (partial(closed, 2), "nonsense", 2, ""),
+        (partial(led_to, "/dev/full", 1), "robots", 1, "standard output cannot be written: No space left on device"),
+        (partial(led_to, "/dev/full", 1), "nonsense --json", 1, "standard output cannot be written"),
+        (partial(led_to, "/dev/full", 1, 2), "robots", 1, ""),
+        (partial(led_to, "/dev/full", 2), "nonsense", 2, ""),
+        (led_to_a_broken_pipe, "robots", 1, ""),
+        (in_no_folder, "robots", 0, ""),
+        (in_no_folder, "check arm.yaml", 2, "arm.yaml"),
+        (without_memory, "robot show ur5e", 1, "needs more memory than it may have"),
+    ],
+)
+def test_a_process_without_streams_folder_or_memory_ends_in_order(tmp_path, prepare, arguments, status, said):
+    """The interpreter itself would exit with 120 where it cannot flush."""
+    errors = tmp_path / "errors"
+    process = os.fork()
+    if process == 0:
+        ended = 99
+        try:
+            led = os.open(errors, os.O_WRONLY | os.O_CREAT)
+            for number in (1, 2):
+                os.dup2(led, number)
+            prepare()
+            for number, name in enumerate(("stdin", "stdout", "stderr")):
+                setattr(sys, name, stream_at_start(number))
+            sys.argv = ["dynid", *arguments.split()]
+            command.main()
+        except SystemExit as stopped:
+            ended = int(stopped.code or 0)
+            for stream in (sys.stdout, sys.stderr):
+                try:
+                    stream.flush()
+                except OSError:
+                    ended = 120
+        finally:
+            os._exit(ended)
+    assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == status
+    text = errors.read_text()
+    assert said in text
+    assert "Traceback" not in text
+    assert status == 0 or len(text.splitlines()) == (1 if said else 0)

@@ -10,7 +10,7 @@ import unicodedata
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.terminal import VisibleStream, show_visibly, styled, visible
+from drivers.terminal import VisibleStream, hidden_character, show_visibly, styled, visible
 
 # Any character, lone halves of pairs included; those that command a terminal often.
 TEXT = st.text(st.characters() | st.sampled_from("\x1b\x07\x9b\x08\r\x00\u202e\u2066\u2028\udc80"))
@@ -53,3 +53,18 @@ def test_a_process_prints_visibly_however_often_it_is_asked_to(capsys):
     print("c\x07", file=sys.stderr)
     assert capsys.readouterr() == ("a\\u001b[2Jb\n", "c\\u0007\n")
     assert not sys.stdout.isatty()
+
+
+@given(TEXT, st.sampled_from(["ascii", "latin-1", "cp1252"]))
+def test_what_an_encoding_lacks_is_escaped_as_json_has_it(text, encoding):
+    raw = io.BytesIO()
+    stream = VisibleStream(io.TextIOWrapper(raw, encoding=encoding, errors="dynid.escaped"))
+    print(json.dumps({"name": text}, ensure_ascii=False), file=stream, flush=True)
+    assert json.loads(raw.getvalue().decode(encoding)) == {"name": text}
+
+
+@given(TEXT)
+def test_a_name_without_hidden_characters_is_shown_as_it_is(text):
+    if not hidden_character(text):
+        assert visible(text) == text
+        assert text.isprintable() or not {"\n", "\t"} & set(text)

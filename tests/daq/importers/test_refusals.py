@@ -352,3 +352,13 @@ def test_any_arrays_are_refused_in_our_words(data: st.DataObject) -> None:
         np.savez(path, **arrays)  # type: ignore[arg-type]
         repair = frozenset(data.draw(st.sets(st.sampled_from(["sort", "drop-nan", "drop-duplicates", "drop-repeats"]))))
         accept_or_refuse(path, ImportChoices(effort="torque", repair=repair))
+
+
+@pytest.mark.parametrize("column", ["extra\x1b[2J", "q1\x07", "\x9bname", "a\u202eb"])
+def test_a_column_whose_name_commands_a_terminal_is_refused(tmp_path: Path, column: str):
+    path = tmp_path / "run.csv"
+    rows = [f"t,q1,torque1,{column}", *(f"{row / 100},0.1,1.0,2.0" for row in range(20))]
+    path.write_text("\n".join(rows))
+    with pytest.raises(ImportFileError, match=r"holds the character|both mean|name is understood") as caught:
+        import_file(path, ROBOT, TORQUE)
+    assert not set(column) & set("\x1b\x07\x9b\u202e") & set(str(caught.value))

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from daq.robot.loader import builtin_robots, load_robot, parse_robot
+from daq.robot.urdf_check import checked_urdf
 from drivers.errors import RobotFileError
 
 TWO_JOINTS = """\
@@ -285,7 +286,7 @@ def test_deep_nesting_is_an_error_not_a_crash() -> None:
     assert refusal("name: " + "[" * 5000 + "]" * 5000)
 
 
-@pytest.mark.parametrize("urdf", ["missing.urdf", ".", "a\\0b.urdf", "~nobody-of-this-name/arm.urdf"])
+@pytest.mark.parametrize("urdf", ["missing.urdf", ".", "~nobody-of-this-name/arm.urdf"])
 def test_a_urdf_that_cannot_be_read_names_the_path(tmp_path: Path, urdf: str) -> None:
     with pytest.raises(RobotFileError, match="cannot read the URDF") as caught:
         parse_robot(URDF_ROBOT.replace("models/arm.urdf", f'"{urdf}"'), where="arm.yaml", folder=tmp_path)
@@ -331,3 +332,25 @@ def test_an_arm_of_too_many_joints_is_refused() -> None:
     joints = "".join(f"  - {{name: k{number}, position: [-1, 1], velocity: 1}}\n" for number in range(60))
     assert "at most 50" in refusal(TWO_JOINTS.replace(row, rows + row)).message
     assert "at most 50" in refusal(TWO_JOINTS.replace(joint, joints + joint)).message
+
+
+@pytest.mark.parametrize("hidden", ["\\e[2J", "\\0", "\\x9b", "\\u202e", "\\n", "\\t"])
+@pytest.mark.parametrize("place", ["name: arm", "{name: j1", "connection"])
+def test_a_name_that_commands_a_terminal_is_refused(hidden: str, place: str) -> None:
+    if place == "connection":
+        text = f'{TWO_JOINTS}connections:\n  "r{hidden}": {{driver: rtde}}\n'
+    else:
+        text = replaced(place, f'{place.replace(": ", ": " + chr(34))}{hidden}"')
+    assert "holds " in refusal(text).message
+    assert "character" in refusal(text).message
+
+
+@pytest.mark.parametrize("place", ['link name="a"', 'joint name="j"', 'child link="b"'])
+def test_a_urdf_with_a_name_that_ends_a_line_is_refused(place: str) -> None:
+    xml = (
+        '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="fixed"><parent link="a"/>'
+        '<child link="b"/></joint></robot>'
+    )
+    checked_urdf(xml, "arm.urdf")
+    with pytest.raises(RobotFileError, match=r"holds the character .u000a; remove it"):
+        checked_urdf(xml.replace(place, place[:-1] + '&#10;"'), "arm.urdf")
