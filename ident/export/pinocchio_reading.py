@@ -82,6 +82,8 @@ class _Tree:
         self.place = [joint.idx_v for joint in self.joints]
         self.damping, self.friction = np.zeros(model.nv), np.zeros(model.nv)
         self.damping[self.place], self.friction[self.place] = damping, friction
+        index = np.arange(model.nv)
+        self._upper = (np.minimum.outer(index, index), np.maximum.outer(index, index))  # the triangle that `crba` writes
 
     def configuration(self, position: FloatArray) -> FloatArray:
         """Pinocchio's (nq,) of positions (n,): a continuous joint is a cosine and a sine."""
@@ -100,8 +102,7 @@ class _Tree:
         """Inertia matrix (nv, nv)."""
         import pinocchio as pin
 
-        upper = np.triu(pin.crba(self.model, self.data, q))
-        return np.asarray(upper + np.triu(upper, 1).T)
+        return np.asarray(pin.crba(self.model, self.data, q)[self._upper])
 
     def step(
         self, q: FloatArray, v: FloatArray, torque: FloatArray, duration: float = STEP
