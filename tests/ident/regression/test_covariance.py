@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import ident.regression.jackknife
 from daq.robot.loader import RobotFile, parse_robot
-from ident.identify.identification import IdentifyChoices
+from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
@@ -192,6 +192,9 @@ RIPPLE = """
 """
 
 
+PLAIN = ModelChoices(friction="coulomb-viscous")
+
+
 def test_coverage_stays_with_an_error_that_repeats_with_the_motion(three_joint, monkeypatch):
     """Ripple comes back the same in each of four periods: whoever counts them as four is too sure of himself."""
     text = three_joint.text[: three_joint.text.index("  noise:")] + RIPPLE.lstrip("\n")
@@ -203,7 +206,7 @@ def test_coverage_stays_with_an_error_that_repeats_with_the_motion(three_joint, 
     for seed in range(6):
         motion = random_fourier_motion(model, 10.0, seed, candidates=3)
         recording = simulate_recording(robot, motion, 45.0, seed)
-        choices = IdentifyChoices(split=40.0, search_delay=False)
+        choices = IdentifyChoices(split=40.0, search_delay=False, presliding=False, model=PLAIN)
         found = identify([recording], [], choices)
         assert found.corrected.repetitions == pytest.approx(4.0, abs=0.3)
         error = np.abs(found.solution.parameters - truth)
