@@ -14,6 +14,7 @@ several joints move has `Fvm` and `Fsm` in place of `Fv` and `Fs`; the latter tw
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -125,7 +126,7 @@ class DynamicModel:
             return len(self.joints) - 1
         return main_chain(self.joints, self.active)[-1]
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[StandardParameter, ...]:
         """The standard parameters in column order."""
         inertial = [

@@ -27,7 +27,7 @@ from ident.model.rigid_arm import RigidArm, rigid_arm
 
 @dataclass(frozen=True, eq=False)
 class _Term:
-    """A friction column with its coefficient: torques (n,) at the joints per unit of signal, and the motion (n,)."""
+    """A friction column along its motion: torques (n,) at the joints per unit of signal, and the motion (n,)."""
 
     column: JointColumn
     at_joints: FloatArray
@@ -54,7 +54,7 @@ class ForwardArm:
             ModelError: a dry friction below 0, which would drive the arm.
         """
         model = inverse.model
-        self._inverse = inverse
+        self._inverse, self._unsmoothed = inverse, replace(model, smoothing=0.0)
         self._kelvin = None if kelvin is None else kelvin[:, None]
         self._smooth: list[_Term] = []
         self._further_dry: list[tuple[int, _Term]] = []
@@ -69,11 +69,12 @@ class ForwardArm:
                 at_motors[motor] += factor * value
             at_joints = inverse.coupling.T @ at_motors
             motion = np.array(combined(column.motion, identity), dtype=np.float64)
+            along = replace(column, motion=((0, 1.0),))
             if column.quantity == "viscous" and column.shape == 1.0:
                 matrix = self.viscous if at_joints @ motion >= 0.0 else self._accelerating
                 matrix += np.outer(at_joints, motion)
             elif column.quantity == "viscous" or column.quantity in TEMPERATURE_KINDS:
-                self._smooth.append(_Term(column, at_joints, motion))
+                self._smooth.append(_Term(along, at_joints, motion))
             elif column.quantity == "offset":
                 self.offset += at_joints
             elif column.quantity == "coulomb":
@@ -85,7 +86,7 @@ class ForwardArm:
                     same = [len(directions)]
                     directions.append(motion)
                     dry.append(0.0)
-                self._further_dry.append((same[0], _Term(column, at_joints, motion)))
+                self._further_dry.append((same[0], _Term(along, at_joints, motion)))
         self.directions, self.dry = np.array(directions).reshape(-1, self.dof), np.array(dry)
         _check_dissipative(model, self.directions, self.dry)
         self._rotors = inverse.rotor_inertia + inverse.armature
@@ -137,9 +138,8 @@ class ForwardArm:
 
     def _signal(self, term: _Term, speed: FloatArray, conditions: FrictionConditions) -> FloatArray:
         """The term's signal (1,) at a positive speed (1,) along its motion."""
-        along = replace(term.column, motion=((0, 1.0),))
-        model = replace(self._inverse.model, smoothing=0.0)
-        return np.asarray(column_signal(model, along, speed[None], speed[None], conditions), dtype=np.float64)
+        signal = column_signal(self._unsmoothed, term.column, speed[None], speed[None], conditions)
+        return np.asarray(signal, dtype=np.float64)
 
     def bias(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """B (n,) [N·m]: gravity, Coriolis and centrifugal torque, and offsets."""
