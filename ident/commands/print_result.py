@@ -39,7 +39,16 @@ def print_result(result: Result) -> None:
 
 
 def _print_friction(result: Result) -> None:
-    """Further friction terms of the joints that have some, and the steps that led there."""
+    """What friction's intervals hold, further terms of the joints that have some, and the steps that led there."""
+    repeated = [p for p in result.base_parameters if p.repeatability is not None]
+    if repeated:
+        print_table(
+            "\nFriction between runs",
+            ("name", "value", "σ of the mean", "repeatability σ", "unit"),
+            [(p.name, p.value, p.std, p.repeatability, p.unit) for p in repeated],
+        )
+    if result.friction_note:
+        print(f"\n{result.friction_note}")
     further = [(joint.joint, joint.terms_text) for joint in result.friction if joint.terms_text]
     if further:
         print_table("\nFurther friction, ± 95 %", ("joint", "terms"), further)

@@ -297,6 +297,15 @@ class Identification:
         return deviations
 
     @property
+    def repeatability(self) -> FloatArray | None:
+        """Standard deviation (b,) of friction between runs, nan of what has none; None where it is unknown."""
+        if self.corrected.repeatability is None:
+            return None
+        deviations = np.full(self.base.count, np.nan)
+        deviations[list(self.solution.active)] = self.corrected.repeatability
+        return deviations
+
+    @property
     def estimate(self) -> Estimate:
         """Values and covariance, for merging."""
         return estimate_of(self.estimation.reduction, self.solution, self.corrected.covariance, self.corrected.blocks)

@@ -45,6 +45,7 @@ from ident.regression.least_squares import LeastSquares, LinearMethod, inverse_d
 from ident.regression.observability import experiment_base, find_experiment, predictable_torques
 from ident.regression.observation_matrix import Reduction
 from ident.regression.pruning import prune
+from ident.regression.repeatability import with_repeatability
 from ident.regression.systematic_errors import with_systematic_errors
 from ident.result.consistent_model import fit_result
 
@@ -121,16 +122,18 @@ def identify(
     if choices.estimator.equations == "torque":
         # iirls moves the shapes of the friction, and with them the columns.
         equations = reduction if kernel is setup.kernel else reduce_torques(kernel, setup.runs, experiment.torques)
+        weights = _weights(equations, solution)
         corrected = with_systematic_errors(
             corrected,
             kernel,
             setup.runs,
             equations,
-            _weights(equations, solution),
+            weights,
             solution.active,
             experiment.torques,
             _remaining_delay(prepared),
         )
+        corrected = with_repeatability(corrected, kernel, base, filtered, replace(solution, weights=weights))
     inflation = np.ones(base.count)
     inflation[list(active)] = np.sqrt(np.diag(corrected.covariance) / np.diag(solution.covariance))
     pruned = prune(

@@ -101,10 +101,18 @@ def summarise(
             pruned,
             identification.choices.significant_rsd,
             _gain_std(identification),
+            identification.repeatability,
         ),
         friction=friction_results(
-            model, base, solution, identification.std, corrected.covariance, identification.shape_std
+            model,
+            base,
+            solution,
+            identification.std,
+            corrected.covariance,
+            identification.shape_std,
+            identification.repeatability,
         ),
+        friction_note=friction_note(len(identification.runs), identification.repeatability),
         friction_steps=[
             FrictionStepResult.model_validate(step, from_attributes=True) for step in identification.friction.steps
         ],
@@ -323,6 +331,7 @@ def parameter_results(
     pruned: Pruned,
     threshold: float,
     gain_std: FloatArray | None = None,
+    repeatability: FloatArray | None = None,
 ) -> list[BaseParameterResult]:
     """The table of base parameters.
 
@@ -334,6 +343,7 @@ def parameter_results(
         pruned: the essential model.
         threshold: of significance [%].
         gain_std: (b,) standard deviations by the drive gains; None where they are unknown.
+        repeatability: (b,) σ of friction between runs, nan of what has none; None where it is unknown.
     """
     essential = pruned.solution
     rsd, f_values = relative_std(solution.parameters, std), partial_f(solution.parameters, std)
@@ -352,6 +362,7 @@ def parameter_results(
             rsd_percent=float(rsd[i]),
             f_value=float(f_values[i]),
             gain_std=float(gain_std[i]) if gain_std is not None and estimated else None,
+            repeatability=None if repeatability is None else float(repeatability[i]),
             classical_std=float(solution.std[i]),
             significant=bool(rsd[i] < threshold),
             essential_value=float(essential.parameters[i]) if kept else None,
@@ -364,6 +375,28 @@ def parameter_results(
 PLAIN_KINDS: tuple[Kind, ...] = ("viscous", "coulomb", "offset", "stribeck", "load")
 """Kinds whose values and deviations `JointFrictionResult` has by name."""
 
+REPEATED_KINDS: tuple[Kind, ...] = ("viscous", "coulomb", "offset")
+"""Those whose σ between runs it has, too."""
+
+
+def friction_note(runs: int, repeatability: FloatArray | None) -> str:
+    """What the intervals of friction hold of changes between runs.
+
+    Args:
+        runs: how many were identified together.
+        repeatability: (b,) σ between them; None where it is unknown.
+    """
+    if repeatability is not None:
+        return (
+            f"Intervals of friction hold for its mean over the {runs} runs and count how much it changed between them; "
+            "repeatability is σ of that change, by which a single run differs from the mean."
+        )
+    known = "one run" if runs == 1 else f"{runs} runs, whose changes this method does not estimate"
+    return (
+        f"Intervals of friction come from {known}: they do not cover how much friction changes from run to run "
+        "(temperature, load and rest before). Identify several recordings together to have that in them."
+    )
+
 
 def friction_results(
     model: DynamicModel,
@@ -372,6 +405,7 @@ def friction_results(
     std: FloatArray,
     covariance: FloatArray,
     shape_std: Mapping[tuple[str, int], float],
+    repeatability: FloatArray | None = None,
 ) -> list[JointFrictionResult]:
     """Friction of each joint with a motor.
 
@@ -382,6 +416,7 @@ def friction_results(
         std: (b,) corrected standard deviations.
         covariance: (a, a) corrected, of the active parameters.
         shape_std: σ of the estimated shapes, by kind of their sensitivity and motor.
+        repeatability: (b,) σ between runs; None where it is unknown.
     """
     position = {(kind, joint): i for i, (kind, joint) in enumerate(zip(base.kinds, base.joints, strict=True))}
 
@@ -393,6 +428,8 @@ def friction_results(
         terms, found = model.terms, dict[str, Any]()
         for kind in PLAIN_KINDS:
             found |= {kind: value(kind, joint, solution.parameters), f"{kind}_std": value(kind, joint, std)}
+        if repeatability is not None:
+            found |= {f"{kind}_repeatability": value(kind, joint, repeatability) for kind in REPEATED_KINDS}
         if terms is None:
             return found
         if model.viscous[motor] and terms.exponent[motor] != 1.0:

@@ -52,6 +52,8 @@ class CorrectedCovariance:
         effective_rows: number of independent rows that the residuals are worth.
         repetitions: how often the motion was repeated, on average; 1 where it was not.
         random_std: (a,) σ by the jackknife alone, where `covariance` holds more (`systematic_errors`); else None.
+        repeatability: (a,) σ of friction between runs, part of `covariance` (`repeatability`); nan of bodies, None
+            where it is not known.
     """
 
     covariance: FloatArray
@@ -61,6 +63,7 @@ class CorrectedCovariance:
     effective_rows: float
     repetitions: float
     random_std: FloatArray | None = None
+    repeatability: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,7 @@ def block_jackknife(
     for run in runs:
         for segment, torques in zip(run.segments, run.series, strict=True):
             rows = rows_by_block(kernel, segment, run.parallel_filter, next(indices) // length)
-            _add_torque_rows(sums, kernel, solution, rows, torques.residual)
+            add_torque_rows(sums, kernel, solution, rows, torques.residual)
     normal = np.asarray(np.linalg.inv(solution.inverse))
     if not np.all(np.diag(normal) > 0.0):  # rounding, where columns are barely excited
         normal = sums.gram.sum(axis=0)
@@ -270,7 +273,7 @@ def rows_by_block(
             )
 
 
-def _add_torque_rows(
+def add_torque_rows(
     sums: BlockSums,
     kernel: RegressorKernel,
     solution: LeastSquares,

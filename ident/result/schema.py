@@ -93,6 +93,10 @@ class BaseParameterResult(_Part):
     essential_std: Number = Field(
         description="root of the full model's variance plus the square of what the pruning changed"
     )
+    repeatability: Number = Field(
+        default=None,
+        description="σ of friction between runs, which std counts for the mean over them; null with one run",
+    )
     origin: str = Field(default="", description="of a value that was held; empty where the recordings give it")
 
 
@@ -122,6 +126,19 @@ class JointFrictionResult(_Part):
     temperature: list[Value] | None = Field(default=None, description="β1, β2, β3 of AUBO eq. 5, T in kelvin")
     temperature_std: list[Number] | None = None
     temperature_origin: str = Field(default="", description="of values that were held; empty otherwise")
+    viscous_repeatability: Number = Field(default=None, description="σ between runs, as of the base parameter")
+    coulomb_repeatability: Number = None
+    offset_repeatability: Number = None
+
+    @property
+    def repeatability_text(self) -> str:
+        """σ between runs in print; empty where it is not known."""
+        values = (self.viscous_repeatability, self.coulomb_repeatability, self.offset_repeatability)
+        return (
+            ", ".join("–" if value is None else f"{value:.2g}" for value in values)
+            if any(value is not None for value in values)
+            else ""
+        )
 
     @property
     def terms_text(self) -> str:
@@ -588,6 +605,7 @@ class Result(_Part):
     delay: DelayFigures
     base_parameters: list[BaseParameterResult]
     friction: list[JointFrictionResult]
+    friction_note: str = Field(default="", description="what the intervals of friction hold of changes between runs")
     friction_steps: list[FrictionStepResult] = Field(default=[], description="empty without --friction auto")
     standard_parameters: list[LinkResult] | None = Field(
         default=None, description="of the physically consistent model; null where none was found"

@@ -128,18 +128,13 @@ class IdentificationResult:
 
     @cached_property
     def friction(self) -> Table:
-        """Friction of each joint with its σ; cells without a column in the model are empty."""
-        headings = [
-            ("joint", ""),
-            ("viscous", "N·m·s/rad"),
-            ("viscous_std", "N·m·s/rad"),
-            ("coulomb", "N·m"),
-            ("coulomb_std", "N·m"),
-            ("offset", "N·m"),
-            ("offset_std", "N·m"),
-        ]
+        """Friction of each joint with its σ, and σ between several runs; empty where the model has no such column."""
+        units = {"viscous": "N·m·s/rad", "coulomb": "N·m", "offset": "N·m"}
+        repeated = any(joint.repeatability_text for joint in self.result.friction)
+        parts = ("", "_std", "_repeatability") if repeated else ("", "_std")
+        headings = [("joint", ""), *((f"{kind}{part}", unit) for kind, unit in units.items() for part in parts)]
         rows = [tuple(getattr(joint, name) for name, _ in headings) for joint in self.result.friction]
-        return table_of_rows(f"Friction of {self.result.robot}", headings, rows)
+        return table_of_rows(f"Friction of {self.result.robot}. {self.result.friction_note}", headings, rows)
 
     @cached_property
     def errors(self) -> Table:

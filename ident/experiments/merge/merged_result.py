@@ -24,6 +24,7 @@ from ident.identify.revalidate import Revalidation, revalidate
 from ident.identify.summary import (
     estimate_result,
     experiment_result,
+    friction_note,
     friction_results,
     gain_results,
     parameter_results,
@@ -32,6 +33,7 @@ from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.estimate import Estimate
 from ident.regression.pruning import DEFAULT_RULE, SIGNIFICANT_RSD, EssentialRule, Pruned, prune
+from ident.regression.repeatability import RunDeviations, friction_columns, friction_sizes, repeatability
 from ident.result.consistent_model import consistent_model, fit_result, link_results
 from ident.result.schema import (
     Consistency,
@@ -82,6 +84,7 @@ def merge_results(
     model = inputs[0].stored.model
     informations = [source.information for source in inputs]
     merged = merge(informations, identifiable_columns(informations, range(base.count)))
+    merged, between = _with_repeatability(base, inputs, merged)
     std = np.full(base.count, np.inf)
     std[list(merged.solution.active)] = np.sqrt(np.diag(merged.covariance))
     inflation = np.divide(std, merged.solution.std, out=np.ones(base.count), where=np.isfinite(std))
@@ -94,7 +97,7 @@ def merge_results(
         essential,
         threshold,
     )
-    result, consistent = _result(model, base, inputs, merged, std, pruned, essential, threshold)
+    result, consistent = _result(model, base, inputs, merged, std, between, pruned, essential, threshold)
     whole = base.count == base_parameters(model).count
     bodies = [] if consistent is None else body_checks(model, inputs[0].stored.robot_file, consistent, whole=whole)
     checks = [*result.verdict.checks, *consistency_checks(model.link_names, consistent), *bodies]
@@ -104,12 +107,44 @@ def merge_results(
     return _judged(_with_validation(result, validated), checks, (validated.delivered,)), validated
 
 
+def _with_repeatability(
+    base: BaseParameters, inputs: Sequence[MergeInput], merged: MergedEstimate
+) -> tuple[MergedEstimate, FloatArray | None]:
+    """The merged estimate with the σ of friction between its models in the covariance, and that σ (b,)."""
+    active = merged.solution.active
+    friction = friction_columns(base, active)
+    names = [base.names[active[place]] for place in friction]
+    values, variances = (np.full((len(inputs), len(names)), np.nan) for _ in range(2))
+    places = [
+        [(source.names.index(name), at) for at, name in enumerate(names) if name in source.names] for source in inputs
+    ]
+    for number, (source, pairs) in enumerate(zip(inputs, places, strict=True)):
+        for own, at in pairs:
+            values[number, at] = source.information.values[own] - merged.fitted[number][own]
+            variances[number, at] = source.information.covariance[own, own]
+    if not np.any(np.sum(np.isfinite(values), axis=0) > 1):
+        return merged, None
+    kinds = tuple(str(base.kinds[active[place]]) for place in friction)
+    sizes = friction_sizes(base, active, merged.solution.parameters)
+    std, factor = repeatability(RunDeviations(values, variances, sizes, kinds))
+    widened = []
+    for source, pairs in zip(inputs, places, strict=True):
+        covariance = source.information.covariance.copy()
+        for own, at in pairs:
+            covariance[own, own] += (std[at] * factor[at]) ** 2
+        widened.append(replace(source.information, covariance=covariance))
+    between = np.full(base.count, np.nan)
+    between[[active[place] for place in friction]] = std
+    return replace(merged, covariance=merge(widened, active).covariance), between
+
+
 def _result(
     model: DynamicModel,
     base: BaseParameters,
     inputs: Sequence[MergeInput],
     merged: MergedEstimate,
     std: FloatArray,
+    between: FloatArray | None,
     pruned: Pruned,
     essential: EssentialRule,
     threshold: float,
@@ -152,8 +187,9 @@ def _result(
             for step in source.result.preprocessing
         ],
         delay=DelayFigures(used=first.delay.used, best=first.delay.best, note=f"of {inputs[0].label}"),
-        base_parameters=parameter_results(model, base, solution, std, pruned, threshold),
-        friction=friction_results(model, base, solution, std, merged.covariance, {}),
+        base_parameters=parameter_results(model, base, solution, std, pruned, threshold, repeatability=between),
+        friction=friction_results(model, base, solution, std, merged.covariance, {}, between),
+        friction_note=friction_note(len(inputs), between),
         standard_parameters=None if consistent is None else link_results(model, consistent),
         consistent=None
         if consistent is None

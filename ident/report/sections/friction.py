@@ -32,6 +32,8 @@ def section(data: ReportData) -> ReportSection:
     context = {
         "friction": friction,
         "further": any(joint.terms_text for joint in friction),
+        "repeated": any(joint.repeatability_text for joint in friction),
+        "note": data.result.friction_note,
         "steps": data.result.friction_steps,
         "figure": _figure(data),
         "with_weight": [

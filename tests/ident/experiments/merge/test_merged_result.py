@@ -137,8 +137,34 @@ def test_merging_with_what_was_known_before_changes_nothing_but_the_error_bars(m
     assert np.mean(np.abs(deviations(in_steps, three_joint)) < 1.96) > 0.8
 
 
-def test_merging_in_steps_is_merging_at_once(merged, results, recorded):
-    more = result_of(recorded(4))
+@pytest.fixture(scope="module")
+def more(recorded):
+    """All joints free, on another motion."""
+    return result_of(recorded(4))
+
+
+def test_friction_that_differs_between_models_is_in_its_interval(results, more):
+    """Three models, of one of which friction is 20 % larger."""
+
+    def larger(factor, number):
+        values = [
+            p.model_copy(update={"value": p.value * (factor if p.kind in ("coulomb", "viscous") else 1.0)})
+            for p in more.base_parameters
+        ]
+        uses = [use.model_copy(update={"sha256": f"{number:064d}", "sample_hashes": []}) for use in more.recordings]
+        return more.model_copy(update={"base_parameters": values, "recordings": uses})
+
+    alike, _ = merge_results([("a", larger(1.0, 1)), ("b", larger(1.0, 2)), ("c", larger(1.0, 3))])
+    changed, _ = merge_results([("a", larger(1.0, 1)), ("b", larger(1.2, 2)), ("c", larger(1.0, 3))])
+    for one, other, before in zip(changed.base_parameters, alike.base_parameters, more.base_parameters, strict=True):
+        if one.kind in ("coulomb", "viscous"):
+            assert one.repeatability == pytest.approx(0.2 / np.sqrt(3.0) * before.value, rel=0.2)
+            assert one.std > 0.5 * one.repeatability
+            assert other.repeatability == 0.0
+    assert "3 runs" in changed.friction_note
+
+
+def test_merging_in_steps_is_merging_at_once(merged, results, more):
     at_once, _ = merge_results([("arm", results[0]), ("wrist", results[1]), ("more", more)])
     in_steps, _ = merge_results([("before", merged[0]), ("more", more)])
     for one, other in zip(at_once.base_parameters, in_steps.base_parameters, strict=True):
