@@ -31,7 +31,9 @@ def identified(data_dir: Path, *, coupled: bool) -> Identification:
     robot_file = robot(data_dir, coupled=coupled)
     recording = import_file(data_dir / "tx40_t1.npz", robot_file, ImportChoices())
     preprocess = PreprocessChoices(position_cutoff=100, torque_cutoff=25, decimate=50, stop=MOVING)
-    choices = IdentifyChoices(method="ols", preprocess=preprocess, search_delay=False, split=SPLIT, reversals=0.0)
+    choices = IdentifyChoices(
+        method="ols", preprocess=preprocess, search_delay=False, split=SPLIT, reversals=0.0, presliding=False
+    )
     return identify([recording], [], choices)
 
 
