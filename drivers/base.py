@@ -67,6 +67,30 @@ class Notice:
     message: str
 
 
+@dataclass(frozen=True)
+class DeviceLimits:
+    """Limits that a controller or its drives keep themselves; arrays (n,), nan where they tell none.
+
+    Attributes:
+        lowest, highest: position [rad].
+        velocity: [rad/s].
+        torque: [N·m].
+        sources: position, velocity, torque, … → where it is told, such as an object's index.
+        following_error: between the target and the measured position [rad].
+        stopping: deceleration of their own stop [rad/s²].
+        acceleration: [rad/s²].
+    """
+
+    lowest: FloatArray
+    highest: FloatArray
+    velocity: FloatArray
+    torque: FloatArray
+    sources: Mapping[str, str]
+    following_error: FloatArray | None = None
+    stopping: FloatArray | None = None
+    acceleration: FloatArray | None = None
+
+
 class Driver(Protocol):
     """One arm on one connection."""
 
@@ -148,6 +172,30 @@ class Attributing(Protocol):
 
     def losses(self, stream: str) -> str:
         """Why samples of a stream were lost since the last `start`, in words; empty where the cause is unknown."""
+
+
+@runtime_checkable
+class Limiting(Protocol):
+    """A driver whose controller tells limits of its own; they are compared with the robot file's."""
+
+    def device_limits(self) -> DeviceLimits:
+        """The limits, as they were when the driver was opened.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+
+
+@runtime_checkable
+class Cautioning(Protocol):
+    """A driver that knows what a person should mind before its arm is moved."""
+
+    def cautions(self) -> Sequence[str]:
+        """What to mind, one line each; known once open.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
 
 
 def drained(queue: deque[_Item]) -> list[_Item]:

@@ -71,6 +71,8 @@ class Confirmation:
         self._screen = screen
         self.figures: MotionFigures | None = None
         """Of the approach to the start pose, once it is known."""
+        self.to_mind: Sequence[str] = ()
+        """What the controller or its drives are known for, one line each."""
 
     def approach(self, position: FloatArray) -> Motion:
         """The first way that passes the check.
@@ -91,6 +93,8 @@ class Confirmation:
             )
         if self._screen is not None:
             tell("while it moves, the arm is stopped as soon as", _held(self._limits), self._screen)
+            if self.to_mind:
+                tell("mind of this arm's controller or drives:", self.to_mind, self._screen)
         if self._question is not None:
             terminal, out = self._question
             _forget_typed(terminal)

@@ -61,6 +61,7 @@ def record_command(
     from daq.robot.loader import load_robot
     from daq.session.arm_lock import only_mover
     from daq.session.bus_room import session_warnings
+    from daq.session.device_limits import before_a_motion
     from daq.session.play import Play, motion_rate
     from daq.session.realtime import ask_for_realtime
     from daq.session.session import ENDED_BY, load_driver, record
@@ -112,6 +113,9 @@ def record_command(
         layouts = driver.streams()
         if motion is not None:
             motion_rate(driver)  # refused before a file is made
+        to_mind = before_a_motion(robot_file.robot, driver) if moves else []
+        if confirmation is not None:
+            confirmation.to_mind = to_mind
         recorder = Recorder(
             out,
             robot_file,
@@ -124,7 +128,7 @@ def record_command(
         )
         if screen is not None:
             print(f"recording into {recorder.file}, which becomes {out} when it is closed", file=screen, flush=True)
-        for warning in warnings:
+        for warning in (*warnings, *to_mind):
             recorder.event(math.nan, "warning", "session", warning)
         if speed_scale != 1.0:
             recorder.event(math.nan, "info", "player", f"the trajectory is played at {speed_scale:g} of its speed")

@@ -184,6 +184,11 @@ class Sources:
             raise failure
 
     @property
+    def main(self) -> Driver:
+        """The driver of the arm."""
+        return self._main.driver
+
+    @property
     def _all(self) -> tuple[_Source, ...]:
         return (self._main, *self._others)
 

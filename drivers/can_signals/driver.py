@@ -30,6 +30,8 @@ STOP_INTERVAL = 0.01
 """The stop frames are sent every so many seconds until the arm is at rest: it may have missed the first ones."""
 STOP_ATTEMPTS = 3
 """So many sendings in a row may fail before a stop is given up."""
+LONGEST_WATCHDOG = 1.0
+"""A watchdog that takes longer than this [s] is worth a word before a motion."""
 STOP_LIMIT = 2.0
 """How long [s] an arm may take to come to rest."""
 
@@ -150,6 +152,16 @@ class CanFramesDriver:
     def command_rate(self) -> float:
         """That of the joints' rows; 0 where the table has no command frames."""
         return 0.0 if self._settings.command is None else self._settings.rate
+
+    def cautions(self) -> tuple[str, ...]:
+        """What happens to the arm where nothing commands it any more."""
+        watchdog = self._settings.watchdog
+        if watchdog is None:
+            said = "no watchdog of the arm's own is known (key 'watchdog')"
+            return (f"{said}: where this computer dies or the bus is cut in a motion, it may not stop by itself",)
+        if watchdog > LONGEST_WATCHDOG:
+            return (f"where this computer dies in a motion, the arm stops by itself only after {watchdog:g} s",)
+        return ()
 
     def take_control(self) -> None:
         """Check that the arm can be moved from where it is; the drives are enabled with the first command.

@@ -104,6 +104,9 @@ class CanFramesKeys(CanSettings):
     start: Entries[FrameKeys] = Field((), description=f"{_FRAMES}, that enable the drives")
     stop: Entries[FrameKeys] = Field((), description=f"{_FRAMES}, that halt the arm")
     command: CommandKeys | None = Field(None, description="a mapping of keys with the list 'signals'")
+    watchdog: float | None = Field(
+        None, ge=1e-3, le=60, description="[s] without a command after which the arm stops by itself; left out, unknown"
+    )
 
     @field_validator("signals")
     @classmethod
@@ -127,6 +130,10 @@ class CanFramesKeys(CanSettings):
             raise refused(
                 "key 'stop': a table that moves the arm must also define how it is halted",
                 'give its frames, such as [{id: 0x200, data: "00"}]',
+            )
+        if self.command is None and self.watchdog is not None:
+            raise refused(
+                "key 'watchdog': the arm's watchdog of commands, but nothing that commands it", "add 'command'"
             )
         if self.command is None and self.start:
             raise refused("key 'start': frames that enable the arm, but none that command it", "add 'command'")
@@ -180,6 +187,7 @@ class CanFramesSettings:
         start: frames that enable its drives, sent before the first command.
         stop: frames that halt it.
         command: None where the table cannot move the arm.
+        watchdog: without a command for so long [s] the arm stops by itself; None where that is not known.
     """
 
     interface: str
@@ -196,6 +204,7 @@ class CanFramesSettings:
     start: tuple[FixedFrame, ...]
     stop: tuple[FixedFrame, ...]
     command: CommandTable | None
+    watchdog: float | None
 
     @property
     def identifiers(self) -> frozenset[int]:
@@ -255,6 +264,7 @@ def parse_settings(
         start=_frames(keys.start),
         stop=_frames(keys.stop),
         command=None if command is None else _command(command),
+        watchdog=keys.watchdog,
     )
 
 

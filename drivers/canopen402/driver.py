@@ -14,7 +14,7 @@ from dataclasses import replace
 import can
 import numpy as np
 
-from drivers.base import DriverSettings, Notice, State, drained, require_state
+from drivers.base import DeviceLimits, DriverSettings, Notice, State, drained, require_state
 from drivers.can.bus import Sender, close_bus, open_bus, returns_own_frames, sends_in_kernel
 from drivers.can.receiver import Receiver
 from drivers.canopen402.monitor.drives import DriveWatch
@@ -32,6 +32,7 @@ from drivers.canopen402.samples.sync import BEHIND, SyncProducer
 from drivers.canopen402.samples.temperature import TemperaturePoll, read_temperature
 from drivers.canopen402.settings import MODES, parse_settings
 from drivers.canopen402.setup.configuration import Configured, Identity, configure
+from drivers.canopen402.setup.drive_limits import at_joints
 from drivers.canopen402.setup.error_control import check_own_id, release
 from drivers.canopen402.setup.other_masters import masters_heartbeats, require_alone
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
@@ -132,6 +133,24 @@ class Canopen402Driver:
         """
         self._require_not_closed("identify the drives")
         return self._configured.identities
+
+    def device_limits(self) -> DeviceLimits:
+        """The drives' own limits: 0x607D, 0x607F, 0x6072, 0x6065 and the ramp of their quick stop.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+        self._require_not_closed("tell the drives' limits")
+        return at_joints(self._configured.limits, self._scaling)
+
+    def cautions(self) -> tuple[str, ...]:
+        """What to mind of the drives' quick stop (0x605A), of their supervision, and of how they notice dynid's end.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+        self._require_not_closed("tell what to mind")
+        return self._configured.cautions
 
     def streams(self) -> tuple[StreamLayout, ...]:
         """`joints` at the rate of SYNC; `thermal` with a column for every joint whose drive tells a temperature.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -12,9 +12,10 @@ import numpy as np
 from daq.commands.console import print_table
 from daq.robot.loader import RobotFile
 from daq.session.connections import connection_names
+from daq.session.device_limits import before_a_motion
 from daq.session.session import load_driver
 from daq.session.supervisor import Limits, Supervisor
-from drivers.base import Driver, Identifying
+from drivers.base import DeviceLimits, Driver, Identifying, Limiting
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.config import WITH
 from drivers.errors import ConnectionFailedError
@@ -58,6 +59,7 @@ class CheckedConnection:
         driver: name of its driver.
         identities: of each device, as far as the driver can read them.
         streams: checked.
+        limits: quantity → limits of the joints that the controller or its drives tell of their own.
         notices: of the driver, level first.
         warnings: inconsistencies with the robot file, in words.
     """
@@ -66,6 +68,7 @@ class CheckedConnection:
     driver: str
     identities: tuple[Mapping[str, Any], ...]
     streams: tuple[CheckedStream, ...]
+    limits: Mapping[str, Mapping[str, float]]
     notices: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -126,6 +129,8 @@ def check_connection(
                 for one in driver.identify()
                 if dataclasses.is_dataclass(one) and not isinstance(one, type)
             )
+        own = driver.device_limits() if isinstance(driver, Limiting) else None
+        to_mind = before_a_motion(robot, driver)
         driver.start()
         batches = _listen(driver, name, clock)
         driver.stop()
@@ -146,9 +151,9 @@ def check_connection(
     warnings = _rate_warnings(streams) + _limit_warnings(
         Supervisor(Limits.of_robot(robot), layouts), batches, clock.now()
     )
-    return CheckedConnection(
-        name, kind, identities, tuple(streams), notices, tuple(warnings + _gain_warnings(robot_file, identities))
-    )
+    warnings += _gain_warnings(robot_file, identities) + to_mind
+    limits = {} if own is None else _limits_told(robot.joint_names, own)
+    return CheckedConnection(name, kind, identities, tuple(streams), limits, notices, tuple(warnings))
 
 
 def print_connection(connection: CheckedConnection) -> None:
@@ -162,6 +167,10 @@ def print_connection(connection: CheckedConnection) -> None:
                 f"{key} {value:.10g}" if isinstance(value, float) else f"{key} {value}" for key, value in shown.items()
             )
         )
+    if connection.limits:
+        joints = dict.fromkeys(joint for told in connection.limits.values() for joint in told)
+        limits = [(joint, *(told.get(joint) for told in connection.limits.values())) for joint in joints]
+        print_table("  limits of its own", ("", *connection.limits), limits)
     for stream in connection.streams:
         rate = "" if stream.rate_hz is None else f" at {stream.rate_hz:.4g} Hz"
         stated = f" (nominal: {stream.nominal_hz:.4g} Hz)" if stream.nominal_hz > 0 else ""
@@ -194,6 +203,24 @@ def _listen(driver: Driver, name: str, clock: Clock) -> list[Batch]:
     if not began:
         raise ConnectionFailedError(f"it is open, but no sample arrived within {wait:g} s", where=f"connection {name}")
     return batches
+
+
+def _limits_told(joints: Sequence[str], own: DeviceLimits) -> dict[str, dict[str, float]]:
+    """Quantity with unit → joint → what is told; quantities of which nothing is told are left out."""
+    told = {
+        "lowest [rad]": own.lowest,
+        "highest [rad]": own.highest,
+        "velocity [rad/s]": own.velocity,
+        "acceleration [rad/s²]": own.acceleration,
+        "torque [N·m]": own.torque,
+        "following error [rad]": own.following_error,
+        "stop [rad/s²]": own.stopping,
+    }
+    return {
+        name: {joint: value for joint, value in zip(joints, values.tolist(), strict=True) if value == value}
+        for name, values in told.items()
+        if values is not None and np.isfinite(values).any()
+    }
 
 
 def _rate(batches: list[Batch]) -> float | None:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from drivers.canopen402.protocol.objects import (
     CONTROLWORD,
     CURRENT,
     ERROR_CODE,
+    FOLLOWING_ERROR_WINDOW,
+    HIGHEST_POSITION,
+    HOME_OFFSET,
+    LOWEST_POSITION,
+    MAX_PROFILE_VELOCITY,
     MODE,
     MODE_CYCLIC_POSITION,
     MODE_DISPLAY,
@@ -16,6 +22,7 @@ from drivers.canopen402.protocol.objects import (
     PROFILE_ACCELERATION,
     PROFILE_DECELERATION,
     PROFILE_VELOCITY,
+    QUICK_STOP_DECELERATION,
     QUICK_STOP_OPTION,
     STATUSWORD,
     TARGET_POSITION,
@@ -23,15 +30,15 @@ from drivers.canopen402.protocol.objects import (
     VELOCITY,
     DriveObject,
 )
+from drivers.canopen402.protocol.state_machine import INTERNAL_LIMIT_BIT
+from drivers.canopen402.setup.drive_limits import NO_WINDOW
 from sim_drivers.canopen.motion import AxisReference, CyclicPosition, Profile, ReferenceMotion, Standstill
 from sim_drivers.canopen.object_dictionary import Abort, ObjectDictionary, SdoAbortError
-from sim_drivers.canopen.setup import QUICK_STOP_RAMP, DriveSetup, Feedback
+from sim_drivers.canopen.setup import DriveSetup, Feedback
 from sim_drivers.canopen.state import State, StateMachine
 
 BRAKE_DECELERATION = 20.0
 """Of the holding brake [rad/s²]: an assumption."""
-LARGEST_FOLLOWING_ERROR = 0.25
-"""[rad]: more of it is a fault."""
 WARM, HOT = 80.0, 90.0
 """Housing temperatures [°C] of the warning bit and of the fault."""
 QUICK_STOP_OPTIONS = (0, 1, 2, 5, 6)
@@ -75,7 +82,7 @@ class Axis:
         self._controlword = 0
         self._setpoint: float | None = None
         self._next_setpoint: float | None = None
-        self._acknowledged = False
+        self._acknowledged = self._limited = False
         self._connect_objects()
 
     @property
@@ -105,7 +112,7 @@ class Axis:
         self.machine.fault()
         self.objects.set(ERROR_CODE.index, 0, code)
         self._emergency(code)
-        ramp = self._deceleration(QUICK_STOP_RAMP.index) if moving else BRAKE_DECELERATION
+        ramp = self._deceleration(QUICK_STOP_DECELERATION.index) if moving else BRAKE_DECELERATION
         self._motion = Standstill(self.reference, ramp)
 
     def command(self, controlword: int) -> None:
@@ -122,8 +129,8 @@ class Axis:
         """Apply the cyclic set-point of a SYNC at a time [s]; `cycle` [s] from the last one, 0 where unknown."""
         if not isinstance(self._motion, CyclicPosition) or self.machine.state is not State.OPERATION_ENABLED:
             return
-        target = self.position_of(self.objects.number(TARGET_POSITION.index))
-        if abs(target - self.reference.position) > LARGEST_FOLLOWING_ERROR:
+        target = self._within_range(self.position_of(self.objects.number(TARGET_POSITION.index)))
+        if abs(target - self.reference.position) > self._following_error_window():
             self.fault(FOLLOWING_ERROR)
         else:
             self._motion.aim(target, time, cycle)
@@ -139,7 +146,9 @@ class Axis:
         state = self.machine.state
         if state in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE) and self._motion.finished:
             self.machine.stopped()
-        elif state is State.OPERATION_ENABLED and abs(self.reference.position - actual) > LARGEST_FOLLOWING_ERROR:
+        elif (
+            state is State.OPERATION_ENABLED and abs(self.reference.position - actual) > self._following_error_window()
+        ):
             self.fault(FOLLOWING_ERROR)
         return self.reference
 
@@ -171,11 +180,28 @@ class Axis:
         if word & RELATIVE:
             start = self._setpoint if self._setpoint is not None else self.reference.position
             target = start + target - self.setup.zero
+        target = self._within_range(target)
         if word & CHANGE_AT_ONCE or self._motion.finished:
             self._begin_profile(target)
         else:
             self._next_setpoint = target
         self._acknowledged = True
+
+    def _within_range(self, target: float) -> float:
+        """A target within the software position limits (0x607D), which lie the home offset off; nearer where beyond."""
+        ends = [self.objects.number(one.index, one.subindex) for one in (LOWEST_POSITION, HIGHEST_POSITION)]
+        if ends[0] >= ends[1]:
+            return target
+        home = self.objects.number(HOME_OFFSET.index)
+        lowest, highest = sorted(self.position_of(end - home) for end in ends)
+        within = min(max(target, lowest), highest)
+        self._limited = within != target
+        return within
+
+    def _following_error_window(self) -> float:
+        """The largest following error [rad]; infinite where it is not supervised."""
+        window = self.objects.number(FOLLOWING_ERROR_WINDOW.index)
+        return math.inf if window == NO_WINDOW else window / abs(self.setup.counts_per_radian)
 
     def _go_on(self) -> None:
         """After a halt."""
@@ -194,7 +220,8 @@ class Axis:
         self._motion = Profile(
             self.reference,
             target,
-            max(self.objects.number(PROFILE_VELOCITY.index), 1) / abs(self.setup.counts_per_radian),
+            max(min(self.objects.number(one.index) for one in (PROFILE_VELOCITY, MAX_PROFILE_VELOCITY)), 1)
+            / abs(self.setup.counts_per_radian),
             self._deceleration(PROFILE_ACCELERATION.index),
             self._deceleration(PROFILE_DECELERATION.index),
         )
@@ -203,14 +230,15 @@ class Axis:
         """Effect of a change of state on the motion."""
         state = self.machine.state
         self._setpoint = self._next_setpoint = None
-        self._acknowledged = False
+        self._acknowledged = self._limited = False
         if state is State.OPERATION_ENABLED:
             self.reference = AxisReference(self.feedback.position)
             self._take_mode()
         elif state is State.QUICK_STOP_ACTIVE:
             slow = self.machine.quick_stop_option in (1, 5)
             self._motion = Standstill(
-                self.reference, self._deceleration(PROFILE_DECELERATION.index if slow else QUICK_STOP_RAMP.index)
+                self.reference,
+                self._deceleration(PROFILE_DECELERATION.index if slow else QUICK_STOP_DECELERATION.index),
             )
         elif before in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
             self._motion = Standstill(self.reference, BRAKE_DECELERATION)
@@ -245,6 +273,7 @@ class Axis:
         if self.feedback.temperature >= WARM:
             word |= WARNING
         if self.machine.state is State.OPERATION_ENABLED:
+            word |= INTERNAL_LIMIT_BIT if self._limited else 0
             if self._active_mode == MODE_CYCLIC_POSITION:
                 word |= MODE_BIT_12
             elif self._active_mode == MODE_PROFILE_POSITION:

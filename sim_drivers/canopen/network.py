@@ -95,6 +95,12 @@ def drive_setups(robot: Robot, settings: CanopenSettings) -> tuple[DriveSetup, .
             velocity=0.25 * joint.velocity,
             acceleration=joint.acceleration,
         )
+        if not robot.model.coupling:  # else the limits of a joint are none of a motor
+            largest = torque * PEAK_FACTOR if joint.torque is None else joint.torque
+            lowest, highest = joint.position
+            known = replace(
+                known, lowest=lowest, highest=highest, largest_velocity=joint.velocity, largest_torque=largest
+            )
         setups.append(known if counts is None else replace(known, increments=round(counts), gear=1))
     return tuple(setups)
 

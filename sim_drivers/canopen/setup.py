@@ -8,20 +8,26 @@ from dataclasses import dataclass
 from drivers.canopen402.protocol.objects import (
     ENCODER_INCREMENTS,
     ENCODER_TURNS,
+    FOLLOWING_ERROR_WINDOW,
     GEAR_MOTOR_TURNS,
     GEAR_SHAFT_TURNS,
+    HIGHEST_POSITION,
+    LOWEST_POSITION,
+    MAX_PROFILE_VELOCITY,
+    MAX_TORQUE,
     PROFILE_ACCELERATION,
     PROFILE_DECELERATION,
     PROFILE_VELOCITY,
+    QUICK_STOP_DECELERATION,
     RATED_CURRENT,
     RATED_TORQUE,
     SERIAL,
-    DriveObject,
 )
 
-QUICK_STOP_DECELERATION = 20.0
+QUICK_STOP_RAMP = 20.0
 """Default of object 0x6085 [rad/s²]."""
-QUICK_STOP_RAMP = DriveObject(0x6085, 0, 4, False, "quick stop deceleration")
+LARGEST_FOLLOWING_ERROR = 0.25
+"""Default of object 0x6065 [rad]."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,9 @@ class DriveSetup:
         rated_torque: joint side [N·m].
         velocity: of profiles, unless the master sets another [rad/s].
         acceleration: of profiles, unless the master sets another [rad/s²].
+        lowest, highest: software position limits of the joint [rad]; none where they are infinite.
+        largest_velocity: of profiles [rad/s].
+        largest_torque: joint side [N·m].
     """
 
     serial: int
@@ -49,6 +58,10 @@ class DriveSetup:
     rated_torque: float = 50.0
     velocity: float = 0.5
     acceleration: float = 5.0
+    lowest: float = -math.inf
+    highest: float = math.inf
+    largest_velocity: float = math.inf
+    largest_torque: float = math.inf
 
     @property
     def counts_per_radian(self) -> float:
@@ -70,7 +83,14 @@ class Feedback:
 def fixed_values(setup: DriveSetup) -> dict[tuple[int, int], int | str]:
     """Objects whose values are this drive's own, by index and subindex."""
     scale = abs(setup.counts_per_radian)
+    limited = math.isfinite(setup.lowest) and math.isfinite(setup.highest)
+    ends = [round((end - setup.zero) * setup.counts_per_radian) for end in (setup.lowest, setup.highest) if limited]
     return {
+        (LOWEST_POSITION.index, LOWEST_POSITION.subindex): max(min(ends, default=0), -(1 << 31)),
+        (HIGHEST_POSITION.index, HIGHEST_POSITION.subindex): min(max(ends, default=0), (1 << 31) - 1),
+        (MAX_PROFILE_VELOCITY.index, 0): round(min(setup.largest_velocity * scale, 2**32 - 1)),
+        (MAX_TORQUE.index, 0): round(min(1e3 * setup.largest_torque / setup.rated_torque, 2**16 - 1)),
+        (FOLLOWING_ERROR_WINDOW.index, 0): round(LARGEST_FOLLOWING_ERROR * scale),
         (SERIAL.index, SERIAL.subindex): setup.serial,
         (ENCODER_INCREMENTS.index, 1): setup.increments,
         (ENCODER_TURNS.index, 2): 1,
@@ -81,5 +101,5 @@ def fixed_values(setup: DriveSetup) -> dict[tuple[int, int], int | str]:
         (PROFILE_VELOCITY.index, 0): round(setup.velocity * scale),
         (PROFILE_ACCELERATION.index, 0): round(setup.acceleration * scale),
         (PROFILE_DECELERATION.index, 0): round(setup.acceleration * scale),
-        (QUICK_STOP_RAMP.index, 0): round(QUICK_STOP_DECELERATION * scale),
+        (QUICK_STOP_DECELERATION.index, 0): round(QUICK_STOP_RAMP * scale),
     }

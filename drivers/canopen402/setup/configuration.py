@@ -16,6 +16,7 @@ from drivers.canopen402.protocol.sdo import RemoteDrive
 from drivers.canopen402.protocol.state_machine import supports_mode
 from drivers.canopen402.samples.alignment import Scaling
 from drivers.canopen402.settings import MODES, CanopenSettings, NodeSettings
+from drivers.canopen402.setup.drive_limits import DriveLimits, cautions_of, read_drive_limits
 from drivers.canopen402.setup.error_control import ErrorControl, configure_error_control, warnings_of
 from drivers.canopen402.setup.pdo_mapping import configure_pdos
 from drivers.canopen402.setup.readiness import faults, require_unpowered, reset_faults
@@ -26,6 +27,8 @@ PROBE_LIMIT = 1.0
 """How long [s] all drives together may take to answer the first one."""
 SECOND_ANSWER = 0.02
 """How long [s] a second device with the same node id may take to answer as well."""
+PERIOD_AGREEMENT = 1e-3
+"""Relative difference from which the interpolation period of a drive is not that of SYNC."""
 AGREEMENT = 0.01
 """Relative difference from which a rated value in the robot file and in the drive contradict each other."""
 
@@ -66,12 +69,16 @@ class Configured:
         identities: one a joint.
         scaling: of their numbers.
         controls: how each drive is watched, and watches.
+        limits: that each drive keeps itself.
+        cautions: what to mind before the drives move an arm.
         notices: warnings.
     """
 
     identities: tuple[Identity, ...]
     scaling: Scaling
     controls: tuple[ErrorControl, ...]
+    limits: tuple[DriveLimits, ...]
+    cautions: tuple[str, ...]
     notices: tuple[Notice, ...]
 
 
@@ -131,7 +138,9 @@ def configure(
         if mode is not None:
             drive.write(objects.MODE, mode)
             _configure_mode(drive, node, identity, settings)
-    for message in warnings_of([(drive.where, one) for drive, one in zip(drives, controls, strict=True)], settings):
+    limits = tuple(read_drive_limits(drive) for drive in drives)
+    blind = warnings_of([(drive.where, one) for drive, one in zip(drives, controls, strict=True)], settings)
+    for message in blind:
         report("warning", message)
     scaling = Scaling(
         counts_per_turn=np.array([one.counts_per_turn for one in identities]),
@@ -140,7 +149,8 @@ def configure(
         rated_current=np.array([one.rated_current for one in identities]),
         rated_torque=np.array([one.rated_torque for one in identities]),
     )
-    return Configured(tuple(identities), scaling, tuple(controls), tuple(notices))
+    cautions = (*blind, *cautions_of([drive.joint for drive in drives], limits))
+    return Configured(tuple(identities), scaling, tuple(controls), limits, cautions, tuple(notices))
 
 
 def _probe(drives: Sequence[RemoteDrive], sender: Sender, deadline: float, clock: Clock) -> None:
@@ -269,6 +279,7 @@ def _configure_mode(drive: RemoteDrive, node: NodeSettings, identity: Identity, 
     if settings.mode == "position":
         value, exponent = _as_power(1.0 / settings.sync_rate)
         if drive.write_optional(objects.INTERPOLATION_INDEX, exponent):
+            _require_exact_period(drive, value * 10.0**exponent, settings.sync_rate)
             drive.write_optional(objects.INTERPOLATION_PERIOD, value)
         return
     counts = identity.counts_per_turn / (2.0 * math.pi)
@@ -277,6 +288,20 @@ def _configure_mode(drive: RemoteDrive, node: NodeSettings, identity: Identity, 
     if node.acceleration is not None:
         drive.write(objects.PROFILE_ACCELERATION, round(node.acceleration * counts))
         drive.write(objects.PROFILE_DECELERATION, round(node.acceleration * counts))
+
+
+def _require_exact_period(drive: RemoteDrive, written: float, rate: float) -> None:
+    """Refuse a rate whose period the drive's one byte would round: it would interpolate at another rate."""
+    if abs(written * rate - 1.0) < PERIOD_AGREEMENT:
+        return
+    step = 10.0 ** math.ceil(math.log10(1.0 / rate / 255.0))
+    periods = (step * round_(1.0 / rate / step) for round_ in (math.ceil, math.floor))
+    raise ConnectionFailedError(
+        f"the period of sync_rate {rate:g} Hz, {1e3 / rate:.6g} ms, does not fit into {objects.INTERPOLATION_PERIOD}, "
+        f"which would hold {1e3 * written:g} ms",
+        where=drive.where,
+        hint=f"set sync_rate to {' or '.join(f'{1.0 / period:.6g}' for period in periods)} Hz",
+    )
 
 
 def _as_power(period: float) -> tuple[int, int]:

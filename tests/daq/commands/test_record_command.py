@@ -122,6 +122,17 @@ def test_a_motion_is_recorded_and_told_as_json(bench, dynid):
     assert arm.stopped_at is not None
 
 
+def test_what_the_controller_is_known_for_is_told_before_a_motion_and_kept(bench, dynid, monkeypatch):
+    monkeypatch.setattr(KinematicArm, "cautions", lambda self: ["elbow: its quick stop coasts"], raising=False)
+    options = ("--trajectory", "traj.yaml", "--yes", "-o", "run.h5")
+    status, out, err = dynid("record", "robot.yaml", *options)
+    assert status == 0, err
+    assert "mind of this arm's controller or drives:\n  elbow: its quick stop coasts\n" in out
+    events = read_recording(bench.folder / "run.h5").events
+    assert ("warning", "elbow: its quick stop coasts") in [(event.level, event.message) for event in events]
+    assert "coasts" not in dynid("record", "robot.yaml", "--duration", "0.1", "-o", "still.h5")[1]
+
+
 def test_streams_are_told_as_info_tells_them(bench, dynid):
     status, out, _ = dynid("record", "robot.yaml", "--duration", "0.6", "-o", "run.h5", "--json")
     assert status == 0

@@ -14,8 +14,9 @@ from types import MappingProxyType
 import can
 import numpy as np
 import pytest
-from canopen_recording import Bench, Run, arm_on_bus, swing
+from canopen_recording import RADIANS, Bench, Run, arm_on_bus, swing
 
+from daq.session.device_limits import before_a_motion
 from daq.session.session import READ_TIMEOUT
 from daq.session.supervisor import STALE_FLOOR
 from drivers.can.receiver import POLL, Receiver
@@ -354,6 +355,29 @@ def test_drives_stop_by_themselves_when_the_program_is_suspended_and_it_says_why
         ]
         assert len(told) == 6 + 1
         assert all(moment > FAULT for moment in told)
+
+
+def test_limits_looser_than_the_drives_own_are_named_before_a_motion() -> None:
+    with arm_on_bus(opened=False) as bench:
+        robot = bench.robot_file.robot
+        bench.driver.open()
+        assert before_a_motion(robot, bench.driver) == []  # simulated drives have those of the robot file
+        bench.driver.close()
+        objects, counts = bench.server.network.drives[2].objects, 1.0 / RADIANS
+        for index, subindex, value in ((0x607D, 1, -1), (0x607D, 2, 2), (0x607F, 0, 0.5), (0x6085, 0, 0.25)):
+            objects.set(index, subindex, round(value * counts))
+        objects.set(0x6072, 0, 1500)
+        objects.set(0x605A, 0, 0)
+        bench.driver.open()
+        names = ["position limits wider", "velocity limits above", "torque limits above"]
+        said = before_a_motion(robot, bench.driver)
+        assert [line.partition(" than")[0].partition(" the contr")[0] for line in said[:3]] == names
+        assert all(": elbow_joint " in line and ";" not in line for line in said[:3])
+        assert said[3] == "elbow_joint: quick stop option (0x605A) 0: its voltage is cut, and the arm coasts"
+        objects.set(0x605A, 0, 6)
+        bench.driver.close()
+        bench.driver.open()
+        assert before_a_motion(robot, bench.driver)[3].startswith("a stop slows down less than")
 
 
 def test_swapped_node_ids_are_found_before_anything_moves() -> None:

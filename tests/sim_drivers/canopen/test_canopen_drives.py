@@ -214,6 +214,37 @@ def test_a_target_far_away_is_a_following_error_and_no_jump() -> None:
     np.testing.assert_allclose(bench.arm.position, before, atol=1e-4)
 
 
+@pytest.mark.parametrize(("mode", "fastest", "reached"), [(8, 1000, 2000), (1, 20_000, 2000), (1, 1000, 1000)])
+def test_software_limits_of_position_and_profile_velocity(mode: int, fastest: int, reached: int) -> None:
+    bench = Bench()
+    bench.pass_time(0.1)
+    bench.map_pdos()
+    targets = bench.enable(mode)
+    assert not bench.write(3, 0x607C, 0, 500, 4)  # the home offset is taken off
+    assert not bench.write(3, 0x607D, 2, targets[2] + 2500, 4)
+    assert not bench.write(3, 0x607F, 0, fastest, 4)  # of profiles
+    for step in range(400):
+        goal = targets[2] + (min(20 * step, 4000) if mode == 8 else 4000)
+        told = bench.cycle(0x1F if step else 0x0F, [*targets[:2], goal, *targets[3:]], mode)
+    assert told[3].position - targets[2] == pytest.approx(reached, abs=25)
+    assert told[3].status & 0x86F == 0x827  # enabled, an internal limit is active
+    assert told[2].status & 0x86F == 0x027
+
+
+def test_the_window_of_the_following_error_is_the_masters() -> None:
+    bench = Bench()
+    bench.pass_time(0.1)
+    bench.map_pdos()
+    targets = bench.enable()
+    assert not bench.write(2, 0x6065, 0, 1000, 4)
+    assert not bench.write(3, 0x6065, 0, 2**32 - 1, 4)
+    for _ in range(3):
+        told = bench.cycle(0x0F, [targets[0], targets[1] + 1500, targets[2] + 1500, *targets[3:]])
+    bench.pass_time(0.1)
+    assert bench.emergencies() == [(2, FOLLOWING_ERROR, 0x21)]
+    assert told[3].status & 0x6F == 0x27
+
+
 def test_a_hot_drive_falls_into_fault_and_is_reset_by_its_master() -> None:
     bench = Bench()
     bench.pass_time(0.1)

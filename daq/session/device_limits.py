@@ -1,0 +1,55 @@
+"""What a controller says of its own limits and stops, against the robot file: to be known before an arm moves."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.robot.schema import Robot
+from daq.session.sources import Sources
+from drivers.base import Cautioning, DeviceLimits, Driver, Limiting
+from drivers.streams import FloatArray
+
+POSITION_AGREEMENT = 1e-3
+"""[rad]: positions that differ by less are the same."""
+AGREEMENT = 0.01
+"""Relative difference of other limits that are the same."""
+
+
+def before_a_motion(robot: Robot, driver: Driver) -> list[str]:
+    """What a person should know before a driver that is open moves its arm, one line each."""
+    main = driver.main if isinstance(driver, Sources) else driver
+    said = looser_limits(robot, main.device_limits()) if isinstance(main, Limiting) else []
+    return said + (list(main.cautions()) if isinstance(main, Cautioning) else [])
+
+
+def looser_limits(robot: Robot, own: DeviceLimits) -> list[str]:
+    """The robot file's limits that are looser than the controller's own, a line per quantity."""
+    joints = robot.joints
+    lowest, highest = np.array([joint.position for joint in joints]).T
+    torque = np.array([np.nan if joint.torque is None else joint.torque for joint in joints])
+    acceleration = np.array([joint.acceleration for joint in joints])
+    wider = (lowest < own.lowest - POSITION_AGREEMENT) | (highest > own.highest + POSITION_AGREEMENT)
+    lines = []
+    if wider.any():
+        pairs = [
+            f"{joints[k].name} {lowest[k]:.4g} to {highest[k]:.4g} rad, own {own.lowest[k]:.4g} to {own.highest[k]:.4g}"
+            for k in np.flatnonzero(wider)
+        ]
+        lines.append(f"position limits wider than the controller's own ({own.sources['position']}): {'; '.join(pairs)}")
+    for name, unit, mine, theirs in (
+        ("velocity", "rad/s", np.array([joint.velocity for joint in joints]), own.velocity),
+        ("acceleration", "rad/s²", acceleration, own.acceleration),
+        ("torque", "N·m", torque, own.torque),
+    ):
+        if theirs is not None and (looser := mine > theirs * (1.0 + AGREEMENT)).any():
+            listed = _listed(robot, looser, mine, theirs, unit)
+            lines.append(f"{name} limits above the controller's own ({own.sources[name]}): {listed}")
+    if own.stopping is not None and (slow := own.stopping < acceleration * (1.0 - AGREEMENT)).any():
+        listed = _listed(robot, slow, acceleration, own.stopping, "rad/s²")
+        lines.append(f"a stop slows down less than the acceleration limits allow ({own.sources['stopping']}): {listed}")
+    return lines
+
+
+def _listed(robot: Robot, which: npt.NDArray[np.bool_], mine: FloatArray, theirs: FloatArray, unit: str) -> str:
+    return "; ".join(f"{robot.joints[k].name} {mine[k]:.4g} {unit}, own {theirs[k]:.4g}" for k in np.flatnonzero(which))
