@@ -14,13 +14,13 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from friction_shapes import Columns, ShapeCost, lugre_columns, stribeck_columns
+from library_optimisers import CmaEs, DifferentialEvolution
 from scipy.optimize import least_squares
 
 from drivers.streams import FloatArray
 from ident.estimators.swarm.box import Box
-from ident.estimators.swarm.friction_shapes import Columns, ShapeCost, lugre_columns, stribeck_columns
 from ident.estimators.swarm.frog_leaping import FrogLeaping
-from ident.estimators.swarm.library_optimisers import CmaEs, DifferentialEvolution
 from ident.estimators.swarm.minimisation import Budget, Optimiser, minimise
 from ident.estimators.swarm.particle_swarm import ParticleSwarm, RandomWeight
 

@@ -18,6 +18,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from library_optimisers import CmaEs, DifferentialEvolution
 from up6_excitation import PAPER
 
 import dynid
@@ -26,7 +27,6 @@ from drivers.streams import FloatArray
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.frog_leaping import FrogLeaping
 from ident.estimators.swarm.identifiability import identifiability
-from ident.estimators.swarm.library_optimisers import CmaEs, DifferentialEvolution
 from ident.estimators.swarm.minimisation import Budget, Minimum, Optimiser, minimise
 from ident.estimators.swarm.particle_swarm import ParticleSwarm
 from ident.estimators.swarm.physical import PhysicalCost, PhysicalParameters, physical_values

@@ -12,9 +12,15 @@ from ident.estimators.feasible.prior import link_priors
 from ident.estimators.search_estimator import Space, no_penalty
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.identifiability import Identified, identifiability
-from ident.estimators.swarm.physical import SIZE, PhysicalCost, PhysicalParameters, physical_names, physical_values
+from ident.estimators.swarm.physical import (
+    SIZE,
+    FeasibilityPenalty,
+    PhysicalCost,
+    PhysicalParameters,
+    physical_names,
+    physical_values,
+)
 from ident.estimators.swarm.quadratic_cost import QuadraticCost
-from ident.estimators.swarm.robust_cost import FeasibilityPenalty
 from ident.regression.least_squares import LeastSquares
 from ident.signals.prepared import Step
 

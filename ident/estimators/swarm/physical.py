@@ -14,7 +14,7 @@ import numpy as np
 
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
-from ident.estimators.feasible.pseudo_inertia import body_of
+from ident.estimators.feasible.pseudo_inertia import body_of, pseudo_inertia
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.quadratic_cost import QuadraticCost
 from ident.model.dynamic_model import DynamicModel
@@ -165,3 +165,24 @@ class PhysicalCost:
         begin = np.clip((point - box.lower) / box.width, 1e-6, 1.0 - 1e-6)
         found = least_squares(residual, begin, derivative, bounds=(0.0, 1.0), xtol=1e-15, ftol=1e-15, gtol=1e-15)
         return box.clip(box.lower + box.width * found.x)
+
+
+@dataclass(frozen=True, eq=False)
+class FeasibilityPenalty:
+    """Σ over links of the negative eigenvalues of their pseudo-inertia, relative to a reference body's; 0 if feasible.
+
+    Attributes:
+        inverse_roots: (k, 4, 4) L⁻¹ of each link's reference pseudo-inertia L·Lᵀ.
+    """
+
+    inverse_roots: FloatArray
+
+    @classmethod
+    def of(cls, references: FloatArray) -> FeasibilityPenalty:
+        """Relative to links (k, 10) of standard parameters that can exist."""
+        return cls(np.linalg.inv(np.linalg.cholesky(pseudo_inertia(references))))
+
+    def __call__(self, links: FloatArray) -> FloatArray:
+        """Penalties (P,) of links (P, k, 10)."""
+        relative = self.inverse_roots @ pseudo_inertia(links) @ np.swapaxes(self.inverse_roots, -1, -2)
+        return np.asarray(-np.minimum(np.linalg.eigvalsh(relative), 0.0).sum(axis=(-1, -2)))

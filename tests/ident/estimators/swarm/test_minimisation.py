@@ -7,7 +7,6 @@ from drivers.errors import IdentificationError, UsageError
 from drivers.streams import FloatArray
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.frog_leaping import FrogLeaping
-from ident.estimators.swarm.library_optimisers import CmaEs, DifferentialEvolution
 from ident.estimators.swarm.minimisation import Budget, Optimiser, minimise
 from ident.estimators.swarm.particle_swarm import ParticleSwarm, RandomWeight
 
@@ -15,8 +14,6 @@ OPTIMISERS: list[Optimiser] = [
     FrogLeaping(frogs=30, memeplexes=5, random="coordinate"),
     ParticleSwarm(particles=30),
     ParticleSwarm(particles=30, weight=RandomWeight()),
-    DifferentialEvolution(30),
-    CmaEs(30),
 ]
 BOX = Box(np.array([-1.0, 0.0, 10.0]), np.array([3.0, 1e-3, 1e4]))
 INSIDE = np.array([0.5, 3e-4, 7e3])
@@ -27,9 +24,7 @@ def bowl(points: FloatArray) -> FloatArray:
     return np.asarray(np.sum(((points - INSIDE) / BOX.width) ** 2, axis=1))
 
 
-every = pytest.mark.parametrize(
-    "optimiser", OPTIMISERS, ids=["frogs", "particles", "random-weight", "evolution", "cma"]
-)
+every = pytest.mark.parametrize("optimiser", OPTIMISERS, ids=["frogs", "particles", "random-weight"])
 
 
 @every
@@ -138,8 +133,6 @@ def test_given_points_belong_to_the_initial_population() -> None:
         (lambda: ParticleSwarm(social=-1.0), "learning factors"),
         (lambda: ParticleSwarm(fastest=0.0), "velocity clamp 0"),
         (lambda: RandomWeight(0.9, 0.4), "no random weight"),
-        (lambda: DifferentialEvolution(4), "at least 5"),
-        (lambda: CmaEs(3), "at least 4"),
         (lambda: Budget(0), "0 generations"),
         (lambda: Budget(1, seconds=-1.0), "no time"),
         (lambda: Box(np.zeros(2), np.array([1.0, 0.0]), ("M1", "M2")), "search range of M2 is empty: 0 to 0"),

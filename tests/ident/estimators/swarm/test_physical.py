@@ -7,7 +7,13 @@ from daq.robot.loader import load_robot
 from drivers.errors import UsageError
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.identifiability import identifiability
-from ident.estimators.swarm.physical import PhysicalCost, PhysicalParameters, physical_names, physical_values
+from ident.estimators.swarm.physical import (
+    FeasibilityPenalty,
+    PhysicalCost,
+    PhysicalParameters,
+    physical_names,
+    physical_values,
+)
 from ident.estimators.swarm.quadratic_cost import QuadraticCost
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
@@ -86,3 +92,15 @@ def test_parameters_that_do_not_exist_are_refused() -> None:
     for names, message in ((["m9"], "'m9' is no physical parameter of up6"), (["m1", "m1"], "named twice")):
         with pytest.raises(UsageError, match=message):
             PhysicalParameters.of(MODEL, TRUTH, names)
+
+
+def test_only_impossible_bodies_are_penalised() -> None:
+    links = truth_vector(load_robot("up6"))[:30].reshape(3, 10)
+    penalty = FeasibilityPenalty.of(links)
+    impossible = links.copy()
+    impossible[1, 9] = -1.0
+    worse = links.copy()
+    worse[1, 9] = -35.0
+    costs = penalty(np.array([links, 0.1 * links, impossible, worse]))
+    assert costs[:2] == pytest.approx(0.0)
+    assert 0.0 < costs[2] < costs[3]

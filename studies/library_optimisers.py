@@ -98,7 +98,7 @@ class CmaEs:
         try:
             import cma
         except ImportError as error:
-            raise UsageError("cma is not installed", hint="pip install 'dynid[swarm]'") from error
+            raise UsageError("cma is not installed", hint="pip install 'dynid[dev]'") from error
         box = search.box
         centre = (search.initial(1)[0] - box.lower) / box.width
         # 0 would mean the clock to the library.
