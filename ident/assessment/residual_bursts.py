@@ -1,8 +1,10 @@
 """Short stretches in which the torque leaves the model by far: contacts, collisions, a cable, a hand on the arm.
 
-A model that lacks something leaves a residual that returns with the motion. A contact leaves a burst of some tenths of
-a second, many times the usual residual, and bends the whole fit. So bursts are looked for in the residuals of the fit,
-and believed where a fit without them is clearly better everywhere else (`bends_fit`).
+A model that lacks something leaves residuals that grow and fall with the motion. A contact leaves a burst of some
+tenths of a second, in several joints at once. So windows are compared with what this recording's other windows are
+like: each joint's mean squared residual over its median, as a logarithm, summed over the joints, in robust standard
+deviations of that sum. Windows overlap and the residuals are dependent; the median and the median deviation of the sum
+do not mind. Samples near a velocity reversal do not count, where static friction is in no model.
 """
 
 from __future__ import annotations
@@ -17,10 +19,19 @@ from drivers.streams import FloatArray
 from ident.regression.comparison import TorqueSeries
 
 WINDOW = 0.3
-"""[s] over which the squared residuals are averaged: shorter peaks are outliers or velocity reversals."""
+"""[s] over which the squared residuals are averaged."""
 
-LEVEL = 9.0
-"""Mean of the squared residuals over a window, in units of their usual size, from which on it is part of a burst."""
+FEWEST_WINDOWS = 15
+"""Recordings of fewer, end to end, do not show what is usual."""
+
+SLOW = 0.1
+"""Share of its root mean square below which a joint's velocity is near a reversal."""
+
+REVERSAL = 0.1
+"""[s] before and after a reversal that do not count, since the filter spreads what happens there."""
+
+COUNTED = 0.5
+"""Share of a window's samples that must count for a joint."""
 
 MOST_TIME = 0.25
 """Share of the time beyond which bursts are no exceptions, and the model is wrong."""
@@ -28,14 +39,12 @@ MOST_TIME = 0.25
 APART = 0.5
 """[s]; bursts that are closer are one."""
 
-BETTER = 1.15
-"""Factor by which the residuals outside bursts fall without these, from which on they bend the fit; where a model lacks
-something they fall by 1.10 (UR10)."""
-
-LARGER = 3.0
-"""Residuals within over those outside, of the fit without bursts; 2.6 where a model lacks something (UR10)."""
+LEAST_LEVEL = 1e-6
+"""Of a joint's median squared residual: what is smaller is rounding."""
 
 _MEDIAN_OF_NORMAL = 0.6745
+
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -45,94 +54,126 @@ class Burst:
     start: float
     stop: float
 
-    def within(self, time: FloatArray) -> npt.NDArray[np.bool_]:
+    def within(self, time: FloatArray) -> BoolArray:
         """(M,) which of some stamps [s] it holds."""
         return np.asarray((time >= self.start) & (time <= self.stop))
 
 
-def residual_bursts(series: Sequence[TorqueSeries], torques: Sequence[int]) -> tuple[list[Burst], ...]:
-    """Bursts of each segment; none where they hold more than `MOST_TIME`.
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """All windows of a segment.
+
+    Attributes:
+        start, stop: (K,) first and last stamp [s].
+        deviation: (K,) of the joints' summed log squared residual from its median, in robust σ; nan where none counts.
+        larger: (K,) geometric mean over the joints of the residual over the usual one.
+    """
+
+    start: FloatArray
+    stop: FloatArray
+    deviation: FloatArray
+    larger: FloatArray
+
+
+def windows(
+    series: Sequence[TorqueSeries], torques: Sequence[int], bursts: Sequence[Sequence[Burst]] | None = None
+) -> list[Windows]:
+    """The windows of each segment, compared with all that hold no burst; none where there are too few.
 
     Args:
         series: measured and predicted torques, one per segment.
         torques: indices of the motors whose torques are used.
+        bursts: of each segment.
     """
     chosen = list(torques)
-    residual = [part.residual[chosen] for part in series]
-    counted = [part.counted[chosen] for part in series]
-    rows = zip(np.concatenate(residual, axis=1), np.concatenate(counted, axis=1), strict=True)
-    usual = np.array([_usual(row[mask]) for row, mask in rows])[:, None]
-    found = []
-    for part, values, mask in zip(series, residual, counted, strict=True):
-        relative = np.divide(values**2, usual**2, out=np.zeros_like(values), where=usual > 0.0)
-        found.append(_of_series(part.time, relative.sum(axis=0) / np.maximum(1, mask.sum(axis=0)), part.used))
-    inside = sum(int(np.sum(_inside(part, bursts) & part.used)) for part, bursts in zip(series, found, strict=True))
-    few = inside <= MOST_TIME * sum(int(part.used.sum()) for part in series)
-    return tuple(bursts if few else [] for bursts in found)
-
-
-def bends_fit(
-    before: Sequence[TorqueSeries], after: Sequence[TorqueSeries], bursts: Sequence[list[Burst]], torques: Sequence[int]
-) -> float | None:
-    """How many times the usual residual the bursts are, if they bend the fit; else None.
-
-    Args:
-        before: torques of the fit to all data.
-        after: those of the fit without the bursts, on all data.
-        bursts: of each segment.
-        torques: indices of the motors whose torques are used.
-    """
-    outside = _sizes(before, bursts, torques, inside=False), _sizes(after, bursts, torques, inside=False)
-    within = _sizes(after, bursts, torques, inside=True)
-    shown = (outside[0] > 0.0) & (outside[1] > 0.0) & (within > 0.0)
-    if not shown.any():
-        return None
-    better, larger = (
-        float(np.exp(np.mean(np.log(first[shown] / second[shown]))))
-        for first, second in ((outside[0], outside[1]), (within, outside[1]))
+    squares = [np.sum(np.where(part.counted, part.velocity**2, 0.0), axis=1) for part in series]
+    counts = [np.sum(part.counted, axis=1) for part in series]
+    speed = np.sqrt(sum(squares) / np.maximum(1, sum(counts)))
+    means = [_means(part, SLOW * speed)[chosen] for part in series]
+    spans = [_spans(part) for part in series]
+    kept = np.concatenate(
+        [~_touched(span, [] if bursts is None else bursts[number]) for number, span in enumerate(spans)]
     )
-    return larger if better >= BETTER and larger >= LARGER else None
-
-
-def _inside(part: TorqueSeries, bursts: Sequence[Burst]) -> npt.NDArray[np.bool_]:
-    """(M,) samples of a segment within bursts."""
-    inside = np.zeros(len(part.time), dtype=np.bool_)
-    for burst in bursts:
-        inside |= burst.within(part.time)
-    return inside
-
-
-def _sizes(
-    series: Sequence[TorqueSeries], bursts: Sequence[list[Burst]], torques: Sequence[int], *, inside: bool
-) -> FloatArray:
-    """Root mean square (k,) of the residuals of each motor inside or outside the bursts."""
-    chosen, squares, counts = list(torques), 0.0, 0.0
-    for part, of_part in zip(series, bursts, strict=True):
-        here = part.counted[chosen] & (_inside(part, of_part) == inside)
-        squares = squares + np.sum(np.where(here, part.residual[chosen] ** 2, 0.0), axis=1)
-        counts = counts + here.sum(axis=1)
-    return np.asarray(np.sqrt(squares / np.maximum(counts, 1.0)))
-
-
-def _usual(residual: FloatArray) -> float:
-    """Standard deviation of a joint's residuals, from the median of their size, which bursts hardly change."""
-    return float(np.median(np.abs(residual))) / _MEDIAN_OF_NORMAL if len(residual) else 0.0
-
-
-def _of_series(time: FloatArray, squares: FloatArray, used: npt.NDArray[np.bool_]) -> list[Burst]:
-    """Bursts of one segment with relative squared residuals (M,)."""
-    if len(time) < 2:
+    together = np.concatenate(means, axis=1)
+    total = sum(float(span[1][-1] - span[0][0]) for span in spans if len(span[0]))
+    if total < FEWEST_WINDOWS * WINDOW or not np.isfinite(together[:, kept]).any():
         return []
-    period = float(time[1] - time[0])
-    width = min(len(time), max(1, round(WINDOW / period)))
-    sums = np.concatenate([[0.0], np.cumsum(np.where(used, squares, 0.0))])
-    high = (sums[width:] - sums[:-width]) / width > LEVEL
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], high, [False]]).astype(np.int8))).reshape(-1, 2)
-    spans: list[tuple[int, int]] = []
-    for start, stop in edges.tolist():
-        end = stop - 1 + width
-        if spans and start - spans[-1][1] < APART / period:
-            spans[-1] = (spans[-1][0], end)
-        else:
-            spans.append((start, end))
-    return [Burst(float(time[start]), float(time[end - 1])) for start, end in spans]
+    usual = np.array([_median(row[kept]) for row in together])[:, None]
+    shown = usual[:, 0] > 0.0
+    logs = np.log(np.maximum(together[shown] / usual[shown], LEAST_LEVEL))
+    known = np.isfinite(logs)
+    joints = known.sum(axis=0)
+    level = np.where(joints > 0, np.where(known, logs, 0.0).sum(axis=0) / np.sqrt(np.maximum(1, joints)), np.nan)
+    middle = _median(level[kept])
+    spread = _median(np.abs(level[kept] - middle)) / _MEDIAN_OF_NORMAL
+    if not spread > 0.0:
+        return []
+    deviation = (level - middle) / spread
+    larger = np.exp(0.5 * level / np.sqrt(np.maximum(1, joints)))
+    edges = np.cumsum([len(span[0]) for span in spans])[:-1]
+    return [
+        Windows(*span, of_deviation, of_larger)
+        for span, of_deviation, of_larger in zip(
+            spans, np.split(deviation, edges), np.split(larger, edges), strict=True
+        )
+    ]
+
+
+def bursts_beyond(found: Sequence[Windows], deviation: float, larger: float = 0.0) -> list[list[Burst]]:
+    """Windows beyond a deviation [σ] and a ratio, by segment; none where they hold more than `MOST_TIME`."""
+    bursts, inside, total = [], 0.0, 0.0
+    for of_segment in found:
+        high = np.flatnonzero((of_segment.deviation > deviation) & (of_segment.larger > larger))
+        spans: list[Burst] = []
+        for start, stop in zip(of_segment.start[high], of_segment.stop[high], strict=True):
+            if spans and start - spans[-1].stop < APART:
+                spans[-1] = Burst(spans[-1].start, float(stop))
+            else:
+                spans.append(Burst(float(start), float(stop)))
+        bursts.append(spans)
+        inside += sum(one.stop - one.start for one in spans)
+        total += float(of_segment.stop[-1] - of_segment.start[0]) if len(of_segment.start) else 0.0
+    return bursts if inside <= MOST_TIME * total else [[] for _ in bursts]
+
+
+def _width(part: TorqueSeries) -> int:
+    """Samples of a window."""
+    period = float(part.time[1] - part.time[0]) if len(part.time) > 1 else WINDOW
+    return max(1, round(WINDOW / period))
+
+
+def _spans(part: TorqueSeries) -> tuple[FloatArray, FloatArray]:
+    """First and last stamps of a segment's windows."""
+    width = _width(part)
+    count = max(0, len(part.time) - width + 1)
+    return part.time[:count], part.time[len(part.time) - count :]
+
+
+def _means(part: TorqueSeries, slow: FloatArray) -> FloatArray:
+    """(n, K) mean squared residual of each joint over each window, nan where too little of it counts."""
+    width = _width(part)
+    if len(part.time) < width:
+        return np.empty((len(part.measured), 0))
+    near = np.abs(part.velocity) < slow[:, None]
+    near[:, 1:] |= np.sign(part.velocity[:, 1:]) != np.sign(part.velocity[:, :-1])
+    around = np.ones(2 * max(1, round(REVERSAL * width / WINDOW)) + 1)
+    near = np.array([np.convolve(row, around, "same")[: len(row)] > 0.5 for row in near.astype(np.float64)])
+    counted = part.counted & ~near
+    sums, counts = (
+        np.array([np.convolve(row, np.ones(width), "valid") for row in rows])
+        for rows in (np.where(counted, part.residual**2, 0.0), counted.astype(np.float64))
+    )
+    return np.where(counts >= COUNTED * width, sums / np.maximum(counts, 1.0), np.nan)
+
+
+def _touched(span: tuple[FloatArray, FloatArray], bursts: Sequence[Burst]) -> BoolArray:
+    """(K,) windows that hold a part of a burst."""
+    touched = np.zeros(len(span[0]), dtype=np.bool_)
+    for burst in bursts:
+        touched |= (span[0] <= burst.stop) & (span[1] >= burst.start)
+    return touched
+
+
+def _median(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else 0.0
