@@ -93,8 +93,9 @@ def sign_checks(base: BaseParameters, parameters: FloatArray, std: FloatArray) -
     motors = [base.names[i] for i in wrong if base.kinds[i] == "motor_inertia"]
     if motors:
         text = (
-            f"{', '.join(motors)} came out negative: where torque sensors sit behind the gearbox they do not see the "
-            "motor; set `inertia: false` for these drives or use --no-motor-inertia"
+            f"{', '.join(motors)} of the unconstrained parameters came out negative, which the physically consistent "
+            "ones never are: where torque sensors sit behind the gearbox they do not see the motor; set `inertia: "
+            "false` for these drives or use --no-motor-inertia"
         )
         checks.append(raised("negative-motor-inertia", text))
     return checks

@@ -10,6 +10,7 @@ import numpy as np
 from daq.recording.recording import Recording
 from drivers.errors import IdentificationError
 from drivers.percentage import percent_text
+from drivers.streams import FloatArray
 from ident.assessment.delay.delay import delay_checks
 from ident.assessment.idle_joints import idle_joint_checks
 from ident.assessment.mistakes.checks import mistake_checks
@@ -25,13 +26,14 @@ from ident.assessment.residual_tests import residual_checks
 from ident.assessment.torque_level import torque_level_checks, weight_checks
 from ident.estimators.energy.estimator import fits_energy_better
 from ident.estimators.estimator import Setup
-from ident.estimators.feasible.consistent import ConsistentParameters
+from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.body_checks import body_checks
 from ident.identify.cutoff_search import cutoff_checks
 from ident.identify.identification import Identification
 from ident.identify.residual_bursts import burst_checks
 from ident.model.regressor import RegressorKernel
+from ident.regression.estimate import estimate_of
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import FEWEST_BLOCKS
 from ident.regression.least_squares import LeastSquares, ordinary_least_squares, weighted_least_squares
@@ -327,7 +329,7 @@ def _experiment_checks(identification: Identification) -> list[Check]:
 
 
 def _reversal_checks(identification: Identification) -> list[Check]:
-    """A friction estimate that changes without more of the equations near velocity reversals."""
+    """Friction of the delivered model that changes without more of the equations near velocity reversals."""
     choices, base = identification.choices, identification.base
     if choices.estimator.equations == "energy" or choices.reversal_share >= STICKING_SHARE:
         return []
@@ -335,31 +337,47 @@ def _reversal_checks(identification: Identification) -> list[Check]:
     kernel = RegressorKernel(identification.model, base.columns)
     parts = [leave_out_reversals(kernel, run.prepared, STICKING_SHARE) for run in identification.runs]
     try:
-        after = _by_joint(identification, reduce_torques(kernel, parts, identification.experiment.torques))
+        left = reduce_torques(kernel, parts, identification.experiment.torques)
+        after = _by_joint(identification, left)
     except IdentificationError:  # too little is left
         return []
-    kinds = [identification.model.parameters[column].kind for column in base.columns]
     random = identification.corrected.random_std
     std = identification.std
     if random is not None:
         std[list(identification.solution.active)] = random
-    changed = {
-        i: (after.parameters[i] - before.parameters[i]) / std[i]
-        for i in before.active
-        if kinds[i] in ("viscous", "coulomb")
-        and abs(after.parameters[i] - before.parameters[i]) > NEGLIGIBLE * abs(before.parameters[i])
-    }
-    significant = [i for i in changed if abs(changed[i]) > FRICTION_CHANGE]
-    largest = sorted(significant, key=lambda i: -abs(changed[i]))[:3]
+    changed = _friction_changes(identification, before.parameters, after.parameters, std)
+    if changed and identification.consistent is not None:
+        again = found_consistent(
+            identification.model,
+            base,
+            estimate_of(left, after, identification.corrected.covariance, identification.corrected.blocks),
+            identification.robot_file,
+        )
+        if again is not None:
+            changed = _friction_changes(identification, identification.consistent.parameters.base, again.base, std)
+    largest = sorted(changed, key=lambda i: -abs(changed[i]))[:3]
     if not largest:
         return []
     changes = ", ".join(f"{base.names[i]} by {changed[i]:+.1f} σ" for i in largest)
     text = (
         "Coulomb friction is not well defined near velocity reversals: with more of those equations left out the "
-        f"friction estimate changes ({changes} of the jackknife), beyond chance; compare "
+        f"delivered friction changes ({changes} of the jackknife), beyond chance; compare "
         f"--leave-out-reversals {STICKING_SHARE:g}"
     )
     return [raised("friction-near-reversals", text)]
+
+
+def _friction_changes(
+    identification: Identification, before: FloatArray, after: FloatArray, std: FloatArray
+) -> dict[int, float]:
+    """Base parameters of friction that change by more than `FRICTION_CHANGE` [σ], and by how much."""
+    kinds = [identification.model.parameters[column].kind for column in identification.base.columns]
+    changes = {
+        i: (after[i] - before[i]) / std[i]
+        for i in identification.solution.active
+        if kinds[i] in ("viscous", "coulomb") and abs(after[i] - before[i]) > NEGLIGIBLE * abs(before[i])
+    }
+    return {i: float(change) for i, change in changes.items() if abs(change) > FRICTION_CHANGE}
 
 
 def _by_joint(identification: Identification, reduction: Reduction) -> LeastSquares:

@@ -247,11 +247,9 @@ _MODEL = (
         "friction came out negative (not dissipative)",
         "Check the sign of the drive gain; the model may lack a friction term.",
     ),
-    CheckKind(
+    _note(
         "negative-motor-inertia",
-        "warning",
-        PARAMETERS,
-        "a motor inertia came out negative",
+        "a motor inertia of the unconstrained parameters came out negative",
         "Set `inertia: false` where torque sensors sit behind the gearbox, or use --no-motor-inertia.",
     ),
     CheckKind(
@@ -363,7 +361,7 @@ _MODEL = (
         "friction-near-reversals",
         "warning",
         PARAMETERS,
-        "the friction estimate changes with more equations left out near velocity reversals",
+        "the friction of the delivered model changes with more equations left out near velocity reversals",
         "Compare --leave-out-reversals with the share in the sentence.",
     ),
     _note(
