@@ -21,7 +21,7 @@ from ident.regression.comparison import TorqueSeries
 WINDOW = 0.3
 """[s] over which the squared residuals are averaged."""
 
-FEWEST_WINDOWS = 15
+FEWEST_WINDOWS = 10
 """Recordings of fewer, end to end, do not show what is usual."""
 
 SLOW = 0.1

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from drivers.errors import IdentificationError
+from drivers.streams import FloatArray
 from ident.assessment.residual_bursts import Burst, bursts_beyond, windows
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.identification import Identification
@@ -31,56 +32,71 @@ LARGER = 3.0
 """Residual of a burst over the usual one, of the same fit, as the joints' geometric mean."""
 
 LEAST_ERROR = 0.005
-"""Relative error of the fit below which bursts do not matter: a simulation without noise leaves rounding in bursts."""
+"""Relative error of fit and validation below which bursts do not matter: a simulation without noise leaves rounding in bursts."""
 
 ROBUST = ("irls", "iirls")
 """Methods that weigh such stretches down by themselves."""
 
 
 def burst_checks(identification: Identification) -> list[Check]:
-    """Stretches of time that bend the fit; none for a method that fits no torques."""
-    runs, torques = identification.runs, identification.experiment.torques
-    small = identification.fit.relative_error < LEAST_ERROR
+    """Stretches of time in which something touched the arm; none for a method that fits no torques."""
+    torques = identification.experiment.torques
+    errors = [one.relative_error for one in (identification.fit, identification.validation) if one is not None]
+    small = max(errors) < LEAST_ERROR
     if identification.choices.estimator.equations == "energy" or not torques or small:
         return []
-    suspect = bursts_beyond(windows(identification.fit_series, torques), SUSPECT)
-    if not any(suspect):
+    halves = (
+        (identification.runs, identification.fit_series),
+        (identification.validation_runs, identification.validation_series),
+    )
+    suspects = [bursts_beyond(windows(series, torques), SUSPECT) for _, series in halves]
+    if not any(any(of_half) for of_half in suspects):
         return []
     kernel = RegressorKernel(identification.model, identification.base.columns)
-    place, parts = iter(suspect), []
-    for run in runs:
-        segments = tuple(_without(segment, next(place)) for segment in run.prepared.segments)
-        parts.append(replace(run.prepared, segments=segments))
-    try:
-        reduction = reduce_torques(kernel, parts, torques)
-        solution = weighted_least_squares(reduction, identification.solution.active)
-    except IdentificationError:  # too little is left
+    parameters = _without_bursts(identification, kernel, suspects[0])
+    if parameters is None:
         return []
-    series = [
-        part
-        for run in runs
-        for part in compare_torques(
-            kernel.model, kernel.columns, solution.parameters, run.prepared.segments, run.prepared.parallel_filter
-        )
-    ]
-    found = windows(series, torques, suspect)
-    bursts = bursts_beyond(found, CONFIRMED, LARGER)
-    if not any(bursts):
+    shown, larger, several = [], 0.0, len({run.signals.label for runs, _ in halves for run in runs}) > 1
+    for (runs, _), suspect in zip(halves, suspects, strict=True):
+        series = [
+            part
+            for run in runs
+            for part in compare_torques(
+                kernel.model, kernel.columns, parameters, run.prepared.segments, run.prepared.parallel_filter
+            )
+        ]
+        found = windows(series, torques, suspect or None)
+        place = iter(bursts_beyond(found, CONFIRMED, LARGER) or [[] for _ in series])
+        for run in runs:
+            first = float(run.signals.time[0])
+            shown += _texts(run.prepared, first, place, run.signals.label if several else "")
+        larger = max([larger, *(float(one.larger[one.deviation > CONFIRMED].max(initial=0.0)) for one in found)])
+    if not shown:
         return []
-    larger = max(float(of_segment.larger[of_segment.deviation > CONFIRMED].max(initial=0.0)) for of_segment in found)
-    place = iter(bursts)
-    shown = [
-        text
-        for run in runs
-        for text in _texts(run.prepared, float(run.signals.time[0]), place, run.signals.label if len(runs) > 1 else "")
-    ]
     more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
     robust = "" if identification.choices.estimator.name in ROBUST else ", or compare --method irls"
     text = (
-        f"the torque leaves the model in short stretches, by {larger:.0f} times the usual residual, which bends the "
-        f"fit: {', '.join(shown[:MOST_SHOWN])}{more}; did something touch the arm? Leave these times out{robust}"
+        f"the torque leaves the model in short stretches, by {larger:.0f} times the usual residual: "
+        f"{', '.join(shown[:MOST_SHOWN])}{more}; did something touch the arm? Leave these times out{robust}"
     )
     return [raised("residual-bursts", text)]
+
+
+def _without_bursts(
+    identification: Identification, kernel: RegressorKernel, bursts: Sequence[Sequence[Burst]]
+) -> FloatArray | None:
+    """The parameters of a fit without bursts; None where too little is left."""
+    if not any(bursts):
+        return identification.solution.parameters
+    place, parts = iter(bursts), []
+    for run in identification.runs:
+        segments = tuple(_without(segment, next(place)) for segment in run.prepared.segments)
+        parts.append(replace(run.prepared, segments=segments))
+    try:
+        reduction = reduce_torques(kernel, parts, identification.experiment.torques)
+        return weighted_least_squares(reduction, identification.solution.active).parameters
+    except IdentificationError:
+        return None
 
 
 def _without(segment: Segment, bursts: Sequence[Burst]) -> Segment:
