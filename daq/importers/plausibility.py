@@ -11,7 +11,7 @@ from daq.importers.assembly import ImportedSamples, Quantity
 from daq.importers.checks import sample_place
 from daq.importers.choices import ImportChoices
 from daq.importers.table import Note, listed
-from daq.recording.unit_plausibility import DEGREES, beyond_reach, displacement_ratios, near
+from daq.recording.unit_plausibility import DEGREES, beyond_reach, displacement_ratios, near, other_unit
 from daq.robot.schema import Robot
 from drivers.errors import ImportFileError
 
@@ -72,7 +72,14 @@ def _check_positions(
         low, high = limits.position
         excess = np.maximum(values - high, low - values)
         worst = int(excess.argmax())
-        if limits.name not in sliding:
+        if limits.name in sliding:
+            if other_unit(samples.time, values, limits, sliding=True):
+                raise ImportFileError(
+                    f"position {values[worst]:.4g} m is far outside the joint's limits; it looks like mm",
+                    where=f"{sample_place(samples, worst, where)}, joint {limits.name}",
+                    hint="state the unit in the header: q1 [mm]",
+                )
+        else:
             reach = max(abs(low), abs(high)) + 2 * math.pi
             (far if beyond_reach(values, limits.position) else fitting).append(limits.name)
             if choices.degrees and np.abs(values).max() * DEGREES <= min(reach, 2 * math.pi) and np.ptp(values) > 0.002:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from daq.recording.unit_plausibility import DEGREES, beyond_reach, displacement_ratios, near
+from daq.recording.unit_plausibility import DEGREES, displacement_ratios, near, other_unit
 from daq.robot.loader import RobotFile
 from drivers.errors import DataError
 from drivers.ranges import SAMPLING_RATE
@@ -111,12 +111,13 @@ def _check_units(robot_file: RobotFile, time: FloatArray, values: Mapping[str, F
     sliding = robot_file.prismatic_joints
     position = values["position"]
     for limits, column in zip(robot_file.robot.joints, position.T, strict=True):
-        if limits.name not in sliding and beyond_reach(column, limits.position):
+        unit = other_unit(time, column, limits, sliding=limits.name in sliding)
+        if unit is not None:
             raise _refusal(
                 "position",
-                f"reaches {np.abs(column).max():.4g} rad at joint {limits.name}, far outside its limits "
-                f"{list(limits.position)}: these are degrees",
-                "give numpy.deg2rad(position)",
+                f"reaches {np.abs(column).max():.4g} {'m' if unit == 'mm' else 'rad'} at joint {limits.name}, whose "
+                f"limits are {list(limits.position)} and {limits.velocity:g} per second: these are {unit}",
+                "give metres" if unit == "mm" else "give numpy.deg2rad(position)",
             )
     if "velocity" not in values:
         return

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from daq.robot.schema import JointLimits
 from drivers.streams import FloatArray
 
 DEGREES = 180 / math.pi
@@ -15,10 +16,40 @@ CORRELATED = 0.9
 BLOCKS = 100
 """Displacements are compared over this many segments of the recording, long enough to drown quantisation."""
 
+BEYOND_TRAVEL = 10.0
+"""Position of a sliding joint over its limits from which on it is in millimetres."""
+
+BEYOND_SPEED = 25.0
+"""Speed over its limit from which on positions are in degrees or millimetres: a wrong rate hardly makes so much."""
+
+FASTEST = 0.95
+"""Quantile of the speeds that counts: encoders that wrap jump."""
+
+_APART = 5  # samples between which a speed is taken: noise of neighbours is none
+
 
 def beyond_reach(position: FloatArray, limits: tuple[float, float]) -> bool:
     """Whether positions (N,) [rad] lie more than a turn beyond a revolute joint's limits: then they are in degrees."""
     return bool(np.abs(position).max() > max(abs(limits[0]), abs(limits[1])) + 2 * math.pi)
+
+
+def other_unit(time: FloatArray, position: FloatArray, limits: JointLimits, *, sliding: bool) -> str | None:
+    """The unit that a joint's positions are in by its limits, "degrees" or "mm"; None where rad or m can be right.
+
+    Args:
+        time: (N,) [s], rising.
+        position: (N,) of the joint.
+        limits: of the joint.
+        sliding: whether it slides.
+    """
+    if sliding:
+        far = float(np.abs(position).max(initial=0.0)) > BEYOND_TRAVEL * max(abs(limit) for limit in limits.position)
+    else:
+        far = bool(len(position)) and beyond_reach(position, limits.position)
+    way, passed = np.abs(position[_APART:] - position[:-_APART]), time[_APART:] - time[:-_APART]
+    speeds = way[passed > 0] / passed[passed > 0]
+    fast = len(speeds) > 0 and float(np.quantile(speeds, FASTEST)) > BEYOND_SPEED * limits.velocity
+    return ("mm" if sliding else "degrees") if far or fast else None
 
 
 def near(ratio: float, expected: float) -> bool:

@@ -11,6 +11,7 @@ from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.recording.signal_quality import ColumnQuality, channel_quality
 from daq.recording.stale_samples import fresh_recording, stale_rows
 from daq.recording.stream_quality import StreamQuality, stream_quality
+from daq.recording.unit_plausibility import other_unit
 from drivers.percentage import percent_text, percentage_text
 from ident.assessment.time_axis import time_axis_checks
 from ident.verdict.catalogue import raised
@@ -95,7 +96,7 @@ def recording_checks(
             text = f"{of}{name}: stamps jitter by {quality.jitter_ms:.2g} ms at a period of {period:.2g} ms"
             checks.append(raised("jittering-stamps", text))
     checks += time_axis_checks(recording, of)
-    checks += stale_checks(recording, of)
+    checks += stale_checks(recording, of) + unit_checks(recording, of)
     for (stream, quantity), qualities in columns.items():
         clipped = [column for column in qualities if column.clipped_percent > CLIPPED_PERCENT]
         if quantity in MOTOR_SIGNALS and clipped:
@@ -134,6 +135,27 @@ def stale_checks(recording: Recording, of: str = "") -> list[Check]:
         text = f"{of}the position stands still of {'; '.join(shown[:MOST_SHOWN])}{more}: {left}; check the encoder"
         checks.append(raised("encoder-stuck", text, sorted({one.joint for one in stale.encoders})))
     return checks
+
+
+def unit_checks(recording: Recording, of: str = "") -> list[Check]:
+    """Positions that are in degrees or millimetres by the joints' limits; `of` begins the sentence."""
+    stream = recording.streams.get(JOINTS_STREAM)
+    if not recording.robot_text or stream is None or "position" not in stream.channels:
+        return []
+    robot_file, position = recording.robot(), stream.channels["position"]
+    found: dict[str, list[str]] = {}
+    for limits in robot_file.robot.joints:
+        if limits.name in position.columns:
+            column = position.values[:, position.columns.index(limits.name)]
+            known = np.isfinite(column)
+            sliding = limits.name in robot_file.prismatic_joints
+            unit = other_unit(stream.time[known], column[known], limits, sliding=sliding)
+            if unit is not None:
+                found.setdefault(unit, []).append(limits.name)
+    return [
+        raised("position-unit", f"{of}by range and speed the positions of {', '.join(names)} are in {unit}", names)
+        for unit, names in found.items()
+    ]
 
 
 def _filled_checks(signal: str, columns: Sequence[ColumnQuality]) -> list[Check]:

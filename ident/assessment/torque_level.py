@@ -9,7 +9,14 @@ import numpy as np
 from daq.robot.schema import Robot
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
-from ident.assessment.arm_mass import LENGTHS_PER_REACH, arm_length, mass_of_length, part_of_arm
+from ident.assessment.arm_mass import (
+    CENTRE,
+    LENGTHS_PER_REACH,
+    STANDARD_GRAVITY,
+    arm_length,
+    mass_of_length,
+    part_of_arm,
+)
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel, dense_regressor
@@ -27,16 +34,12 @@ FAR_BELOW = 0.01
 """The same of the joint that is used most. An excited arm carries itself: the public recordings reach 0.43 to 0.66 of
 a limit, so that a gear ratio of 50 left out gives about 0.01."""
 
-STANDARD_GRAVITY = 9.81
 DENSEST_ARM = 500.0
 """[kg/m³] mass that the peak torque holds at full length, over the length cubed. It is 10 to 220 for the public
 recordings (TX40 219, UR10 9, Panda 7); milliampere read as ampere make it a thousand times that."""
 
 UNKNOWN_LENGTH = 0.5
 """[m] that a part of an arm may be longer than its frames."""
-
-CENTRE = 0.25
-"""Gravity's largest torque over the weight of the whole arm, in reaches: most of an arm is near its base."""
 
 TOO_HEAVY = 5.0
 """Weight that gravity's torque shows over the most that an arm of its size has (`ident.assessment.arm_mass`)."""

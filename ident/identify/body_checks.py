@@ -6,7 +6,7 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from drivers.streams import FloatArray
-from ident.assessment.arm_mass import ArmMass, arm_length, mass_of_size
+from ident.assessment.arm_mass import ArmMass, arm_length, mass_of_rating, mass_of_size
 from ident.estimators.feasible.armature import ASSUMED
 from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.model.dynamic_model import DynamicModel
@@ -22,6 +22,9 @@ best, those of the wrist; one of a third of its usual mass brings simulated arms
 URDF_FACTOR = 5.0
 """Apparent mass over that of a URDF's bodies, or the reverse, beyond which one of them is wrong. Bodies of CAD models
 lack cables, grease and motors, hardly more than half of the mass."""
+
+RATING_FACTOR = 4.0
+"""Apparent mass over that of the torque limits, or the reverse, beyond which unit, gains or limits are wrong."""
 
 BESIDE = 0.5
 """Distance of a link's centre of mass from the lines between its joints, over the arm's length, that no link has: 0.13
@@ -48,7 +51,8 @@ def body_checks(
     links = consistent.values[: len(INERTIAL) * len(model.joints)].reshape(-1, len(INERTIAL))
     masses = links[:, INERTIAL.index("M")]
     apparent = consistent.apparent_mass if whole else None
-    checks = _total_checks(mass_of_size(model), _urdf_mass(model, robot_file), apparent)
+    rating = mass_of_rating(model, [joint.torque for joint in robot_file.robot.joints])
+    checks = _total_checks(mass_of_size(model), _urdf_mass(model, robot_file), rating, apparent)
     checks += _link_checks(model, masses)
     checks += _centre_checks(model, masses, links[:, 6:9] / masses[:, None])
     assumed = [one for one in consistent.armatures if one.source == ASSUMED]
@@ -62,8 +66,10 @@ def body_checks(
     return checks
 
 
-def _total_checks(size: ArmMass | None, urdf: float | None, apparent: float | None) -> list[Check]:
-    """The mass that the torques show against what arms of this size weigh, and against the URDF."""
+def _total_checks(
+    size: ArmMass | None, urdf: float | None, rating: float | None, apparent: float | None
+) -> list[Check]:
+    """The mass that the torques show against what arms of this size and rating weigh, and against the URDF."""
     if apparent is None:
         return []
     if size is not None and not size.least / WRIST <= apparent <= size.most:
@@ -78,6 +84,13 @@ def _total_checks(size: ArmMass | None, urdf: float | None, apparent: float | No
         text = (
             f"the torques are those of an arm of about {_kilograms(apparent)}, the URDF's links weigh "
             f"{_kilograms(urdf)}: check the unit of torque or current and the gains, or the URDF's inertials"
+        )
+        return [raised("implausible-mass", text)]
+    if rating is not None and not 1.0 / RATING_FACTOR <= apparent / rating <= RATING_FACTOR:
+        text = (
+            f"the torques are those of an arm of about {_kilograms(apparent)}, the torque limits those of one of "
+            f"{_kilograms(rating)}: check the unit of torque or current, the gains (left at 1 they give amperes), and "
+            "the limits"
         )
         return [raised("implausible-mass", text)]
     return []

@@ -77,9 +77,10 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     several = len(recordings) > 1
     checks = [check for one in recordings for check in recording_checks(one, label=one.label if several else "")]
     torque = np.concatenate([run.signals.torque for run in identification.runs])
-    checks += torque_level_checks(identification.robot_file.robot, identification.model, torque) or _weight_checks(
+    levels = torque_level_checks(identification.robot_file.robot, identification.model, torque) or _weight_checks(
         identification
     )
+    checks += levels
     checks += delay_checks(identification.delay)
     checks += cutoff_checks(identification.lowered)
     checks += burst_checks(identification)
@@ -109,7 +110,10 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     )
     if consistent is not None:
         whole = identification.experiment == whole_arm(identification.model)
-        checks += body_checks(identification.model, identification.robot_file, consistent.parameters, whole=whole)
+        bodies = body_checks(identification.model, identification.robot_file, consistent.parameters, whole=whole)
+        # Wrong data have a wrong mass, too.
+        named = any(check.severity == "serious" for check in checks if check not in levels)
+        checks += [check for check in bodies if not (named and check.name == "implausible-mass")]
     return checks + residual_checks(identification.residual_tests, identification.model.joint_names)
 
 

@@ -32,7 +32,7 @@ LARGER = 3.0
 """Residual of a burst over the usual one, of the same fit, as the joints' geometric mean."""
 
 LEAST_ERROR = 0.005
-"""Relative error of fit and validation below which bursts do not matter: a simulation without noise leaves rounding in bursts."""
+"""Relative error of fit and validation below which bursts do not matter: without noise, rounding comes in bursts."""
 
 ROBUST = ("irls", "iirls")
 """Methods that weigh such stretches down by themselves."""

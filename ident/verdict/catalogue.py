@@ -57,6 +57,13 @@ _RECORDING = (
         "Use the stamps of the robot's controller, not those of the receiving computer.",
     ),
     CheckKind(
+        "position-unit",
+        "serious",
+        ALL,
+        "positions are in degrees or millimetres",
+        "Convert them to rad or m, or import with --degrees; else correct the limits of the robot file.",
+    ),
+    CheckKind(
         "wrong-time-axis",
         "serious",
         ALL,
@@ -167,7 +174,7 @@ _EXCITATION = (
         "residual-bursts",
         "warning",
         PARAMETERS,
-        "the torque leaves the model in a few short stretches, which bend the fit",
+        "the torque leaves the model in a few short stretches",
         "Something touched the arm, or a signal failed: leave these times out, or compare --method irls.",
     ),
     _note(
@@ -380,7 +387,7 @@ _MODEL = (
         "implausible-mass",
         "serious",
         ALL,
-        "the torques are those of a mass that no arm of this size, or of this URDF, has",
+        "the torques are those of a mass that no arm of this size, of this URDF or with these torque limits has",
         "Check the unit of torque or current, the drive gains, and the lengths of the robot file or URDF (m, not mm).",
     ),
     CheckKind(

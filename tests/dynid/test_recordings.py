@@ -58,6 +58,7 @@ def test_two_recordings_in_memory_keep_their_own_windows_and_hashes(result):
         ({"position": lambda q: q[:10]}, r"position: has shape \(10, 6\)"),
         ({"position": lambda q: q[0]}, r"position: has shape \(6,\)"),
         ({"position": np.rad2deg}, "position: reaches .* these are degrees .*deg2rad"),
+        ({"position": lambda q: np.rad2deg(0.1 * np.sin(30 * q))}, "per second: these are degrees"),
         ({"position": lambda q: [["a"] * 6] * 400}, "position: does not consist of numbers"),
         (
             {"current": lambda i: np.where(np.arange(400)[:, None] == 7, np.nan, i)},

@@ -37,7 +37,7 @@ EXPLAINED = 0.2
 """Relative error of the whole arm above which no hypothesis counts as an explanation: something else is wrong."""
 
 JOINT_EXPLAINED = 0.5
-"""The same of each joint that a hypothesis is about."""
+"""The same of each joint that a hypothesis is about, where it is about one or two. Of several, one may only rub."""
 
 WORSE_BLOCKS = 1
 """Held-out blocks at most in which a claimed mistake may predict worse than the recording as it is."""
@@ -133,7 +133,8 @@ class Competition:
         """Whether a mistake explains what the recording as it is does not, in all of it and well."""
         if recorded.level - one.fit.level < HALVED:
             return False
-        if self.error(one) > EXPLAINED or np.any(one.fit.relative[list(one.mistake.joints)] > JOINT_EXPLAINED**2):
+        joints = list(one.mistake.joints)
+        if self.error(one) > EXPLAINED or (len(joints) < 3 and np.any(one.fit.relative[joints] > JOINT_EXPLAINED**2)):
             return False
         worse = [
             block for block in range(BLOCKS) if self.held_out(one.mistake, block) > self.held_out(self.recorded, block)

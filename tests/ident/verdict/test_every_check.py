@@ -479,6 +479,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.found(changed(b.recorded(), lambda i: np.abs(i) * [1, -1, 1])),
         lambda b: b.clean(),
     ),
+    "position-unit": (
+        lambda b: b.names(changed(b.recorded(), np.rad2deg, "position")),
+        lambda b: b.names(b.recorded()),
+    ),
     "joint-zero": (
         lambda b: b.found(changed(b.recorded(), lambda q: q + np.deg2rad([0, 8, 0]), "position")),
         lambda b: b.clean(),
