@@ -198,6 +198,14 @@ class Cautioning(Protocol):
         """
 
 
+@runtime_checkable
+class ReportingSafety(Protocol):
+    """A driver whose device reports its safety status, unless it is too old or refuses."""
+
+    def unreported(self) -> Sequence[str]:
+        """What of it does not come: the device's own names; known once open."""
+
+
 def drained(queue: deque[_Item]) -> list[_Item]:
     """All items of a queue that another thread may append to, oldest first; the queue is left without them."""
     return [queue.popleft() for _ in range(len(queue))]

@@ -54,6 +54,21 @@ class BlockJoint:
 
 
 @dataclass(frozen=True)
+class Stick:
+    """What the joint of index `joint` reports as `quantity` stays what it is; without both, all of a thermometer."""
+
+    quantity: str = ""
+    joint: int = -1
+
+
+@dataclass(frozen=True)
+class Refuse:
+    """Clients that connect from now on are refused an RTDE variable (NOT_FOUND)."""
+
+    variable: str
+
+
+@dataclass(frozen=True)
 class Drift:
     """Move the joint of index `joint` away from its target at `velocity` [rad/s] while a program runs."""
 
@@ -137,6 +152,8 @@ Fault = (
     | ProtectiveStop
     | Heat
     | BlockJoint
+    | Stick
+    | Refuse
     | Drift
     | PowerCycle
     | HeartbeatStop
@@ -152,6 +169,10 @@ Fault = (
 
 ServerKind = Literal["UR controller", "CANopen drives", "signal-table arm", "thermometer", "arm at rest"]
 """Who obeys a fault; the arm at rest is one that only its thermometer watches."""
+
+
+STICKING = ("position", "velocity", "current", "torque", "temperature")
+"""Quantities that can stick."""
 
 
 def joint_index(text: str, joints: Sequence[str]) -> int:
@@ -197,7 +218,7 @@ class Argument:
 
     name: str
     unit: str
-    read: Callable[[str, Sequence[str]], float | None]
+    read: Callable[[str, Sequence[str]], float | str | None]
 
 
 COUNT = Argument("N", "", lambda text, _: int(text) if text.isdecimal() and int(text) > 0 else None)
@@ -205,6 +226,8 @@ SECONDS = Argument("SECONDS", "s", _number(0.0, math.inf))
 CELSIUS = Argument("CELSIUS", "K", _number(0.0, 1000.0))
 SPEED = Argument("RAD/S", "rad/s", _number(-math.inf, math.inf))
 JOINT = Argument("JOINT", "", joint_index)
+QUANTITY = Argument("QUANTITY", "", lambda text, _: text if text in STICKING else None)
+VARIABLE = Argument("VARIABLE", "", lambda text, _: text)
 IDENTIFIER = Argument("IDENTIFIER", "", _identifier)
 
 
@@ -248,6 +271,9 @@ FAULTS = (
     FaultEntry("garbage", (COUNT,), Garbage, CAN),
     FaultEntry("heat", (JOINT, CELSIUS), Heat, (*ARMS, "arm at rest")),
     FaultEntry("block", (JOINT,), BlockJoint, ARMS),
+    FaultEntry("stick", (QUANTITY, JOINT), Stick, ARMS),
+    FaultEntry("stick", (), Stick, THERMOMETERS),
+    FaultEntry("refuse", (VARIABLE,), Refuse, ("UR controller",)),
     FaultEntry("drift", (JOINT, SPEED), Drift, ("UR controller",)),
     FaultEntry("silent", (SECONDS,), Freeze, THERMOMETERS),
     FaultEntry("garbage", (SECONDS,), Noise, THERMOMETERS),

@@ -28,6 +28,9 @@ def record_command(
         1.0, "--speed-scale", help="Share of the trajectory's speed, such as 0.2 for a first run; at most 1."
     ),
     yes: bool = typer.Option(False, "--yes", "-y", help="Move the arm without asking."),
+    without_safety_status: bool = typer.Option(
+        False, "--without-safety-status", help="Move a UR arm whose controller does not tell of its stops."
+    ),
     prior: Path = typer.Option(
         None, "--prior", help="Model folder or result.json whose parameters predict the torque."
     ),
@@ -62,7 +65,7 @@ def record_command(
     from daq.session.arm_lock import only_mover
     from daq.session.bus_room import session_warnings
     from daq.session.device_limits import before_a_motion
-    from daq.session.play import Play, motion_rate
+    from daq.session.play import Play, motion_rate, unreported_safety
     from daq.session.realtime import ask_for_realtime
     from daq.session.session import ENDED_BY, load_driver, record
     from daq.session.supervisor import Limits, Supervisor
@@ -76,6 +79,8 @@ def record_command(
         check_option("--duration", duration, RECORDING_TIME)
     if trajectory is None and (speed_scale != 1.0 or prior is not None):
         raise UsageError("--speed-scale and --prior need --trajectory")
+    if trajectory is None and without_safety_status:
+        raise UsageError("--without-safety-status needs --trajectory")
     robot_file = load_robot(robot)
     played = load_trajectory(trajectory, robot_file.robot) if trajectory is not None else None
     motion = TimeScaled(played.motion, speed_scale) if played is not None else None
@@ -113,7 +118,11 @@ def record_command(
         layouts = driver.streams()
         if motion is not None:
             motion_rate(driver)  # refused before a file is made
+        unreported = unreported_safety(driver, without_safety_status) if motion is not None else ""
         to_mind = before_a_motion(robot_file.robot, driver) if moves else []
+        if unreported:
+            to_mind = [unreported, *to_mind]
+            print(f"dynid: warning: {unreported}", file=sys.stderr)
         if confirmation is not None:
             confirmation.to_mind = to_mind
         recorder = Recorder(
@@ -134,7 +143,9 @@ def record_command(
             recorder.event(math.nan, "info", "player", f"the trajectory is played at {speed_scale:g} of its speed")
         limits = Limits.of_robot(robot_file.robot)
         supervisor = Supervisor(limits, layouts)
-        play = Play(motion, robot_file.robot, confirmation) if motion is not None and confirmation else None
+        play = None
+        if motion is not None and confirmation is not None:
+            play = Play(motion, robot_file.robot, confirmation, without_safety_status)
         shown = sys.stderr.isatty() and not (no_ui or as_json)
         with live_view(shown=shown, limits=limits, recorder=recorder, clock=clock) as view:
             report = record(driver, recorder, supervisor, play, duration, view, clock)

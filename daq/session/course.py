@@ -35,8 +35,9 @@ class Course:
     """State of a running session.
 
     `breach_time` [s, the source's clock] is that of what stopped it, where it has one; `silent` are the streams whose
-    silence is an event already; `host_ahead` is by stream the host's clock less the source's at its last sample [s];
-    `heard` is the host's time of the newest position, `rest` watches it and what the controller aims at.
+    silence is an event already, `stuck` the channels that hang and are one; `host_ahead` is by stream the host's clock
+    less the source's at its last sample [s]; `heard` is the host's time of the newest position, `rest` watches it and
+    what the controller aims at.
     """
 
     clock: Clock
@@ -53,6 +54,7 @@ class Course:
     interrupted: str | None = None
     breach_time: float = float("nan")
     silent: set[str] = field(default_factory=set)
+    stuck: set[tuple[str, str]] = field(default_factory=set)
     host_ahead: dict[str, float] = field(default_factory=dict)
 
     def add(self, batch: Batch) -> None:

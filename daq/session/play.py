@@ -17,7 +17,7 @@ from daq.session.command_gate import COMMAND_RATE, CommandGate, GateLimits
 from daq.session.course import GAP, REST_TIME, Course
 from daq.session.permission import Permission
 from daq.session.supervisor import Supervisor
-from drivers.base import Driver
+from drivers.base import Driver, ReportingSafety
 from drivers.errors import ConnectionLostError, DynidError, MotionRefusedError, UsageError, WorkError
 from drivers.standstill import StandstillWatch
 from drivers.streams import FloatArray
@@ -42,11 +42,13 @@ class Play:
         motion: from rest to rest.
         robot: whose limits every command keeps.
         permission: to move, with the approach to the motion's start.
+        without_safety_status: whether the arm is moved where its controller does not report its safety status.
     """
 
     motion: Motion
     robot: Robot
     permission: Permission
+    without_safety_status: bool = False
 
 
 def motion_rate(driver: Driver) -> float:
@@ -66,6 +68,26 @@ def motion_rate(driver: Driver) -> float:
                 hint=f"set the connection's rate (sync_rate) to {COMMAND_RATE:g} Hz or more; recording works as it is",
             )
     return rate
+
+
+def unreported_safety(driver: Driver, without_safety_status: bool) -> str:
+    """What of its safety status the controller of a driver that is open does not report, in words; empty for nothing.
+
+    Raises:
+        MotionRefusedError: something, and the arm is not to be moved without.
+    """
+    names = driver.unreported() if isinstance(driver, ReportingSafety) else ()
+    if names and not without_safety_status:
+        raise MotionRefusedError(
+            f"the controller does not deliver {', '.join(names)}: its stops, and other programs, would not be noticed",
+            hint="--without-safety-status moves it nevertheless; recording works as it is",
+        )
+    return (
+        f"the controller does not deliver {', '.join(names)}: its protective and emergency stops, and other programs "
+        "that move the arm, are noticed by what the arm does alone"
+        if names
+        else ""
+    )
 
 
 def wait_for_position(cycle: Callable[[], None], course: Course) -> None:

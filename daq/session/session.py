@@ -23,7 +23,15 @@ from daq.robot.schema import Robot
 from daq.session.clocks import ClockLog
 from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
 from daq.session.course import Course, View
-from daq.session.play import Play, follow_motion, motion_rate, permitted_approach, prepare, wait_for_position
+from daq.session.play import (
+    Play,
+    follow_motion,
+    motion_rate,
+    permitted_approach,
+    prepare,
+    unreported_safety,
+    wait_for_position,
+)
 from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
 from drivers.base import DRIVERS_GROUP, Attributing, Driver, DriverSettings, Notice
@@ -166,6 +174,7 @@ def record(
             begun = clock.now()
             if play is not None:
                 rate = motion_rate(driver)
+                unreported_safety(driver, play.without_safety_status)
                 dry_run(rate, clock)
                 cycle = partial(_cycle, driver, recorder, supervisor, course)
                 wait_for_position(cycle, course)
@@ -266,6 +275,12 @@ def _cycle(
         exceeded = supervisor.check(batch, now) if len(batch.time) else None
         if exceeded is not None and breach is None:
             breach = replace(exceeded, time=course.joints_time(exceeded.time, batch.stream))
+        for stuck in supervisor.stuck(batch) if len(batch.time) else ():
+            if course.moves and stuck.supervised and breach is None:
+                breach = replace(stuck, time=course.joints_time(stuck.time, batch.stream))
+            if (stuck.what, stuck.joint) not in course.stuck:
+                course.stuck.add((stuck.what, stuck.joint))
+                recorder.event(stuck.time, "warning", batch.stream, str(stuck))
     notice = _note(driver.notices(), recorder)
     if notice is not None and not (breach is not None and breach.time < notice.time):
         # Braking after a protective stop may itself pass a limit: what came first is the reason.

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
-from drivers.base import Attributing, Driver, Notice
+from drivers.base import Attributing, Driver, Notice, ReportingSafety
 from drivers.errors import DynidError
 from drivers.streams import Batch, FloatArray, StreamLayout
 
@@ -138,6 +138,10 @@ class Sources:
             if names and isinstance(source.driver, Attributing):
                 return source.driver.losses(names[0])
         return ""
+
+    def unreported(self) -> Sequence[str]:
+        """What the main one does not report of its safety status."""
+        return self._main.driver.unreported() if isinstance(self._main.driver, ReportingSafety) else ()
 
     def command_rate(self) -> float:
         """The main one's."""

@@ -12,8 +12,9 @@ import numpy.typing as npt
 
 from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
+from daq.session.stuck_channels import MOST_TOGETHER, TOGETHER, WATCHED, JointSpeed, StuckChannel
 from drivers.gains import torque_at_joints
-from drivers.streams import Batch, FloatArray, StreamLayout
+from drivers.streams import UNITS, Batch, FloatArray, StreamLayout
 
 TRACKING_ERROR = 0.2
 """Default limit of the tracking error [rad or m]."""
@@ -35,12 +36,13 @@ class Breach:
     """A limit that was passed.
 
     Attributes:
-        what: position, velocity, torque, temperature, tracking error, stale data.
+        what: position, velocity, torque, temperature, tracking error, stale data, or what is stuck.
         joint: name of the joint, or of the stream for stale data.
         value, limit: in `unit`.
         time: of the source's clock [s]; nan where there is none.
         unit: of both.
         cause: why, in words; empty where unknown.
+        supervised: whether a motion must not go on.
     """
 
     what: str
@@ -50,6 +52,7 @@ class Breach:
     time: float
     unit: str
     cause: str = ""
+    supervised: bool = True
 
     def __str__(self) -> str:
         said = f"{self.what} of {self.joint}: {self.value:.4g} {self.unit} passes {self.limit:.4g} {self.unit}"
@@ -154,6 +157,10 @@ class Supervisor:
         self._limited = {quantity: np.isfinite(bound) for quantity, bound in bounds.items()}
         self._value_stale_after = {quantity: _oldest(quantity, layouts) for quantity in bounds}
         self._commands: deque[tuple[float, FloatArray]] = deque()
+        self._rates = {layout.name: layout.rate for layout in layouts}
+        self._unseen: dict[str, tuple[float, list[Batch]]] = {}
+        self._stuck: dict[tuple[str, str], StuckChannel] = {}
+        self._speed = JointSpeed(len(limits.joints))
 
     def commanded(self, host_time: float, position: FloatArray) -> None:
         """Note a commanded position (n,) and when it was sent [s, host clock]."""
@@ -191,6 +198,59 @@ class Supervisor:
             within = (heat <= limits.temperature[at]) | np.isnan(heat)
             self._add(breaches, batch, "temperature", "°C", measured, within, limits.temperature)
         return min(breaches, key=lambda entry: entry[0])[1] if breaches else None
+
+    def stuck(self, batch: Batch) -> list[Breach]:
+        """The channels of a stream that repeat bit for bit and should not; for every batch, in order.
+
+        It is looked at every `TOGETHER`, which costs less than looking at every sample.
+        """
+        seen, batches = self._unseen.setdefault(batch.stream, (-np.inf, []))
+        batches.append(batch)
+        if len(batches) < MOST_TOGETHER and batch.time[-1] - seen < TOGETHER:
+            return []
+        self._unseen[batch.stream] = float(batch.time[-1]), []
+        found = []
+        for quantity in WATCHED:
+            parts = [part for one in batches if (part := self._part(one, quantity)) is not None]
+            if not parts:
+                continue
+            values, joints = np.concatenate([rows for rows, _ in parts]), parts[0][1]
+            time, whole = float(batch.time[-1]), len(joints) == len(self._limits.joints)
+            if quantity == "position" and whole:
+                self._speed.add(time, values[-1])
+            way, cause = self._speed.position, "while the joint moves"
+            if quantity == "temperature":
+                way, cause = np.full(len(self._limits.joints), time), "although it changed all the time before"
+            elif quantity == "position":
+                way, cause = self._aimed_at(batch), "while it is commanded on: its sensor hangs, or it is jammed"
+            key = batch.stream, quantity
+            if key not in self._stuck:
+                rate = self._rates.get(batch.stream, 0.0)
+                patience = stale_after(rate) if rate > 0.0 else VALUE_AGES[_supervised_as(quantity)][1]
+                self._stuck[key] = StuckChannel(quantity, len(joints), patience)
+            channel = self._stuck[key]
+            for column in channel.add(time, values, way[joints], self._speed.speed[joints]).tolist():
+                said = f"{values[-1, column]:.6g} {UNITS[quantity]} repeats bit for bit {cause}"
+                unit = "s" if quantity == "temperature" else "rad"
+                name, joint = self._limits.joints[joints[column]], int(joints[column])
+                supervised = self._depends_on(batch, quantity, joint)
+                found.append(Breach(f"stuck {quantity}", name, *channel.stood(column), time, unit, said, supervised))
+        return found
+
+    def _aimed_at(self, batch: Batch) -> FloatArray:
+        """(n,) the position that was commanded last, else the controller's target; NaN where there is neither."""
+        if self._commands:
+            return self._commands[-1][1]
+        target = self._part(batch, "target_position")
+        aim = np.full(len(self._limits.joints), np.nan)
+        if target is not None:
+            aim[target[1]] = target[0][-1]
+        return aim
+
+    def _depends_on(self, batch: Batch, quantity: str, joint: int) -> bool:
+        if quantity == "current" and ("torque" in batch.values or np.isnan(self._limits.torque_per_current[joint])):
+            return False
+        return quantity == "position" or bool(self._limited[_supervised_as(quantity)][joint])
 
     def check_ages(self, now: float, explain: Callable[[str, float], str] | None = None) -> Breach | None:
         """What has been silent for too long, once it has begun: a stream, or a quantity of joints that has a limit.
@@ -284,6 +344,10 @@ class Supervisor:
             unit,
         )
         breaches.append((row, breach))
+
+
+def _supervised_as(quantity: str) -> str:
+    return "torque" if quantity == "current" else quantity
 
 
 def _oldest(quantity: str, layouts: Sequence[StreamLayout]) -> float:

@@ -194,6 +194,17 @@ class RtdeDriver:
                 layouts.append(StreamLayout(name, tuple(channels), self._receiver.rate / self._every(name)))
         return tuple(layouts)
 
+    def unreported(self) -> Sequence[str]:
+        """Which of safety mode, robot mode and runtime state the controller refuses to deliver.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+        if self._state == "closed":
+            require_state(self._state, "open", "list what is not reported")
+        delivered = self._receiver.recipe.variables
+        return [source.variable for source in _MODES if source.variable not in delivered]
+
     def start(self) -> None:
         """Make samples flow.
 

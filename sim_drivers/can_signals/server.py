@@ -32,6 +32,7 @@ from sim_drivers.faults import (
     Heat,
     Mute,
     OverTemperature,
+    Stick,
     Truncate,
 )
 from sim_drivers.plant.arm import SimulatedArm
@@ -243,3 +244,5 @@ class ProprietaryCanServer(BusServer):
                 self._arm.arm.heat(joint, celsius)
             case BlockJoint(joint):
                 self._arm.arm.block(joint)
+            case Stick(quantity, joint):
+                self._arm.arm.stick(joint, quantity)

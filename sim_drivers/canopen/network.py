@@ -154,6 +154,7 @@ class DriveNetwork:
         coupled = bool(robot.model.coupling)
         self._coupling = coupling_matrix(robot.model.coupling, robot.joint_names) if coupled else None
         self._bus = BusModel(settings.bitrate, length)
+        self._stuck: dict[tuple[int, str], float] = {}
         self._arrivals: deque[tuple[float, Frame]] = deque(maxlen=LONGEST_QUEUE)
         nodes = [node.id for node in settings.nodes]
         if swapped is not None:
@@ -188,6 +189,10 @@ class DriveNetwork:
     def power_cycle(self, joint: int) -> None:
         """Cycle a drive's power."""
         self.drives[joint].power_cycle(self._now)
+
+    def stick(self, joint: int, quantity: str) -> None:
+        """Let a sensor of a drive hang: what it measures as `quantity` stays what it is."""
+        self._stuck[joint, quantity] = getattr(self.drives[joint].axis.feedback, quantity)
 
     def advance(self, now: float) -> list[Sent]:
         """Advance to `now` [s]; returns the drives' frames that end by then, in order."""
@@ -284,4 +289,7 @@ class DriveNetwork:
         if self._coupling is not None:  # a drive measures its motor
             velocity, torque = self._coupling @ velocity, np.linalg.solve(self._coupling.T, torque)
         columns = (position, velocity, torque, measured.current, measured.temperature)
-        return [Feedback(*row) for row in np.array(columns).T.tolist()]
+        feedback = [Feedback(*row) for row in np.array(columns).T.tolist()]
+        for (joint, quantity), value in self._stuck.items():
+            feedback[joint] = replace(feedback[joint], **{quantity: value})
+        return feedback

@@ -35,6 +35,7 @@ from sim_drivers.faults import (
     Heat,
     OverTemperature,
     PowerCycle,
+    Stick,
     Truncate,
     Unplug,
 )
@@ -225,6 +226,8 @@ class CanopenServer(BusServer):
                 self._arm.heat(joint, celsius)
             case BlockJoint(joint):
                 self._arm.block(joint)
+            case Stick(quantity, joint):
+                self.network.stick(joint, quantity)
             case PowerCycle(joint):
                 self.network.power_cycle(joint)
             case HeartbeatStop(joint):

@@ -58,3 +58,6 @@ class SimulatedArm(Protocol):
 
     def block(self, joint: int) -> None:
         """Jam a joint."""
+
+    def stick(self, joint: int, quantity: str) -> None:
+        """Let a joint's sensor hang."""

@@ -149,6 +149,7 @@ class Plant:
         self._speed = EncoderSpeed(encoder, period, settings.velocity_filter)
         self._torque_sensor = TorqueSensor(robot, settings.step, self._generator)
         self._gains = drive_gains(robot)
+        self._stuck: dict[tuple[str, int], float] = {}
         # Torque meters behind the motor's inertia do not see it (`drives[].inertia`).
         unseen = np.array([not robot.drive(name).inertia for name in robot.joint_names])
         self._unseen_inertia = np.where(unseen, self._motor_inertia, 0.0)
@@ -213,7 +214,7 @@ class Plant:
         target = self._target
         torque = self._torque_sensor.read() - self._unseen_inertia * self.acceleration
         model_torque = self._arm.inverse(target.position, target.velocity, target.acceleration)
-        return Measurement(
+        measured = Measurement(
             time=self.time,
             position=self._to_joints(quantised(self.position, self._resolution)).copy(),
             velocity=self._to_joints(self._speed.velocity).copy(),
@@ -226,6 +227,9 @@ class Plant:
             target_current=self.drive_torque / self._gains,
             target_torque=self._torque_at_joints(model_torque),
         )
+        for (quantity, joint), value in self._stuck.items():
+            getattr(measured, quantity)[joint] = value
+        return measured
 
     def heat(self, joint: int, celsius: float) -> None:
         """Raise the temperature of winding and housing of the joint of this index at once, by `celsius` [K].
@@ -253,6 +257,15 @@ class Plant:
         armature[joint] = JAMMED_INERTIA
         self._moving_arm.armature = armature
         self.velocity[joint] = self.acceleration[joint] = 0.0
+
+    def stick(self, joint: int, quantity: str) -> None:
+        """Let a sensor of the joint of this index hang: what it measures as `quantity` stays what it is.
+
+        Raises:
+            ValueError: no such joint.
+        """
+        self._check_joint(joint)
+        self._stuck[quantity, joint] = float(getattr(self.measure(), quantity)[joint])
 
     def _check_joint(self, joint: int) -> None:
         if not 0 <= joint < self.robot.dof:

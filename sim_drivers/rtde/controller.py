@@ -121,6 +121,7 @@ class Controller:
         self.motion: JointMotion | None = None
         self.script: ControlProgram | None = None
         self.safety_mode = NORMAL
+        self.refused: set[str] = set()
         self.messages: deque[str] = deque(maxlen=100)
         self._stopped_at = -math.inf
         self._stop_drift()

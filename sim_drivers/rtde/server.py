@@ -27,6 +27,8 @@ from sim_drivers.faults import (
     Freeze,
     Heat,
     ProtectiveStop,
+    Refuse,
+    Stick,
 )
 from sim_drivers.plant.arm import SimulatedArm
 from sim_drivers.rtde.connection import ClientConnection, Session
@@ -264,6 +266,10 @@ class RtdeServer(FaultyServer):
                 self.controller.arm.heat(joint, celsius)
             case BlockJoint(joint):
                 self.controller.arm.block(joint)
+            case Stick(quantity, joint):
+                self.controller.arm.stick(joint, quantity)
+            case Refuse(variable):
+                self.controller.refused.add(variable)
             case Drift(joint, velocity):
                 self.controller.drift(joint, velocity)
 

@@ -136,7 +136,8 @@ class RtdeSession:
             return encode_text_message("an output recipe needs a frequency and a variable")
         (frequency,) = struct.unpack_from(">d", payload)
         names, trailing = split_names(payload[8:])
-        types = [self._outputs.get(name, NOT_FOUND) for name in names]
+        offered = {name: kind for name, kind in self._outputs.items() if name not in self._controller.refused}
+        types = [offered.get(name, NOT_FOUND) for name in names]
         self.running, self._recipe = False, None
         if NOT_FOUND not in types:
             recipe = PackageRecipe(OUTPUT_RECIPE, list(zip(names, types, strict=True)))

@@ -21,7 +21,7 @@ from drivers.serial_thermometer.port import BITS_A_CHARACTER
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
 from drivers.streams import FloatArray
 from drivers.units import ZERO_CELSIUS
-from sim_drivers.faults import Fault, Freeze, Noise, Replug, Unplug
+from sim_drivers.faults import Fault, Freeze, Noise, Replug, Stick, Unplug
 from sim_drivers.plant.plant import Plant
 from sim_drivers.pseudo_terminal import LineEnd, PseudoTerminal
 from sim_drivers.server import FaultyServer
@@ -140,6 +140,9 @@ class ThermometerServer(FaultyServer):
                 self._silent_until = self._clock.now() + duration
             case Noise(duration):
                 self._garbage_until = self._clock.now() + duration
+            case Stick():
+                celsius = np.array(self._temperatures())
+                self._temperatures = lambda: celsius
             case Unplug(until_replugged):
                 self.unplug(until_replugged)
             case Replug():

@@ -62,7 +62,7 @@ class RememberedArm:
         self._arm = arm
         self._measured: list[dict[str, FloatArray]] = []
         self.set_target, self.halt, self.advance = arm.set_target, arm.halt, arm.advance
-        self.heat, self.block = arm.heat, arm.block
+        self.heat, self.block, self.stick = arm.heat, arm.block, arm.stick
 
     @property
     def time(self) -> float:

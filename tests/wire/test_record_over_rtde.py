@@ -263,7 +263,6 @@ def test_a_motion_process_that_is_killed_ends_the_motion(bench: Bench, tmp_path:
     ("fault", "change", "amplitude", "reason"),
     [
         ("block elbow_joint", {}, 0.4, "torque of elbow_joint"),
-        ("block elbow_joint", {"torque": None}, 0.4, "tracking error of elbow_joint"),
         ("drift wrist_1_joint 0.2", {}, 0.1, "tracking error of wrist_1_joint"),
         ("drift wrist_1_joint 0.2", {"position": [-0.13, 0.13]}, 0.1, "position of wrist_1_joint"),
         ("drift wrist_1_joint 1.5", {"velocity": 0.5}, 0.1, "velocity of wrist_1_joint"),
@@ -284,6 +283,22 @@ def test_an_arm_that_does_not_do_what_it_is_told_is_stopped_at_the_sample_that_s
     passed = passes(bench, robot, what, robot.robot.joint_names.index(name))
     assert passed[-1]
     assert not passed[:-1].any()
+
+
+@pytest.mark.parametrize("fault", ["stick position elbow_joint", "block elbow_joint"])
+def test_a_position_that_hangs_ends_a_motion_and_a_current_without_a_limit_is_an_event(
+    bench: Bench, tmp_path: Path, fault: str
+) -> None:
+    bench.fault("stick current wrist_1_joint", FAULT - 0.5)
+    bench.fault(fault)
+    report = bench.record(trajectory(tmp_path, 20.0, 0.4, 1.2), robot=changed_robot(tmp_path, {"torque": None}))
+    bench.assert_stopped(report)
+    assert isinstance(report.error, SafetyStopError)
+    hung = [event.message for event in bench.recording.events if event.message.startswith("stuck ")]
+    assert str(report.stopped_by).startswith("stuck position of elbow_joint: ")
+    assert report.stopped_by in hung
+    assert any(said.startswith("stuck current of wrist_1_joint: ") for said in hung)
+    assert NEXT_PERIOD < bench.times()[-1] < NEXT_PERIOD + 0.3
 
 
 def passes(bench: Bench, robot: RobotFile, what: str, joint: int) -> np.ndarray:

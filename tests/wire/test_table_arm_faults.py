@@ -163,6 +163,17 @@ def test_a_fault_that_the_arm_tells_stops_the_motion_in_its_cycle(recorded: Reco
     assert not outcome.enabled
 
 
+@pytest.mark.parametrize("quantity", ["position", "current"])
+def test_a_channel_that_hangs_ends_the_motion(recorded: Recorded, quantity: str) -> None:
+    outcome = recorded(f"stick {quantity} {JOINTS[2]}")
+    what = f"stuck {'torque' if quantity == 'current' else quantity} of {JOINTS[2]}: "
+    assert (outcome.report.stopped_by or "").startswith(what)
+    assert any(event.message.startswith(what) for event in outcome.events("warning"))
+    assert FAULT_AT < outcome.cycles[-1] * PERIOD < FAULT_AT + (0.4 if quantity == "position" else 1.0)
+    assert outcome.rests_from() < outcome.cycles[-1] * PERIOD + HALT_TIME
+    assert not outcome.enabled
+
+
 @pytest.mark.parametrize("stall", [0.0, 0.03])
 def test_what_is_over_in_time_costs_its_rows_and_stops_nothing(recorded: Recorded, stall: float) -> None:
     faults = ("drop 8", "truncate 8", "freeze 0.03") if not stall else ()

@@ -322,6 +322,27 @@ def test_without_a_terminal_the_arm_moves_only_with_yes(bench, dynid):
     assert not (bench.folder / "run.h5").exists()
 
 
+def test_an_arm_that_tells_nothing_of_its_stops_moves_on_request_alone_and_the_question_says_so(
+    bench, dynid, keyboard, monkeypatch
+):
+    silent = type("SilentArm", (KinematicArm,), {"unreported": lambda self: ("safety_mode",)})
+    monkeypatch.setitem(globals(), "KinematicArm", silent)
+    record = ("record", "robot.yaml", "--trajectory", "traj.yaml", "-o", "run.h5")
+    status, _, err = dynid(*record, "--yes")
+    assert (status, bench.made[0][1].commands) == (2, [])
+    assert "does not deliver safety_mode" in err
+    assert not list(bench.folder.glob("run*"))
+    keyboard.type("y")
+    status, out, err = dynid(*record, "--without-safety-status")
+    assert status == 0, err
+    assert "mind of this arm's controller or drives:\n  the controller does not deliver safety_mode" in out
+    assert "dynid: warning: the controller does not deliver safety_mode" in err
+    warnings = [event.message for event in read_recording(bench.folder / "run.h5").events if event.level == "warning"]
+    assert any("does not deliver safety_mode" in warning for warning in warnings)
+    status, _, err = dynid("record", "robot.yaml", "--duration", "1", "-o", "rest.h5", "--without-safety-status")
+    assert (status, "needs --trajectory" in err) == (2, True)
+
+
 @pytest.mark.parametrize("word", ["y", "Yes"])
 def test_what_will_move_where_is_told_and_a_yes_moves_it(bench, dynid, keyboard, word):
     with_workspace(bench, TABLE, TOOL)

@@ -258,6 +258,15 @@ def test_a_bus_that_is_off_makes_the_samples_stale_and_drives_stop_by_themselves
         assert "warning: 1 error frame(s)" in run.events()
 
 
+def test_an_encoder_that_hangs_ends_the_motion(tmp_path: Path) -> None:
+    with arm_on_bus() as bench:
+        bench.at(FAULT, "stick position elbow_joint")
+        run = bench.record(tmp_path, motion=swing())
+        assert (run.report.stopped_by or "").startswith("stuck position of elbow_joint: ")
+        assert f"warning: {run.report.stopped_by}" in run.events()
+        assert bench.rests()
+
+
 def test_a_jammed_joint_stops_at_the_first_torque_beyond_its_limit(tmp_path: Path) -> None:
     with arm_on_bus() as bench:
         bench.at(FAULT, "block 2")

@@ -13,6 +13,7 @@ from rtde_in_process import HOST, NOWHERE, Motions, Network, RememberedArm, serv
 from scripted_rtde import Cut, Never, Sample, ScriptedController, Step, Wait, paced, steady
 from simulated_clock import START, SimulatedClock
 
+from daq.session.play import unreported_safety
 from drivers.base import DRIVERS_GROUP, Driver, DriverSettings, Identifying
 from drivers.errors import (
     ConnectionFailedError,
@@ -431,6 +432,28 @@ def test_a_controller_out_of_reach_does_not_hold_up_the_stop(clock: SimulatedClo
         driver.stop()
         assert clock.now() - begun == pytest.approx(STOP_LIMIT + DASHBOARD_TIMEOUT)
         assert server.controller.script is None
+        driver.close()
+
+
+def test_a_controller_that_refuses_its_safety_status_is_not_moved_but_on_request(
+    clock: SimulatedClock, make_driver: MakeDriver
+) -> None:
+    server = RtdeServer(ExactPlant(), ports=NOWHERE, clock=clock)
+    with serving(server) as network:
+        driver = make_driver(network)
+        driver.open()
+        assert (list(driver.unreported()), unreported_safety(driver, False)) == ([], "")
+        driver.close()
+        server.obey("refuse safety_mode")
+        server.obey("refuse runtime_state")
+        clock.sleep(2 * PERIOD)
+        driver.open()
+        with pytest.raises(MotionRefusedError, match="does not deliver safety_mode, runtime_state") as refused:
+            unreported_safety(driver, False)
+        assert "--without-safety-status" in refused.value.hint
+        assert "safety_mode, runtime_state" in unreported_safety(driver, True)
+        driver.start()
+        assert driver.read(1.0)
         driver.close()
 
 
