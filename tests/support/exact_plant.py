@@ -43,6 +43,9 @@ class ExactPlant:
     def block(self, joint: int) -> None:
         self.blocked = joint
 
+    def stick(self, joint: int, quantity: str) -> None:
+        self.stuck = quantity, joint
+
     def measure(self) -> Measurement:
         current = 0.5 + self.position
         return Measurement(
