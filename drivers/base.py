@@ -179,7 +179,7 @@ class Limiting(Protocol):
     """A driver whose controller tells limits of its own; they are compared with the robot file's."""
 
     def device_limits(self) -> DeviceLimits:
-        """The limits, as they were when the driver was opened.
+        """The limits; may ask the controller for them.
 
         Raises:
             DriverStateError: it is closed.

@@ -13,13 +13,14 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from drivers.base import DriverSettings, Notice, State, drained, require_state
-from drivers.errors import DriverStateError, MotionRefusedError, UsageError
+from drivers.base import DeviceLimits, DriverSettings, Notice, State, drained, require_state
+from drivers.errors import ConnectionFailedError, DriverStateError, MotionRefusedError, UsageError
 from drivers.first_step import check_first_step, finite_position
 from drivers.gains import gives_torque, joint_torque, torque_channel
 from drivers.rtde import protocol as wire
 from drivers.rtde.connect import Connect, connect_tcp
 from drivers.rtde.dashboard import stop_program
+from drivers.rtde.joint_limits import read_joint_limits
 from drivers.rtde.modes import RUNTIME_STOPPED, describe_mode
 from drivers.rtde.motion import JOINTS, MotionProcess
 from drivers.rtde.receiver import TIMESTAMP, RtdeReceiver, Samples
@@ -28,6 +29,8 @@ from drivers.streams import Batch, ChannelLayout, FloatArray, StreamLayout
 
 THERMAL_RATE = 20.0
 STATUS_RATE = 10.0
+LIMITS_TIMEOUT = 1.0
+"""How long [s] the controller may take to tell its joint limits."""
 DASHBOARD_TIMEOUT = 1.0
 """How long [s] the dashboard may take to end a program."""
 
@@ -140,6 +143,7 @@ class RtdeDriver:
         self._motion_lock = settings.clock.lock()  # held while control is being taken
         self._halted = False
         self._notices: deque[Notice] = deque()
+        self._cautions: tuple[str, ...] = ()
         self._last_group: dict[str, int] = {}
         self._last_mode: dict[str, int] = {}
         self._latest_position: FloatArray | None = None
@@ -168,6 +172,26 @@ class RtdeDriver:
         return (
             ControllerIdentity(receiver.where, str(receiver.version), receiver.rate, len(receiver.recipe.variables)),
         )
+
+    def device_limits(self) -> DeviceLimits:
+        """The joint limits that the controller's secondary interface tells, asked now; nan where it tells none.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+        if self._state == "closed":
+            require_state(self._state, "open", "ask for the controller's limits")
+        limits, self._cautions = np.full((4, JOINTS), np.nan), ()
+        try:
+            limits = read_joint_limits(self._settings.host, LIMITS_TIMEOUT, self._connect, self._clock)
+        except ConnectionFailedError as error:
+            self._cautions = (f"the controller's own joint limits are not known ({error})",)
+        sources = dict.fromkeys(("position", "velocity", "acceleration"), "its secondary interface")
+        return DeviceLimits(limits[0], limits[1], limits[2], np.full(JOINTS, np.nan), sources, acceleration=limits[3])
+
+    def cautions(self) -> tuple[str, ...]:
+        """Whether `device_limits` was told none, and why."""
+        return self._cautions
 
     def streams(self) -> tuple[StreamLayout, ...]:
         """`joints` at the full rate, `thermal` at about 20 Hz and `status` at about 10 Hz, as far as delivered.

@@ -87,6 +87,10 @@ class ControlProgram(Protocol):
         """One period."""
 
 
+ACCELERATION_LIMIT = 40.0
+"""Of a joint [rad/s²], where no robot file says it: an assumption."""
+
+
 class Controller:
     """Everything of a controller that is not a socket.
 
@@ -115,6 +119,8 @@ class Controller:
         limits = [joint.position for joint in joints] if joints else [(-2 * math.pi, 2 * math.pi)] * count
         self.lower, self.upper = np.array(limits, dtype=np.float64).T
         self.speed_limit = np.array([joint.velocity or math.inf for joint in joints] if joints else [math.pi] * count)
+        accelerations = [joint.acceleration for joint in joints] if joints else [ACCELERATION_LIMIT] * count
+        self.acceleration_limit = np.array(accelerations)
         known = input_variables(version) | output_variables(version)
         self.values: dict[str, Value] = {name: zero(kind) for name, kind in known.items()}
         self.reference = Reference.at_rest(np.asarray(measured.target_position, dtype=np.float64))

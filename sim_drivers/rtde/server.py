@@ -1,4 +1,4 @@
-"""A simulated arm behind the ports of a Universal Robots controller: RTDE, dashboard, script.
+"""A simulated arm behind the ports of a Universal Robots controller: RTDE, dashboard, script, secondary interface.
 
 One thread does everything. Each period, at absolute times, the controller makes one step and every RTDE client gets
 its data package; between periods the sockets are read and written without ever waiting for one of them. When the
@@ -35,6 +35,7 @@ from sim_drivers.rtde.connection import ClientConnection, Session
 from sim_drivers.rtde.controller import Controller
 from sim_drivers.rtde.dashboard import DashboardSession
 from sim_drivers.rtde.script_port import ScriptSession
+from sim_drivers.rtde.secondary import SecondarySession
 from sim_drivers.rtde.session import RtdeSession
 from sim_drivers.rtde.variables import JOINTS, parse_version
 from sim_drivers.server import FaultyServer
@@ -53,9 +54,10 @@ class Ports:
     rtde: int | None = 30004
     dashboard: int | None = 29999
     script: int | None = 30003
+    secondary: int | None = 30002
 
 
-Service = Literal["rtde", "dashboard", "script"]
+Service = Literal["rtde", "dashboard", "script", "secondary"]
 """The protocol of a port."""
 
 
@@ -137,6 +139,7 @@ class RtdeServer(FaultyServer):
             "rtde": lambda: RtdeSession(self.controller, owners),
             "script": lambda: ScriptSession(self.controller),
             "dashboard": lambda: DashboardSession(self.controller),
+            "secondary": lambda: SecondarySession(self.controller),
         }
         self._listeners: dict[HasFileno, tuple[socket.socket, Service]] = {}
         self._arrived: SimpleQueue[tuple[socket.socket, Service]] = SimpleQueue()
@@ -150,7 +153,7 @@ class RtdeServer(FaultyServer):
         rtde = self._listen(ports.rtde, "rtde")
         script = self._listen(ports.script, "script")
         dashboard = self._listen(ports.dashboard if self.version.has_dashboard else None, "dashboard")
-        self.ports = Ports(rtde, dashboard, script)
+        self.ports = Ports(rtde, dashboard, script, self._listen(ports.secondary, "secondary"))
         if not _is_loopback(self.host):
             self.messages.append(f"{self.host} can be reached from the network; any computer there can move this arm")
 
@@ -171,6 +174,7 @@ class RtdeServer(FaultyServer):
             "rtde_port": self.ports.rtde,
             "dashboard_port": self.ports.dashboard if self.version.has_dashboard else None,
             "script_port": self.ports.script,
+            "secondary_port": self.ports.secondary,
         }
 
     def live_line(self) -> str:

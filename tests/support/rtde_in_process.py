@@ -19,9 +19,9 @@ from sim_drivers.plant.arm import MeasurementLike, SimulatedArm
 from sim_drivers.rtde.server import Ports, RtdeServer, Service
 
 HOST = "arm"
-NOWHERE = Ports(None, None, None)
+NOWHERE = Ports(None, None, None, None)
 """A server that listens nowhere: it serves the sockets that it is given."""
-SERVICES: dict[int, Service] = {30004: "rtde", 30003: "script", 29999: "dashboard"}
+SERVICES: dict[int, Service] = {30004: "rtde", 30003: "script", 29999: "dashboard", 30002: "secondary"}
 PROGRAM = b"def rtde_control():\nend\n"
 QUANTITIES = ("position", "velocity", "current", "target_position", "temperature")
 PLAYING = 2

@@ -361,10 +361,10 @@ def test_what_cannot_be_served_is_refused(clock: SimulatedClock) -> None:
     with pytest.raises(UsageError):
         RtdeServer(ExactPlant(), version="3.15", rate=500.0)
     with (
-        RtdeServer(ExactPlant(), ports=Ports(0, None, None), clock=clock) as server,
+        RtdeServer(ExactPlant(), ports=Ports(0, None, None, None), clock=clock) as server,
         pytest.raises(ConnectionFailedError),
     ):
-        RtdeServer(ExactPlant(), ports=Ports(server.ports.rtde, 0, 0), clock=clock).start()
+        RtdeServer(ExactPlant(), ports=Ports(server.ports.rtde, 0, 0, 0), clock=clock).start()
 
 
 @pytest.mark.parametrize(
