@@ -45,11 +45,11 @@ def check_first_step(target: FloatArray, measured: FloatArray | None, joints: Se
         return
     worst = int(np.argmax(np.where(np.isnan(away), np.inf, away)))
     if np.isfinite(away[worst]):
-        message = f"the first position is {away[worst]:.3f} rad away from the measured one"
+        message = f"the first position is {away[worst]:.3f} rad or m away from the measured one"
     else:
-        message = (
-            f"the first position, {target[worst]:g} rad, has no distance from the measured one, {measured[worst]:g} rad"
-        )
+        message = f"the first position, {target[worst]:g}, has no distance from the measured one, {measured[worst]:g}"
     raise DriverStateError(
-        message, where=f"joint {joints[worst]}", hint=f"begin within {FIRST_STEP_LIMIT:g} rad of the measured position"
+        message,
+        where=f"joint {joints[worst]}",
+        hint=f"begin within {FIRST_STEP_LIMIT:g} rad or m of the measured position",
     )

@@ -1,9 +1,9 @@
-"""Units as people write them, and what they are in SI (temperature in °C)."""
+"""Units: as people write them and in SI (temperature in °C); those of joints, turning (N·m, rad) and sliding (N, m)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 ZERO_CELSIUS = 273.15
 """0 °C in kelvin."""
@@ -59,3 +59,18 @@ def factors(*units: str) -> Mapping[str, float]:
 def conversion(unit: str) -> tuple[float, float]:
     """Factor and offset so that SI = factor · value + offset, for a unit as `normalised` spells it."""
     return FACTORS[unit], _OFFSETS.get(unit, 0.0)
+
+
+def joint_unit(unit: str, *, sliding: bool) -> str:
+    """The unit of a joint's own quantity, given that of a turning joint; N, m and kg for N·m, rad and kg·m²."""
+    if not sliding:
+        return unit
+    for turning, straight in (("(N·m)", "N"), ("N·m", "N"), ("N*m", "N"), ("kg·m²", "kg"), ("rad", "m")):
+        unit = unit.replace(turning, straight)
+    return unit
+
+
+def common_unit(unit: str, sliding: Iterable[bool]) -> str:
+    """Unit of a column of several joints, "N·m or N" where some slide and others turn."""
+    units = {joint_unit(unit, sliding=slides) for slides in sliding} or {unit}
+    return " or ".join(sorted(units, key=lambda one: one != unit))

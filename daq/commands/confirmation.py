@@ -18,6 +18,7 @@ from daq.robot.schema import JointLimits
 from daq.session.supervisor import TRACKING_ERROR
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
+from drivers.units import common_unit
 
 _SHOWN = 3
 """Clearances that are shown at most, the smallest ones."""
@@ -112,12 +113,15 @@ class Confirmation:
 
 def _held(limits: Sequence[JointLimits]) -> list[str]:
     """What the command gate holds."""
+    sliding = [joint.sliding for joint in limits]
     velocity, acceleration = (
-        ", ".join(f"{getattr(joint, name):.3g}" for joint in limits) for name in ("velocity", "acceleration")
+        f"{', '.join(f'{getattr(joint, name):.3g}' for joint in limits)} {common_unit(unit, sliding)}"
+        for name, unit in (("velocity", "rad/s"), ("acceleration", "rad/s²"))
     )
     return [
-        f"a command is faster than {velocity} rad/s or changes faster than {acceleration} rad/s² (joint by joint)",
-        f"a command is {TRACKING_ERROR:g} rad away from what the arm does, or outside the position limits",
+        f"a command is faster than {velocity} or changes faster than {acceleration} (joint by joint)",
+        f"a command is {TRACKING_ERROR:g} {common_unit('rad', sliding)} away from what the arm does, or outside the "
+        "position limits",
         f"this computer stalls for {1e3 * STALL_LIMIT:.0f} ms, or samples or the connection fail",
     ]
 

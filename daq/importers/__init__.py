@@ -27,6 +27,7 @@ from daq.importers.rosbag import bag_files, read_rosbag
 from daq.importers.table import ForeignTable, parsing, printable
 from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, Stream, software_versions
 from daq.robot.loader import RobotFile
+from daq.robot.schema import Robot
 from drivers.errors import ImportFileError
 from drivers.input_files import ARRAY_FILE, open_input
 from drivers.reading_process import TIME_LIMIT, Progress, read_apart
@@ -117,7 +118,7 @@ def _import(reader: Reader, path: Path, robot: RobotFile, choices: ImportChoices
     return Recording(
         robot_text=robot.text,
         urdf_text=robot.urdf_text or "",
-        streams={JOINTS_STREAM: _stream(samples, table.source)},
+        streams={JOINTS_STREAM: _stream(samples, table.source, robot.robot)},
         events=_events(samples),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         versions=software_versions(),
@@ -148,12 +149,12 @@ def _reader(path: Path) -> Reader:
     )
 
 
-def _stream(samples: ImportedSamples, source: str) -> Stream:
+def _stream(samples: ImportedSamples, source: str, robot: Robot) -> Stream:
     channels = {
         quantity: Channel(
             quantity=quantity,
             values=entry.values,
-            unit=UNITS[quantity],
+            unit=robot.column_unit(UNITS[quantity], entry.joints),
             columns=entry.joints,
             description=f"imported ({source}): {', '.join(dict.fromkeys(map(printable, entry.labels)))}",
         )

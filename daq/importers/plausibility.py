@@ -50,7 +50,8 @@ def check_units(
         for column, limits in enumerate(robot.joints):
             peak = float(np.abs(torque.values[:, column]).max())
             if limits.torque is not None and peak > _TORQUE_EXCESS * limits.torque:
-                text = f"torque of {limits.name} reaches {peak:.4g}, its limit is {limits.torque:g} N·m; check its unit"
+                limit = f"{limits.torque:g} {limits.unit('N·m')}"
+                text = f"torque of {limits.name} reaches {peak:.4g}, its limit is {limit}; check its unit"
                 notes.append(Note("warning", text))
     return replace(samples, notes=(*samples.notes, *notes))
 

@@ -152,17 +152,17 @@ def check_limits(motion: Motion, limits: Sequence[JointLimits], where: str) -> N
             seen = f"{sign * value:.5g} at" if exceeded else f"may reach {sign * value:.5g} near"
             raise UsageError(
                 f"joint {limit.name}: {quantity} {seen} {extremes.times[row, joint]:.3f} s "
-                f"passes its limit of {sign * allowed[row, joint]:.5g} {unit}",
+                f"passes its limit of {sign * allowed[row, joint]:.5g} {limit.unit(unit)}",
                 where=where,
                 hint="reduce the amplitude or slow the motion down",
             )
 
 
 _ROWS = (
-    ("position", "rad or m", -1.0),
-    ("position", "rad or m", 1.0),
-    ("velocity", "rad/s or m/s", 1.0),
-    ("acceleration", "rad/s² or m/s²", 1.0),
+    ("position", "rad", -1.0),
+    ("position", "rad", 1.0),
+    ("velocity", "rad/s", 1.0),
+    ("acceleration", "rad/s²", 1.0),
 )
 
 
@@ -176,4 +176,5 @@ def check_rest(motion: Motion, limits: Sequence[JointLimits], where: str) -> Non
     for joint, limit in enumerate(limits):
         for moment, value in zip(("begins", "ends"), velocity[joint], strict=True):
             if not abs(value) <= 1e-3 * limit.velocity:
-                raise UsageError(f"{moment} with joint {limit.name} at {value:.4g} rad/s, not at rest", where=where)
+                speed = f"{value:.4g} {limit.unit('rad/s')}"
+                raise UsageError(f"{moment} with joint {limit.name} at {speed}, not at rest", where=where)

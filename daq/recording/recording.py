@@ -166,9 +166,9 @@ class Recording:
             "temperature": temperature,
         }
         checked = joint_arrays(robot_file, time, given)
-        names = robot_file.robot.joint_names
+        arm, names = robot_file.robot, robot_file.robot.joint_names
         channels = {
-            quantity: Channel(quantity, values, UNITS[quantity], names, "from an array")
+            quantity: Channel(quantity, values, arm.column_unit(UNITS[quantity], names), names, "from an array")
             for quantity, values in checked.values.items()
         }
         return cls(

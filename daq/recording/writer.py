@@ -20,9 +20,10 @@ from daq.recording.growing_file import SPARE, GrowingFile
 from daq.recording.hdf5_reason import hdf5_reason
 from daq.recording.recording import SCHEMA_VERSION, Level, Recording, software_versions
 from daq.robot.loader import RobotFile
+from daq.robot.schema import Robot
 from drivers.errors import DiskError, DynidError, RecordingError
 from drivers.input_files import RECORDING_FILE, size_text
-from drivers.streams import ChannelLayout, FloatArray, StreamLayout
+from drivers.streams import UNITS, ChannelLayout, FloatArray, StreamLayout
 
 CHUNK_SECONDS = 0.5
 """Duration of a chunk [s], and so the most that a crash can cost a recorder that flushes whole chunks."""
@@ -93,7 +94,7 @@ class RecordingWriter:
             self._write_attributes(robot, trajectory, speed_scale, comment)
             group = self._file.create_group("streams")
             for layout in streams:
-                self._create_stream(group, layout)
+                self._create_stream(group, layout, robot.robot)
             self._events = self._file.create_dataset(
                 "events", (0,), maxshape=(None,), dtype=_EVENT_TYPE, chunks=(EVENT_CHUNK_ROWS,)
             )
@@ -117,7 +118,7 @@ class RecordingWriter:
         attributes["comment"] = comment
         attributes["complete"] = False
 
-    def _create_stream(self, parent: Any, layout: StreamLayout) -> None:
+    def _create_stream(self, parent: Any, layout: StreamLayout, robot: Robot) -> None:
         group = parent.create_group(layout.name)
         rows = chunk_rows(layout.rate)
         clocks = (("time", "the source's own clock"), ("host_time", "the host's monotonic clock"))
@@ -140,7 +141,8 @@ class RecordingWriter:
                 fillvalue=np.nan,  # rows of a crash that were announced but not written must not look like samples
             )
             self._datasets[layout.name][channel.quantity] = dataset
-            dataset.attrs["unit"] = channel.unit
+            known = channel.unit == UNITS.get(channel.quantity)
+            dataset.attrs["unit"] = robot.column_unit(channel.unit, channel.columns) if known else channel.unit
             dataset.attrs["description"] = channel.description
             dataset.attrs["joints"] = list(channel.columns)
             dataset.dims[0].attach_scale(group["time"])

@@ -53,10 +53,8 @@ class RobotFile(BaseModel):
 
     @property
     def prismatic_joints(self) -> frozenset[str]:
-        """Names of the joints that slide."""
-        if self.robot.model.mdh is not None:
-            return frozenset(row.joint for row in self.robot.model.mdh if row.type == "prismatic")
-        return urdf_prismatic_joints(self.urdf_text or "<robot/>")
+        """Names of the joints with a motor that slide."""
+        return frozenset(joint.name for joint in self.robot.joints if joint.sliding)
 
 
 def builtin_robots() -> tuple[str, ...]:
@@ -138,6 +136,12 @@ def parse_robot(text: str, *, where: str, folder: Path | None, urdf_text: str | 
     robot = _robot(text, where)
     if robot.model.urdf is not None and urdf_text is None:
         urdf_text = _read_urdf(robot.model.urdf, folder, where)
+    if robot.model.mdh is not None:
+        sliding = frozenset(row.joint for row in robot.model.mdh if row.type == "prismatic")
+    else:
+        sliding = urdf_prismatic_joints(urdf_text or "<robot/>")
+    joints = tuple(joint.of_kind(sliding=joint.name in sliding) for joint in robot.joints)
+    robot = robot.model_copy(update={"joints": joints})
     return RobotFile(robot=robot, text=text, where=where, folder=folder, urdf_text=urdf_text)
 
 

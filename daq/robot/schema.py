@@ -6,10 +6,11 @@ Units: m, rad, s, kg, N·m, A, °C. Angles of the geometry may be written as mul
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import reduce
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, model_validator
 
 from daq.robot.lengths import with_lengths
 from daq.robot.loops import BASE as BASE
@@ -32,6 +33,7 @@ from daq.robot.section import (
 from daq.robot.workspace import Mounting, Workspace
 from drivers.ranges import EXPONENT, JOINTS, NUMBER, STRIBECK_VELOCITY
 from drivers.terminal import hidden_character
+from drivers.units import common_unit, joint_unit
 from drivers.yaml_file import SeveralProblems
 
 ASSUMED_ACCELERATION = 10.0
@@ -134,12 +136,28 @@ class JointLimits(Section):
     acceleration: Positive = Field(default=ASSUMED_ACCELERATION, description="[rad/s² or m/s²]")
     torque: Positive | None = Field(default=None, description="[N·m or N]")
     temperature: Finite | None = Field(default=None, description="[°C]")
+    _sliding: bool = PrivateAttr(default=False)
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if not self.position[0] < self.position[1]:
             raise ValueError(f"position limits {list(self.position)} are not in ascending order")
         return self
+
+    @property
+    def sliding(self) -> bool:
+        """Whether the joint slides, as the kinematics say: its units are then m and N."""
+        return self._sliding
+
+    def of_kind(self, *, sliding: bool) -> Self:
+        """The same limits, of a joint that slides or turns."""
+        limits = self.model_copy()
+        limits._sliding = sliding
+        return limits
+
+    def unit(self, unit: str) -> str:
+        """The unit of one of its quantities, given that of a turning joint."""
+        return joint_unit(unit, sliding=self._sliding)
 
 
 class Drive(Section):
@@ -361,6 +379,16 @@ class Robot(Section):
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints that motors move, in the order of every array."""
         return tuple(joint.name for joint in self.joints)
+
+    @property
+    def sliding(self) -> tuple[bool, ...]:
+        """Whether each of these joints slides."""
+        return tuple(joint.sliding for joint in self.joints)
+
+    def column_unit(self, unit: str, columns: Sequence[str]) -> str:
+        """The unit of values with a column per joint, by its name, given that of turning joints: "rad or m"."""
+        kinds = dict(zip(self.joint_names, self.sliding, strict=True))
+        return common_unit(unit, [kinds.get(name, False) for name in columns])
 
     @property
     def dof(self) -> int:

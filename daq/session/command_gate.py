@@ -18,6 +18,7 @@ from daq.session.supervisor import TRACKING_ERROR, TRACKING_WINDOW
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import SafetyStopError
 from drivers.streams import FloatArray
+from drivers.units import joint_unit
 
 COMMAND_RATE = 100.0
 """A motion is not played with fewer commands, or fewer measured positions, per second than this."""
@@ -40,6 +41,7 @@ class GateLimits:
         velocity: [rad/s or m/s].
         acceleration: [rad/s² or m/s²].
         tracking_error: [rad or m], between a command and the measured position beyond what was commanded lately.
+        sliding: whether a joint slides, for the units of messages.
     """
 
     joints: tuple[str, ...]
@@ -48,6 +50,7 @@ class GateLimits:
     velocity: FloatArray
     acceleration: FloatArray
     tracking_error: FloatArray
+    sliding: tuple[bool, ...]
 
     @classmethod
     def of_joints(cls, joints: Sequence[JointLimits], tracking_error: float = TRACKING_ERROR) -> Self:
@@ -59,6 +62,7 @@ class GateLimits:
             np.array([joint.velocity for joint in joints]),
             np.array([joint.acceleration for joint in joints]),
             np.full(len(joints), tracking_error),
+            tuple(joint.sliding for joint in joints),
         )
 
 
@@ -193,7 +197,7 @@ class CommandGate:
             self._refuse(what, values, bound, int(np.argmax(values / bound)), unit)
 
     def _refuse(self, what: str, values: FloatArray, bound: FloatArray, joint: int, unit: str) -> None:
-        name = self._limits.joints[joint]
+        name, unit = self._limits.joints[joint], joint_unit(unit, sliding=self._limits.sliding[joint])
         raise SafetyStopError(
             f"{what} of {name}: {values[joint]:.4g} {unit} passes {bound[joint]:.4g} {unit}; the command was not sent"
         )

@@ -33,7 +33,8 @@ def looser_limits(robot: Robot, own: DeviceLimits) -> list[str]:
     lines = []
     if wider.any():
         pairs = [
-            f"{joints[k].name} {lowest[k]:.4g} to {highest[k]:.4g} rad, own {own.lowest[k]:.4g} to {own.highest[k]:.4g}"
+            f"{joints[k].name} {lowest[k]:.4g} to {highest[k]:.4g} {joints[k].unit('rad')}, "
+            f"own {own.lowest[k]:.4g} to {own.highest[k]:.4g}"
             for k in np.flatnonzero(wider)
         ]
         lines.append(f"position limits wider than the controller's own ({own.sources['position']}): {'; '.join(pairs)}")
@@ -52,4 +53,7 @@ def looser_limits(robot: Robot, own: DeviceLimits) -> list[str]:
 
 
 def _listed(robot: Robot, which: npt.NDArray[np.bool_], mine: FloatArray, theirs: FloatArray, unit: str) -> str:
-    return "; ".join(f"{robot.joints[k].name} {mine[k]:.4g} {unit}, own {theirs[k]:.4g}" for k in np.flatnonzero(which))
+    joints = robot.joints
+    return "; ".join(
+        f"{joints[k].name} {mine[k]:.4g} {joints[k].unit(unit)}, own {theirs[k]:.4g}" for k in np.flatnonzero(which)
+    )

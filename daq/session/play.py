@@ -195,7 +195,9 @@ def prepare(
     return Player(course.gate.command, path, limits.acceleration, course.clock)
 
 
-def follow_motion(cycle: Callable[[], None], recorder: Recorder, course: Course, player: Player, path: Path) -> None:
+def follow_motion(
+    cycle: Callable[[], None], recorder: Recorder, course: Course, player: Player, path: Path, robot: Robot
+) -> None:
     """Until the arm has arrived at the end of the motion.
 
     Raises:
@@ -223,7 +225,8 @@ def follow_motion(cycle: Callable[[], None], recorder: Recorder, course: Course,
     if course.interrupted is None and course.position is not None:
         short = np.abs(course.position - path.positions(np.array([path.duration]))[0])
         if np.max(short) > ARRIVAL_ERROR:
-            said = f"the arm came to rest {np.max(short):.3f} rad from the end of the motion"
+            joint = robot.joints[int(np.argmax(short))]
+            said = f"{joint.name} came to rest {np.max(short):.3f} {joint.unit('rad')} from the end of the motion"
             recorder.event(course.source_time(), "warning", "player", said)
 
 

@@ -185,7 +185,7 @@ def record(
                     supervisor.restart_ages(clock.now())
                     course.moves = True
                     player.start()
-                    follow_motion(cycle, recorder, course, player, path)
+                    follow_motion(cycle, recorder, course, player, path, play.robot)
             if player is None:
                 _follow(partial(_cycle, driver, recorder, supervisor, course), course, begun, duration)
         except KeyboardInterrupt:

@@ -15,6 +15,7 @@ from daq.robot.schema import Robot
 from daq.session.stuck_channels import MOST_TOGETHER, TOGETHER, WATCHED, JointSpeed, StuckChannel
 from drivers.gains import torque_at_joints
 from drivers.streams import UNITS, Batch, FloatArray, StreamLayout
+from drivers.units import joint_unit
 
 TRACKING_ERROR = 0.2
 """Default limit of the tracking error [rad or m]."""
@@ -72,6 +73,7 @@ class Limits:
         tracking_error: [rad or m].
         torque_per_current: of the motors [N·m/A], nan where unknown; used where a source has no torque.
         coupling: (n, n) R of q_motor = R·q_joint.
+        sliding: whether a joint slides, for the units of messages.
     """
 
     joints: tuple[str, ...]
@@ -83,6 +85,7 @@ class Limits:
     tracking_error: FloatArray
     torque_per_current: FloatArray
     coupling: FloatArray
+    sliding: tuple[bool, ...]
 
     @classmethod
     def of_robot(cls, robot: Robot, tracking_error: float = TRACKING_ERROR) -> Self:
@@ -98,6 +101,7 @@ class Limits:
             np.full(robot.dof, tracking_error),
             np.array([d.gain if d.gain is not None and d.signal == "current" else np.nan for d in drives]),
             coupling_matrix(robot.model.coupling, robot.joint_names),
+            robot.sliding,
         )
 
     def torque_of_current(self, current: FloatArray, motors: IndexArray) -> tuple[FloatArray, IndexArray]:
@@ -230,9 +234,12 @@ class Supervisor:
                 self._stuck[key] = StuckChannel(quantity, len(joints), patience)
             channel = self._stuck[key]
             for column in channel.add(time, values, way[joints], self._speed.speed[joints]).tolist():
-                said = f"{values[-1, column]:.6g} {UNITS[quantity]} repeats bit for bit {cause}"
-                unit = "s" if quantity == "temperature" else "rad"
                 name, joint = self._limits.joints[joints[column]], int(joints[column])
+                shown, unit = (
+                    joint_unit(unit, sliding=self._limits.sliding[joint])
+                    for unit in (UNITS[quantity], "s" if quantity == "temperature" else "rad")
+                )
+                said = f"{values[-1, column]:.6g} {shown} repeats bit for bit {cause}"
                 supervised = self._depends_on(batch, quantity, joint)
                 found.append(Breach(f"stuck {quantity}", name, *channel.stood(column), time, unit, said, supervised))
         return found
@@ -341,7 +348,7 @@ class Supervisor:
             float(values[row, column]),
             float(limit[joint]),
             float(batch.time[row]),
-            unit,
+            joint_unit(unit, sliding=self._limits.sliding[joint]),
         )
         breaches.append((row, breach))
 

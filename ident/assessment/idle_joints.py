@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
+from drivers.units import joint_unit
 from ident.regression.comparison import TorqueSeries
 from ident.signals.motion_masks import SHORTEST_REST
 from ident.verdict.catalogue import raised
@@ -42,6 +43,7 @@ def idle_mask(torques: TorqueSeries, rest_velocity: float) -> npt.NDArray[np.boo
 
 def idle_joint_checks(
     names: Sequence[str],
+    sliding: Sequence[bool],
     series: Sequence[TorqueSeries],
     rest_velocity: float,
     coulomb: FloatArray,
@@ -54,6 +56,7 @@ def idle_joint_checks(
 
     Args:
         names: of the joints.
+        sliding: whether each of them slides.
         series: measured and predicted torques.
         rest_velocity: below which a joint rests [rad/s or m/s].
         coulomb: (n,) Coulomb friction [N·m]; 0 where the model has none.
@@ -73,7 +76,9 @@ def idle_joint_checks(
     if not idle:
         return []
     figures = ", ".join(
-        f"{names[j]} {percent_text(float(share[j]), 2)} (friction {abs(coulomb[j]):.2g} N·m)" for j in idle
+        f"{names[j]} {percent_text(float(share[j]), 2)} "
+        f"(friction {abs(coulomb[j]):.2g} {joint_unit('N·m', sliding=sliding[j])})"
+        for j in idle
     )
     text = (
         f"joints rest for most of the data: {figures}; static friction carries an unknown share of their load, which "

@@ -63,7 +63,9 @@ def torque_level_checks(robot: Robot, model: DynamicModel, torque: FloatArray) -
     names = robot.joint_names
     beyond = [joint for joint in range(len(names)) if share[joint] > BEYOND]
     if beyond:
-        figures = ", ".join(f"{names[j]} {_figure(peak[j])} of {limits[j]:.4g} N·m" for j in beyond)
+        figures = ", ".join(
+            f"{names[j]} {_figure(peak[j])} of {limits[j]:.4g} {robot.joints[j].unit('N·m')}" for j in beyond
+        )
         text = (
             f"torques are far beyond the limits: {figures}; check the unit of the current (A, not mA), the drive gains "
             "and the limits"

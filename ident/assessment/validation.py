@@ -108,10 +108,7 @@ def overfitting_checks(fitted: TorqueErrors, held_out: TorqueErrors) -> list[Che
         larger += f" ({' against '.join(shares)} of the torque)"
     moving = _times_larger(fitted.high_speed_rmse, held_out.high_speed_rmse)
     if moving <= MUCH_LARGER:
-        text = (
-            f"{larger}, above {LOW_SPEED:g} rad/s only {moving:.1f} times: friction near standstill, where no static "
-            "model holds"
-        )
+        text = f"{larger}, at high speed only {moving:.1f} times: friction near standstill, where no static model holds"
         return [raised("errors-near-standstill", text)]
     text = f"{larger}, in motion, too: the model overfits, or the other motion shows effects that this one does not"
     return [raised("overfitting", text)]

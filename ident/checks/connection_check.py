@@ -146,7 +146,7 @@ def check_connection(
             channel.quantity: dict(zip(channel.columns, received[0].values[channel.quantity][0].tolist(), strict=True))
             for channel in (layout.channels if received else ())
         }
-        units = {channel.quantity: channel.unit for channel in layout.channels}
+        units = {channel.quantity: robot.column_unit(channel.unit, channel.columns) for channel in layout.channels}
         streams.append(CheckedStream(layout.name, layout.rate, _rate(received), first, units))
     warnings = _rate_warnings(streams) + _limit_warnings(
         Supervisor(Limits.of_robot(robot), layouts), batches, clock.now()
@@ -263,8 +263,9 @@ def _gain_warnings(robot_file: RobotFile, identities: tuple[Mapping[str, Any], .
         if drive.gain is None or drive.signal != "current":
             continue
         if abs(torque / current / abs(drive.gain) - 1.0) > GAIN_AGREEMENT:
+            unit = robot_file.robot.column_unit("N·m/A", [joint])
             warnings.append(
-                f"drive gain of {joint}: {abs(drive.gain):.4g} N·m/A in 'drives', but the rated torque over the rated "
-                f"current is {torque / current:.4g} N·m/A; does one of them refer to the motor side of the gearbox?"
+                f"drive gain of {joint}: {abs(drive.gain):.4g} {unit} in 'drives', but the rated torque over the rated "
+                f"current is {torque / current:.4g} {unit}; does one of them refer to the motor side of the gearbox?"
             )
     return warnings

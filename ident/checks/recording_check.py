@@ -13,8 +13,10 @@ from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.recording.signal_quality import ColumnQuality
 from daq.recording.stream_quality import StreamQuality
 from daq.robot.loader import RobotFile
+from daq.robot.schema import Robot
 from drivers.errors import DynidError
 from drivers.reading_process import Progress
+from drivers.units import common_unit
 from ident.assessment.delay.delay import DelaySearch, delay_checks, search_delay
 from ident.assessment.excitation import ExcitationReached, excitation_reached
 from ident.assessment.recorded_motion import RecordedMotion, recorded_motion
@@ -50,7 +52,7 @@ class RecordingInfo:
 
     Attributes:
         recording: as read.
-        robot_name: of the robot file.
+        robot: of the robot file.
         streams: name → evenness of its clock.
         columns: (stream, quantity) → figures of its columns.
         excitation: how well the motion excites the arm; None where nothing could be analysed.
@@ -62,7 +64,7 @@ class RecordingInfo:
     """
 
     recording: Recording
-    robot_name: str
+    robot: Robot
     streams: Mapping[str, StreamQuality]
     columns: Mapping[tuple[str, str], tuple[ColumnQuality, ...]]
     excitation: ExcitationReached | None
@@ -71,6 +73,11 @@ class RecordingInfo:
     times: TimesNeeded | None
     verdict: Verdict
     motion: RecordedMotion | None = None
+
+    @property
+    def motion_units(self) -> tuple[str, str]:
+        """Units of positions and velocities of its joints."""
+        return common_unit("rad", self.robot.sliding), common_unit("rad/s", self.robot.sliding)
 
 
 def recording_info(
@@ -117,7 +124,7 @@ def recording_info(
         checks += torque_level_checks(robot_file.robot, motion.model, motion.measured.torque)
     verdict = judge(checks, None)
     return RecordingInfo(
-        recording, robot_file.robot.name, streams, columns, excitation, delay, sufficiency, times, verdict, motion
+        recording, robot_file.robot, streams, columns, excitation, delay, sufficiency, times, verdict, motion
     )
 
 
@@ -180,7 +187,7 @@ def info_object(info: RecordingInfo, file: str) -> dict[str, Any]:
     recording = info.recording
     return {
         "file": file,
-        "robot": info.robot_name,
+        "robot": info.robot.name,
         "created": recording.created,
         "comment": recording.comment,
         "complete": recording.complete,
@@ -221,7 +228,7 @@ def print_info(info: RecordingInfo, file: str) -> None:
     """The same for a person."""
     recording = info.recording
     state = "complete" if recording.complete else "NOT closed properly"
-    print(f"{file}: {info.robot_name}, {state}, created {recording.created or 'at an unknown time'}")
+    print(f"{file}: {info.robot.name}, {state}, created {recording.created or 'at an unknown time'}")
     print(f"As far as the recording goes: {info.verdict.headline}\n")
     clock = ("samples", "seconds", "rate [Hz]", "jitter [ms]", "longest [ms]", "lost", "duplicates")
     print_table(
@@ -250,9 +257,10 @@ def print_info(info: RecordingInfo, file: str) -> None:
             [(c.name, c.smallest, c.largest, c.noise, c.step, c.clipped_percent, c.outliers) for c in qualities],
         )
     if info.excitation is not None:
+        travel, speed = info.motion_units
         print_table(
             f"\nMotion: column-normalised condition number {info.excitation.scaled_condition:.1f}",
-            ("joint", "range [rad]", "velocity [rad/s]", "limit utilisation [%]"),
+            ("joint", f"range [{travel}]", f"velocity [{speed}]", "limit utilisation [%]"),
             zip(
                 recording.streams[JOINTS_STREAM].channels["position"].columns,
                 info.excitation.position_range,

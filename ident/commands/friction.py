@@ -28,8 +28,8 @@ def find_friction(
     from daq.commands.console import print_table, progress_line
     from daq.output_files import REPORT_FILE, check_output_folder
     from daq.robot.loader import load_robot
+    from drivers.units import common_unit
     from ident.commands.options import delay_option
-    from ident.model.joint_units import common_unit
     from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
     from ident.result.friction_experiment import FRICTION_FILE
     from ident.tasks.friction import friction as friction_task

@@ -137,11 +137,12 @@ def print_payload(payload: Payload) -> None:
 def print_gains(gains: DriveGains) -> None:
     """The gains as a person reads them at the terminal."""
     from daq.commands.console import print_table
-    from ident.experiments.payload_summary import base_unit, drives_text, gain_unit
+    from ident.experiments.payload_summary import drives_text, gain_unit
+    from ident.result.units import parameter_unit
 
     print(f"delay: {gains.pair.delay_note}")
     print_table(
-        f"\nDrive gains [{gain_unit(gains.signal)}], joint side",
+        f"\nDrive gains [{gain_unit(gains.signal, gains.robot)}], joint side",
         (
             "joint",
             "robot file",
@@ -176,7 +177,7 @@ def print_gains(gains: DriveGains) -> None:
                 pair.base.names[i],
                 float(gains.parameters[i]),
                 float(gains.parameter_std[i]),
-                base_unit(pair.model, pair.base.columns[i]),
+                parameter_unit(pair.model, pair.base.columns[i]),
             )
             for i in gains.active
         ],
@@ -190,12 +191,14 @@ def print_gains(gains: DriveGains) -> None:
 def print_slow_gains(gains: SlowGains) -> None:
     """Gains from slow up-and-down runs as a person reads them at the terminal."""
     from daq.commands.console import print_table
+    from drivers.units import common_unit
     from ident.experiments.payload_summary import drives_text, gain_unit
     from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
+    speed, torque = (common_unit(unit, gains.robot.sliding) for unit in ("rad/s", "N·m"))
     print_table(
-        f"\nDrive gains [{gain_unit(gains.signal)}], joint side, by half sums of slow runs up and down",
-        ("joint", "robot file", "identified", "σ", "RSD [%]", "change [%]", "poses", "positions", "speed [rad/s]"),
+        f"\nDrive gains [{gain_unit(gains.signal, gains.robot)}], joint side, by half sums of slow runs up and down",
+        ("joint", "robot file", "identified", "σ", "RSD [%]", "change [%]", "poses", "positions", f"speed [{speed}]"),
         [
             (
                 gain.joint,
@@ -212,7 +215,7 @@ def print_slow_gains(gains: SlowGains) -> None:
         ],
     )
     print_table(
-        "\nFriction at that speed [N·m], by half differences and these gains",
+        f"\nFriction at that speed [{torque}], by half differences and these gains",
         ("joint", "free", "loaded"),
         [(gain.joint, gain.free_friction, gain.loaded_friction) for gain in gains.gains],
     )

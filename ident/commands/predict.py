@@ -58,7 +58,7 @@ def predict_torque(
         )
         return
     print_table(
-        f"{summary.title} [N·m]",
+        f"{summary.title} [{summary.columns[1].unit}]",
         [column.name.replace("_", " ") for column in summary.columns],
         [list(row.values()) for row in summary],
     )

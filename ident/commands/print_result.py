@@ -72,7 +72,7 @@ def _print_errors(result: Result) -> None:
     fit, moving, every = delivered.fit, delivered.validation, delivered.validation_all_samples
     held_out = "" if moving is None or moving.held_out else ", NOT HELD OUT"
     print_table(
-        f"\nErrors of the {DELIVERED_WORDS[delivered.parameters]} model{held_out}",
+        f"\nErrors of the {DELIVERED_WORDS[delivered.parameters]} model [{result.unit('N·m')}]{held_out}",
         ("joint", "RMSE fit", "RMSE validation", "at low speed", "at high speed", "relative [%]", "in motion [%]"),
         [
             (
@@ -98,7 +98,8 @@ def _print_simulation(result: Result) -> None:
             continue
         print_table(
             f"\nSimulated motion on {run.recording}: {driven.windows} windows of {driven.window:.3g} s by recorded "
-            f"torque alone, and {tracked.duration:.3g} s with a soft PD controller; RMSE [rad or m]",
+            f"torque alone, and {tracked.duration:.3g} s with a soft PD controller; RMSE "
+            f"[{result.unit('rad')}]",
             ("joint", "without controller", "constant velocity", "ratio", "with controller", "largest"),
             zip(
                 result.joints,
@@ -144,11 +145,11 @@ def _print_merge(merge: Merge) -> None:
         )
 
 
-def print_fit(title: str, joints: Sequence[str], fit: Fit) -> None:
-    """Errors of each joint."""
+def print_fit(title: str, joints: Sequence[str], unit: str, fit: Fit) -> None:
+    """Errors of each joint, in a unit."""
     print(f"{title}: relative error {percent_text(fit.relative_error)} over {fit.samples} filtered samples")
     print_table(
-        "",
+        f"Errors [{unit}]",
         ("joint", "RMSE", "at low speed", "at high speed", "largest", "relative [%]"),
         zip(
             joints,

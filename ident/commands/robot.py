@@ -23,6 +23,7 @@ def show(
     """
     from daq.commands.console import print_json, print_table
     from daq.robot.loader import load_robot
+    from drivers.units import common_unit
     from ident.checks.robot_description import description, inertial_count
     from ident.model.base_parameters import base_parameters
     from ident.model.dynamic_model import build_model
@@ -40,8 +41,9 @@ def show(
     expressions = symbolic_expressions(robot_file, model, base)
     described = robot_file.robot
     print(f"{described.name}: {described.description}".rstrip(": "))
+    angle, torque = (common_unit(unit, described.sliding) for unit in ("rad", "N·m"))
     print_table(
-        "Joints",
+        f"Joints; limits in {angle}, s, {torque}",
         ("joint", "position", "velocity", "acceleration", "torque", "gain", "signal"),
         [
             (

@@ -35,6 +35,7 @@ def sweep_velocities(
     from daq.commands.console import print_json, print_table, progress_line
     from daq.output_files import check_outputs
     from daq.robot.loader import load_robot
+    from drivers.units import common_unit
     from ident.commands.options import names_option
     from ident.result.model import result_path
     from ident.tasks.velocity_sweep import design_sweep
@@ -79,7 +80,9 @@ def sweep_velocities(
         )
         for one in done
     ]
-    print_table("", ("joint", "from", "to", "slowest peak", "fastest peak", "does not move"), rows)
+    sliding = motion.robot_file.robot.sliding
+    title = f"Strokes [{common_unit('rad', sliding)}] and their peak velocities [{common_unit('rad/s', sliding)}]"
+    print_table(title, ("joint", "from", "to", "slowest peak", "fastest peak", "does not move"), rows)
     print(
         f"\n{motion.duration:.0f} s; record it several times in a row, and the arm warms up from one to the next\n{out}"
     )

@@ -77,12 +77,12 @@ def _print_tables(validation: Validation) -> None:
 
     for one in validation.recordings:
         print(labelled(one.recording, one.delivered.overlap))
-        words = DELIVERED_WORDS[validation.delivered.parameters]
-        print_fit(f"{words} model, all samples", validation.joints, one.delivered.all_samples)
-        print_fit(f"{words} model, in motion", validation.joints, one.delivered.in_motion)
+        words, unit = DELIVERED_WORDS[validation.delivered.parameters], validation.torque_unit
+        print_fit(f"{words} model, all samples", validation.joints, unit, one.delivered.all_samples)
+        print_fit(f"{words} model, in motion", validation.joints, unit, one.delivered.in_motion)
         for name, fit in (("full", one.full), ("essential", one.essential)):
             if name != validation.delivered.parameters:
-                print_fit(f"{name} model, in motion", validation.joints, fit)
+                print_fit(f"{name} model, in motion", validation.joints, unit, fit)
         print_verdict(one.verdict)
         print()
     if len(validation.recordings) > 1:

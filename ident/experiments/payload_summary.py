@@ -6,7 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from daq.robot.schema import Robot
 from drivers.streams import FloatArray
+from drivers.units import common_unit
 from ident.experiments.gains.drive_gains import DriveGains
 from ident.experiments.gains.up_and_down import SlowGains
 from ident.experiments.load.consistent_load_summary import consistent_load_result
@@ -28,12 +30,11 @@ from ident.experiments.schema import (
     SlowGainsResult,
     UnchangedResult,
 )
-from ident.model.dynamic_model import DynamicModel
 from ident.model.load import FIRST_MOMENTS, KnownLoad, LoadColumns
 from ident.model.parameters import INERTIAL
 from ident.regression.gain_uncertainty import gain_deviations
 from ident.regression.hypothesis_tests import LEVEL, WITHIN_95_PERCENT, SignificanceTest
-from ident.result.schema import UNITS
+from ident.result.units import parameter_unit
 
 FRAME_TEXT = "tool frame: origin at workspace.tool, axes of the last joint's frame"
 
@@ -84,7 +85,7 @@ def payload_sentences(payload: Payload) -> list[str]:
             )
         )
     if payload.rest is not None:
-        rest, unit = payload.rest, base_unit(payload.pair.model, payload.pair.base.columns[payload.rest.index])
+        rest, unit = payload.rest, parameter_unit(payload.pair.model, payload.pair.base.columns[payload.rest.index])
         stayed = "stayed" if rest.test.passed else "did not stay"
         sentences.append(
             f"what a load does not change (friction, motor inertia, …) {stayed} the same: the largest difference is "
@@ -124,17 +125,12 @@ def load_parameters(estimate: LoadEstimate) -> list[LoadParameter]:
     return [LoadParameter(**dict(zip(LoadParameter.model_fields, column, strict=True))) for column in columns]
 
 
-def base_unit(model: DynamicModel, column: int) -> str:
-    """Unit of a base parameter, by the standard column that it is named after."""
-    return UNITS[model.parameters[column].symbol]
-
-
 def base_changes(payload: Payload) -> list[BaseParameterChange]:
     """Base parameters that the load changes, as SR400 Table 4 has them."""
     pair, changes = payload.pair, payload.changes
     values = (changes.free, changes.free_std, changes.predicted, changes.loaded, changes.loaded_std)
     rows = [
-        (pair.base.names[index], base_unit(pair.model, pair.base.columns[index]), *row)
+        (pair.base.names[index], parameter_unit(pair.model, pair.base.columns[index]), *row)
         for index, row in zip(changes.indices, np.array(values).T.tolist(), strict=True)
     ]
     return [BaseParameterChange(**dict(zip(BaseParameterChange.model_fields, row, strict=True))) for row in rows]
@@ -183,12 +179,12 @@ def gains_result(drives: DriveGains) -> GainsResult:
         robot=pair.robot_file.robot.name,
         runs=[run.label for run in pair.runs],
         signal=drives.signal,
-        unit=gain_unit(drives.signal),
+        unit=gain_unit(drives.signal, drives.robot),
         known=KnownLoadValues.model_validate(drives.known),
         gains=[GainResult.model_validate(gain) for gain in drives.gains],
         covariance=drives.covariance.tolist(),
         base_parameters=_estimated(
-            base.names, [base_unit(pair.model, i) for i in base.columns], drives.parameters, drives.parameter_std
+            base.names, [parameter_unit(pair.model, i) for i in base.columns], drives.parameters, drives.parameter_std
         ),
         load=_estimated(columns.names, columns.units, drives.load, drives.load_std),
         condition=drives.condition,
@@ -208,9 +204,12 @@ def slow_gains_result(drives: SlowGains) -> SlowGainsResult:
         robot=drives.robot.name,
         runs=list(drives.runs),
         signal=drives.signal,
-        unit=gain_unit(drives.signal),
+        unit=gain_unit(drives.signal, drives.robot),
         known=KnownLoadValues.model_validate(drives.known),
-        gains=[SlowGainResult.model_validate(gain) for gain in drives.gains],
+        gains=[
+            SlowGainResult.model_validate(gain).model_copy(update={"sliding": slides})
+            for gain, slides in zip(drives.gains, drives.robot.sliding, strict=True)
+        ],
         load=_estimated(moments, ["kg·m"] * len(moments), drives.moments, drives.moments_std),
         gap=drives.gap,
         robot_file_text=drives_text(drives),
@@ -225,9 +224,9 @@ def _estimated(
     return [EstimatedValue(name=name, unit=unit, value=value, std=std) for name, unit, value, std in rows]
 
 
-def gain_unit(signal: str) -> str:
-    """Unit of a gain, for revolute joints."""
-    return "N·m/A" if signal == "current" else "N·m/V"
+def gain_unit(signal: str, robot: Robot) -> str:
+    """Unit of the gains of an arm's joints."""
+    return common_unit("N·m/A" if signal == "current" else "N·m/V", robot.sliding)
 
 
 def drives_text(drives: DriveGains | SlowGains) -> str:

@@ -201,6 +201,7 @@ class SlowGainResult(_Entry):
     """The gain of one joint's drive from slow passes up and down."""
 
     joint: str
+    sliding: bool = Field(default=False, description="whether the joint slides: N and m/s for N·m and rad/s")
     gain: Number
     std: Number
     rsd_percent: Number = Field(validation_alias="relative_std")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.streams import FloatArray
+from drivers.units import joint_unit
 from ident.export.arm import ExportedArm
-from ident.model.joint_units import joint_unit
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 """[m/s²] what simulators take where a file does not say it."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from drivers.errors import ModelError
 from drivers.streams import FloatArray
+from drivers.units import common_unit
 from ident.export.arm import ExportedArm
 from ident.export.left_out import left_out_of_mjcf
 from ident.export.shapes import Segment, link_segments
@@ -42,7 +43,8 @@ def mjcf(arm: ExportedArm) -> str:
     _check_coupled(arm)
     root = ElementTree.Element("mujoco", model=model.name)
     lines = [
-        f"Dynamic model of {model.name}, identified with dynid; torque in ctrl, offsets included [N·m].",
+        f"Dynamic model of {model.name}, identified with dynid; torque in ctrl, offsets included "
+        f"[{common_unit('N·m', model.sliding)}].",
         "Not in this file:",
         *(f"- {sentence}" for sentence in left_out_of_mjcf(arm)),
     ]

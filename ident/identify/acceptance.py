@@ -37,6 +37,7 @@ def acceptance_figures(
         joint_relative_error=_by_joint(joints, None if known is None else known.joint_relative_error),
         rmse=_by_joint(joints, None if known is None else known.rmse),
         motion_rmse=_by_joint(joints, _motion_error(runs)),
+        sliding=dict(zip(joints, result.sliding, strict=True)),
         consistent=result.consistent is not None,
         consistency_cost=_cost(runs),
         verdict=verdict,

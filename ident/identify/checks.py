@@ -230,6 +230,7 @@ def _idle_joint_checks(identification: Identification) -> list[Check]:
             coulomb[row], deviation[row] = identification.solution.parameters[i], identification.std[i]
     return idle_joint_checks(
         model.joint_names,
+        model.sliding,
         identification.fit_series,
         identification.runs[0].prepared.rest_velocity,
         coulomb,

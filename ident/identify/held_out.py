@@ -10,6 +10,7 @@ import numpy as np
 from daq.robot.schema import Robot
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
+from drivers.units import joint_unit
 from ident.assessment.validation import fit_figures, overfitting_checks
 from ident.identify.data_split import labelled
 from ident.model.base_parameters import BaseParameters, base_parameters
@@ -220,7 +221,7 @@ def model_verdict(result: Result, checks: Sequence[Check], runs: Sequence[HeldOu
     if not counted:
         missing = raised("not-validated", "nothing was held out to validate the model with (--validate)")
         return judge([*checks, missing], _nothing(result.joints), basis)
-    of_runs = [(run.recording, judge([*checks, *run.checks], _evidence(result.joints, run), basis)) for run in counted]
+    of_runs = [(run.recording, judge([*checks, *run.checks], _evidence(result, run), basis)) for run in counted]
     return together(of_runs)
 
 
@@ -235,8 +236,9 @@ def _nothing(joints: Sequence[str]) -> Evidence:
     return Evidence(TorqueError(None), dict.fromkeys(joints, TorqueError(None)))
 
 
-def _evidence(joints: Sequence[str], run: HeldOutErrors) -> Evidence:
+def _evidence(result: Result, run: HeldOutErrors) -> Evidence:
     """What a grade follows from; nothing where the recording is the identification's own."""
+    joints = result.joints
     if run.overlap >= 1.0:
         return _nothing(joints)
     every, moving = run.all_samples, run.in_motion
@@ -246,10 +248,10 @@ def _evidence(joints: Sequence[str], run: HeldOutErrors) -> Evidence:
         )
         for place, joint in enumerate(joints)
     }
-    return Evidence(TorqueError(every.relative_error, moving.relative_error), of_joints, tuple(_motions(joints, run)))
+    return Evidence(TorqueError(every.relative_error, moving.relative_error), of_joints, tuple(_motions(result, run)))
 
 
-def _motions(joints: Sequence[str], run: HeldOutErrors) -> Iterator[MotionError]:
+def _motions(result: Result, run: HeldOutErrors) -> Iterator[MotionError]:
     """Simulated motions whose errors can be compared with constant velocity."""
     for simulated, text in (
         (run.open_loop, "motion simulated without a controller"),
@@ -257,11 +259,14 @@ def _motions(joints: Sequence[str], run: HeldOutErrors) -> Iterator[MotionError]
     ):
         if simulated is not None and simulated.ratio is not None:
             ratios = [float("inf") if ratio is None else ratio for ratio in simulated.joint_ratio]
-            errors = [float("nan") if error is None else error for error in simulated.position_rmse]
+            errors = [
+                "of unknown size" if error is None else f"{error:.2g} {joint_unit('rad', sliding=slides)}"
+                for error, slides in zip(simulated.position_rmse, result.sliding, strict=True)
+            ]
             yield MotionError(
                 simulated.ratio,
-                dict(zip(joints, ratios, strict=True)),
-                dict(zip(joints, errors, strict=True)),
+                dict(zip(result.joints, ratios, strict=True)),
+                dict(zip(result.joints, errors, strict=True)),
                 text,
             )
 
@@ -335,7 +340,7 @@ def _share_at_rest(in_motion: Sequence[TorqueSeries], all_samples: Sequence[Torq
 
 def _graded(parameters: ParameterSets, errors: Fit) -> list[float | None]:
     """Each joint's relative error, over at least a share of its rated torque (`RATED_SHARE`, `LARGEST_SHARE`)."""
-    names, sliding = parameters.robot.joint_names, _sliding(parameters.model)
+    names, sliding = parameters.robot.joint_names, parameters.model.sliding
     torques = [
         0.0 if rmse is None or not ratio else rmse / ratio
         for rmse, ratio in zip(errors.rmse, errors.joint_relative_error, strict=True)
@@ -348,10 +353,6 @@ def _graded(parameters: ParameterSets, errors: Fit) -> list[float | None]:
         graded.append(errors.joint_relative_error[place] if rmse is None or scale == 0.0 else rmse / scale)
     assert len(graded) == len(names)
     return graded
-
-
-def _sliding(model: DynamicModel) -> list[bool]:
-    return [model.joints[index].prismatic for index in model.active]
 
 
 def _whole(parameters: ParameterSets) -> bool:
@@ -376,7 +377,7 @@ def _simulated(parameters: ParameterSets, data: HeldOutData) -> _Simulated:
     if not _whole(parameters) or len(data.torques) < parameters.model.dof:
         return _Simulated(reason="not all joints moved, or not all torques were used")
     inverse = InverseDynamics(parameters.model, parameters.base, parameters.consistent, armature=parameters.armature)
-    segments, sliding = data.prepared.segments, _sliding(parameters.model)
+    segments, sliding = data.prepared.segments, parameters.model.sliding
     tracking, failure = track_longest(inverse, segments)
     tracked = None if tracking is None else simulated_motion_error(tracking)
     driven = open_loop(inverse, segments)

@@ -15,6 +15,7 @@ from daq.recording.recording import Recording, software_versions
 from daq.robot.schema import Robot
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
+from drivers.units import common_unit
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.validation import LOW_SPEED, FitFigures
 from ident.identify.convergence import convergence_result
@@ -254,9 +255,10 @@ def _experiment_step(identification: Identification) -> Step:
     """The experiment among the steps."""
     names, experiment = identification.model.joint_names, identification.experiment
     tolerance = identification.choices.experiment.rest_tolerance
+    unit = common_unit("rad", identification.model.sliding)
     text = describe(identification.model, experiment)
     if experiment.locked:
-        text += f" (locked: within the rest tolerance of {tolerance:g} rad or m, or within the encoder's noise)"
+        text += f" (locked: within the rest tolerance of {tolerance:g} {unit}, or within the encoder's noise)"
     return Step(
         "experiment",
         {
@@ -289,13 +291,13 @@ def _presliding_step(identification: Identification) -> tuple[Step, ...]:
     found = identification.presliding
     if found is None:
         return ()
+    sliding = identification.model.sliding
     travels = ", ".join(
         f"{one.parameter} {one.travel:.2g} ± {WITHIN_95_PERCENT * one.std:.1g}" for one in found.travels
     )
-    text = (
-        f"travel [rad or m] by Coulomb parameter: {travels or 'presliding lowers no error'}; held-out error of joints "
-    )
-    text += f"slower than {LOW_SPEED:g} rad/s {percent_text(found.error)} with it, "
+    text = f"travel [{common_unit('rad', sliding)}] by Coulomb parameter: {travels or 'presliding lowers no error'}; "
+    text += f"held-out error of joints slower than {LOW_SPEED:g} {common_unit('rad/s', sliding)} "
+    text += f"{percent_text(found.error)} with it, "
     text += f"{percent_text(found.static_error)} without"
     return (Step("presliding", {one.parameter: one.travel for one in found.travels}, text),)
 
@@ -456,6 +458,7 @@ def friction_results(
     return [
         JointFrictionResult(
             joint=name,
+            sliding=model.sliding[motor],
             **of_motor(motor, joint),
         )
         for motor, (joint, name) in enumerate(zip(model.active, model.joint_names, strict=True))

@@ -72,9 +72,9 @@ class ExperimentChoices:
     def __post_init__(self) -> None:
         if not 0.0 <= self.rest_tolerance <= LARGEST_REST_TOLERANCE:
             raise UsageError(
-                f"a joint that moves over {self.rest_tolerance:g} rad is not at rest",
+                f"a joint that moves over {self.rest_tolerance:g} rad or m is not at rest",
                 where="--rest-tolerance",
-                hint=f"give 0 to {LARGEST_REST_TOLERANCE:g} rad (or m)",
+                hint=f"give 0 to {LARGEST_REST_TOLERANCE:g} rad or m",
             )
 
 

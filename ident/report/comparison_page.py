@@ -25,6 +25,7 @@ def comparison_page(
     groups: Sequence[JointGroup],
     tables: Sequence[Table],
     errors: Sequence[Errors],
+    unit: str,
     failures: Sequence[str],
 ) -> str:
     """The page.
@@ -35,6 +36,7 @@ def comparison_page(
         groups: of joints.
         tables: errors, largest errors, differences; the first column of each names the model.
         errors: what is plotted.
+        unit: of the errors.
         failures: methods without a model, and why.
     """
     return (
@@ -45,14 +47,15 @@ def comparison_page(
             recordings=recordings,
             groups=groups,
             tables=[table for table in tables if len(table)],
-            figure=_figure(errors),
+            figure=_figure(errors, unit),
             failures=failures,
             low_speed=LOW_SPEED,
+            speed_unit="rad/s" if unit == "N·m" else "m/s" if unit == "N" else "rad/s or m/s",
         )
     )
 
 
-def _figure(errors: Sequence[Errors]) -> Figure:
+def _figure(errors: Sequence[Errors], unit: str) -> Figure:
     """A row per model: its error on every recording, and the mean."""
     runs: list[tuple[str, float]] = [(plain(label), value) for label, of in errors for value in of]
     means = [(plain(label), float(np.nanmean(of))) for label, of in errors]
@@ -60,10 +63,10 @@ def _figure(errors: Sequence[Errors]) -> Figure:
         "RMSE",
         "<b>RMSE of the held-out torque</b>, all joints together",
         [
-            _points("a recording", runs, {"color": MEASURED, "symbol": "circle-open", "size": 6}),
-            _points("mean", means, {"color": PREDICTED, "symbol": "diamond", "size": 9}),
+            _points("a recording", runs, unit, {"color": MEASURED, "symbol": "circle-open", "size": 6}),
+            _points("mean", means, unit, {"color": PREDICTED, "symbol": "diamond", "size": 9}),
         ],
-        x={"title": {"text": "N·m"}, "rangemode": "tozero"},
+        x={"title": {"text": unit}, "rangemode": "tozero"},
         y={
             "type": "category",
             "categoryorder": "array",
@@ -80,7 +83,7 @@ def _figure(errors: Sequence[Errors]) -> Figure:
     return panel_figure("rmse-plot", [[panel]], caption)
 
 
-def _points(label: str, points: Sequence[tuple[str, float]], marker: dict[str, Any]) -> dict[str, Any]:
+def _points(label: str, points: Sequence[tuple[str, float]], unit: str, marker: dict[str, Any]) -> dict[str, Any]:
     finite = [(name, value) for name, value in points if np.isfinite(value)]
     return {
         "type": "scatter",
@@ -89,5 +92,5 @@ def _points(label: str, points: Sequence[tuple[str, float]], marker: dict[str, A
         "x": [value for _, value in finite],
         "y": [name for name, _ in finite],
         "marker": marker,
-        "hovertemplate": f"%{{y}}, {label}: %{{x:.4g}} N·m<extra></extra>",
+        "hovertemplate": f"%{{y}}, {label}: %{{x:.4g}} {unit}<extra></extra>",
     }

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 
 from drivers.streams import FloatArray
-from drivers.units import ZERO_CELSIUS
+from drivers.units import ZERO_CELSIUS, common_unit, joint_unit
 from ident.experiments.friction.experiment import FrictionExperiment
 from ident.experiments.friction.joint_friction import JointFriction, friction_torque
 from ident.model.dynamic_model import DynamicModel
-from ident.model.joint_units import common_unit
 from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
 from ident.report.figures.traces import packed
@@ -133,7 +132,8 @@ def _speed_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Pane
 
 def _joint_units(model: DynamicModel, joint: JointFriction) -> tuple[str, str]:
     """Units of a joint's torque and velocity."""
-    return ("N", "m/s") if model.joints[model.joint_names.index(joint.joint)].prismatic else ("N·m", "rad/s")
+    sliding = model.sliding[model.joint_names.index(joint.joint)]
+    return joint_unit("N·m", sliding=sliding), joint_unit("rad/s", sliding=sliding)
 
 
 def _units(result: FrictionExperimentResult) -> dict[str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from drivers.units import common_unit
 from ident.experiments.load.consistent_load_summary import consistent_load_rows, consistent_load_sentences
 from ident.experiments.schema import (
     BaseParameterChange,
@@ -119,12 +120,14 @@ def _changes_figure(changes: Sequence[BaseParameterChange]) -> Figure | None:
 def gains_page(result: GainsResult | SlowGainsResult) -> str:
     """The page of drive gains: beside those of the robot file, with their intervals, and the text for it."""
     slow = isinstance(result, SlowGainsResult)
+    sliding = [gain.sliding for gain in result.gains if isinstance(gain, SlowGainResult)]
     return (
         page_templates()
         .get_template("gains_page.html.j2")
         .render(
             result=result,
             slow=slow,
+            units={"speed": common_unit("rad/s", sliding), "torque": common_unit("N·m", sliding)},
             tiles=_gain_tiles(result),
             gains=[(gain, _change(gain.gain, gain)) for gain in result.gains],
             figure=_gains_figure(result.gains, result.unit),

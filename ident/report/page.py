@@ -64,6 +64,7 @@ def render_report(data: ReportData) -> str:
     environment = page_templates()
     sections = [section for make in SECTIONS if (section := make(data)) is not None]
     rendered = [
-        (section, Markup(environment.get_template(section.template).render(section.context))) for section in sections
+        (section, Markup(environment.get_template(section.template).render(section.context, unit=data.result.unit)))
+        for section in sections
     ]
     return environment.get_template("page.html.j2").render(result=data.result, sections=rendered)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from daq.output_files import replace_files
+from daq.robot.schema import JointLimits, Robot
 from drivers.streams import FloatArray
 from ident.identify.predict import PARTS, RecordingPrediction, SegmentPrediction
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
@@ -40,28 +41,27 @@ Line = tuple[str, str, list[FloatArray]]
 
 
 def write_prediction_page(
-    path: Path, robot: str, recording: str, joints: Sequence[str], summary: Table, predicted: RecordingPrediction
+    path: Path, robot: Robot, recording: str, summary: Table, predicted: RecordingPrediction
 ) -> None:
     """Write the page.
 
     Args:
         path: of the file.
-        robot: its name.
+        robot: the arm.
         recording: what was predicted.
-        joints: names (n,).
         summary: of the joints' torques.
         predicted: what is plotted.
 
     Raises:
         UsageError, DiskError: it cannot be written.
     """
-    segments = predicted.segments
+    joints, segments = robot.joints, predicted.segments
     samples = sum(len(segment.time) for segment in segments)
     text = (
         page_templates()
         .get_template("prediction_page.html.j2")
         .render(
-            robot=robot,
+            robot=robot.name,
             recording=recording,
             tiles=[
                 Tile("Samples", f"{samples:,}".replace(",", "\u202f"), f"{segments[0].rate:.6g} Hz"),
@@ -97,7 +97,7 @@ def _torque_caption(predicted: RecordingPrediction) -> str:
     return f"Measured: {predicted.torque_origin}, shifted by the delay, not filtered."
 
 
-def _residual_figure(joints: Sequence[str], predicted: RecordingPrediction) -> Figure | None:
+def _residual_figure(joints: Sequence[JointLimits], predicted: RecordingPrediction) -> Figure | None:
     """The residual with the band that it leaves without contact in one of 20 samples."""
     residual = [one.residual for one in predicted.segments if one.residual is not None]
     if not residual:
@@ -115,7 +115,11 @@ def _residual_figure(joints: Sequence[str], predicted: RecordingPrediction) -> F
 
 
 def _figure(
-    anchor: str, joints: Sequence[str], segments: Sequence[SegmentPrediction], lines: Sequence[Line], caption: str
+    anchor: str,
+    joints: Sequence[JointLimits],
+    segments: Sequence[SegmentPrediction],
+    lines: Sequence[Line],
+    caption: str,
 ) -> Figure:
     """One panel a joint over one time axis; a line without a label belongs to the one before."""
     start = float(segments[0].time[0])
@@ -128,10 +132,11 @@ def _figure(
         "xaxis": {"title": {"text": "time [s]"}, "anchor": axis_ref("y", len(joints)), "zeroline": False}
     }
     notes = []
-    for joint, (name, domain) in enumerate(zip(joints, domains, strict=True)):
-        axes[axis_name("y", joint + 1)] = {"title": {"text": "N·m"}, "domain": list(domain), "anchor": "x", "nticks": 5}
+    for joint, (limits, domain) in enumerate(zip(joints, domains, strict=True)):
+        unit = limits.unit("N·m")
+        axes[axis_name("y", joint + 1)] = {"title": {"text": unit}, "domain": list(domain), "anchor": "x", "nticks": 5}
         # To the right: on a phone the legend takes two lines.
-        notes.append(note(f"<b>{plain(name)}</b>", 1, domain[1], xanchor="right"))
+        notes.append(note(f"<b>{plain(limits.name)}</b>", 1, domain[1], xanchor="right"))
         group = ""
         for label, colour, signals in lines:
             group = label or group
@@ -141,7 +146,7 @@ def _figure(
                     "type": "scatter", "mode": "lines", "name": group, "legendgroup": group,
                     "showlegend": joint == 0 and bool(label), "x": packed(x), "y": packed(y), "xaxis": "x",
                     "yaxis": axis_ref("y", joint + 1), "line": {"color": colour, "width": 1.3},
-                    "hovertemplate": "%{y:.4g} N·m",
+                    "hovertemplate": f"%{{y:.4g}} {unit}",
                 }
             )  # fmt: skip
     layout = base_layout(height, hovermode="x unified", annotations=notes, **axes)

@@ -43,7 +43,6 @@ class JointFrictionExperiment(JointFrictionResult):
     )
     values: list[Value] = Field(description="of these")
     covariance: list[list[Number]]
-    sliding: bool = Field(default=False, description="whether the joint slides: N and m for N·m and rad")
     speed_range: ValueRange = Field(description="that the recordings cover [rad/s or m/s]")
     temperature_range: ValueRange | None = Field(description="[°C]; null where it was not recorded")
     load_range: ValueRange = Field(description="of the load torque's absolute value [N·m or N]")

@@ -26,6 +26,7 @@ from daq.robot.section import within
 from drivers.errors import DynidWarning, ResultFileError
 from drivers.input_files import RESULT_FILE, read_text
 from drivers.ranges import EXPONENT, PRESLIDING_TRAVEL, RESULT_VALUE, SMOOTHING, STRIBECK_VELOCITY
+from drivers.units import common_unit, joint_unit
 from ident.model.friction_terms import FrictionTerms
 from ident.model.parameters import Kind
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
@@ -108,6 +109,7 @@ class JointFrictionResult(_Part):
     """
 
     joint: str
+    sliding: bool = Field(default=False, description="whether the joint slides: N and m for N·m and rad")
     viscous: Number
     viscous_std: Number
     coulomb: Number
@@ -147,8 +149,11 @@ class JointFrictionResult(_Part):
         if self.exponent is not None:
             parts.append(f"α {_with_interval(self.exponent, self.exponent_std)}")
         if self.stribeck is not None:
+            torque, speed = (joint_unit(unit, sliding=self.sliding) for unit in ("N·m", "rad/s"))
             velocity = _with_interval(self.stribeck_velocity, self.stribeck_velocity_std)
-            parts.append(f"Stribeck {_with_interval(self.stribeck, self.stribeck_std)} N·m, v_s {velocity} rad/s")
+            parts.append(
+                f"Stribeck {_with_interval(self.stribeck, self.stribeck_std)} {torque}, v_s {velocity} {speed}"
+            )
         if self.load is not None:
             power = "²" if self.load_power == 2.0 else ""
             parts.append(f"load {_with_interval(self.load, self.load_std)} ·|τ_L|{power}")
@@ -650,6 +655,16 @@ class Result(_Part):
                     continue
                 raise ValueError(f"'{name}' has {len(values)} entries for {count} joints")
         return self
+
+    @property
+    def sliding(self) -> tuple[bool, ...]:
+        """Whether each joint slides."""
+        kinds = {joint.joint: joint.sliding for joint in self.friction}
+        return tuple(kinds.get(name, False) for name in self.joints)
+
+    def unit(self, unit: str) -> str:
+        """The unit of a column of all joints, given that of turning joints: "N·m or N" where some slide."""
+        return common_unit(unit, self.sliding)
 
     @computed_field(description="texts of the verdict's checks that spoil a purpose")  # type: ignore[prop-decorator]
     @property

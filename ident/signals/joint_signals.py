@@ -79,6 +79,7 @@ class JointSignals:
         temperature: (N, n) of the joints [K], nan for joints without a sensor; None where none was recorded.
         target: (N, n) positions that the controller aimed at [rad or m], nan where no number; None where not recorded.
         stale: rows that were left out because they were not measured anew; None where there were none.
+        sliding: whether each joint slides, for the units of messages; empty where all turn.
 
     Raises:
         DataError: a value is not finite; names the first such sample and its joint.
@@ -96,6 +97,7 @@ class JointSignals:
     temperature: FloatArray | None = None
     target: FloatArray | None = None
     stale: StaleSamples | None = None
+    sliding: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
         optional = {} if self.velocity is None else {"velocity": self.velocity}
@@ -161,6 +163,7 @@ def read_joint_signals(recording: Recording, robot: Robot) -> JointSignals:
         joint_temperature(recording, tuple(robot.joint_names)),
         joint_target(stream, tuple(robot.joint_names), position),
         stale,
+        robot.sliding,
     )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from drivers.errors import DataError, DynidError, UsageError
 from drivers.streams import FloatArray
+from drivers.units import common_unit
 from ident.signals.derivatives import Smoother, choose_smoother, smooth_motion
 from ident.signals.filters import ZeroPhaseFilter, chebyshev_decimation, unit_gain
 from ident.signals.joint_signals import JointSignals
@@ -82,7 +83,9 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
     motions, derivatives_step = smooth_motion(
         decimated, smoother, signals.joint_names, measured=choices.measured_velocity
     )
-    moving, rest_velocity, motion_step = moving_segments(decimated, motions, choices)
+    moving, rest_velocity, motion_step = moving_segments(
+        decimated, motions, choices, common_unit("rad/s", signals.sliding)
+    )
     segments, ends_step = without_ends(moving, cutoffs)
     segments = _with_temperature(segments, signals)
     segments = _with_target(segments, aligned, signals, smoother, choices.position_decimate)

@@ -47,7 +47,7 @@ def central_difference(rows: FloatArray, rate: float) -> FloatArray:
 
 
 def moving_segments(
-    segments: Sequence[UniformSegment], motions: Sequence[SmoothMotion], choices: PreprocessChoices
+    segments: Sequence[UniformSegment], motions: Sequence[SmoothMotion], choices: PreprocessChoices, unit: str
 ) -> tuple[tuple[Segment, ...], float, Step]:
     """Step 'motion windows': segments with their smooth motion, those without any motion left out.
 
@@ -55,6 +55,7 @@ def moving_segments(
         segments: times and torques.
         motions: of each.
         choices: rest velocity, and whether samples at rest are kept.
+        unit: of the rest velocity.
 
     Returns:
         The segments, the rest velocity [rad/s or m/s], and the step.
@@ -85,14 +86,14 @@ def moving_segments(
     moved = tuple(segment for segment in complete if segment.used.any())
     if not moved:
         raise DataError(
-            f"no joint reaches the rest velocity of {threshold:.3g} rad/s for {SHORTEST_REST:g} s: nothing moves",
+            f"no joint reaches the rest velocity of {threshold:.3g} {unit} for {SHORTEST_REST:g} s: nothing moves",
             hint="choose another window or a lower rest velocity, or keep the samples at rest",
         )
     if choices.keep_rest:
         text = "samples at rest are kept"
     else:
         text = (
-            f"{at_rest:.4g} of {seconds:.4g} s left out, in which every joint stays below {threshold:.3g} rad/s "
+            f"{at_rest:.4g} of {seconds:.4g} s left out, in which every joint stays below {threshold:.3g} {unit} "
             f"for {SHORTEST_REST:g} s or longer"
         )
     settings = {"rest_velocity": threshold, "left_out_s": at_rest, "total_s": seconds}

@@ -6,7 +6,7 @@ import numpy as np
 
 from drivers.errors import ModelError
 from drivers.streams import FloatArray
-from ident.model.joint_units import joint_unit
+from drivers.units import joint_unit
 from ident.simulation.forward_arm import ForwardArm
 
 FASTEST = 1e4

@@ -16,11 +16,11 @@ import numpy as np
 
 from drivers.errors import ModelError
 from drivers.streams import FloatArray
+from drivers.units import joint_unit
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import SLOWEST, TEMPERATURE_KINDS, FrictionConditions
 from ident.model.inverse_dynamics import InverseDynamics, with_masses
 from ident.model.joint_columns import JointColumn, column_signal, combined
-from ident.model.joint_units import joint_unit
 from ident.model.parameters import INERTIAL
 from ident.model.rigid_arm import RigidArm, rigid_arm
 

@@ -17,6 +17,7 @@ from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import IdentificationError, UsageError
 from drivers.percentage import in_percent
 from drivers.streams import FloatArray
+from drivers.units import common_unit
 from ident.experiments.method_comparison import (
     JointGroup,
     PairedDifference,
@@ -80,6 +81,7 @@ class MethodComparison:
         recordings: what was held out.
         groups: joints whose largest errors are taken together.
         models: in the order of the methods, full before consistent.
+        torque_unit: of the joints' torques: "N·m", of sliding joints "N", of both "N·m or N".
 
     Example:
         >>> import dynid
@@ -93,6 +95,7 @@ class MethodComparison:
     recordings: tuple[str, ...]
     groups: tuple[JointGroup, ...]
     models: tuple[ComparedModel, ...]
+    torque_unit: str = "N·m"
 
     @property
     def errors(self) -> Table:
@@ -101,9 +104,9 @@ class MethodComparison:
             ("model", ""),
             ("fit", "%"),
             ("validation", "%"),
-            ("rmse", "N·m"),
-            ("rmse_low_speed", "N·m"),
-            ("rmse_high_speed", "N·m"),
+            ("rmse", self.torque_unit),
+            ("rmse_low_speed", self.torque_unit),
+            ("rmse_high_speed", self.torque_unit),
             ("time", "s"),
         ]
         rows: list[tuple[Cell, ...]] = [
@@ -126,7 +129,8 @@ class MethodComparison:
         headings = [("model", "")]
         for group in self.groups:
             for speed in ("low", "high"):
-                headings += [(f"{group.name} {speed}", "N·m"), (f"{group.name} {speed} std", "N·m")]
+                names = (f"{group.name} {speed}", f"{group.name} {speed} std")
+                headings += [(name, self.torque_unit) for name in names]
         rows: list[tuple[Cell, ...]] = []
         for model in self.models:
             cells: list[Cell] = [model.label]
@@ -140,7 +144,8 @@ class MethodComparison:
     @property
     def differences(self) -> Table:
         """RMSE of each model minus the first one's on the same recordings, with the 95 % interval of the mean [N·m]."""
-        headings = [("model", ""), ("difference", "N·m"), ("interval", "N·m"), ("relative", "%"), ("significant", "")]
+        unit = self.torque_unit
+        headings = [("model", ""), ("difference", unit), ("interval", unit), ("relative", "%"), ("significant", "")]
         rows: list[tuple[Cell, ...]] = []
         for model in self.models[1:]:
             paired = self.difference(model)
@@ -166,6 +171,7 @@ class MethodComparison:
             {
                 "robot": self.robot,
                 "recordings": list(self.recordings),
+                "torque_unit": self.torque_unit,
                 "groups": [asdict(group) for group in self.groups],
                 "models": [{"label": model.label, **asdict(model)} for model in self.models],
                 "differences": [dict(row) for row in self.differences],
@@ -185,6 +191,7 @@ class MethodComparison:
             self.groups,
             (self.errors, self.maxima, self.differences),
             [(model.label, [run.rmse for run in model.runs]) for model in self.models if model.runs],
+            self.torque_unit,
             self.failures,
         )
         write_folder(Path(folder), {COMPARISON_FILE: self.to_json() + "\n", REPORT_FILE: page})
@@ -259,8 +266,8 @@ def compare(
         models += _models(method, model, identification, groups, seconds)
     if not labels:
         raise IdentificationError(f"no method has a solution; {models[0].label}: {models[0].failure}")
-    name = (robot_file or recordings[0].robot()).robot.name
-    return MethodComparison(name, labels, groups, tuple(models))
+    arm = (robot_file or recordings[0].robot()).robot
+    return MethodComparison(arm.name, labels, groups, tuple(models), common_unit("N·m", arm.sliding))
 
 
 def _choices(method: str, friction: str, delay: float | None, split: float | None) -> IdentifyChoices:

@@ -150,7 +150,8 @@ def _errors(one: Result, other: Result) -> Table:
         for i, joint in enumerate(one.joints)
     ]
     rows.append(("all", None, None, *(in_percent(None if fit is None else fit.relative_error) for fit in fits)))
-    headings = [("joint", ""), ("first_rmse", "N·m"), ("second_rmse", "N·m"), ("first", "%"), ("second", "%")]
+    unit = one.unit("N·m")
+    headings = [("joint", ""), ("first_rmse", unit), ("second_rmse", unit), ("first", "%"), ("second", "%")]
     return table_of_rows(f"Held-out errors: {one.validation_source}; {other.validation_source}", headings, rows)
 
 

@@ -134,6 +134,7 @@ class IdentificationResult:
         parts = ("", "_std", "_repeatability") if repeated else ("", "_std")
         headings = [("joint", ""), *((f"{kind}{part}", unit) for kind, unit in units.items() for part in parts)]
         rows = [tuple(getattr(joint, name) for name, _ in headings) for joint in self.result.friction]
+        headings = [(name, self.result.unit(unit)) for name, unit in headings]
         return table_of_rows(f"Friction of {self.result.robot}. {self.result.friction_note}", headings, rows)
 
     @cached_property
@@ -143,6 +144,7 @@ class IdentificationResult:
         return error_table(
             f"Errors of {self.result.robot}",
             self.result.joints,
+            self.result.unit("N·m"),
             {
                 "fit": delivered.fit if delivered else self.fit,
                 "validation": delivered.validation_all_samples if delivered else self.validation,
@@ -360,11 +362,11 @@ def load_result(path: str | PathLike[str]) -> IdentificationResult:
     return IdentificationResult(read_result(result_path(path)))
 
 
-def error_table(title: str, joints: Sequence[str], fits: dict[str, Fit | None]) -> Table:
-    """Errors per joint of one or several fits, by their names."""
+def error_table(title: str, joints: Sequence[str], torque: str, fits: dict[str, Fit | None]) -> Table:
+    """Errors per joint of one or several fits, by their names; `torque` is the unit of the joints' torques."""
     headings = [("joint", "")]
     columns: list[list[Cell]] = [list(joints)]
-    quantities = (("rmse", "N·m"), ("low_speed_rmse", "N·m"), ("high_speed_rmse", "N·m"), ("relative_error", "%"))
+    quantities = (("rmse", torque), ("low_speed_rmse", torque), ("high_speed_rmse", torque), ("relative_error", "%"))
     for name, fit in fits.items():
         for quantity, unit in quantities:
             headings.append((f"{name}_{quantity}", unit))

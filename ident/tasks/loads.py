@@ -163,7 +163,7 @@ class IdentifiedGains:
     @property
     def gains(self) -> Table:
         """One row per joint: the robot file's gain, the identified one with its σ [N·m/A or N·m/V]; relative σ [%]."""
-        unit = gain_unit(self.estimate.signal)
+        unit = gain_unit(self.estimate.signal, self.estimate.robot)
         headings = [("joint", ""), ("file_gain", unit), ("gain", unit), ("std", unit), ("rsd", "%")]
         rows = [(gain.joint, gain.file_gain, gain.gain, gain.std, gain.relative_std) for gain in self.estimate.gains]
         return table_of_rows("Drive gains", headings, rows)

@@ -16,6 +16,7 @@ from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, St
 from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile
 from drivers.streams import UNITS, FloatArray
+from drivers.units import common_unit
 from ident.identify.predict import PARTS, RecordingPrediction, predict_recording
 from ident.report.prediction_page import write_prediction_page
 from ident.result.delivered import Parameters
@@ -134,11 +135,12 @@ class Prediction:
         )
 
     def _stream(self, name: str, signals: Mapping[str, FloatArray | None], said: Mapping[str, str]) -> Stream:
-        channels = {
-            quantity: Channel(quantity, values, UNITS.get(quantity, UNITS["torque"]), self.joint_names, said[quantity])
-            for quantity, values in signals.items()
-            if values is not None
-        }
+        names, robot = self.joint_names, self.robot_file.robot
+        channels = {}
+        for quantity, values in signals.items():
+            if values is not None:
+                unit = robot.column_unit(UNITS.get(quantity, UNITS["torque"]), names)
+                channels[quantity] = Channel(quantity, values, unit, names, said[quantity])
         return Stream(name, self.time, self.time, channels)
 
     @property
@@ -151,8 +153,9 @@ class Prediction:
         deviations = [_rms(self.std, len(self.joint_names)), _rms(self.residual_std, len(self.joint_names))]
         rows = list(zip(self.joint_names, *columns, largest, *deviations, strict=True))
         names = (*headings, "largest_residual", "std", "residual_std")
+        unit = common_unit("N·m", self.robot_file.robot.sliding)
         return table_of_rows(
-            f"Torques of {self.label}, root mean squares", [("joint", ""), *((name, "N·m") for name in names)], rows
+            f"Torques of {self.label}, root mean squares", [("joint", ""), *((name, unit) for name in names)], rows
         )
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
@@ -169,9 +172,7 @@ class Prediction:
         Raises:
             UsageError: it cannot be written.
         """
-        write_prediction_page(
-            Path(path), self.robot_file.robot.name, self.label, self.joint_names, self.summary, self.segments
-        )
+        write_prediction_page(Path(path), self.robot_file.robot, self.label, self.summary, self.segments)
 
     def __str__(self) -> str:
         return str(self.summary)

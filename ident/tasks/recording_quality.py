@@ -59,7 +59,8 @@ class RecordingQuality:
 
         Without rows where there is no motion to analyse.
         """
-        headings = [("joint", ""), ("range", "rad"), ("velocity", "rad/s"), ("limit_utilisation", "%")]
+        travel, speed = self.figures.motion_units
+        headings = [("joint", ""), ("range", travel), ("velocity", speed), ("limit_utilisation", "%")]
         reached = self.figures.excitation
         if reached is None:
             return table_of_rows("Motion", headings, [])

@@ -55,6 +55,7 @@ class Validation:
 
     Attributes:
         joints: names (n,).
+        torque_unit: of the errors: "N·m", of sliding joints "N", of both "N·m or N".
         full: errors of all base parameters over all recordings: `relative_error` (a ratio), `rmse` per joint [N·m], …
         essential: the same of the significant ones.
         consistent: the same of the physically consistent ones; None where the result holds none.
@@ -74,6 +75,7 @@ class Validation:
     """
 
     joints: tuple[str, ...]
+    torque_unit: str
     full: Fit
     essential: Fit
     consistent: Fit | None
@@ -91,7 +93,7 @@ class Validation:
             "full": self.full,
             "essential": self.essential,
         }
-        return error_table("Errors", self.joints, fits)
+        return error_table("Errors", self.joints, self.torque_unit, fits)
 
     def __str__(self) -> str:
         accepted = "" if self.acceptance is None else f"\n\n{self.acceptance}"
@@ -146,6 +148,7 @@ def validate(identified: Identified, runs: Runs, *, accept: Limits | None = None
     figures = acceptance_figures(result, delivered.validation_all_samples, delivered.runs, verdict)
     return Validation(
         joints=tuple(result.joints),
+        torque_unit=result.unit("N·m"),
         full=fit_result(fit_figures([part for fits in compared for part in fits.series])),
         essential=fit_result(fit_figures([part for fits in compared for part in fits.essential_series])),
         consistent=fit_result(fit_figures(of_consistent)) if of_consistent else None,

@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from daq.robot.section import Positive, Section
 from drivers.errors import UsageError
 from drivers.input_files import LIMITS_FILE, read_text
+from drivers.units import joint_unit
 from drivers.yaml_file import read_mapping, validated
 from ident.verdict.check import PURPOSE_WORDS, Purpose
 from ident.verdict.verdict import GRADES, Grade, Verdict
@@ -127,6 +128,7 @@ class ModelFigures:
         model: whose errors these are, in words.
         relative_error: held-out, of all joints; None where not known, as everywhere.
         joint_relative_error, rmse, motion_rmse: by the joint's name.
+        sliding: whether a joint slides, by its name.
         consistent: whether physically consistent parameters exist.
         consistency_cost: held-out error of the consistent model over that of the unconstrained one.
         verdict: on the model.
@@ -137,6 +139,7 @@ class ModelFigures:
     joint_relative_error: Mapping[str, float | None]
     rmse: Mapping[str, float | None]
     motion_rmse: Mapping[str, float | None]
+    sliding: Mapping[str, bool]
     consistent: bool
     consistency_cost: float | None
     verdict: Verdict
@@ -191,19 +194,18 @@ def _criteria(limits: AcceptanceLimits, figures: ModelFigures) -> Iterator[Crite
     of_model = f"held-out error of the {figures.model} model"
     if limits.relative_error is not None:
         yield _below("relative_error", "", limits.relative_error, figures.relative_error, of_model, "")
-    per_joint: tuple[tuple[str, OfJoints | None, Mapping[str, float | None], str, str], ...] = (
-        ("joint_relative_error", limits.joint_relative_error, figures.joint_relative_error, of_model, ""),
-        ("rmse", limits.rmse, figures.rmse, f"held-out RMSE of the {figures.model} model", " N·m"),
-    )
-    for name, limit, values, words, unit in per_joint:
-        yield from _of_joints(name, limit, values, words, unit)
+    sliding, torque_words = figures.sliding, f"held-out RMSE of the {figures.model} model"
+    ratios = figures.joint_relative_error
+    yield from _of_joints("joint_relative_error", limits.joint_relative_error, ratios, of_model, "", sliding)
+    yield from _of_joints("rmse", limits.rmse, figures.rmse, torque_words, " N·m", sliding)
     if limits.consistent:
         text = f"physically consistent parameters {'exist' if figures.consistent else 'were not found'}"
         yield Criterion("consistent", "", "yes", "yes" if figures.consistent else "no", figures.consistent, text)
     if limits.consistency_cost is not None:
         words = "held-out error of the consistent model over that of the unconstrained one"
         yield _below("consistency_cost", "", limits.consistency_cost, figures.consistency_cost, words, "")
-    yield from _of_joints("motion_rmse", limits.motion_rmse, figures.motion_rmse, "simulated motion error", " rad")
+    motion_words = "simulated motion error"
+    yield from _of_joints("motion_rmse", limits.motion_rmse, figures.motion_rmse, motion_words, " rad", sliding)
     for purpose, least in (limits.purposes or {}).items():
         judged = figures.verdict.purposes.get(purpose)
         passed = judged is not None and GRADES.index(judged.grade) <= GRADES.index(least)
@@ -213,13 +215,18 @@ def _criteria(limits: AcceptanceLimits, figures: ModelFigures) -> Iterator[Crite
 
 
 def _of_joints(
-    name: str, limit: OfJoints | None, values: Mapping[str, float | None], words: str, unit: str
+    name: str,
+    limit: OfJoints | None,
+    values: Mapping[str, float | None],
+    words: str,
+    unit: str,
+    sliding: Mapping[str, bool],
 ) -> Iterator[Criterion]:
     if limit is None:
         return
     of_each = limit if isinstance(limit, dict) else dict.fromkeys(values, limit)
     for joint, own in of_each.items():
-        yield _below(name, joint, own, values.get(joint), words, unit)
+        yield _below(name, joint, own, values.get(joint), words, joint_unit(unit, sliding=sliding.get(joint, False)))
 
 
 def _below(name: str, joint: str, limit: float, value: float | None, words: str, unit: str) -> Criterion:

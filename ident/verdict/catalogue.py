@@ -474,7 +474,7 @@ _RESIDUALS = (
 _VALIDATION = (
     _note(
         "errors-near-standstill",
-        "the validation's errors are larger than the identification's below 0.1 rad/s only",
+        "the validation's errors are larger than the identification's below 0.1 rad/s (or m/s) only",
         "Friction near standstill is no constant: expect such errors where joints start, stop and reverse.",
     ),
     CheckKind(

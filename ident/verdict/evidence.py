@@ -50,13 +50,13 @@ class MotionError:
     Attributes:
         whole: of all joints together.
         joints: by the joint's name.
-        errors: root mean square error by the joint's name [rad or m].
+        errors: root mean square error by the joint's name, with its unit.
         text: how it was simulated, as a noun: "motion simulated over 1 s without a controller".
     """
 
     whole: float
     joints: Mapping[str, float]
-    errors: Mapping[str, float]
+    errors: Mapping[str, str]
     text: str
 
     @property

@@ -227,8 +227,8 @@ def _motion_reasons(motion: MotionError, beside: str) -> list[_Reason]:
         ),
         _Reason(
             _grade(motion.joints[joint], GOOD_JOINT_MOTION, USABLE_JOINT_MOTION),
-            f"the error of {joint} in the {motion.text} is {motion.errors[joint]:.2g} rad or m, "
-            f"{motion.joints[joint]:.2g} {against}",
+            f"the error of {joint} in the {motion.text} is {motion.errors[joint]}, {motion.joints[joint]:.2g} "
+            f"{against}",
         ),
     ]
 

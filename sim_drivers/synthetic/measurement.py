@@ -52,7 +52,8 @@ def simulate_recording(
         torque[joint] += noise.torque_std.get(name, 0.0) * generator.standard_normal(len(time))
     if noise.encoder_resolution > 0:
         position = np.round(position / noise.encoder_resolution) * noise.encoder_resolution
-    channels = {"position": Channel("position", position.T, "rad", robot.joint_names, "simulated encoder")}
+    unit = robot.column_unit(UNITS["position"], robot.joint_names)
+    channels = {"position": Channel("position", position.T, unit, robot.joint_names, "simulated encoder")}
     channels |= _drive_channels(robot_file, torque)
     if model.needs_temperature:
         unit = UNITS["temperature"]
@@ -77,4 +78,5 @@ def _drive_channels(robot_file: RobotFile, torque: FloatArray) -> dict[str, Chan
         return {signal: Channel(signal, values.T, UNITS[signal], robot.joint_names, f"simulated motor {signal}")}
     if robot.model.coupling:  # what a recording calls torque is the joints'
         torque = coupling_matrix(robot.model.coupling, robot.joint_names).T @ torque
-    return {"torque": Channel("torque", torque.T, "N*m", robot.joint_names, "simulated joint torque")}
+    unit = robot.column_unit(UNITS["torque"], robot.joint_names)
+    return {"torque": Channel("torque", torque.T, unit, robot.joint_names, "simulated joint torque")}

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from drivers.units import FACTORS, conversion, factors, normalised
+from drivers.units import FACTORS, common_unit, conversion, factors, normalised
 
 
 @pytest.mark.parametrize(
@@ -52,3 +52,18 @@ def test_the_order_of_a_quantitys_units_is_kept_for_messages() -> None:
     assert list(factors("rpm", "rad/s")) == ["rpm", "rad/s"]
     with pytest.raises(KeyError):
         factors("furlong")
+
+
+@pytest.mark.parametrize(
+    ("unit", "sliding", "shown"),
+    [
+        ("N·m", (False, False), "N·m"),
+        ("N·m", (True, True), "N"),
+        ("N·m", (True, False), "N·m or N"),
+        ("rad/s", (True,), "m/s"),
+        ("N·m·(s/rad)^α", (True,), "N·(s/m)^α"),
+        ("N·m", (), "N·m"),
+    ],
+)
+def test_unit_of_a_column(unit: str, sliding: tuple[bool, ...], shown: str) -> None:
+    assert common_unit(unit, sliding) == shown

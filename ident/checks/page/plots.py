@@ -10,6 +10,7 @@ import numpy as np
 from daq.recording.recording import Recording, Stream
 from daq.recording.stream_quality import LOST_FROM, StreamQuality
 from drivers.streams import UNITS, FloatArray
+from drivers.units import common_unit
 from ident.assessment.recorded_motion import RecordedMotion
 from ident.report.figures.figures import LOG_AXIS, PREDICTED, RESIDUAL, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.figures.panels import Line, Panel, panel_figure
@@ -133,9 +134,10 @@ def spectra_figure(motion: RecordedMotion) -> Figure:
     names, time = motion.positions.joint_names, motion.positions.time
     position_lines = [(cutoffs.band, BAND), (cutoffs.position, POSITION_CUTOFF)]
     torque_lines = [(cutoffs.band, BAND), (cutoffs.torque, TORQUE_CUTOFF)]
-    rows = [[_spectrum_panel("position", "rad", names, time, motion.positions.position, position_lines)]]
+    travel, torque = (common_unit(unit, motion.model.sliding) for unit in ("rad", "N·m"))
+    rows = [[_spectrum_panel("position", travel, names, time, motion.positions.position, position_lines)]]
     if motion.measured is not None:
-        rows.append([_spectrum_panel("torque", "N·m", names, time, motion.measured.torque, torque_lines)])
+        rows.append([_spectrum_panel("torque", torque, names, time, motion.measured.torque, torque_lines)])
     caption = (
         "Amplitude spectral density (Welch, of the longest segment without a gap) as recorded. Dotted: band of the "
         f"motion, {number(cutoffs.band, 3)} Hz. Dash-dotted: cut-off of the positions, {number(cutoffs.position, 3)} "

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from daq.motion.trajectories import Motion
 from daq.output_files import replace_files
 from daq.robot.loader import RobotFile
+from drivers.units import common_unit
 from ident.excite.forecast import ExcitationFigures
 from ident.excite.page.arm_scene import arm_figure
 from ident.excite.page.plots import clearance_figure, joints_figure, shown_part, tool_figure
 from ident.excite.prior import Prior
-from ident.model.dynamic_model import build_model
 from ident.regression.pruning import SIGNIFICANT_RSD
 from ident.report import number_text
 from ident.report.figures.figures import KIND_STYLES
@@ -49,9 +50,7 @@ def render_page(
     robot_file: RobotFile, motion: Motion, prior: Prior, figures: ExcitationFigures, notes: Sequence[tuple[str, str]]
 ) -> str:
     """The page as text."""
-    model = build_model(robot_file)
     shown = shown_part(robot_file, motion, prior)
-    prismatic = [model.joints[joint].prismatic for joint in model.active]
     return (
         page_templates("ident.excite.page")
         .get_template("excitation_page.html.j2")
@@ -59,12 +58,13 @@ def render_page(
             robot=robot_file.robot.name,
             tiles=_tiles(figures),
             figures=figures,
+            unit=partial(common_unit, sliding=robot_file.robot.sliding),
             notes=[*notes, ("Parameters and noise", figures.prior)],
             kinds={kind: words for kind, (words, _, _) in KIND_STYLES.items()},
             threshold=SIGNIFICANT_RSD,
             plots={
                 "arm": arm_figure(robot_file, motion, shown),
-                "joints": joints_figure(robot_file.robot.joints, prismatic, shown),
+                "joints": joints_figure(robot_file.robot.joints, shown),
                 "tool": tool_figure(robot_file, shown),
                 "clearances": clearance_figure(robot_file, shown),
             },

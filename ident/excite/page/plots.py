@@ -70,15 +70,15 @@ def path_until(motion: Motion, end: float, count: int) -> Path:
     return Path(time, *motion.evaluate(time))
 
 
-def joints_figure(joints: Sequence[JointLimits], prismatic: Sequence[bool], shown: Shown) -> Figure:
+def joints_figure(joints: Sequence[JointLimits], shown: Shown) -> Figure:
     """Position, velocity and torque of every joint with their limits: a row per joint, a column per quantity."""
-    columns: list[tuple[str, FloatArray]] = [("position", shown.path.position), ("velocity", shown.path.velocity)]
+    columns = [("position", "rad", shown.path.position), ("velocity", "rad/s", shown.path.velocity)]
     if shown.torque is not None:
-        columns.append(("torque", shown.torque))
+        columns.append(("torque", "N·m", shown.torque))
     rows = [
         [
-            _joint_panel(limits, quantity, _unit(quantity, prismatic[row]), shown.path.time, values[row])
-            for quantity, values in columns
+            _joint_panel(limits, quantity, limits.unit(unit), shown.path.time, values[row])
+            for quantity, unit, values in columns
         ]
         for row, limits in enumerate(joints)
     ]
@@ -112,10 +112,6 @@ def part_shown(shown: Shown) -> str:
     if shown.repetitions == 1:
         return "The whole motion, from rest to rest."
     return f"From rest into the motion and the first of its {shown.repetitions} repetitions."
-
-
-def _unit(quantity: str, prismatic: bool) -> str:
-    return {"position": ("rad", "m"), "velocity": ("rad/s", "m/s"), "torque": ("N·m", "N")}[quantity][prismatic]
 
 
 def _limits(quantity: str, limits: JointLimits) -> tuple[float, ...]:

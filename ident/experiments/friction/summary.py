@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from daq.recording.recording import software_versions
-from drivers.units import ZERO_CELSIUS
+from drivers.units import ZERO_CELSIUS, common_unit
 from ident.experiments.friction.experiment import FrictionExperiment
 from ident.experiments.friction.joint_friction import JointFriction
 from ident.identify.summary import PLAIN_KINDS
 from ident.model.friction_terms import LEAST_TEMPERATURE_SPAN, LOAD_POWERS, TEMPERATURE_KINDS, temperature_coefficients
-from ident.model.joint_units import common_unit
 from ident.result.friction_experiment import FrictionExperimentResult, JointFrictionExperiment, ValueRange
 from ident.result.schema import FrictionStepResult
 from ident.result.tables import Table, table_of_rows

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from drivers.streams import FloatArray
+from drivers.units import joint_unit
 from ident.regression.comparison import TorqueSeries
 from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
 from ident.report.figures.traces import broken_line, lay_out, packed, points_per_trace
 from ident.report.number_text import number, percent, whole
-from ident.result.schema import Fit
+from ident.result.schema import Fit, Result
 
 PANEL = 150
 """Height of a panel [px]."""
@@ -25,10 +26,10 @@ REJECTED = "#CC79A7"
 
 
 def torque_figure(
-    anchor: str, joints: Sequence[str], order: Sequence[int], series: Sequence[TorqueSeries], fit: Fit | None
+    anchor: str, result: Result, order: Sequence[int], series: Sequence[TorqueSeries], fit: Fit | None
 ) -> Figure | None:
     """One panel per joint, in the `order` of joint numbers; None where there is no sample to show."""
-    series = [segment for segment in series if len(segment.time)]
+    joints, series = result.joints, [segment for segment in series if len(segment.time)]
     if not series or not joints:
         return None
     timeline = lay_out([segment.time for segment in series])
@@ -37,6 +38,7 @@ def torque_figure(
     borders = [(x, {"dash": "dot", "width": 1}) for x in timeline.borders]
     panels = []
     for joint in order:
+        unit = joint_unit("N·m", sliding=result.sliding[joint])
         residuals = [
             np.where(segment.counted[joint], segment.measured[joint] - segment.predicted[joint], np.nan)
             for segment in series
@@ -60,7 +62,7 @@ def torque_figure(
                     "x": packed(x),
                     "y": packed(y),
                     "line": {"color": colour, "width": width},
-                    "hovertemplate": "%{y:.4g} N·m",
+                    "hovertemplate": f"%{{y:.4g}} {unit}",
                 }
             )
         traces += _rejected(joint, times, series, points, joint == order[0])
@@ -68,11 +70,11 @@ def torque_figure(
         panels.append(
             Panel(
                 name,
-                f"<b>{plain(name)}</b>{_errors(fit, joint)}",
+                f"<b>{plain(name)}</b>{_errors(fit, joint, unit)}",
                 traces,
-                f"<b>{plain(shortened(name, 20))}</b>{_errors_in_short(fit, joint)}",
+                f"<b>{plain(shortened(name, 20))}</b>{_errors_in_short(fit, joint, unit)}",
                 x={"title": {"text": "time [s]"}, "zeroline": False},
-                y={"title": {"text": "N·m"}},
+                y={"title": {"text": unit}},
                 vertical=borders,
                 height=PANEL,
             )
@@ -110,16 +112,16 @@ def _rejected(
     ]
 
 
-def _errors(fit: Fit | None, joint: int) -> str:
+def _errors(fit: Fit | None, joint: int, unit: str) -> str:
     if fit is None or joint >= min(len(fit.rmse), len(fit.joint_relative_error)):
         return ""
-    return f"   RMSE {number(fit.rmse[joint], 3)} N·m, relative error {percent(fit.joint_relative_error[joint])}"
+    return f"   RMSE {number(fit.rmse[joint], 3)} {unit}, relative error {percent(fit.joint_relative_error[joint])}"
 
 
-def _errors_in_short(fit: Fit | None, joint: int) -> str:
+def _errors_in_short(fit: Fit | None, joint: int, unit: str) -> str:
     if fit is None or joint >= min(len(fit.rmse), len(fit.joint_relative_error)):
         return ""
-    return f"  {number(fit.rmse[joint], 2)} N·m, {percent(fit.joint_relative_error[joint], 2)}"
+    return f"  {number(fit.rmse[joint], 2)} {unit}, {percent(fit.joint_relative_error[joint], 2)}"
 
 
 def _caption(series: Sequence[TorqueSeries], points: int, borders: int) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from drivers.streams import FloatArray
+from drivers.units import joint_unit
 from ident.model.friction_terms import power_law, stribeck_share
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain, shortened
@@ -86,6 +87,8 @@ def _panel(data: ReportData, joint: int, points: int) -> Panel:
     smoothing, friction = result.model_options.smoothing, result.friction[joint]
     torque = coefficients @ _columns(curve, smoothing, friction)
     data_torque = residual + coefficients @ _columns(velocity, smoothing, friction)
+    torque_unit, speed = (joint_unit(unit, sliding=friction.sliding) for unit in ("N·m", "rad/s"))
+    hover = f"%{{x:.3g}} {speed}<br>%{{y:.3g}} {torque_unit}<extra></extra>"
     traces: list[dict[str, Any]] = []
     covariance = _covariance(result, name)
     if covariance is not None:
@@ -100,7 +103,7 @@ def _panel(data: ReportData, joint: int, points: int) -> Panel:
             "x": packed(velocity),
             "y": packed(data_torque),
             "marker": {"size": 3, "color": MEASURED, "opacity": 0.45},
-            "hovertemplate": "%{x:.3g} rad/s<br>%{y:.3g} N·m<extra></extra>",
+            "hovertemplate": hover,
         },
         {
             "type": "scatter",
@@ -109,7 +112,7 @@ def _panel(data: ReportData, joint: int, points: int) -> Panel:
             "x": packed(curve),
             "y": packed(torque),
             "line": {"color": PREDICTED, "width": 2},
-            "hovertemplate": "%{x:.3g} rad/s<br>%{y:.3g} N·m<extra></extra>",
+            "hovertemplate": hover,
         },
     ]
     first = joint == _order(data)[0]
@@ -118,8 +121,8 @@ def _panel(data: ReportData, joint: int, points: int) -> Panel:
         name,
         f"<b>{plain(shortened(name, 36))}</b>",
         shown,
-        x={"title": {"text": "velocity [rad/s]"}},
-        y={"title": {"text": "N·m"}},
+        x={"title": {"text": f"velocity [{speed}]"}},
+        y={"title": {"text": torque_unit}},
         height=PANEL,
     )
 

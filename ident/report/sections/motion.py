@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from drivers.streams import FloatArray
+from drivers.units import joint_unit
 from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
 from ident.report.figures.traces import Timeline, broken_line, lay_out, packed
 from ident.report.recorded_runs import MotionSegment, TemperatureSeries
 from ident.report.section import ReportData, ReportSection
+from ident.result.schema import Result
 
 PAGE_POINTS = 60_000
 MOST_POINTS = 2000
@@ -24,22 +26,23 @@ def section(data: ReportData) -> ReportSection | None:
     if not recorded.motion and not recorded.temperatures:
         return None
     context = {
-        "motion": _motion(data.result.joints, recorded.motion) if recorded.motion else None,
+        "motion": _motion(data.result, recorded.motion) if recorded.motion else None,
         "temperatures": _temperatures(recorded.temperatures) if recorded.temperatures else None,
     }
     return ReportSection("Motion", "motion", "motion.html.j2", context)
 
 
-def _motion(joints: Sequence[str], segments: Sequence[MotionSegment]) -> Figure:
+def _motion(result: Result, segments: Sequence[MotionSegment]) -> Figure:
+    joints = result.joints
     timeline = lay_out([segment.time for segment in segments])
     points = min(MOST_POINTS, PAGE_POINTS // (4 * len(joints)))
     rows = [
         [
             _panel(
-                joints, joint, "position", [segment.position[joint] for segment in segments], segments, timeline, points
+                result, joint, "position", [segment.position[joint] for segment in segments], segments, timeline, points
             ),
             _panel(
-                joints, joint, "velocity", [segment.velocity[joint] for segment in segments], segments, timeline, points
+                result, joint, "velocity", [segment.velocity[joint] for segment in segments], segments, timeline, points
             ),
         ]
         for joint in range(len(joints))
@@ -52,7 +55,7 @@ def _motion(joints: Sequence[str], segments: Sequence[MotionSegment]) -> Figure:
 
 
 def _panel(
-    joints: Sequence[str],
+    result: Result,
     joint: int,
     quantity: str,
     values: Sequence[FloatArray],
@@ -60,7 +63,8 @@ def _panel(
     timeline: Timeline,
     points: int,
 ) -> Panel:
-    unit = {"position": "rad", "velocity": "rad/s"}[quantity]
+    joints = result.joints
+    unit = joint_unit({"position": "rad", "velocity": "rad/s"}[quantity], sliding=result.sliding[joint])
     traces: list[dict[str, Any]] = []
     for held_out, label, colour in ((False, "identification", MEASURED), (True, "validation", PREDICTED)):
         kept = [index for index, segment in enumerate(segments) if segment.held_out == held_out]

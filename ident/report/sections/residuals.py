@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from drivers.streams import FloatArray
+from drivers.units import joint_unit
 from ident.assessment.residual_tests import (
     LARGEST_AUTOCORRELATION,
     LARGEST_CURVATURE,
@@ -38,7 +39,7 @@ def section(data: ReportData) -> ReportSection:
     shown = any(len(joint.residual) for joint in residuals.values())
     order = [result.joints[joint] for joint in data.worst_first]
     context = {
-        "scatter": _scatter_figure(result.joints, residuals) if shown else None,
+        "scatter": _scatter_figure(result.joints, result.sliding, residuals) if shown else None,
         "figure": _figure(result.joints, residuals, _step(data)) if shown else None,
         "rows": [
             {"joint": result.joints[joint], "residual": one, "lag_one": next(iter(one.autocorrelation[1:2]), None)}
@@ -65,7 +66,7 @@ def _step(data: ReportData) -> float:
     return float(np.median(np.concatenate(steps))) if steps else 1.0
 
 
-def _scatter_figure(joints: Sequence[str], residuals: Mapping[int, JointResidual]) -> Figure:
+def _scatter_figure(joints: Sequence[str], sliding: Sequence[bool], residuals: Mapping[int, JointResidual]) -> Figure:
     """Residual against predicted torque and velocity."""
     points = min(SCATTER_POINTS, PAGE_SCATTER_POINTS // len(joints))
     largest = max(len(joint.residual) for joint in residuals.values())
@@ -75,18 +76,19 @@ def _scatter_figure(joints: Sequence[str], residuals: Mapping[int, JointResidual
     for index, joint in residuals.items():
         name = joints[index]
         bold = f"<b>{plain(shortened(name, 24))}</b>: residual"
+        torque, speed = (joint_unit(unit, sliding=sliding[index]) for unit in ("N·m", "rad/s"))
         rows.append(
             [
                 Panel(
                     name,
                     bold,
-                    _scatter(joint, values, points, unit),
+                    _scatter(joint, values, points, (unit, torque)),
                     x={"title": {"text": f"{quantity} [{unit}]"}},
-                    y={"title": {"text": "N·m"}},
+                    y={"title": {"text": torque}},
                 )
                 for quantity, values, unit in (
-                    ("predicted torque", joint.predicted, "N·m"),
-                    ("velocity", joint.velocity, "rad/s"),
+                    ("predicted torque", joint.predicted, torque),
+                    ("velocity", joint.velocity, speed),
                 )
             ]
         )
@@ -119,7 +121,7 @@ def _row(name: str, joint: JointResidual, step: float) -> list[Panel]:
     ]
 
 
-def _scatter(joint: JointResidual, values: FloatArray, points: int, unit: str) -> list[dict[str, Any]]:
+def _scatter(joint: JointResidual, values: FloatArray, points: int, units: tuple[str, str]) -> list[dict[str, Any]]:
     kept = np.arange(len(joint.residual))
     if len(kept) > points:
         # Random, not every n-th: a stride could fall in step with a periodic motion.
@@ -132,7 +134,7 @@ def _scatter(joint: JointResidual, values: FloatArray, points: int, unit: str) -
             "x": packed(values[kept]),
             "y": packed(joint.residual[kept]),
             "marker": {"size": 3, "color": ACCENT, "opacity": 0.45},
-            "hovertemplate": f"%{{x:.3g}} {unit}<br>%{{y:.3g}} N·m<extra></extra>",
+            "hovertemplate": f"%{{x:.3g}} {units[0]}<br>%{{y:.3g}} {units[1]}<extra></extra>",
         }
     ]
 

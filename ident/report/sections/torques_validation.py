@@ -17,7 +17,7 @@ def section(data: ReportData) -> ReportSection:
         intro = f"NOT held out: {source}. Samples of these data were used in the identification."
     context = {
         "intro": intro if data.validation else "",
-        "figure": torque_figure("torques-validation-plot", result.joints, data.worst_first, data.validation, errors),
+        "figure": torque_figure("torques-validation-plot", result, data.worst_first, data.validation, errors),
         "empty": "Nothing was held out of the identification, so nothing here can say how far to trust the model. "
         "Record a second motion and name it with --validate.",
     }

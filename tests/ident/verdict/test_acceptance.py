@@ -25,6 +25,7 @@ FIGURES = ModelFigures(
     joint_relative_error={"a": 0.1, "b": 0.2},
     rmse={"a": 1.0, "b": None},
     motion_rmse={"a": 0.01, "b": float("nan")},
+    sliding={},
     consistent=True,
     consistency_cost=1.1,
     verdict=Verdict("", {"simulation": PurposeVerdict("usable", "few equations")}),

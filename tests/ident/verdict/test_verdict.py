@@ -42,7 +42,10 @@ def evidence(whole: float | None, joints: dict[str, float], motion: float | None
     return Evidence(
         TorqueError(whole, whole),
         {joint: TorqueError(error, error) for joint, error in joints.items()},
-        tuple(MotionError(one, dict.fromkeys(joints, one), dict.fromkeys(joints, one), "motion") for one in simulated),
+        tuple(
+            MotionError(one, dict.fromkeys(joints, one), dict.fromkeys(joints, f"{one:g} rad"), "motion")
+            for one in simulated
+        ),
     )
 
 
