@@ -194,8 +194,8 @@ def tables(problem: Problem, true: Motion) -> dict[str, Motion]:
 
     derivative = problem.cost.derivative(VALUES)
     print("\nidentifiability (of the 12 parameters; of 11, m1 known):")
-    whole = identifiability(derivative, VALUES, 1.0, tuple(TABLE_3))
-    rest = identifiability(derivative[:, 1:], VALUES[1:], 1.0, tuple(TABLE_3)[1:])
+    whole = identifiability(derivative, 1.0, tuple(TABLE_3))
+    rest = identifiability(derivative[:, 1:], 1.0, tuple(TABLE_3)[1:])
     known = {p.name: p for p in rest}
     for parameter, value in zip(whole, VALUES, strict=True):
         other = known.get(parameter.name)

@@ -84,9 +84,7 @@ def physical_space(setup: Setup, feasible: bool, share: float = 1.0) -> Callable
         box = Box(lower[chosen], upper[chosen], [names[c] for c in chosen])
 
         def steps(point: FloatArray, deviation: float) -> tuple[Step, ...]:
-            return (
-                identified_step(identifiability(physical.derivative(point), box.width, deviation, box.names), point),
-            )
+            return (identified_step(identifiability(physical.derivative(point), deviation, box.names), point),)
 
         penalty = FeasibilityPenalty.of(priors.links)
 

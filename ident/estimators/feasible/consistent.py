@@ -13,14 +13,11 @@ from ident.estimators.feasible.armature import Armature, armatures
 from ident.estimators.feasible.interior_point import BoolArray, Minimum, minimise, strictly_inside
 from ident.estimators.feasible.prior import apparent_mass, link_priors
 from ident.estimators.feasible.problem import Problem, build_problem
+from ident.linear_algebra.row_space import DETERMINED, row_space
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.estimate import Estimate
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest
-
-DETERMINED = 1.0 - 1e-6
-"""A standard parameter has an error bar where this share of it is determined: all but rounding, for the error of what
-it is confounded with comes from the prior and has none."""
 
 ON_BOUNDARY = 0.05
 """A link lies on the boundary where the smallest eigenvalue of its pseudo-inertia, over its prior's, is below this."""
@@ -37,9 +34,6 @@ PRECISION = 1e6
 DENIED, EASED = 1e-3, 0.5
 """The robot file's values and ranges are compared with the data where bodies with them explain the data with a p-value
 below this; they are contradicted where the misfit without them is below this share."""
-
-SINGULAR = 1e-10
-"""Singular values of the scaled system below this share of the largest are rounding."""
 
 
 @dataclass(frozen=True)
@@ -228,12 +222,14 @@ def feasible_fit(problem: Problem, estimate: Estimate, projection: FloatArray, w
     )
     values = problem.scale * minimum.y
     spread = problem.scale[:, None] * _spread(minimum, scaled, estimate, problem.free)
-    determined = _determined(scaled, problem.free)
+    determined = np.zeros(len(values))
+    determined[problem.free] = row_space(scaled[:, problem.free]).shares
     misfit = system @ values - target
     followed = solve_triangular(minimum.root, scaled[:, np.flatnonzero(problem.free)].T, trans="T")
     return FeasibleFit(
         values=values,
         spread=spread,
+        # The error of what a parameter is confounded with comes from the prior and has no σ.
         std=np.where(determined >= DETERMINED, np.linalg.norm(spread, axis=1), np.nan),
         determined=determined,
         misfit=float(misfit @ misfit),
@@ -307,16 +303,3 @@ def _spread(minimum: Minimum, scaled: FloatArray, estimate: Estimate, free: Bool
     halfway = solve_triangular(minimum.root, moved, trans="T")
     spread[np.flatnonzero(free)] = solve_triangular(minimum.root, halfway)
     return spread
-
-
-def _determined(scaled: FloatArray, free: BoolArray) -> FloatArray:
-    """Share (p,) of each parameter that lies in the row space of the system (m, p), its columns of unit length.
-
-    So the share does not depend on units: a column's length is what the parameter's unit does to the torques.
-    """
-    shares, lengths = np.zeros(scaled.shape[1]), np.linalg.norm(scaled, axis=0)
-    acting = np.flatnonzero(free & (lengths > 0.0))
-    _, singular, rows = np.linalg.svd(scaled[:, acting] / lengths[acting], full_matrices=False)
-    if len(singular):
-        shares[acting] = np.sum(rows[singular > SINGULAR * singular[0]] ** 2, axis=0)
-    return shares

@@ -8,15 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.streams import FloatArray
-
-SINGULAR = 1e-9
-"""Singular values of the derivatives, scaled to the box, below this share of the largest are rounding."""
-
-DETERMINED = 0.99
-"""A parameter counts as identifiable where this share of it, in widths of the box, is seen."""
+from ident.linear_algebra.row_space import DETERMINED, row_space
 
 INVOLVED = 0.01
-"""A parameter takes part in an invisible combination with more than this share of it."""
+"""A parameter takes part in an invisible combination with more than this share of it, in units of its effect."""
 
 
 @dataclass(frozen=True)
@@ -41,34 +36,24 @@ class Identified:
         return self.determined >= DETERMINED
 
 
-def identifiability(
-    derivative: FloatArray, widths: FloatArray, noise: float, names: Sequence[str]
-) -> tuple[Identified, ...]:
-    """Identifiability of d parameters, to first order about the estimate.
+def identifiability(derivative: FloatArray, noise: float, names: Sequence[str]) -> tuple[Identified, ...]:
+    """Identifiability of d parameters, to first order about the estimate; it does not depend on their units.
 
     Args:
         derivative: (r, d) of the equations by the parameters.
-        widths: (d,) of the search box: the unit in which a parameter is compared with the others.
         noise: standard deviation of one equation.
         names: (d,).
     """
-    _, singular, vectors = np.linalg.svd(derivative * widths, full_matrices=False)
-    seen = singular > SINGULAR * singular[0] if singular.size else np.zeros(0, dtype=np.bool_)
-    rows = vectors[seen]
-    shares = np.sum(rows**2, axis=0)
-    invisible = np.eye(len(names)) - rows.T @ rows
-    spread = noise * np.linalg.norm(rows.T / singular[seen], axis=1) * widths
+    space = row_space(derivative)
+    hidden = space.shares < DETERMINED
+    invisible = np.abs(np.eye(len(names)) - space.rows.T @ space.rows)
+    spread = noise * np.linalg.norm(space.rows.T / space.singular, axis=1)
     result = []
-    for index, name in enumerate(names):
-        determined = min(1.0, float(shares[index]))
-        partners: tuple[str, ...] = ()
-        if determined < DETERMINED:
-            strength = np.abs(invisible[index])
-            partners = tuple(
-                names[other]
-                for other in range(len(names))
-                if other != index and strength[other] > INVOLVED and shares[other] < DETERMINED
-            )
-        std = float(spread[index]) if determined >= DETERMINED else np.inf
-        result.append(Identified(name, determined, std, partners))
+    for index, (name, share) in enumerate(zip(names, space.shares.tolist(), strict=True)):
+        if not hidden[index]:
+            result.append(Identified(name, share, float(spread[index] / space.lengths[index]), ()))
+            continue
+        involved = hidden & (invisible[index] > INVOLVED)
+        partners = tuple(names[other] for other in np.flatnonzero(involved).tolist() if other != index)
+        result.append(Identified(name, share, np.inf, partners))
     return tuple(result)

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from drivers.percentage import percent_text
-from ident.estimators.feasible.consistent import DETERMINED
 from ident.estimators.feasible.pseudo_inertia import Body, body_of
 from ident.experiments.load.consistent_load import ConsistentLoad
 from ident.experiments.run_pair import RunPair
 from ident.experiments.schema import ConsistentLoadResult, LinkBody, RunError, SignificanceResult
+from ident.linear_algebra.row_space import DETERMINED
 from ident.model.parameters import INERTIAL
 from ident.regression.hypothesis_tests import p_text
 

@@ -8,12 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.errors import RobotFileError
-from ident.estimators.feasible import consistent
 from ident.estimators.feasible.consistent import ConsistentParameters, consistent_parameters
 from ident.estimators.feasible.prior import link_priors
 from ident.estimators.feasible.problem import MARGIN, build_problem
@@ -296,14 +293,3 @@ def test_the_test_of_consistency_keeps_its_level_and_finds_what_cannot_exist() -
     impossible = truth.copy()
     impossible[[20, 23, 25]] -= 2.0  # inertia of link 3 about its joint
     assert np.all(p_values(impossible, range(3)) < 1e-3)
-
-
-@given(seed=st.integers(0, 2**32 - 1))
-def test_what_is_determined_does_not_depend_on_units(seed: int) -> None:
-    generator = np.random.default_rng(seed)
-    system = generator.normal(size=(4, 4)) @ generator.integers(-1, 2, size=(4, 7))
-    units = 10.0 ** generator.uniform(-4, 4, 7)
-    free = generator.random(7) < 0.8
-    shares = consistent._determined(system, free)
-    np.testing.assert_allclose(consistent._determined(system * units, free), shares, rtol=0, atol=1e-9)
-    assert not np.any(shares[~free])
