@@ -75,6 +75,7 @@ def controlled(robot_file: RobotFile, seed: int) -> tuple[Recording, Plant]:
 def main(names: list[str]) -> None:
     """Print the table."""
     print("| | below 0.1 rad/s | all | travels [10⁻³ rad] |\n|---|---|---|---|")
+    notes: list[str] = []
     folder = Path(os.environ.get("DYNID_DATA", "../shared/data"))
     for name in names or ["ur10", "panda", "tx40", "plant"]:
         if name == "plant":
@@ -83,13 +84,15 @@ def main(names: list[str]) -> None:
                 (run, plant), (other, _) = (controlled(robot_file, seed) for seed in (1, 2))
                 joints = robot_file.robot.truth.joints.values()
                 actual = np.array([joint.coulomb + joint.stribeck for joint in joints]) / plant._friction._stiffness
-                row = line(f"UR5e, {1e3 * travel:g}", identify([run], [other], IdentifyChoices()))
-                print(f"{row} break-away {np.array2string(1e3 * actual, precision=3)}", flush=True)
+                name_of = f"UR5e, bristle of {1e3 * travel:g} mrad"
+                print(line(name_of, identify([run], [other], IdentifyChoices())), flush=True)
+                notes.append(f"{name_of}: breaks away after {np.array2string(1e3 * actual, precision=3)} mrad")
             continue
         recording, choices = public(folder, name)
         for friction in FRICTION:
             found = identify([recording], [], choices_of(choices, friction))
             print(line(f"{name}, `{friction}`", found), flush=True)
+    print("", *notes, sep="\n")
 
 
 if __name__ == "__main__":
