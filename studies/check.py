@@ -16,6 +16,11 @@ page or command contains it; `--list` runs nothing, and also names tables of fig
 replaces stale rows by the printed ones of a table with the same heading; the text around is the author's to correct.
 Exit status 1 where a table is stale.
 
+Below a table stands when its figures were measured, for readers and for `--list`; `--write` renews it where the figures
+agree or were replaced:
+
+    *Measured at 0.1.0, commit 5e5a60a, 2026-11-22.*
+
 All of it takes hours; a command ends after `--seconds` (3600).
 """
 
@@ -29,11 +34,14 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
 MARK = re.compile(r"^\s*<!--\s*measured(?P<once> once)?:\s*(?P<text>.*?)\s*-->\s*$")
+AT = re.compile(r"^\*Measured at (?P<at>\S+, commit [0-9a-f]{7,40}, \d{4}-\d\d-\d\d)\.\*$")
 NUMBER = re.compile(
     r"(?<![\w.])[−+-]?\d{1,3}(?:[ ,]\d{3})+(?:\.\d+)?(?![\d])|(?<![\w.])[−+-]?\d+(?:\.\d+)?(?:[eE][−+-]?\d+)?"
 )
@@ -82,6 +90,7 @@ class DocsTable:
         heading: its cells.
         rows: below.
         measurement: None where the page does not say.
+        at: version, commit and date of the measurement; empty where the page does not say.
     """
 
     page: str
@@ -89,6 +98,7 @@ class DocsTable:
     heading: tuple[str, ...]
     rows: tuple[Row, ...]
     measurement: Measurement | None
+    at: str = ""
 
     @property
     def place(self) -> str:
@@ -174,7 +184,9 @@ def tables_of(page: str, text: str) -> Iterator[DocsTable]:
             if not line.strip().startswith("|"):
                 break
             rows.append(row_of(cells_of(line), skipped))
-        yield DocsTable(page, index, tuple(heading), tuple(rows), measurement)
+        below = [line for line in lines[index + 1 + len(rows) :][:2] if line.strip()]
+        found = AT.match(below[0]) if below else None
+        yield DocsTable(page, index, tuple(heading), tuple(rows), measurement, found["at"] if found else "")
 
 
 def printed_rows(output: str, skip: Sequence[str]) -> list[Row]:
@@ -309,6 +321,24 @@ def write(table: DocsTable, output: str) -> bool:
     return bool(changed)
 
 
+def stamp(table: DocsTable, at: str) -> None:
+    """Say below a table when it was measured, in place of what is said there."""
+    page = ROOT / "docs" / table.page
+    lines = page.read_text(encoding="utf-8").split("\n")
+    end = table.line + 1 + len(table.rows)
+    old = next((place for place in (end, end + 1) if place < len(lines) and AT.match(lines[place])), None)
+    lines[end : end if old is None else old + 1] = ["", f"*Measured at {at}.*"]
+    page.write_text("\n".join(lines), encoding="utf-8")
+
+
+def now() -> str:
+    """Version, commit and date of this moment."""
+    commit = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    return f"{version('dynid')}, commit {commit.stdout.strip()}, {datetime.now(UTC):%Y-%m-%d}"
+
+
 def all_tables(folder: Path) -> list[DocsTable]:
     """Tables of all pages."""
     pages = sorted(folder.glob("*.md"))
@@ -328,11 +358,12 @@ def chosen(tables: Sequence[DocsTable], words: Sequence[str]) -> list[DocsTable]
 def show_list(tables: Sequence[DocsTable]) -> None:
     """Commands with their tables, and tables that say nothing."""
     for table in tables:
+        when = f"measured at {table.at}" if table.at else "does not say when it was measured"
         if table.measurement is None:
             if table.of_figures:
                 print(f"{table.place}: does not say how it was measured")
         elif table.measurement.command:
-            print(f"{table.place}: {table.measurement.command}")
+            print(f"{table.place}: {table.measurement.command}; {when}")
         else:
             print(f"{table.place}: measured once: {table.measurement.reason}")
 
@@ -340,7 +371,7 @@ def show_list(tables: Sequence[DocsTable]) -> None:
 def check(tables: Sequence[DocsTable], seconds: float, *, writing: bool = False) -> bool:
     """Run, compare, report; whether all agree."""
     commands = dict.fromkeys(t.measurement.command for t in tables if t.measurement and t.measurement.command)
-    good = True
+    good, done = True, list[DocsTable]()
     for command in commands:
         of_command = [t for t in tables if t.measurement and t.measurement.command == command]
         print(f"{command} …", flush=True)
@@ -352,14 +383,19 @@ def check(tables: Sequence[DocsTable], seconds: float, *, writing: bool = False)
             if failure:
                 print(f"  {table.place}: FAILED ({failure})", flush=True)
             elif stale:
-                print(f"  {table.place}: STALE, {len(stale)} of {len(table.rows)} rows", flush=True)
+                print(f"  {table.place}: STALE, {len(stale)} of {len(table.rows)} rows, {table.at}", flush=True)
                 if writing and write(table, output):
                     print("    written: look at the text around it", flush=True)
+                    done.append(table)
                     continue
                 for row, measured in stale[:OFFERED]:
                     print(f"    docs:    {row.text}\n    printed: {measured}")
             else:
                 print(f"  {table.place}: as printed", flush=True)
+                done.append(table)
+    if writing:
+        for table in sorted(done, key=lambda one: -one.line):  # a stamp may move what is below it
+            stamp(table, now())
     return good
 
 

@@ -112,6 +112,20 @@ def test_stale_rows_are_replaced_by_printed_ones_of_the_same_heading(check):
     assert check.rewritten(table, lines, PRINTED + "| panda | -0.991 | 42 | 77 |\n") == {}  # which of the two
 
 
+def test_a_table_says_when_it_was_measured(check, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(check, "ROOT", tmp_path)
+    page = tmp_path / "docs" / "page.md"
+    page.parent.mkdir()
+    page.write_text(PAGE + "\nText.\n", encoding="utf-8")
+    for at in ("0.1.0, commit 5e5a60a, 2026-11-22", "0.2.0, commit 0123abc, 2027-01-01"):
+        check.stamp(check.all_tables(page.parent)[0], at)
+        (table,) = check.all_tables(page.parent)
+        assert table.at == at
+        assert page.read_text(encoding="utf-8") == f"{PAGE}\n*Measured at {at}.*\n\nText.\n"
+        check.show_list([table])
+        assert capsys.readouterr().out.endswith(f"; measured at {at}\n")
+
+
 @pytest.mark.parametrize(
     ("stated", "measured", "same"),
     [("70 000", "69,500", True), ("4e-16", "4.4e-16", True), ("4e-16", "6e-16", False), ("0.0", "0.04", True)],
