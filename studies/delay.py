@@ -35,6 +35,8 @@ from sim_drivers.synthetic.motion import random_fourier_motion
 
 ROBOT = "ur5e"
 RATE = 500.0
+PLAIN = IdentifyChoices(model=ModelChoices("coulomb-viscous"), presliding=False)
+"""With further terms and presliding, friction would take part of a delay."""
 PERIOD = 20.0
 EARLY = -0.002
 DELAYS = (EARLY, 0.0, 0.002, 0.007)
@@ -100,8 +102,8 @@ def simulated(seeds: int) -> None:
             robot_file = arm(delay, friction)
             for seed in range(seeds):
                 recording = controlled(robot_file, slower * PERIOD, seed, delay == EARLY)
-                search = identify([recording], [], IdentifyChoices())
-                without = identify([recording], [], IdentifyChoices(search_delay=False))
+                search = identify([recording], [], PLAIN)
+                without = identify([recording], [], replace(PLAIN, search_delay=False))
                 assert search.delay is not None
                 best = f"{1e3 * search.delay.best:.2f} ± {1e3 * search.delay.interval:.2f}"
                 used = ", ".join(f"{1e3 * value:.2f}" for value in sorted({j.used for j in search.delay.joints}))
@@ -119,7 +121,8 @@ def public(folder: Path) -> None:
             text = f"name: {name}\nmodel: {{urdf: {urdf}}}\njoints:\n{limits}\n"
         robot_file = parse_robot(text, where=name, folder=folder)
         recording = import_file(folder / file, robot_file, ImportChoices())
-        choices = IdentifyChoices(model=ModelChoices(motor_inertia=False if name == "Panda" else None))
+        inertia = False if name == "Panda" else None
+        choices = replace(PLAIN, model=ModelChoices("coulomb-viscous", motor_inertia=inertia))
         choices = replace(choices, preprocess=replace(choices.preprocess, stop=stop))
         search = identify([recording], [], choices)
         without = identify([recording], [], replace(choices, search_delay=False))

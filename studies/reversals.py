@@ -31,7 +31,7 @@ from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
 from ident.excite.search.search import SearchChoices
-from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
@@ -84,13 +84,16 @@ def motions(robot_file: RobotFile) -> tuple[list[Motion], Motion]:
     return designs[:-1], designs[-1]
 
 
+PLAIN = IdentifyChoices(model=ModelChoices("coulomb-viscous"), presliding=False)
+
+
 def line(robot_file: RobotFile, pairs: Sequence[tuple[Recording, Recording]], share: float) -> str:
     """Identify each recording and validate it with its partner; the figures over all of them."""
     base = base_parameters(build_model(robot_file))
     truth = base.projection @ truth_vector(robot_file)
     off, deviations, errors = [], [], []
     for recording, other in pairs:
-        identification = identify([recording], [other], IdentifyChoices(reversals=share))
+        identification = identify([recording], [other], replace(PLAIN, reversals=share))
         off.append((identification.solution.parameters - truth) / identification.std)
         deviations.append(identification.std)
         errors.append(held_out_errors(identification))
@@ -156,7 +159,7 @@ def main(seeds: int = 12) -> None:
     for name, (recording, preprocess) in public_recordings(folder).items():
         print(f"\n{name}\n{'left out':>9} {'held out':>8} {'fast':>8}")
         for share in SHARES:
-            identification = identify([recording], [], IdentifyChoices(preprocess=preprocess, reversals=share))
+            identification = identify([recording], [], replace(PLAIN, preprocess=preprocess, reversals=share))
             print(f"{share:9g} {percent(held_out_errors(identification))}", flush=True)
 
 

@@ -93,7 +93,7 @@ def identified(robot_file: RobotFile, seed: int, moves: int) -> Identification:
 def drawn_gains(robot_file: RobotFile, seed: int) -> dict[str, float]:
     """True gain over the file's of every joint, drawn by the file's standard deviations."""
     names = robot_file.robot.joint_names
-    relative = relative_gain_std(robot_file.robot)
+    relative = relative_gain_std(robot_file.robot, names)
     factors = 1.0 + relative * np.random.default_rng([seed, 4]).standard_normal(len(names))
     return dict(zip(names, factors.tolist(), strict=True))
 
@@ -114,7 +114,7 @@ def experiment(seed: int, moves: int, gains: dict[str, float]) -> Table:
     names = [parameter.name for parameter in build_model(free_arm).parameters]
     load = base.projection[:, [names.index(f"{symbol}6") for symbol in INERTIAL]] @ LOAD
     predicted = free.solution.parameters + load
-    relative = relative_gain_std(robot_file.robot)
+    relative = relative_gain_std(robot_file.robot, robot_file.robot.joint_names)
     # Wrong gains move X̂ and X̂_L alike but for the load's share.
     moved = [relative * gain_sensitivity(fit.reduction, fit.solution) for fit in (free, loaded)]
     std, loaded_std = (

@@ -42,11 +42,12 @@ Motion = Callable[[Recording, Robot], JointSignals]
 
 @dataclass(frozen=True)
 class Run:
-    """One of the two recordings, ready for the estimator."""
+    """One of the two recordings, ready for the estimator; `gains_used` as of `JointSignals`."""
 
     label: str
     prepared: Prepared
     reduction: Reduction
+    gains_used: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,7 @@ def prepare_pair(
     for motion in motions:
         prepared = prepare(motion, choices)
         reduction = reduce_segments(kernel, prepared.segments, prepared.parallel_filter)
-        runs.append(Run(motion.label, prepared, reduction))
+        runs.append(Run(motion.label, prepared, reduction, motion.gains_used))
     pair = (runs[FREE], runs[LOADED])
     active = excited_base_columns(
         stack_reductions([run.reduction for run in pair]), base, [run.prepared for run in pair]

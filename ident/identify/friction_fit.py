@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from daq.robot.loader import RobotFile
 from drivers.reading_process import Progress
+from drivers.streams import FloatArray
 from ident.assessment.excitation import excited_base_columns
 from ident.estimators.friction_steps import (
     LOAD_TOLERANCE,
@@ -152,6 +153,7 @@ class _Fit:
     ) -> None:
         self._prepared, self._runs = prepared.runs, [run.prepared for run in prepared.runs]
         self._experiment, self._method = experiment, method
+        self._weights: FloatArray | None = None
         self._plain = replace(model, terms=None, presliding=())
         plain_base = experiment_base(self._plain, [experiment])
         self._rows = FrictionRows(self._plain, plain_base, self._runs)
@@ -167,8 +169,12 @@ class _Fit:
     def solve(self, model: DynamicModel) -> _Solved:
         base = self.base(model)
         reduction = self._rows.reduction(model, base, self._experiment.torques)
-        solve = ordinary_least_squares if self._method == "ols" else weighted_least_squares
-        return _Solved(model, base, reduction, solve(reduction, excited_base_columns(reduction, base, self._runs)))
+        active = excited_base_columns(reduction, base, self._runs)
+        if self._method == "ols":
+            return _Solved(model, base, reduction, ordinary_least_squares(reduction, active))
+        solution = weighted_least_squares(reduction, active, self._weights)
+        self._weights = solution.weights
+        return _Solved(model, base, reduction, solution)
 
     def automatic(self, model: DynamicModel, robot_file: RobotFile, progress: Progress) -> FrictionFit:
         """Terms and shapes chosen for each motor, where the model that is delivered gains by them."""

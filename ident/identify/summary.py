@@ -321,8 +321,8 @@ def _gain_std(identification: Identification) -> FloatArray | None:
     if len(reduction.joints) != identification.model.dof or identification.choices.estimator.equations != "torque":
         return None
     used = {name for run in identification.runs for name in run.signals.gains_used}
-    of_used = relative_gain_std(robot) * np.array([name in used for name in robot.joint_names])
-    return gain_deviations((gain_sensitivity(reduction, identification.solution) * of_used).T)
+    moves = gain_sensitivity(reduction, identification.solution) * relative_gain_std(robot, used)
+    return gain_deviations(moves.T)
 
 
 def parameter_results(

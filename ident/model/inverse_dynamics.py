@@ -92,7 +92,7 @@ class InverseDynamics:
         self._load = LoadTorqueKernel(model) if model.needs_load_torque else None
         inertial, extra = with_masses(model, base, parameters)
         self._arms = _arms(model, inertial, extra)
-        self._load_arms = [] if self._load is None or self._coupled else _load_arms(model)
+        self._load_arms = [] if self._load is None else _load_arms(model)
 
     def torque(
         self,
@@ -144,7 +144,8 @@ class InverseDynamics:
             return FrictionConditions(None, temperature)
         if self._load_arms and position.shape[1] < LOOP_BELOW:
             still = np.zeros_like(position)
-            return FrictionConditions(self._of_arms(self._load_arms, position, still, still), temperature)
+            at_joints = self._of_arms(self._load_arms, position, still, still)
+            return FrictionConditions(np.asarray(np.linalg.solve(self.coupling.T, at_joints)), temperature)
         return FrictionConditions(self._load.torque(position), temperature)
 
     def friction(
@@ -217,9 +218,9 @@ def _arms(model: DynamicModel, inertial: FloatArray, extra: dict[int, float]) ->
 
 
 def _load_arms(model: DynamicModel) -> list[_Arm]:
-    """The same of the parameters that a model's load torque follows from; those of joints that move a link each."""
+    """The same of the parameters that a model's load torque follows from."""
     load = model.terms.load_torque if model.terms is not None else None
-    if load is None or model.transmission is not None:
+    if load is None:
         return []
     standard = np.zeros(10 * len(model.joints))
     standard[list(load.columns)] = load.values

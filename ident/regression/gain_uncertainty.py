@@ -11,6 +11,8 @@ linear in the correlation, so the larger one of both extremes covers whatever li
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from daq.robot.schema import Robot
@@ -45,10 +47,17 @@ def gain_sensitivity(reduction: Reduction, solution: LeastSquares) -> FloatArray
     return moved
 
 
-def relative_gain_std(robot: Robot) -> FloatArray:
-    """Standard deviation (n,) of each drive's gain over the gain, by the robot file; 0 where it names none."""
+def relative_gain_std(robot: Robot, used: Collection[str]) -> FloatArray:
+    """Standard deviation (n,) of each drive's gain over the gain, by the robot file; 0 where it names none.
+
+    Args:
+        robot: the arm.
+        used: names of the joints whose torque a gain made; a recorded torque has no error of a gain.
+    """
     drives = [robot.drive(name) for name in robot.joint_names]
-    return np.array([(drive.gain_std or 0.0) / abs(drive.gain) if drive.gain else 0.0 for drive in drives])
+    return np.array(
+        [(drive.gain_std or 0.0) / abs(drive.gain) if drive.gain and drive.joint in used else 0.0 for drive in drives]
+    )
 
 
 def gain_deviations(moves: FloatArray) -> FloatArray:

@@ -94,16 +94,24 @@ def ordinary_least_squares(reduction: Reduction, active: Sequence[int]) -> Least
     return solve_weighted(reduction, active, _with_rows(reduction).astype(np.float64), "ols")
 
 
-def weighted_least_squares(reduction: Reduction, active: Sequence[int]) -> LeastSquares:
+def weighted_least_squares(
+    reduction: Reduction, active: Sequence[int], weights: FloatArray | None = None
+) -> LeastSquares:
     """WLS: each joint's rows divided by its residual's standard deviation, iterated until the weights settle.
 
     σ_j² = ‖Γ_j − W_j θ‖² / (N_j − b·N_j/r) (ROCR6 eq. 11 with the joint's share of the parameters as r_j). Where they
     do not settle, the last iterate is given, marked: it is a weighted solution, too, with weights that are not final.
 
+    Args:
+        reduction: the system.
+        active: base columns that are estimated.
+        weights: (n,) of the joints' rows to begin with, as of a solution of nearly the same system; OLS where None.
+
     Raises:
         IdentificationError: as for OLS.
     """
-    solution = ordinary_least_squares(reduction, active)
+    started = None if weights is None else solve_weighted(reduction, active, weights, "wls")
+    solution = ordinary_least_squares(reduction, active) if started is None else started
     floor, used = rounding_floor(reduction), _with_rows(reduction)
     for iteration in range(2, WLS_ITERATIONS + 2):
         weights = inverse_deviations(reduction, solution.joint_std)

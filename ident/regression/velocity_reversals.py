@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import binary_dilation, maximum_filter1d, minimum_filter1d
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from drivers.errors import UsageError
 from drivers.percentage import percent_text
@@ -143,7 +143,7 @@ def reversal_mask(kernel: RegressorKernel, segment: Segment, share: float, reach
         reversing[motor] |= speed < share * np.sqrt(np.mean(np.square(speed[segment.used])))
         if width:
             changes = np.append(False, np.diff(np.sign(velocity)) != 0.0)
-            reversing[motor] |= binary_dilation(changes, np.ones(2 * width + 1, dtype=np.bool_))
+            reversing[motor] |= _dilated(changes, 2 * width + 1)
     return reversing
 
 
@@ -156,7 +156,7 @@ def _rest_mask(
     for motor, motion in _rubbing(kernel):
         resting[motor] |= ~moving_mask(combined(motion, segment.velocity)[None], segment.rate, rest_velocity)
         resting[motor] |= np.all(still[[joint for joint, _ in motion]], axis=0)
-    return np.asarray(binary_dilation(resting, np.ones((1, 2 * reach + 1), dtype=np.bool_)))
+    return _dilated(resting, 2 * reach + 1)
 
 
 def _within_a_step(segment: Segment, steps: FloatArray) -> npt.NDArray[np.bool_]:
@@ -165,7 +165,13 @@ def _within_a_step(segment: Segment, steps: FloatArray) -> npt.NDArray[np.bool_]
     spread = maximum_filter1d(segment.position, width, axis=1) - minimum_filter1d(segment.position, width, axis=1)
     with np.errstate(invalid="ignore"):
         still = spread <= TOGGLING * steps[:, None]  # false where the step is nan
-    return np.asarray(binary_dilation(still, np.ones((1, width), dtype=np.bool_)))
+    return _dilated(still, width)
+
+
+def _dilated(mask: npt.NDArray[np.bool_], width: int) -> npt.NDArray[np.bool_]:
+    """A mask (…, N) that reaches `width` // 2 samples further to both sides, one less before where it is even."""
+    flags = mask.astype(np.uint8)
+    return np.asarray(maximum_filter1d(flags, width, axis=-1, mode="constant", origin=width % 2 - 1) > 0)
 
 
 def _rubbing(kernel: RegressorKernel) -> Iterator[tuple[int, tuple[tuple[int, float], ...]]]:

@@ -8,7 +8,7 @@ import pytest
 
 from daq.importers import ImportChoices, import_file
 from daq.robot.loader import RobotFile, parse_robot
-from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.signals.pipeline import PreprocessChoices
 
@@ -31,8 +31,9 @@ def identified(data_dir: Path, *, coupled: bool) -> Identification:
     robot_file = robot(data_dir, coupled=coupled)
     recording = import_file(data_dir / "tx40_t1.npz", robot_file, ImportChoices())
     preprocess = PreprocessChoices(position_cutoff=100, torque_cutoff=25, decimate=50, stop=MOVING)
+    plain = ModelChoices(friction="coulomb-viscous")
     choices = IdentifyChoices(
-        method="ols", preprocess=preprocess, search_delay=False, split=SPLIT, reversals=0.0, presliding=False
+        "ols", plain, preprocess, search_delay=False, split=SPLIT, reversals=0.0, presliding=False
     )
     return identify([recording], [], choices)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from ident.assessment.instants import instants
 from ident.assessment.mistakes.competition import Competition, explanations
@@ -38,23 +39,34 @@ def mistake_checks(
         solution: of these, with a weight per joint.
         independent: number of independent equations.
     """
-    few = instants(RegressorKernel(model, base.columns), runs)
+    kernel = RegressorKernel(model, base.columns)
+    few = instants(kernel, runs)
     if few.torque.shape[1] <= len(solution.active):
         return []
-    competition = Competition(model, experiment, base, solution.active, few)
-    folded = unsigned_torques(competition, runs)
+    # Friction that was taken off has the sign of what was believed: columns and signs compete for what was recorded.
+    recorded = [_as_recorded(run) for run in runs]
+    competition = Competition(model, experiment, base, solution.active, instants(kernel, recorded))
+    folded = unsigned_torques(competition, recorded)
     if folded:
         return [_unsigned_check([model.joint_names[joint] for joint in folded])]
     well = competition.well_explained()
     refit = Refit(model, experiment, base.columns, few, solution)
     deviations = most_likely(refit, runs, independent, poor=not well)
-    held = any(segment.known_torque is not None for run in runs for segment in run.segments)
-    found = [] if well or held else explanations(competition, deviations)
+    found = [] if well else explanations(competition, deviations)
     if found:
         return [_check(model, found)]
     if deviations and not well and not competition.explained_by(deviations[0]):
         return []
     return model_error_checks(model, deviations)
+
+
+def _as_recorded(run: Prepared) -> Prepared:
+    """The run with the torque of friction that was held."""
+    segments = (
+        part if part.known_torque is None else replace(part, torque=part.torque + part.known_torque, known_torque=None)
+        for part in run.segments
+    )
+    return replace(run, segments=tuple(segments))
 
 
 def _unsigned_check(names: Sequence[str]) -> Check:

@@ -1,8 +1,9 @@
 """Feasible domain of the friction within I-IRLS (AUBO eq. 16).
 
-The paper names bounds f_max of every coefficient and no values. Here no term of a joint's friction exceeds a share of
-the joint's torque limit (of the largest measured torque, where the robot file has none) at the highest speed and load
-torque of the data, and what dissipates does not drive: f_c, f_v and f_L are not negative.
+What dissipates does not drive: f_c, f_v, f_L and the Stribeck term are not negative. The paper names bounds f_max of
+every coefficient and no values; where they are asked for, no term of a joint's friction, its offset included, exceeds a
+share of the joint's torque limit (of the largest measured torque, where the robot file has none) at the highest speed
+and load torque of the data.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class FrictionBounds:
         return tuple(np.flatnonzero((parameters == self.least) | (parameters == self.most)).tolist())
 
 
-def friction_bounds(setup: Setup, kernel: RegressorKernel, share: float) -> FrictionBounds:
+def friction_bounds(setup: Setup, kernel: RegressorKernel, share: float | None) -> FrictionBounds:
     """The bounds on a robot's data.
 
     A base parameter that is a combination, such as an offset that holds a sliding joint's weight, has none.
@@ -63,21 +64,26 @@ def friction_bounds(setup: Setup, kernel: RegressorKernel, share: float) -> Fric
     Args:
         setup: the data.
         kernel: with the friction's present shapes and load torque.
-        share: of the joint's torque limit that one term can reach.
+        share: of the joint's torque limit that one term can reach; None for no upper bounds.
     """
-    model, base = kernel.model, setup.base
+    base = setup.base
+    alone = np.array(base.expressions) == np.array(base.names)
+    dissipative = np.isin(base.kinds, DISSIPATIVE_KINDS)
+    least, most = np.where(dissipative & alone, 0.0, -np.inf), np.full(base.count, np.inf)
+    if share is None:
+        return FrictionBounds(least, most)
+    model = kernel.model
     speed, load, torque = _largest(setup, kernel)
     signals = {"coulomb": np.ones(model.dof), "viscous": speed, "load": load, "offset": np.ones(model.dof)}
     if model.terms is not None:
         signals["viscous"] = speed ** np.array(model.terms.exponent)
         signals["load"] = load ** np.array([LOAD_POWERS.get(kind, 1.0) for kind in model.terms.load])
     limits = {joint.name: joint.torque for joint in setup.robot_file.robot.joints}
-    least, most = np.full(base.count, -np.inf), np.full(base.count, np.inf)
     for motor, name in enumerate(model.joint_names):
         limit = share * (limits.get(name) or float(torque[motor]))
         for kind, signal in signals.items():
             place = own_column(model, kernel.columns, kind, motor)
-            if place is None or base.expressions[place] != base.names[place] or signal[motor] <= 0.0:
+            if place is None or not alone[place] or signal[motor] <= 0.0:
                 continue
             most[place] = limit / signal[motor]
             least[place] = 0.0 if kind in DISSIPATIVE_KINDS else -limit

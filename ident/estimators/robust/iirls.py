@@ -67,8 +67,9 @@ class FullFrictionEstimator(RobustEstimator):
 
     Attributes:
         decoupled: whether inertial and friction parameters are estimated in turn.
-        largest_friction: a term's largest share of the joint's torque limit, with which the friction is that of a
-            feasible domain (eq. 16; `friction_bounds`); None for no bounds.
+        largest_friction: a term's largest share of the joint's torque limit (eq. 16; `friction_bounds`); None for no
+            upper bounds. Without them friction with a shape or a load term, which could trade signs with the plain
+            terms, is not negative, and plain friction is free, so that a wrong sign of the data shows.
     """
 
     decoupled: bool
@@ -83,8 +84,8 @@ class FullFrictionEstimator(RobustEstimator):
         if terms is not None and terms.loaded:
             fit = self._fourth_loop(loops, fit, rounds)
         inner = estimation(fit, loops, "iirls")
-        if self.largest_friction is not None:
-            inner = replace(inner, steps=(*inner.steps, self._bounds_step(fit, self.largest_friction)))
+        if self._bounded:
+            inner = replace(inner, steps=(*inner.steps, self._bounds_step(fit)))
         solution = replace(
             inner.solution, parameters=fit.solution.parameters, settled=fit.settled and all(rounds.settled)
         )
@@ -93,7 +94,7 @@ class FullFrictionEstimator(RobustEstimator):
     def solver(self, active: Sequence[int]) -> Solve:
         """As for IRLS, within the bounds; decoupled, the parameters that are no friction, friction as it was."""
         together = super().solver(active)
-        if self.largest_friction is not None and not self.decoupled:
+        if self._bounded and not self.decoupled:
             # The bounds follow the shapes and the load torque, which are those of the kernel.
             bounds = lru_cache(maxsize=1)(partial(friction_bounds, self.setup, share=self.largest_friction))
             return lambda kernel, reduction, before: bounds(kernel).solution(reduction, active)
@@ -113,11 +114,21 @@ class FullFrictionEstimator(RobustEstimator):
 
         return solve
 
-    def _bounds_step(self, fit: RobustFit, largest: float) -> Step:
+    @property
+    def _bounded(self) -> bool:
+        terms = self.setup.kernel.model.terms
+        further = terms is not None and (terms.shaped or terms.loaded)
+        return self.largest_friction is not None or (further and not self.consistent and not self.decoupled)
+
+    def _bounds_step(self, fit: RobustFit) -> Step:
+        largest = self.largest_friction
         reached = friction_bounds(self.setup, fit.kernel, largest).reached(fit.solution.parameters)
         names = ", ".join(self.setup.base.names[place] for place in reached) or "none"
-        text = f"each term at most {percent_text(largest)} of the joint's torque limit, none negative but the offset"
-        return Step("friction bounds", {"largest_friction": largest}, f"{text} (AUBO eq. 16); at a bound: {names}")
+        text = f"no term negative but the offset (AUBO eq. 16); at a bound: {names}"
+        if largest is None:
+            return Step("friction bounds", {}, text)
+        text = f"each term at most {percent_text(largest)} of the joint's torque limit, {text}"
+        return Step("friction bounds", {"largest_friction": largest}, text)
 
     def _third_loop(self, loops: Reweighting, fit: RobustFit, rounds: _Rounds) -> RobustFit:
         """Shapes, and decoupled all friction, until they settle."""
@@ -145,7 +156,10 @@ class FullFrictionEstimator(RobustEstimator):
         if self.decoupled:
             return self._decoupled_round(loops, fit)
         system = ShapeSystem.at(loops, fit)
-        parameters = system.together(loops.active)
+        held = set[int]()
+        if self._bounded:
+            held = set(friction_bounds(self.setup, fit.kernel, self.largest_friction).reached(fit.solution.parameters))
+        parameters = system.together([column for column in loops.active if column not in held])
         share = 1.0
         while True:
             moved = moved_shapes(_terms(fit), partial(system.value, parameters), share)

@@ -149,9 +149,10 @@ def estimate_load(
     covariance = jackknife_covariance(_moves(summed, solution))
     # The known part of the load is no torque of the drives: their gains act on the torques as they were measured.
     measured = _joint_system(pair, columns.effect, np.zeros(count), weights)
-    free_part, loaded_part = np.split(gain_sensitivity(measured, solution)[list(active)].T, 2)
-    moved_by_gain = free_part + loaded_part  # (n, a)
-    gain_moves = moved_by_gain * relative_gain_std(pair.robot_file.robot)[:, None]
+    parts = np.split(gain_sensitivity(measured, solution)[list(active)].T, 2)  # each (n, a)
+    robot, gain_moves = pair.robot_file.robot, np.zeros_like(parts[FREE])
+    for part, run in zip(parts, pair.runs, strict=True):
+        gain_moves += part * relative_gain_std(robot, run.gains_used)[:, None]
     estimate = estimate_of(system, solution, covariance, grams.count)
     return _with_standard(columns, known, estimate, gain_moves, count)
 

@@ -73,6 +73,7 @@ class FrictionRows:
         self._segments = [part for run in runs for part in self._kept(run)]
         names = [plain.parameters[column].name for column in base.columns]
         self._places = {name: place for place, name in enumerate(names)}
+        self._given: dict[_SegmentRows, tuple[object, FrictionConditions]] = {}
 
     def _kept(self, run: Prepared) -> Iterator[_SegmentRows]:
         for segment in run.segments:
@@ -178,12 +179,12 @@ class FrictionRows:
         """Of each motor, the base columns in its equations, and these with the torque (k + 1, M)."""
         of_motor: list[list[tuple[int, FloatArray]]] = [[] for _ in range(model.dof)]
         segment = part.segment
-        states = presliding_states(model, segment.velocity, segment.rate)
+        conditions = self._conditions(model, part)
         new: list[tuple[int, JointColumn]] = []
         for place, standard in enumerate(base.columns):
             parameter = model.parameters[standard]
             column = None if parameter.kind == "inertial" else joint_column(model, parameter)
-            if column is not None and self._changed(parameter.name, column, states):
+            if column is not None and self._changed(parameter.name, column, conditions.presliding):
                 new.append((place, column))
                 continue
             kept = self._places[parameter.name]
@@ -191,8 +192,6 @@ class FrictionRows:
                 if kept in rows.columns:
                     of_motor[motor].append((place, part.packed[rows.rows.start + rows.columns.index(kept)]))
         if new:
-            load = LoadTorqueKernel(model).torque(segment.position) if model.needs_load_torque else None
-            conditions = FrictionConditions(load, segment.temperature, states)
             signals = np.array(
                 [column_signal(model, column, segment.velocity, segment.acceleration, conditions) for _, column in new]
             )
@@ -203,6 +202,16 @@ class FrictionRows:
         for motor, found in enumerate(of_motor):
             ordered = sorted(found, key=lambda one: one[0])
             yield tuple(place for place, _ in ordered), np.array([*(row for _, row in ordered), part.torque[motor]])
+
+    def _conditions(self, model: DynamicModel, part: _SegmentRows) -> FrictionConditions:
+        """What friction depends on along a segment; kept until load torque or travels change."""
+        needed = None if model.terms is None or not model.needs_load_torque else model.terms.load_torque
+        key, segment = (needed, model.presliding), part.segment
+        if part not in self._given or self._given[part][0] != key:
+            load = None if needed is None else LoadTorqueKernel(model).torque(segment.position)
+            states = presliding_states(model, segment.velocity, segment.rate)
+            self._given[part] = key, FrictionConditions(load, segment.temperature, states)
+        return self._given[part][1]
 
     def _changed(self, name: str, column: JointColumn, states: States) -> bool:
         """Whether a column is none of the plain model's."""

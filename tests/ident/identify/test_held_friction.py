@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -78,6 +79,20 @@ def test_storage_and_validation_agree(held, tmp_path):
         assert np.all(model.torque_std(q, dq, ddq, heat) > 0.0)
         parts = model.mass_matrix(q) @ ddq + model.gravity(q) + model.coriolis(q, dq) + model.friction(dq, q, heat)
         assert np.allclose(parts, model.torque(q, dq, ddq, heat))
+
+
+@pytest.mark.parametrize("factors", [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0)])
+def test_a_torque_of_the_wrong_sign_is_found_whatever_friction_is_held(folder, factors):
+    run = exciting(1, 30.0, 31.0)
+    stream = run.streams["joints"]
+    channels = {
+        name: replace(channel, values=channel.values * factors) if name in ("torque", "current") else channel
+        for name, channel in stream.channels.items()
+    }
+    wrong = replace(run, streams={"joints": replace(stream, channels=channels)})
+    checks = identify(wrong, friction_from=folder, delay=0.0).verdict.checks
+    names = [check.name for check in checks if check.name in ("torque-sign", "sign-or-column", "joint-sign")]
+    assert bool(names) == (-1.0 in factors), checks
 
 
 def test_temperature_terms_are_estimated_where_the_recording_tells_them(folder):

@@ -55,5 +55,7 @@ def test_the_energy_has_no_rows_of_a_joint(recording):
 
 
 def test_uncertainty_is_that_of_the_robot_file(three_joint):
-    assert relative_gain_std(three_joint.robot) == pytest.approx([0.05, 0.0625, 0.05])
-    assert not relative_gain_std(load_robot("panda").robot).any()
+    robot, panda = three_joint.robot, load_robot("panda").robot
+    assert relative_gain_std(robot, robot.joint_names) == pytest.approx([0.05, 0.0625, 0.05])
+    assert relative_gain_std(robot, ("j2",)) == pytest.approx([0.0, 0.0625, 0.0])
+    assert not relative_gain_std(panda, panda.joint_names).any()

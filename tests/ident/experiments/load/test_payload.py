@@ -10,10 +10,11 @@ from loaded_arm import LOAD, RATE, runs
 
 from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import DataError, UsageError
+from ident.experiments.load.load_estimate import estimate_load, identify_separately
 from ident.experiments.load.payload import identify_payload
 from ident.experiments.payload_summary import payload_result, payload_sentences
 from ident.model.dynamic_model import build_model
-from ident.model.load import KnownLoad
+from ident.model.load import KnownLoad, load_effect
 from ident.model.parameters import INERTIAL
 from ident.regression.hypothesis_tests import chi_square_test
 from sim_drivers.synthetic.measurement import simulate_recording
@@ -121,6 +122,20 @@ def test_the_gains_part_of_the_error_bars_is_what_wrong_gains_do():
     assert of_gains == pytest.approx(np.maximum(independent, common), rel=0.1)
     # All gains too high by a share make everything heavier by that share.
     assert common == pytest.approx(relative.mean() * np.abs(reference.load.values), rel=0.05, abs=0.02 * of_gains.max())
+
+
+def test_a_recorded_torque_has_no_error_of_a_gain(found):
+    """Neither run's torque is a gain's, then the free run's alone."""
+    pair, effect = found[0].pair, load_effect(found[0].pair.model, found[0].pair.base, found[0].pair.robot_file.robot)
+    separate, grams = identify_separately(pair)
+    moves = []
+    for used in ((), ()), (pair.runs[0].gains_used, ()), (pair.runs[0].gains_used,) * 2:
+        runs_of = tuple(replace(run, gains_used=gains) for run, gains in zip(pair.runs, used, strict=True))
+        estimate = estimate_load(replace(pair, runs=runs_of), grams, effect, separate.weights, None)
+        moves.append(estimate.gain_moves)
+    assert not moves[0].any()
+    assert moves[2] == pytest.approx(found[0].load.gain_moves)
+    assert np.abs(moves[1]).max() > np.abs(moves[2]).max()  # a gain that is wrong in one run only looks like a load
 
 
 @pytest.mark.parametrize("common", [False, True])
