@@ -27,6 +27,7 @@ PHYSICAL = {
 
 UNIT = re.compile(r"\[[^\]]*(s|rad|Hz|kg|N·m|A|V|°C|m|%)[^\]]*\]")
 
+PACKAGES = {"drivers", "daq", "ident", "sim_drivers", "dynid"}
 CLASSES = [name for name in dynid.__all__ if inspect.isclass(getattr(dynid, name))]
 ERRORS = [name for name in CLASSES if issubclass(getattr(dynid, name), Exception)]
 EXEMPLARY = [name for name in dynid.__all__ if name not in ERRORS or name == "DynidError"]
@@ -41,7 +42,9 @@ def public_callables() -> list[tuple[str, Any]]:
     for name in CLASSES:
         if name in ERRORS or name == "RobotFile":
             continue
-        for member, value in vars(getattr(dynid, name)).items():
+        public = getattr(dynid, name)
+        own = [vars(part) for part in public.__mro__ if part.__module__.partition(".")[0] in PACKAGES]
+        for member, value in (item for part in own for item in part.items()):
             if member.startswith("_"):
                 continue
             plain = getattr(value, "__func__", getattr(value, "fget", getattr(value, "func", value)))
@@ -89,9 +92,12 @@ def test_every_public_name_has_an_example():
 
 def test_every_physical_argument_names_its_unit():
     without = []
+    docs = {name: inspect.getdoc(function) or "" for name, function in public_callables()}
     for name, function in public_callables():
-        doc = inspect.getdoc(function) or ""
+        doc = docs[name]
         assert doc.strip(), f"{name} has no docstring"
+        if named := re.search(r"Arguments(?: and errors)? are\s+those of `(\w+)`", doc):
+            doc = docs[f"{name.rpartition('.')[0]}.{named[1]}"]
         entries = dict(re.findall(r"^\s{4}(\w+): (.*(?:\n\s{8}.*)*)", doc, re.MULTILINE))
         for argument in PHYSICAL.intersection(inspect.signature(function).parameters):
             text = entries.get(argument, "")
