@@ -48,7 +48,8 @@ class Loop(Section):
     offset: Angle = Field(default=0.0, description="[rad or m]")
     parallelogram: tuple[str, str, str, str] | None = None
     passive: dict[str, Angle] | None = Field(
-        default=None, description="joint that follows → its position [rad or m] near the start, which tells the branch"
+        default=None,
+        description="joint that follows → its position [rad or m] near the start, which selects the branch",
     )
     at: dict[str, Angle] = Field(
         default_factory=dict,

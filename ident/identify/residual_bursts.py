@@ -1,4 +1,4 @@
-"""The check on short stretches of time in which the torque leaves the model, confirmed by a fit without them."""
+"""The check on short bursts of residuals, confirmed by a fit without them."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def burst_checks(identification: Identification) -> list[Check]:
     more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
     robust = "" if identification.choices.estimator.name in ROBUST else ", or compare --method irls"
     text = (
-        f"the torque leaves the model in short stretches, by {larger:.0f} times the usual residual: "
+        f"the residual has short bursts, {larger:.0f} times the usual residual: "
         f"{', '.join(shown[:MOST_SHOWN])}{more}; did something touch the arm? Leave these times out{robust}"
     )
     return [raised("residual-bursts", text)]

@@ -174,7 +174,7 @@ _EXCITATION = (
         "residual-bursts",
         "warning",
         PARAMETERS,
-        "the torque leaves the model in a few short stretches",
+        "the residual has a few short bursts",
         "Something touched the arm, or a signal failed: leave these times out, or compare --method irls.",
     ),
     _note(

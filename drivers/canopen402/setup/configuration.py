@@ -170,7 +170,7 @@ def _probe(drives: Sequence[RemoteDrive], sender: Sender, deadline: float, clock
             else:
                 hint = "is this drive on the bus, and does it have this node id?"
             raise ConnectionFailedError(f"no answer from {who}", hint=hint)
-        for drive in silent:  # a node that is "stopped" answers no SDO; one that nobody runs may be woken
+        for drive in silent:  # a node that is "stopped" answers no SDO; one without a master may be woken
             sender.send(objects.NMT, bytes([objects.NMT_PRE_OPERATIONAL, drive.node]))
     clock.sleep(SECOND_ANSWER)
     for drive in drives:
