@@ -110,6 +110,10 @@ class _Course:
         return np.asarray(self.begin + risen + np.maximum(since - self.ramp, 0.0))
 
 
+_NOTHING_AHEAD: tuple[int, FloatArray, FloatArray] = (0, np.empty(0), np.empty((0, 0)))
+"""First tick, the path's times (N,) [s] and the positions (N, n) of what is evaluated ahead."""
+
+
 class Player:
     """Sends positions until it is stopped; holds the last one when the motion is over.
 
@@ -140,7 +144,7 @@ class Player:
         self._delayed = 0.0
         self._elapsed = 0.0
         self._course = _Course(0, 0.0, 0.0)
-        self._ahead: tuple[int, FloatArray] = (0, np.empty((0, 0)))
+        self._ahead = _NOTHING_AHEAD
         self._thread = clock.thread(self._run, "player")
 
     @property
@@ -224,7 +228,7 @@ class Player:
         while ramp <= _LONGEST_RAMP:
             course = _Course(tick, begin, ramp)
             if self._keeps_limits(course):
-                self._course, self._ahead = course, (0, np.empty((0, 0)))
+                self._course, self._ahead = course, _NOTHING_AHEAD
                 self._delayed += stalled + 0.5 * ramp
                 return
             ramp *= 2.0
@@ -239,12 +243,12 @@ class Player:
 
     def _position(self, tick: int) -> FloatArray:
         """The position (n,) at a tick; notes the path's time there."""
-        first, ahead = self._ahead
+        first, times, ahead = self._ahead
         if not first <= tick < first + len(ahead):
             ticks = np.arange(tick, tick + _AHEAD, dtype=float)
             times = np.minimum(self._course.at(ticks, self._period), self._path.duration)
-            first, ahead = self._ahead = tick, self._path.positions(times)
-        self._elapsed = min(float(self._course.at(np.array([float(tick)]), self._period)[0]), self._path.duration)
+            first, times, ahead = self._ahead = tick, times, self._path.positions(times)
+        self._elapsed = float(times[tick - first])
         return np.asarray(ahead[tick - first])
 
 

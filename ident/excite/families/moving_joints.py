@@ -126,8 +126,9 @@ class MovingJoints:
         for joint in set(range(len(self))) - set(self.moving):
             away = abs(float(position[joint] - self.rest[joint])) + float(travel[joint])
             if not away <= _STILL * max(1.0, abs(float(self.rest[joint]))):
+                limits = self.limits[joint]
                 raise UsageError(
-                    f"joint {self.limits[joint].name} is to stay at {self.rest[joint]:.5g} rad or m, but in the "
+                    f"joint {limits.name} is to stay at {self.rest[joint]:.5g} {limits.unit('rad')}, but in the "
                     f"earlier motion it moves or stays elsewhere",
                     hint="let it move too (--joints)",
                 )

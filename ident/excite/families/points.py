@@ -185,9 +185,10 @@ class PointsFamily(JointFamily):
         outside = np.argwhere(np.abs(points - self.joints.middle) > self._half * (1.0 + 1e-9))
         if len(outside):
             point, joint = outside[0]
+            limits = self.limits[self.moving[joint]]
             raise UsageError(
-                f"point {point} of the earlier motion has joint {self.limits[self.moving[joint]].name} at "
-                f"{points[point, joint]:.5g} rad or m, out of its range"
+                f"point {point} of the earlier motion has joint {limits.name} at "
+                f"{points[point, joint]:.5g} {limits.unit('rad')}, out of its range"
             )
         return self._variables(points)
 

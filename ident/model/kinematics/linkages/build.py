@@ -240,8 +240,8 @@ def _check_travel(
         travel = max(ends) - min(ends)
         if travel > LONGEST_WAY and any(index in chain.joints for chain in equations.chains):
             raise RobotFileError(
-                f"joint {limits.name} may move by {travel:.3g} rad or m; a loop is followed over {LONGEST_WAY:g} "
-                "at most",
+                f"joint {limits.name} may move by {travel:.3g} {limits.unit('rad')}; a loop is followed over "
+                f"{LONGEST_WAY:g} at most",
                 where=where,
                 hint="narrow its position limits, or choose a start within them with 'at'",
             )

@@ -40,7 +40,7 @@ REFUSED = {
     ),
     "limits without end": (
         {"[-2.4, -0.4]": "[-318310*pi, 318310*pi]", START: START + "\n      at: {crank: -1.4}"},
-        r"joint crank may move by 2e\+06 rad or m; a loop is followed over 200 at most",
+        r"joint crank may move by 2e\+06 rad; a loop is followed over 200 at most",
         "narrow its position limits",
     ),
     "a joint outside of the loop": (
