@@ -17,6 +17,9 @@ SKIP_LIMIT = 3
 SKIP_TIME = 0.01
 """Overdue positions that are skipped, at most, and the time [s] that they may take beyond the first. Where a stall left
 more, the arm was held meanwhile: the motion goes on from rest, where it was."""
+KEPT_UP, BEHIND, SLOW = 25, 0.25, 0.004
+"""A motion ends where more than this share of about so many positions took longer than a period, and than so long [s],
+to send: the bus does not carry them, and what the arm makes of them is no longer the motion that was checked."""
 DRY_RUN = 0.3
 """Length of the dry run [s]."""
 DRY_RUN_PERIODS = 5
@@ -142,6 +145,7 @@ class Player:
         self._late: list[float] = []
         self._skipped = 0
         self._delayed = 0.0
+        self._behind = 0.0
         self._elapsed = 0.0
         self._course = _Course(0, 0.0, 0.0)
         self._ahead = _NOTHING_AHEAD
@@ -156,6 +160,11 @@ class Player:
     def elapsed(self) -> float:
         """The path's time of the position sent last [s]."""
         return self._elapsed
+
+    @property
+    def delayed(self) -> float:
+        """How much later the motion ends since it went on from rest after stalls [s]."""
+        return self._delayed
 
     @property
     def duration(self) -> float:
@@ -199,7 +208,7 @@ class Player:
             late = self._clock.sleep_until(start + (tick + 1) * period)
             if self._halt.is_set():
                 return
-            overdue = int((self._clock.now() - start) / period + 1e-9) - tick - 1
+            overdue = max(int((self._clock.now() - start) / period + 1e-9) - tick - 1, 0)
             if self._done:
                 start, overdue = start + overdue * period, 0  # at rest, where time does not matter
             elif overdue > skipped_at_most:
@@ -210,8 +219,24 @@ class Player:
                 self._skipped += overdue
                 self._late.append(late)
             position = self._position(tick)
+            begun = self._clock.now()
             self._send(position, start + tick * period)
+            self._require_to_keep_up(self._clock.now() - begun)
             self._done = self._done or self._elapsed >= self._path.duration - 1e-9
+
+    def _require_to_keep_up(self, took: float) -> None:
+        """Note how long it took to send a position [s].
+
+        Raises:
+            SafetyStopError: it takes too long again and again.
+        """
+        self._behind += (float(took > max(self._period, SLOW)) - self._behind) / KEPT_UP
+        if self._behind > BEHIND:
+            raise SafetyStopError(
+                "the bus, or this computer, does not keep up: more than a quarter of the last positions took longer "
+                f"than {1e3 * max(self._period, SLOW):.3g} ms to send",
+                hint="lower the connection's rate (sync_rate), end other programs, or use --realtime",
+            )
 
     def _go_on_from_rest(self, tick: int, stalled: float) -> None:
         """Let the path go on slowly from the position that was sent last, which the arm has held for `stalled` [s].

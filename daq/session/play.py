@@ -204,13 +204,19 @@ def follow_motion(
         WorkError: it does not come to rest.
         DynidError: what ended the player.
     """
-    begun = False
+    begun, delayed = False, 0.0
     while not player.done and course.interrupted is None:
         cycle()
         _raise_failure(cycle, player)
         if not begun and player.elapsed > path.starts[1] + 1e-9:
             begun = True
             recorder.event(course.source_time(), "info", "player", "motion begins")
+        if player.delayed > delayed:
+            said = (
+                f"this computer stalled: the arm was held, and goes on from rest {player.delayed - delayed:.3f} s later"
+            )
+            recorder.event(course.source_time(), "warning", "player", said)
+            delayed = player.delayed
         if course.view is not None:
             state = "motion" if begun else "approach to the start pose"
             course.view.show(state, player.elapsed, player.duration)

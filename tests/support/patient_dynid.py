@@ -20,7 +20,7 @@ PATIENCE = 60.0
 safety.STALE_FLOOR = safety.TRACKING_WINDOW = PATIENCE
 safety.Limits.of_robot.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defined]
 command_gate.GateLimits.of_joints.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defined]
-player.DRY_RUN_PERIODS = 10_000
+player.DRY_RUN_PERIODS, player.BEHIND = 10_000, 1.0
 player.STALL_LIMIT = drive_motion.STALL_LIMIT = command_gate.STALL_LIMIT = command_gate.FRESH = PATIENCE
 play.ARRIVAL_LIMIT = play.REST_LIMIT = PATIENCE
 play.FIRST_SAMPLE_LIMIT = PATIENCE

@@ -45,7 +45,24 @@ class TargetPath:
             self._begin = min(self._begin, now - tick * self._period)  # what came soonest after its tick shows the grid
             if tick - last > DELAY:
                 self._points.append((tick - DELAY, held))  # after a pause, not at one stroke
+            elif tick - last > 1 and len(self._points) > 1:
+                self._bridge(tick, counts)
             self._points.append((tick, tuple(counts)))
+
+    def _bridge(self, tick: int, counts: Sequence[int]) -> None:
+        """Fill the ticks left out before this one by a parabola: a corner would be several times the acceleration.
+
+        It goes through the last two commands and this one, and never leaves the range of the last and this one.
+        """
+        (before, earlier), (last, held) = self._points[-2], self._points[-1]
+        gap, steady = tick - last, last - before
+        for x in range(1, gap):
+            filled = []
+            for a, b, c in zip(earlier, held, counts, strict=True):
+                slope, curvature = (c - b) / gap, ((c - b) / gap - (b - a) / steady) / (gap + steady)
+                wanted = round(b + slope * x + curvature * x * (x - gap))
+                filled.append(min(max(wanted, min(b, c)), max(b, c)))
+            self._points.append((last + x, tuple(filled)))
 
     def at(self, moment: float) -> tuple[int, ...]:
         """The targets (n,) [counts] at a moment [s, host's monotonic clock]; the last command where none follows."""

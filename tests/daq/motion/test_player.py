@@ -20,17 +20,18 @@ RAMP = PointToPoint(np.array([[0.0], [1.0]]), np.array([0.39]))
 class Sent:
     """Takes positions of one joint and notes when they came and when they were due, after the start."""
 
-    def __init__(self, clock: SimulatedClock, takes: float = 0.0) -> None:
+    def __init__(self, clock: SimulatedClock, takes: float = 0.0, every: int = 1) -> None:
         self.positions: list[float] = []
         self.times: list[float] = []
         self.due: list[float] = []
-        self._clock, self._takes, self._begun = clock, takes, clock.now()
+        self._clock, self._takes, self._every, self._begun = clock, takes, every, clock.now()
 
     def take(self, position: np.ndarray, due: float) -> None:
         self.positions.append(float(position[0]))
         self.times.append(self._clock.now() - self._begun)
         self.due.append(due - self._begun)
-        self._clock.sleep(self._takes)
+        if len(self.positions) % self._every == 0:
+            self._clock.sleep(self._takes)
 
 
 def made(clock: SimulatedClock, sent: Sent, *motions: PointToPoint, acceleration: float = 400.0) -> Player:
@@ -74,8 +75,8 @@ def test_few_overdue_positions_are_skipped(rate: float, skipped: int) -> None:
 
 
 def test_a_late_player_skips_what_is_overdue(clock: SimulatedClock) -> None:
-    """Each position takes 1.3 periods to send: now and then two are due at its end, and the newer one is sent."""
-    sent = Sent(clock, 1.3 * PERIOD)
+    """Each sixth position takes 2.3 periods to send: two are due at its end, and the newer one is sent."""
+    sent = Sent(clock, 2.3 * PERIOD, every=6)
     player = played(clock, made(clock, sent))
     ticks = np.rint(np.array(sent.due) / PERIOD)
     assert set(np.diff(ticks)) == {1.0, 2.0}
@@ -111,6 +112,15 @@ def test_after_a_stall_the_motion_goes_on_from_rest_within_its_acceleration(
     assert np.max(np.abs(acceleration)) <= 60.0 * 1.01
     assert player.punctuality().delayed_ms > 1e3 * overdue * PERIOD
     assert player.duration == pytest.approx(0.39)
+
+
+def test_a_motion_that_the_computer_does_not_keep_up_with_ends(clock: SimulatedClock) -> None:
+    """Each position takes 1.1 periods to send."""
+    sent = Sent(clock, 1.1 * PERIOD)
+    player = played(clock, made(clock, sent))
+    assert isinstance(player.failure, SafetyStopError)
+    assert "does not keep up: more than a quarter of the last positions took longer than 10 ms" in str(player.failure)
+    assert sent.times[-1] < 0.3
 
 
 def test_a_long_stall_ends_the_motion(clock: SimulatedClock) -> None:

@@ -46,6 +46,18 @@ def test_commands_left_out_are_bridged(gone: set[int]) -> None:
         assert np.all(np.abs(steps[DELAY + 1 :] - SPEED) <= 1)
 
 
+@given(st.lists(st.integers(1, 4), min_size=5, max_size=15))
+def test_where_commands_are_left_out_a_steady_acceleration_stays_what_it_is(apart: list[int]) -> None:
+    path = TargetPath([0], PERIOD)
+    sent = {0, *np.cumsum([1, 1, *apart]).tolist()}
+    targets = []
+    for tick in range(max(sent) + DELAY + 1):
+        if tick in sent:
+            path.put(tick * PERIOD, [500 * tick**2])
+        targets.append(path.at(tick * PERIOD)[0])
+    assert np.all(np.abs(np.diff(targets[DELAY + 1 :], 2) - 1000) <= 4)
+
+
 def test_the_last_command_is_reached_and_held() -> None:
     path = TargetPath([0], PERIOD)
     path.put(0.0, [1000])
