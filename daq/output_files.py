@@ -27,7 +27,7 @@ DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 """What a disk that is full, or fails, answers to a write that nothing else is wrong with."""
 
 GENERATION_KEY = "files"
-"""In the JSON file of a folder: the SHA-256 of each file that was written with it."""
+"""In the JSON object of a result: the SHA-256 of each file that was written with it."""
 
 _UNFINISHED = ".unfinished-"
 _LARGEST_PAGE = 100_000_000  # bytes, far above any page that dynid writes
@@ -221,20 +221,23 @@ def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
 
     Args:
         folder: to be written.
-        texts: the first one is a JSON object; it also gets the SHA-256 of the others (`strange_files`).
+        texts: name → content; the first one takes its place last.
 
     Raises:
         UsageError: it is a file, cannot be written, or another program writes it.
         DiskError: the disk is full or fails.
     """
-    main, *others = texts
-    hashes = {name: _hash(texts[name].encode()) for name in others}
-    texts = dict(texts) | {main: texts[main].replace("{", f"{{\n {json.dumps({GENERATION_KEY: hashes})[1:-1]},", 1)}
     with only_writer(folder / name for name in texts):
         if folder.is_dir():
             replace_files({folder / name: text for name, text in texts.items()})
         else:
             _new_folder(folder, texts)
+
+
+def with_hashes(text: str, others: Mapping[str, str]) -> str:
+    """The text of a JSON object with the SHA-256 of the files that are written with it, for `strange_files`."""
+    hashes = {name: _hash(content.encode()) for name, content in others.items()}
+    return text.replace("{", f"{{\n {json.dumps({GENERATION_KEY: hashes})[1:-1]},", 1)
 
 
 def strange_files(path: Path, content: Mapping[str, object]) -> list[str]:

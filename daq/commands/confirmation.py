@@ -11,7 +11,7 @@ from typing import TextIO
 import numpy as np
 
 from daq.motion.approach import checked_approach
-from daq.motion.motion_check import MotionCheck, MotionFigures
+from daq.motion.motion_check import UNCHECKED, MotionCheck, MotionFigures
 from daq.motion.player import STALL_LIMIT
 from daq.motion.trajectories import Motion
 from daq.robot.schema import JointLimits
@@ -43,6 +43,8 @@ def motion_lines(figures: MotionFigures) -> list[str]:
     else:
         share = f"{percent_text(figures.torque_share, 2)} of its limit"
         lines.append(f"torque: predicted to be at most {share} ({figures.torque_joint})")
+    if figures.unchecked:
+        lines.append(f"{UNCHECKED}: {'; '.join(figures.unchecked)}")
     return lines
 
 

@@ -18,6 +18,9 @@ from drivers.errors import MotionRefusedError
 MOTION_CHECK_GROUP = "dynid.motion_check"
 """Entry-point group of exactly one `MakeMotionCheck`."""
 
+UNCHECKED = "links that are not kept apart, as they touch in nearly every pose or may by the robot file"
+"""What is said before the pairs of `MotionFigures.unchecked`."""
+
 
 @dataclass(frozen=True)
 class SmallestClearance:
@@ -50,6 +53,7 @@ class MotionFigures:
         clearances: to every obstacle, and of the pair of links that come nearest to each other; the smallest first.
         torque_joint: that is predicted to use most of its torque limit; empty where nothing can be predicted.
         torque_share: how much of it; None where nothing can be predicted.
+        unchecked: pairs of links that are not kept apart; neighbours are not named.
     """
 
     duration: float
@@ -61,6 +65,7 @@ class MotionFigures:
     clearances: tuple[SmallestClearance, ...]
     torque_joint: str
     torque_share: float | None
+    unchecked: tuple[str, ...] = ()
 
 
 class MotionCheck(Protocol):

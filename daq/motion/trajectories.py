@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, Self
@@ -59,6 +59,26 @@ class Oscillation(Motion, Protocol):
         """(4, n) as `Pieces.largest`, at any time."""
 
 
+_AT_ONCE = 500_000
+"""Sines that are evaluated at once; four arrays of them take 16 MB."""
+
+
+def _in_parts(
+    evaluate: Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]],
+    time: FloatArray,
+    joints: int,
+    sines: int,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Position, velocity, acceleration (joints, N) of a sum of so many sines in all, at times (N,), part by part."""
+    step = max(1, _AT_ONCE // max(sines, 1))
+    if len(time) <= step:
+        return evaluate(time)
+    whole = np.empty((3, joints, len(time)))
+    for start in range(0, len(time), step):
+        whole[:, :, start : start + step] = evaluate(time[start : start + step])
+    return whole[0], whole[1], whole[2]
+
+
 @dataclass(frozen=True)
 class FourierSeries:
     """A periodic motion, a finite Fourier series of order H for every joint (ROCR6 eq. 21).
@@ -90,6 +110,9 @@ class FourierSeries:
 
     def evaluate(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Position, velocity, acceleration (n, N) at times (N,) [s] (ROCR6 eq. 21-23)."""
+        return _in_parts(self._evaluate, time, *self.sine.shape)
+
+    def _evaluate(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         harmonics = 2.0 * np.pi / self.period * np.arange(1, self.sine.shape[1] + 1)
         angles = np.outer(harmonics, time)
         sines, cosines = np.sin(angles), np.cos(angles)
@@ -131,6 +154,9 @@ class SumOfSines:
 
     def evaluate(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Position, velocity, acceleration (n, N) at times (N,) [s]."""
+        return _in_parts(self._evaluate, time, len(self.amplitude), self.amplitude.size)
+
+    def _evaluate(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         angles = self.frequency[:, :, None] * time
         sines, cosines = np.sin(angles), np.cos(angles)
         position = self.offset[:, None] + np.einsum("nk,nkt->nt", self.amplitude, sines)

@@ -9,6 +9,7 @@ from importlib.metadata import entry_points
 
 import numpy as np
 
+from daq.motion.motion_check import UNCHECKED
 from daq.robot.assumptions import assumptions
 from daq.robot.loader import RobotFile
 from daq.session.bus_room import bus_budget, tight_bus
@@ -19,6 +20,7 @@ from drivers.errors import InputError
 from drivers.percentage import percent_text
 from ident.checks.tool_pose import ToolPose, tool_poses
 from ident.estimators.feasible.centre_bounds import CentreBound, centre_bounds
+from ident.excite.constraints.constraints import unchecked_pairs
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 
@@ -57,6 +59,7 @@ def check_robot(robot_file: RobotFile) -> RobotCheck:
     problems: list[InputError] = []
     warnings = [*_limit_warnings(robot_file), *_gain_warnings(robot_file)]
     poses: tuple[ToolPose, ...] = ()
+    assumed = list(assumptions(robot_file))
     try:
         model = build_model(robot_file)
     except InputError as error:
@@ -70,6 +73,8 @@ def check_robot(robot_file: RobotFile) -> RobotCheck:
             if pose.beyond and pose.name in robot_file.robot.poses
         ]
         try:
+            if unchecked := unchecked_pairs(robot_file, model):
+                assumed.append(f"{UNCHECKED}: {'; '.join(unchecked)}")
             warnings += _bound_warnings(centre_bounds(model, robot_file))
         except InputError as error:
             problems.append(error)
@@ -91,7 +96,7 @@ def check_robot(robot_file: RobotFile) -> RobotCheck:
             error.where = error.where or f"{robot_file.where}: connections.{name}"
             problems.append(error)
     warnings += [warning for name, budget in budgets.items() if (warning := tight_bus(name, budget)) is not None]
-    return RobotCheck(tuple(problems), tuple(warnings), assumptions(robot_file), poses, budgets)
+    return RobotCheck(tuple(problems), tuple(warnings), tuple(assumed), poses, budgets)
 
 
 def _limit_warnings(robot_file: RobotFile) -> list[str]:

@@ -10,7 +10,7 @@ from daq.motion.trajectories import SHORTEST_RAMP
 from daq.robot.loader import RobotFile
 from drivers.closest import did_you_mean
 from drivers.errors import UsageError
-from drivers.ranges import HARMONICS, PERIOD, PERIODS, POINTS, RAMP, check_option
+from drivers.ranges import HARMONICS, PERIOD, PERIODS, PIECE, POINTS, RAMP, check_option
 from drivers.streams import FloatArray
 from ident.excite.choices import DesignChoices
 from ident.excite.constraints.constraints import constraints_of
@@ -207,5 +207,10 @@ def _check(choices: DesignChoices) -> None:
         ("points", choices.points, POINTS),
     ):
         check_option(f"--{name}", value, allowed)
+    duration = choices.periods * choices.period + 2.0 * choices.ramp
+    if not PIECE.holds(duration):
+        raise UsageError(
+            f"--periods {choices.periods} of {choices.period:g} s last {duration:g} s; at most a day is played"
+        )
     if not 0.0 <= choices.margin < 1.0:
         raise UsageError(f"--margin {choices.margin:g} is not between 0 and 1")

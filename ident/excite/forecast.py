@@ -16,6 +16,7 @@ from daq.motion.limits import Extremes, motion_extremes
 from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
 from drivers.streams import FloatArray
+from ident.excite.path import repeated_for
 from ident.excite.prior import Prior, recording_rate
 from ident.linear_algebra.triangular import scaled_condition
 from ident.model.base_parameters import BaseParameters, base_parameters
@@ -29,8 +30,8 @@ from ident.result.units import parameter_unit
 from ident.signals.filters import no_filter
 from ident.signals.prepared import Segment
 
-MOST_SAMPLES = 400_000
-"""A longer motion is evaluated on a coarser grid than that of its recording."""
+MOST_SAMPLES = 100_000
+"""A longer motion is evaluated with fewer repetitions, or on a coarser grid than that of its recording."""
 
 TORQUE_GRID_RATE = 1000.0
 """Rate [Hz] of the grid for the largest torques, the same as for the limits of the motion."""
@@ -214,19 +215,20 @@ def _motion_reduction(
     model: DynamicModel, base: BaseParameters, motion: Motion, rate: float
 ) -> tuple[Reduction, float]:
     """The base regressor along a motion, and its rows a second [Hz]."""
-    count = max(2, min(round(motion.duration * rate), MOST_SAMPLES))
-    time = np.linspace(0.0, motion.duration, count, endpoint=False)
-    position, velocity, acceleration = motion.evaluate(time)
+    shorter = repeated_for(motion, MOST_SAMPLES / rate)
+    count = max(2, min(round(shorter.duration * rate), MOST_SAMPLES))
+    time = np.linspace(0.0, shorter.duration, count, endpoint=False)
+    position, velocity, acceleration = shorter.evaluate(time)
     segment = Segment(
         time=time,
         position=position,
         velocity=velocity,
         acceleration=acceleration,
         torque=np.zeros_like(position),
-        rate=count / motion.duration,
+        rate=count / shorter.duration,
         used=np.ones(count, dtype=np.bool_),
     )
-    return reduce_segments(RegressorKernel(model, base.columns), [segment], no_filter()), segment.rate
+    return reduce_segments(RegressorKernel(model, base.columns), [segment], no_filter()), count / motion.duration
 
 
 def _limit_use(
@@ -276,6 +278,7 @@ def _largest_torques(
     """Largest magnitudes (n,) of the torques of the prior parameters, None without them, and their times (n,) [s]."""
     if prior.parameters is None:
         return None, np.zeros(model.dof)
+    motion = repeated_for(motion, 0.0)
     count = int(min(max(motion.duration * TORQUE_GRID_RATE, 2000.0), MOST_SAMPLES)) + 1
     time = np.linspace(0.0, motion.duration, count)
     torque = np.abs(model_torque(model, base.columns, prior.parameters, *motion.evaluate(time)))

@@ -16,7 +16,7 @@ from drivers.errors import MotionRefusedError
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
 from ident.excite.constraints.collision_geometry import link_name
-from ident.excite.constraints.constraints import constraints_of
+from ident.excite.constraints.constraints import constraints_of, unchecked_pairs
 from ident.excite.constraints.placements import place_arm, tool_point
 from ident.excite.constraints.self_collision import SelfCollision
 from ident.excite.constraints.torque_limits import TORQUE_SHARE, TorqueLimits
@@ -83,6 +83,7 @@ class ArmMotionCheck:
         constraints = constraints_of(robot_file, self._model, parameters, self_collision=True)
         self._workspace = [limits for limits in constraints if isinstance(limits, WorkspaceLimits)]
         self._pairs = [limits for limits in constraints if isinstance(limits, SelfCollision)]
+        self._unchecked = unchecked_pairs(robot_file, self._model)
         self._torque = [limits for limits in constraints if isinstance(limits, TorqueLimits)]
 
     def trajectory(self, motion: Motion, where: str) -> MotionFigures:
@@ -127,6 +128,7 @@ class ArmMotionCheck:
             clearances=tuple(sorted(clearances, key=lambda clearance: clearance.distance)),
             torque_joint=torque_joint,
             torque_share=torque_share,
+            unchecked=self._unchecked,
         )
 
     def _watched(self, path: Path) -> Iterator[_Watched]:

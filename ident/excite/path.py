@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
-from daq.motion.trajectories import Motion
+from daq.motion.fourier_quintic import FourierQuintic
+from daq.motion.trajectories import Motion, RestToRest
 from daq.motion.trajectory_file import Trajectory
 from daq.robot.schema import JointLimits
 from drivers.streams import FloatArray
@@ -28,6 +29,15 @@ class Path:
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
+
+
+def repeated_for(motion: Motion, seconds: float) -> Motion:
+    """The motion with so many of its repetitions as last `seconds`; one at least, which takes all of its values."""
+    if not isinstance(motion, RestToRest | FourierQuintic):
+        return motion
+    once = replace(motion, periods=1)
+    more = max(0.0, seconds - once.duration) * (motion.periods - 1) / max(motion.duration - once.duration, 1e-9)
+    return replace(motion, periods=min(motion.periods, 1 + int(more)))
 
 
 class Family(Protocol):

@@ -25,6 +25,7 @@ from daq.output_files import (
     take_place,
     unfinished_files,
     unfinished_name,
+    with_hashes,
     write_folder,
 )
 from drivers.errors import DiskError, UsageError
@@ -226,7 +227,10 @@ def test_a_death_leaves_whole_files_and_others_that_say_what_they_are(tmp_path: 
 
 def test_files_of_two_generations_are_told_and_the_next_writer_heals_them(tmp_path: Path):
     folder = tmp_path / "model"
-    old, new = ({"result.json": f'{{"of": "{age}"}}', "report.html": age} for age in ("old", "new"))
+    old, new = (
+        {"result.json": with_hashes(f'{{"of": "{age}"}}', {"report.html": age}), "report.html": age}
+        for age in ("old", "new")
+    )
 
     def strange() -> list[str]:
         path = folder / "result.json"

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from daq.robot.loader import RobotFile
 from daq.robot.obstacles import obstacles_of
-from drivers.errors import UsageError
+from drivers.errors import RobotFileError, UsageError
 from drivers.streams import FloatArray
-from ident.excite.constraints.collision_geometry import arm_geometry
+from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry, link_name
 from ident.excite.constraints.joint_limits import JointMotionLimits
-from ident.excite.constraints.self_collision import SelfCollision, link_pairs
+from ident.excite.constraints.self_collision import LinkPairs, SelfCollision, link_pairs
 from ident.excite.constraints.torque_limits import TorqueLimits
 from ident.excite.constraints.workspace import WorkspaceLimits
 from ident.excite.path import Constraint
@@ -47,6 +49,36 @@ def constraints_of(
     geometry = arm_geometry(robot_file, model)
     constraints.append(WorkspaceLimits(model, geometry, robot_file.robot.workspace, obstacles_of(robot_file.robot)))
     if self_collision:
-        pairs = link_pairs(model, geometry, robot_file.robot.workspace.ignore_pairs)
-        constraints.append(SelfCollision(model, geometry, pairs))
+        constraints.append(SelfCollision(model, geometry, checked_pairs(robot_file, model, geometry)))
     return tuple(constraint for constraint in constraints if constraint.names)
+
+
+def checked_pairs(robot_file: RobotFile, model: DynamicModel, geometry: ArmGeometry) -> LinkPairs:
+    """Which pairs of links are kept apart.
+
+    Raises:
+        RobotFileError: none, since the file's `link_radius` makes all of them touch.
+    """
+    workspace = robot_file.robot.workspace
+    pairs = link_pairs(model, geometry, workspace.ignore_pairs)
+    if pairs.close and not pairs.checked and "link_radius" in workspace.model_fields_set:
+        thin = ArmGeometry(tuple(replace(one, radius=0.0) for one in geometry.capsules), geometry.from_shapes)
+        if link_pairs(model, thin, workspace.ignore_pairs).checked:
+            raise RobotFileError(
+                "with links as thick as this every pair touches in nearly every pose, so that none could be kept apart",
+                where=f"{robot_file.where}: workspace.link_radius",
+                hint="it is a radius in m",
+            )
+    return pairs
+
+
+def unchecked_pairs(robot_file: RobotFile, model: DynamicModel) -> tuple[str, ...]:
+    """The pairs of links, neighbours apart, that are not kept apart: `wrist_1_joint and wrist_3_joint`.
+
+    Raises:
+        RobotFileError: as `checked_pairs`.
+    """
+    pairs = checked_pairs(robot_file, model, arm_geometry(robot_file, model))
+    return tuple(
+        f"{link_name(model, one)} and {link_name(model, other)}" for one, other in (*pairs.close, *pairs.ignored)
+    )

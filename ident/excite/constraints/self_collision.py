@@ -20,12 +20,15 @@ from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import BASE_INDEX
 
 ALWAYS_CLOSE = 0.95
-"""Links that are close in at least this share of random configurations are so by construction."""
+"""Links that are close in at least this share of random configurations, over full turns, are so by construction."""
 
 CLOSE = 0.02
 """Links nearer than this [m] by construction are not checked: their capsules always overlap."""
 
 _CONFIGURATIONS = 500
+
+_TRAVEL = 1.0
+"""A sliding joint is moved by at least this much [m] to either side of the middle of its range."""
 
 Pair = tuple[int, int]
 
@@ -37,7 +40,7 @@ class LinkPairs:
     Attributes:
         checked: pairs with a least distance.
         neighbours: joined by a joint.
-        close: left out since their capsules touch or nearly touch in nearly every random configuration.
+        close: left out since their capsules touch or nearly touch in nearly every configuration, whatever the limits.
         ignored: left out by the robot file.
     """
 
@@ -58,7 +61,7 @@ def link_pairs(model: DynamicModel, geometry: ArmGeometry, ignore: Iterable[tupl
             ignored.append((first, second))
         else:
             others.append((first, second))
-    placements = place_arm(model, random_states(model, _CONFIGURATIONS)[0])
+    placements = place_arm(model, _anywhere(model))
     distance = _PairDistances(model, geometry, others).smallest(placements)
     always_close = (distance < CLOSE).mean(axis=1) >= ALWAYS_CLOSE
     return LinkPairs(
@@ -67,6 +70,23 @@ def link_pairs(model: DynamicModel, geometry: ArmGeometry, ignore: Iterable[tupl
         close=tuple(pair for pair, close in zip(others, always_close, strict=True) if close),
         ignored=tuple(ignored),
     )
+
+
+def _anywhere(model: DynamicModel) -> FloatArray:
+    """Random positions (n, N) over full turns, or a wide travel: joint limits hide what links do beyond them.
+
+    A loop closes within its limits only, so an arm with one stays within them.
+    """
+    if len(model.active) < len(model.joints):
+        return random_states(model, _CONFIGURATIONS)[0]
+    share = np.random.default_rng(0).uniform(-1.0, 1.0, (model.dof, _CONFIGURATIONS))
+    for row, (joint, limits) in enumerate(zip(model.active, model.limits, strict=True)):
+        low, high = limits.position
+        if model.joints[joint].prismatic:
+            share[row] = 0.5 * (low + high) + share[row] * max(0.5 * (high - low), _TRAVEL)
+        else:
+            share[row] *= np.pi
+    return share
 
 
 class _PairDistances:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Literal
 
 from daq.robot.loader import RobotFile
 from ident.excite.constraints.capsules import Capsule, box_capsules, cylinder_capsule, enclosing_capsule
@@ -18,9 +19,13 @@ from ident.model.kinematics.urdf_shapes import (
     placed_shape,
 )
 
+KINDS: tuple[Literal["collision", "visual"], ...] = ("collision", "visual")
+
 
 def urdf_capsules(robot_file: RobotFile) -> dict[int, list[Capsule]]:
-    """Capsules around the collision shapes of every link that has shapes, all of which can be used, by link index.
+    """Capsules around the shapes of every link that has shapes, all of which can be used, by link index.
+
+    Its collision shapes, or the visual ones of a link whose collision shapes are missing or cannot be used.
 
     Links that are fixed to each other count as one; if one shape of theirs cannot be used, none is.
 
@@ -33,16 +38,19 @@ def urdf_capsules(robot_file: RobotFile) -> dict[int, list[Capsule]]:
     if robot.passive_names:
         names = urdf_order(xml, (*names, *robot.passive_names), robot.model.locked, where)
     folders = mesh_folders(robot_file)
-    capsules_of: dict[int, list[Capsule]] = {}
-    unusable: set[int] = set()
-    for shapes in link_shapes(xml, names, robot.model.locked, where, "collision"):
-        for element in shapes.elements:
-            try:
-                capsules = _capsules(shapes.link, placed_shape(element, shapes.placement), folders)
-                capsules_of.setdefault(shapes.link, []).extend(capsules)
-            except UnusableShapeError:
-                unusable.add(shapes.link)
-    return {link: capsules for link, capsules in capsules_of.items() if link not in unusable and capsules}
+    usable: dict[int, list[Capsule]] = {}
+    for kind in KINDS:
+        capsules_of: dict[int, list[Capsule]] = {}
+        unusable = set(usable)
+        for shapes in link_shapes(xml, names, robot.model.locked, where, kind):
+            for element in shapes.elements if shapes.link not in unusable else ():
+                try:
+                    capsules = _capsules(shapes.link, placed_shape(element, shapes.placement), folders)
+                    capsules_of.setdefault(shapes.link, []).extend(capsules)
+                except UnusableShapeError:
+                    unusable.add(shapes.link)
+        usable |= {link: capsules for link, capsules in capsules_of.items() if link not in unusable and capsules}
+    return usable
 
 
 def _capsules(link: int, shape: Shape, folders: Sequence[Path]) -> Iterator[Capsule]:

@@ -10,10 +10,12 @@ from daq.motion.trajectories import Motion
 from daq.output_files import replace_files
 from daq.robot.loader import RobotFile
 from drivers.units import common_unit
+from ident.excite.constraints.constraints import unchecked_pairs
 from ident.excite.forecast import ExcitationFigures
 from ident.excite.page.arm_scene import arm_figure
 from ident.excite.page.plots import clearance_figure, joints_figure, shown_part, tool_figure
 from ident.excite.prior import Prior
+from ident.model.dynamic_model import build_model
 from ident.regression.pruning import SIGNIFICANT_RSD
 from ident.report import number_text
 from ident.report.figures.figures import KIND_STYLES
@@ -51,6 +53,7 @@ def render_page(
 ) -> str:
     """The page as text."""
     shown = shown_part(robot_file, motion, prior)
+    unchecked = "; ".join(unchecked_pairs(robot_file, build_model(robot_file))) or "neighbours only"
     return (
         page_templates("ident.excite.page")
         .get_template("excitation_page.html.j2")
@@ -59,7 +62,7 @@ def render_page(
             tiles=_tiles(figures),
             figures=figures,
             unit=partial(common_unit, sliding=robot_file.robot.sliding),
-            notes=[*notes, ("Parameters and noise", figures.prior)],
+            notes=[*notes, ("Parameters and noise", figures.prior), ("Links that are not kept apart", unchecked)],
             kinds={kind: words for kind, (words, _, _) in KIND_STYLES.items()},
             threshold=SIGNIFICANT_RSD,
             plots={

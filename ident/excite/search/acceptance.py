@@ -11,7 +11,7 @@ from daq.motion.limits import check_limits
 from daq.motion.trajectories import Motion
 from drivers.errors import UsageError
 from drivers.streams import FloatArray
-from ident.excite.path import Family, Path
+from ident.excite.path import Family, Path, repeated_for
 from ident.excite.search.problem import Problem
 
 DENSER = 10
@@ -58,9 +58,10 @@ def accepted(problem: Problem, variables: FloatArray) -> Accepted | None:
     variables = family.begun_near_middle(variables)
     for _ in range(_RAMP_TRIES):
         motion = family.motion(variables)
-        count = DENSER * len(problem.time) * max(1, round(motion.duration / float(np.ptp(problem.time))))
-        time = np.linspace(0.0, motion.duration, count)
-        use = problem.use_along(Path(time, *motion.evaluate(time)))
+        looked = repeated_for(motion, 0.0)
+        count = DENSER * len(problem.time) * max(1, round(looked.duration / float(np.ptp(problem.time))))
+        time = np.linspace(0.0, looked.duration, count)
+        use = problem.use_along(Path(time, *looked.evaluate(time)))
         if use.max(initial=0.0) <= 1.0 and _within_joint_limits(family, motion):
             return Accepted(family, variables, motion, use)
         family = family.with_longer_ramp(_RAMP_GROWTH)

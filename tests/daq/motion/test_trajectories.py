@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -139,3 +141,21 @@ def test_a_slow_move_uses_a_share_of_the_limits(way):
     assert extremes.velocity[0] <= 0.2 * (1 + 1e-9)
     assert extremes.acceleration[0] <= 0.5 * (1 + 1e-9)
     assert move.evaluate(np.array([move.duration]))[0][0, 0] == way
+
+
+@pytest.mark.parametrize("kind", ["sines", "series"])
+def test_many_sines_are_evaluated_part_by_part(kind):
+    generator = np.random.default_rng(1)
+    first, second = generator.normal(size=(2, 2, 900))
+    motion = (
+        SumOfSines(9.0, np.ones(2), first, second) if kind == "sines" else FourierSeries(9.0, np.ones(2), first, second)
+    )
+    time = np.linspace(0.0, 9.0, 3000)
+    tracemalloc.start()
+    whole = motion.evaluate(time)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 40e6  # of all at once, 3 × 22 or 2 × 43 MB
+    parts = [motion.evaluate(part) for part in np.array_split(time, 7)]
+    for order in range(3):
+        np.testing.assert_allclose(whole[order], np.hstack([part[order] for part in parts]), rtol=1e-9, atol=1e-6)

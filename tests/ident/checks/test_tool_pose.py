@@ -90,7 +90,7 @@ def test_the_command_prints_poses_and_assumptions(dynid, tmp_path) -> None:
     assert status == 0
     assert [pose["name"] for pose in told["poses"]] == ["zero", "home"]
     assert told["ok"] is True
-    assert len(told["assumed"]) == 2
+    assert len(told["assumed"]) == 3
 
 
 def test_the_command_lists_every_problem(dynid, tmp_path) -> None:

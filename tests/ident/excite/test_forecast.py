@@ -148,3 +148,13 @@ def test_a_motion_that_stands_still_excites_hardly_anything(three_joint, motion)
     nothing = replace(motion, motion=replace(still, sine=0 * still.sine, cosine=0 * still.cosine))
     forecast = excitation_figures(three_joint, nothing, find_prior(three_joint)).forecast
     assert len(forecast.unexcited) > 0.8 * len(forecast.parameters)
+
+
+def test_ten_thousand_repetitions_are_forecast_from_as_many_as_fit(three_joint, motion):
+    """Their information adds up, and each takes the same values as the others."""
+    prior = find_prior(three_joint)
+    once, often = (excitation_figures(three_joint, replace(motion, periods=count), prior) for count in (40, 10_000))
+    ratio = np.sqrt(once.duration / often.duration)
+    before, after = ([p.std for p in figures.forecast.parameters] for figures in (once, often))
+    assert after == pytest.approx(ratio * np.array(before), rel=0.05)
+    assert often.worst_use == pytest.approx(once.worst_use, rel=1e-9)

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import yaml
 from path_derivatives import assert_derivatives, assert_upper_bound, random_path
 
+from daq.commands.confirmation import motion_lines
+from daq.motion.trajectories import PointToPoint
 from daq.robot.loader import builtin_robots, load_robot, parse_robot
 from daq.robot.workspace import Workspace
+from drivers.errors import RobotFileError
+from ident.checks.robot_check import check_robot
 from ident.excite.constraints.capsules import Capsule
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry, tube_capsules
+from ident.excite.constraints.constraints import checked_pairs, unchecked_pairs
 from ident.excite.constraints.self_collision import SelfCollision, link_pairs
+from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.path import Path
 from ident.model.base_parameters import random_states
 from ident.model.dynamic_model import build_model
@@ -38,6 +45,10 @@ def built_in(name):
     robot_file = load_robot(name)
     model = build_model(robot_file)
     return model, arm_geometry(robot_file, model), robot_file.robot.workspace
+
+
+def builtin_text(name):
+    return load_robot(name).text
 
 
 def pose(position):
@@ -194,3 +205,46 @@ def test_nothing_to_check_is_no_constraint(random_tree):
     path = random_path(model, 0)
     assert constraint.use(path).shape == (0,)
     assert constraint.smooth_use(path, 3.0)[1].shape == (0, 3, 1, 7)
+
+
+@pytest.mark.parametrize("robot", ["ur5e", "panda", "rocr6"])
+@pytest.mark.parametrize("pose", ["folded", "random"])
+def test_narrow_limits_hide_no_pair_of_links(robot, pose):
+    """Within them links may always touch, or never come near each other; what the arm is has not changed."""
+    text = builtin_text(robot)
+    wide = parse_robot(text, where=robot, folder=None)
+    content = yaml.safe_load(text)
+    generator = np.random.default_rng(5)
+    for number, joint in enumerate(content["joints"]):
+        low, high = wide.robot.joints[number].position
+        middle = (low, high)[number % 2] if pose == "folded" else generator.uniform(low, high)
+        joint["position"] = [float(max(low, middle - 0.02)), float(min(high, middle + 0.02))]
+    narrow = parse_robot(yaml.safe_dump(content), where=robot, folder=None)
+    sorted_pairs = [
+        checked_pairs(file, model := build_model(file), arm_geometry(file, model)) for file in (wide, narrow)
+    ]
+    assert sorted_pairs[0] == sorted_pairs[1]
+    assert unchecked_pairs(narrow, build_model(narrow)) == unchecked_pairs(wide, build_model(wide))
+
+
+def test_a_link_radius_that_leaves_no_pair_is_refused_by_its_key():
+    content = yaml.safe_load(builtin_text("ur5e"))
+    for radius in (0.95, {joint["name"]: 0.95 for joint in content["joints"]}):
+        content["workspace"] = {**content.get("workspace", {}), "link_radius": radius}
+        file = parse_robot(yaml.safe_dump(content), where="arm.yaml", folder=None)
+        model = build_model(file)
+        with pytest.raises(RobotFileError, match="every pair touches in nearly every pose") as caught:
+            checked_pairs(file, model, arm_geometry(file, model))
+        assert caught.value.where == "arm.yaml: workspace.link_radius"
+        assert [str(problem) for problem in check_robot(file).problems] == [str(caught.value)]
+
+
+def test_pairs_that_are_left_out_are_named():
+    robot_file = load_robot("ur5e")
+    left_out = "elbow_joint and wrist_2_joint"
+    assert left_out in unchecked_pairs(robot_file, build_model(robot_file))
+    assert any(left_out in assumed for assumed in check_robot(robot_file).assumed)
+    motion = PointToPoint(np.array([[0, -1.5, 0.5, -1.5, 0, 0], [0.1, -1.5, 0.5, -1.5, 0, 0]]), np.array([2.0]))
+    figures = ArmMotionCheck(robot_file).trajectory(motion, "motion")
+    assert left_out in figures.unchecked
+    assert any(left_out in line for line in motion_lines(figures))
