@@ -125,11 +125,13 @@ def split_data(
                 )
         return DataSplit(runs, held_out, ", ".join(labelled(run.signals.label, run.overlap) for run in held_out))
     halves = [_split(run, split) for run in runs]
-    share = "last 30 %" if split is None else f"part after {split:g} s"
+    share = f"last {percent_text(HELD_OUT_SHARE)}" if split is None else f"part after {split:g} s"
+    each = "each recording" if len(runs) > 1 else "the recording"
+    why = "since no other recording was given to validate with" if split is None else "as --split says"
     return DataSplit(
         identification=tuple(first for first, _ in halves),
         held_out=tuple(last for _, last in halves),
-        validation_source=f"the {share} of the recording{'s' if len(runs) > 1 else ''}, held out of the identification",
+        validation_source=f"the {share} of {each}, held out of the identification {why}",
     )
 
 

@@ -1,4 +1,4 @@
-"""All data of an identification, preprocessed alike: cut-offs and delay come from the first recording."""
+"""All data of an identification, preprocessed alike: the recording of the fastest motion gives cut-offs and delay."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def prepare_data(
     choices: IdentifyChoices,
     progress: Progress,
 ) -> PreparedData:
-    """Preprocess all recordings with the filters and the delay of the first.
+    """Preprocess all recordings with the filters and the delay of the one whose motion is the fastest.
 
     Args:
         kernel: of the base columns.
@@ -58,7 +58,7 @@ def prepare_data(
         choices: the user's.
         progress: called before the search for the delay.
     """
-    run = data.identification[0]
+    run = _leading(kernel, data, choices.preprocess, torques)
 
     def prepared(preprocess: PreprocessChoices) -> Prepared:
         return _prepare_run(kernel, run, preprocess, torques, data.held).prepared
@@ -86,8 +86,22 @@ def prepare_data(
     )
 
 
+def _leading(
+    kernel: RegressorKernel, data: DataSplit, preprocess: PreprocessChoices, torques: Sequence[int]
+) -> RunWindow:
+    """The recording whose motion needs the highest cut-offs, of several the longest: whichever is named first."""
+    if len(data.identification) == 1:
+        return data.identification[0]
+
+    def rank(run: RunWindow) -> tuple[float, int, bytes]:
+        chosen = _prepare_run(kernel, run, preprocess, torques, data.held).prepared.choices
+        return chosen.position_cutoff or 0.0, len(run.position), run.hashes.tobytes()
+
+    return max(data.identification, key=rank)
+
+
 def _for_all_rates(resolved: PreprocessChoices, given: PreprocessChoices, data: DataSplit) -> PreprocessChoices:
-    """The cut-offs chosen by the first recording, low enough for the rate of every other."""
+    """The cut-offs of the leading recording, low enough for the rate of every other."""
     runs = (*data.identification, *data.held_out)
     most = POSITION_CUTOFF_OF_RATE * min(1.0 / float(np.median(np.diff(run.signals.time))) for run in runs)
     if given.position_cutoff is None and resolved.position_cutoff is not None:

@@ -15,12 +15,16 @@ from scipy.spatial.transform import Rotation
 from daq.robot.loader import RobotFile
 from drivers.errors import UsageError
 from drivers.input_files import MESH_FILE, check_input
+from drivers.reading_process import read_apart
 from drivers.streams import FloatArray
 from ident.model.kinematics.joints import BASE_INDEX
 from ident.model.kinematics.urdf import UNIVERSE, urdf_model
 
 _PACKAGE_PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
 """Environment variables with the folders of ROS packages, ROS 1 and ROS 2."""
+
+_MESH_TIME = 5.0
+"""Processor time [s] for one mesh."""
 
 
 class UnusableShapeError(Exception):
@@ -146,6 +150,15 @@ def mesh_vertices(shape: Shape, folders: Sequence[Path]) -> FloatArray:
     return np.asarray(shape.centre + scaled @ shape.rotation.T)
 
 
+def _vertices(path: Path) -> FloatArray:
+    import coal
+
+    try:
+        return np.array(coal.MeshLoader().load(str(path), np.ones(3)).vertices(), dtype=np.float64)
+    except Exception as error:  # Coal and its mesh readers raise several kinds, none of them public
+        raise UsageError(f"not a mesh: {path}") from error
+
+
 def _read_mesh(filename: str, folders: Sequence[Path]) -> FloatArray:
     plain = filename.removeprefix("file://")
     within = filename.removeprefix("package://")
@@ -159,16 +172,11 @@ def _read_mesh(filename: str, folders: Sequence[Path]) -> FloatArray:
         raise UnusableShapeError(f"no such file: {filename}") from error
     if path is None:
         raise UnusableShapeError(f"no such file: {filename}")
-    import coal
-
     try:
         check_input(path, MESH_FILE, UsageError)
+        vertices = read_apart(lambda progress: _vertices(path), path, UsageError, time_limit=_MESH_TIME)
     except UsageError as error:
         raise UnusableShapeError(str(error)) from error
-    try:
-        vertices = np.array(coal.MeshLoader().load(str(path), np.ones(3)).vertices(), dtype=np.float64)
-    except Exception as error:  # Coal and its mesh readers raise several kinds, none of them public
-        raise UnusableShapeError(f"not a mesh: {path}") from error
     if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) == 0 or not np.all(np.isfinite(vertices)):
         raise UnusableShapeError(f"no points in {path}")
     return vertices

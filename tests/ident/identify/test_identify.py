@@ -13,12 +13,15 @@ from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import load_robot, parse_robot
 from drivers.errors import DataError, IdentificationError, RecordingError, UsageError
 from ident.assessment.validation import HELD_OUT_SHARE
+from ident.identify.data_split import split_data
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import apply_model_choices, identify
+from ident.identify.preparation import prepare_data
 from ident.identify.revalidate import revalidate, stored_choices
 from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
+from ident.model.regressor import RegressorKernel
 from ident.model.true_parameters import truth_vector
 from ident.regression import least_squares
 from ident.regression.observability import ExperimentChoices
@@ -175,6 +178,24 @@ def test_held_out_part_is_the_end_of_each_recording_and_takes_no_part(recorded, 
     assert "last 30 %" in found.validation_source
     assert any("the model overfits" in warning for warning in found.warnings)
     assert not any("overfits" in warning for warning in clean.warnings)
+
+
+def test_the_order_of_recordings_changes_no_filter(recorded, three_joint):
+    """The leading one is chosen by its motion; only the blocks of the error bars are laid along the given order."""
+    runs = [recorded(8.0, 5), recorded(12.0)]
+    model = build_model(three_joint)
+    kernel, every = RegressorKernel(model, base_parameters(model).columns), tuple(range(model.dof))
+    found = []
+    for order in (runs, runs[::-1]):
+        data = split_data(order, [], three_joint.robot, PreprocessChoices(), None)
+        assert "last 30 % of each recording, held out" in data.validation_source
+        choices = IdentifyChoices(search_delay=False)
+        found.append(prepare_data(kernel, data, every, (every, every), choices, lambda step: None).choices)
+    assert found[0] == found[1]
+    alone = [split_data([run], [], three_joint.robot, PreprocessChoices(), None) for run in runs]
+    single = [prepare_data(kernel, data, every, (every,), choices, lambda step: None).choices for data in alone]
+    assert found[0].position_cutoff == max(one.position_cutoff for one in single)
+    assert single[0].position_cutoff != single[1].position_cutoff
 
 
 def test_another_recording_may_be_held_out(recorded, clean):

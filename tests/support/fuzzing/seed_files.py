@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,6 +66,10 @@ URDF = """\
     <limit lower="-2" upper="2" velocity="2" effort="50"/></joint>
 </robot>
 """
+MESHES = ("fore.stl", "fore.obj", "text.stl", "fore.dae")
+SIZE = ((0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.05))
+"""Corners of a tetrahedron [m], the mesh of a link."""
+SIDES = ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))
 TRAJECTORIES = {
     "fourier": "kind: fourier\nperiod: 4\noffset: [0, 0]\nsine: [[0.2, 0.1], [0.1, 0.2]]\n"
     "cosine: [[0.1, 0], [0, 0.1]]\nperiods: 1\nramp: 2\n",
@@ -75,6 +80,16 @@ TRAJECTORIES = {
     "points": "kind: points\npoints: [[0, 0], [0.5, 0.2], [0, 0]]\ndurations: [2, 2]\ndwell: 0.5\n",
     "samples": "kind: samples\ntime: [0, 1, 2, 3, 4]\nposition: [[0, 0], [0, 0], [0.01, 0.01], [0, 0], [0, 0]]\n",
 }
+DAE = (
+    '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset><unit meter="1"/></asset>'
+    '<library_geometries><geometry id="g"><mesh><source id="p"><float_array id="pa" count="12">{places}</float_array>'
+    '<technique_common><accessor source="#pa" count="4" stride="3"><param name="X" type="float"/>'
+    '<param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>'
+    '<vertices id="v"><input semantic="POSITION" source="#p"/></vertices><triangles count="4">'
+    '<input semantic="VERTEX" source="#v" offset="0"/><p>{sides}</p></triangles></mesh></geometry></library_geometries>'
+    '<library_visual_scenes><visual_scene id="s"><node><instance_geometry url="#g"/></node></visual_scene>'
+    '</library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>'
+)
 LIMITS = "relative_error: 0.5\nrmse: {shoulder: 5, elbow: 3}\npurposes: {simulation: usable}\n"
 DBC = """\
 VERSION ""
@@ -109,6 +124,7 @@ def make_seeds(folder: Path) -> Seeds:
         Path("limits.yaml").write_text(LIMITS)
         Path("dbc-arm.yaml").write_text(_with_dbc())
         Path("arm.dbc").write_text(DBC)
+        _write_meshes()
         for name, text in TRAJECTORIES.items():
             Path(f"{name}.yaml").write_text(f"robot: two-links\n{text}")
         run = dynid.simulate("arm.yaml", duration=8.0, seed=1, rate=50.0)
@@ -135,6 +151,7 @@ def make_seeds(folder: Path) -> Seeds:
             "recording": ("run.h5",),
             "robot file": ("arm.yaml",),
             "URDF": ("arm.urdf",),
+            "mesh": MESHES,
             "trajectory": tuple(f"{name}.yaml" for name in TRAJECTORIES),
             "result": ("model.json",),
             "limits": ("limits.yaml",),
@@ -147,6 +164,27 @@ def make_seeds(folder: Path) -> Seeds:
             "MCAP": ("run.mcap", "packed.mcap"),
         },
     )
+
+
+def _write_meshes() -> None:
+    """One tetrahedron in every format, and an arm of each in which it is a link's collision shape."""
+    corners = np.array(SIZE)
+    triangles = corners[np.array(SIDES)].astype("<f4")
+    facets = b"".join(bytes(12) + triangle.tobytes() + bytes(2) for triangle in triangles)
+    Path("fore.stl").write_bytes(bytes(80) + struct.pack("<I", len(SIDES)) + facets)
+    lines = [f"v {x} {y} {z}" for x, y, z in SIZE] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in SIDES]
+    Path("fore.obj").write_text("\n".join(lines) + "\n")
+    loops = ("".join(f"vertex {x} {y} {z}\n" for x, y, z in triangle) for triangle in triangles)
+    facets_of_text = "".join(f"facet normal 0 0 1\nouter loop\n{loop}endloop\nendfacet\n" for loop in loops)
+    Path("text.stl").write_text(f"solid fore\n{facets_of_text}endsolid fore\n")
+    places = " ".join(str(value) for corner in SIZE for value in corner)
+    sides = " ".join(str(number) for side in SIDES for number in side)
+    Path("fore.dae").write_text(DAE.format(places=places, sides=sides))
+    rest = ROBOT[ROBOT.index("joints:") :]
+    for mesh in MESHES:
+        shape = f'<mesh filename="{mesh}"/>'
+        Path(f"{mesh}.urdf").write_text(URDF.replace('<cylinder radius="0.05" length="0.3"/>', shape))
+        Path(f"{mesh}.yaml").write_text(f"name: two-links\nmodel: {{urdf: {mesh}.urdf, mounting: table}}\n{rest}")
 
 
 def _with_dbc() -> str:
@@ -219,6 +257,7 @@ COMMANDS: dict[str, Commands] = {
         ["robot", "new", file, "-o", "out.yaml"],
         ["export", "model.json", "--urdf", "out.urdf", "--into", file],
     ],
+    "mesh": lambda file: [["check", f"{file}.yaml"]],
     "trajectory": lambda file: [
         *(
             [f"excite arm.yaml --from {file} --period 4 --harmonics 2 --starts 1 -o out.yaml".split()]
