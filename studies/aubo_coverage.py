@@ -1,22 +1,24 @@
 """True friction parameters of a simulated AUBO i5 within their 95 % intervals: a table of docs/aubo.md.
 
-    python studies/aubo_coverage.py [seeds [methods, as wls,iirls]]
+    python studies/aubo_coverage.py [seeds [methods, as wls,iirls [Stribeck terms, as 0,0.15]]]
 
 Another excitation and other noise for each seed, played cold, in between and warm (`aubo_session`), without the
-Stribeck term, which the model does not have, and with it. Then the correlation of the errors of α and its neighbours
-over the seeds, largest of the joints.
+Stribeck term, which the model does not have, and with it; another motion validates. Then the correlation of the errors
+of α and its neighbours over the seeds, largest of the joints.
 """
 
 from __future__ import annotations
 
 import os
 import sys
+from functools import cache
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from aubo_session import COLD, STRIBECK, WARM, aubo, excitation, played
 
+from daq.recording.recording import Recording
 from drivers.streams import FloatArray
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
@@ -58,11 +60,25 @@ def found_errors(found: Identification) -> Errors:
 
 def identified(seed: int, stribeck: float, method: str) -> Errors:
     """Errors of one seed's model."""
+    runs = recorded(seed, stribeck)
+    choices = IdentifyChoices(method, model=ModelChoices(FRICTION), search_delay=False)
+    return found_errors(identify(list(runs), [held_out(stribeck)], choices))
+
+
+@cache
+def recorded(seed: int, stribeck: float) -> tuple[Recording, ...]:
+    """A motion played cold, in between and warm."""
     arm = aubo(stribeck)
     motion = excitation(arm, 1000 + seed, candidates=10)
-    runs = [played(arm, motion, celsius, 10 * seed + k) for k, celsius in enumerate((COLD, 0.5 * (COLD + WARM), WARM))]
-    choices = IdentifyChoices(method, model=ModelChoices(FRICTION), search_delay=False)
-    return found_errors(identify(runs, runs[:1], choices))
+    heat = (COLD, 0.5 * (COLD + WARM), WARM)
+    return tuple(played(arm, motion, celsius, 10 * seed + k) for k, celsius in enumerate(heat))
+
+
+@cache
+def held_out(stribeck: float) -> Recording:
+    """Another motion, half warm."""
+    arm = aubo(stribeck)
+    return played(arm, excitation(arm, 999, candidates=1), 0.5 * (COLD + WARM), 9999)
 
 
 def correlation(errors: list[Errors], first: str, second: str) -> float:
@@ -89,10 +105,10 @@ def shares(errors: list[Errors]) -> FloatArray:
     return np.array(rows)
 
 
-def main(seeds: int = 20, methods: str = "wls,iirls") -> None:
+def main(seeds: int = 20, methods: str = "wls,iirls", plants: str = f"0,{STRIBECK}") -> None:
     """Print a table for each method and plant."""
     for method in methods.split(","):
-        for stribeck in (0.0, STRIBECK):
+        for stribeck in map(float, plants.split(",")):
             errors = []
             for seed in range(seeds):
                 errors.append(identified(seed, stribeck, method))
@@ -112,7 +128,4 @@ def main(seeds: int = 20, methods: str = "wls,iirls") -> None:
 
 
 if __name__ == "__main__":
-    main(
-        int(sys.argv[1]) if len(sys.argv) > 1 else 20,
-        sys.argv[2] if len(sys.argv) > 2 else "wls,iirls",
-    )
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 20, *sys.argv[2:4])
