@@ -187,6 +187,14 @@ class Limiting(Protocol):
 
 
 @runtime_checkable
+class Holding(Protocol):
+    """A driver that knows what its arm does where commands pause for longer than a few periods."""
+
+    def holds(self) -> bool:
+        """Whether it comes to rest in order and is held, so that a motion may go on from there."""
+
+
+@runtime_checkable
 class Cautioning(Protocol):
     """A driver that knows what a person should mind before its arm is moved."""
 

@@ -17,6 +17,8 @@ SKIP_LIMIT = 3
 SKIP_TIME = 0.01
 """Overdue positions that are skipped, at most, and the time [s] that they may take beyond the first. Where a stall left
 more, the arm was held meanwhile: the motion goes on from rest, where it was."""
+UNHELD_STALL_LIMIT = 0.0
+"""The same, beyond positions that are skipped, for an arm that nobody holds where commands pause."""
 KEPT_UP, BEHIND, SLOW = 25, 0.25, 0.004
 """A motion ends where more than this share of about so many positions took longer than a period, and than so long [s],
 to send: the bus does not carry them, and what the arm makes of them is no longer the motion that was checked."""
@@ -125,6 +127,7 @@ class Player:
         path: to play; it begins where the arm stands.
         acceleration: (n,) limits [rad/s² or m/s²], kept when the motion goes on after a stall.
         clock: the host's.
+        held: whether the arm comes to rest in order where commands pause; else no motion goes on after a stall.
     """
 
     def __init__(
@@ -133,9 +136,12 @@ class Player:
         path: Path,
         acceleration: FloatArray,
         clock: Clock = SYSTEM_CLOCK,
+        *,
+        held: bool = True,
     ) -> None:
         self._send = send
         self._clock = clock
+        self._held = held
         self._path = path
         self._acceleration = acceleration
         self._period = 1.0 / path.rate
@@ -242,11 +248,12 @@ class Player:
         """Let the path go on slowly from the position that was sent last, which the arm has held for `stalled` [s].
 
         Raises:
-            SafetyStopError: the stall was longer than `STALL_LIMIT`, or no ramp keeps the acceleration limits.
+            SafetyStopError: the stall was longer than it may be, or no ramp keeps the acceleration limits.
         """
-        if stalled > STALL_LIMIT:
+        if stalled > (STALL_LIMIT if self._held else UNHELD_STALL_LIMIT):
+            longer = f"more than {STALL_LIMIT:g} s" if self._held else "longer than this arm bridges without commands"
             raise SafetyStopError(
-                f"this computer stalled for {stalled:.3f} s in the motion, more than {STALL_LIMIT:g} s",
+                f"this computer stalled for {stalled:.3f} s in the motion, {longer}",
                 hint="end other programs, or use --realtime, and play the motion again",
             )
         begin, ramp = self._elapsed, _SHORTEST_RAMP

@@ -16,8 +16,9 @@ from daq.robot.schema import Robot
 from daq.session.command_gate import COMMAND_RATE, CommandGate, GateLimits
 from daq.session.course import GAP, REST_TIME, Course
 from daq.session.permission import Permission
+from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
-from drivers.base import Driver, ReportingSafety
+from drivers.base import Driver, Holding, ReportingSafety
 from drivers.errors import ConnectionLostError, DynidError, MotionRefusedError, UsageError, WorkError
 from drivers.standstill import StandstillWatch
 from drivers.streams import FloatArray
@@ -192,7 +193,9 @@ def prepare(
     course.gate = CommandGate(driver.command, supervisor.commanded, limits, 1.0 / path.rate, course.clock)
     if course.position is not None:
         course.gate.measured(course.clock.now(), course.position)
-    return Player(course.gate.command, path, limits.acceleration, course.clock)
+    main = driver.main if isinstance(driver, Sources) else driver
+    held = main.holds() if isinstance(main, Holding) else True
+    return Player(course.gate.command, path, limits.acceleration, course.clock, held=held)
 
 
 def follow_motion(

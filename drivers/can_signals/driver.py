@@ -18,6 +18,7 @@ from drivers.can_signals.settings import CommandTable, parse_settings
 from drivers.can_signals.startup import hear_all
 from drivers.can_signals.streams import FrameStreams
 from drivers.can_signals.table.signals import FixedFrame, batches
+from drivers.clock import STALL_LIMIT
 from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from drivers.first_step import check_first_step, finite_position
 from drivers.standstill import REST_WINDOW, StandstillWatch
@@ -62,6 +63,7 @@ class CanFramesDriver:
         self._commander: Commander | None = None
         self._command_lock = self._clock.lock()
         self._halted = False
+        self._looked = 0.0
         self._notices: deque[Notice] = deque()
         self._streams = FrameStreams(
             self._settings, self._joints, settings.gains, settings.coupling, self._notices, self._clock
@@ -141,7 +143,7 @@ class CanFramesDriver:
             blocks = self._streams.take(frames, self._poller)
             now = self._clock.now()
             if blocks or now >= end:
-                self._require_sound(now)
+                self._require_sound(now, timeout)
                 return blocks
 
     def notices(self) -> Sequence[Notice]:
@@ -152,6 +154,10 @@ class CanFramesDriver:
     def command_rate(self) -> float:
         """That of the joints' rows; 0 where the table has no command frames."""
         return 0.0 if self._settings.command is None else self._settings.rate
+
+    def holds(self) -> bool:
+        """No: what an arm does without commands is its controller's choice."""
+        return False
 
     def cautions(self) -> tuple[str, ...]:
         """What happens to the arm where nothing commands it any more."""
@@ -258,7 +264,12 @@ class CanFramesDriver:
             raise DriverStateError("cannot receive while closed", hint="open the driver first")
         return self._receiver
 
-    def _require_sound(self, now: float) -> None:
+    def _require_sound(self, now: float, timeout: float) -> None:
+        if (
+            now - self._looked > timeout + STALL_LIMIT
+        ):  # this process stalled itself: what came meanwhile is still to be read
+            self._streams.last_row = now
+        self._looked = now
         limit = max(SILENCE_LIMIT, SILENT_PERIODS / self._settings.rate)
         if now - self._streams.last_row <= limit:
             return

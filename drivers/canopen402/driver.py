@@ -134,6 +134,10 @@ class Canopen402Driver:
         self._require_not_closed("identify the drives")
         return self._configured.identities
 
+    def holds(self) -> bool:
+        """In mode "profile", whose drives come to rest by themselves; not where they go on towards the next target."""
+        return self._settings.mode == "profile"
+
     def device_limits(self) -> DeviceLimits:
         """The drives' own limits: 0x607D, 0x607F, 0x6072, 0x6065 and the ramp of their quick stop.
 

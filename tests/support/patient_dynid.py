@@ -11,7 +11,7 @@ from daq.motion import player
 from daq.session import command_gate, play
 from daq.session import supervisor as safety
 from drivers.canopen402 import driver, settings
-from drivers.canopen402.motion import drive_motion
+from drivers.canopen402.motion import drive_motion, target_path
 from drivers.canopen402.setup import configuration, readiness
 from drivers.rtde import motion, receiver
 
@@ -21,7 +21,10 @@ safety.STALE_FLOOR = safety.TRACKING_WINDOW = PATIENCE
 safety.Limits.of_robot.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defined]
 command_gate.GateLimits.of_joints.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defined]
 player.DRY_RUN_PERIODS, player.BEHIND = 10_000, 1.0
-player.STALL_LIMIT = drive_motion.STALL_LIMIT = command_gate.STALL_LIMIT = command_gate.FRESH = PATIENCE
+player.STALL_LIMIT = player.UNHELD_STALL_LIMIT = drive_motion.STALL_LIMIT = drive_motion.BRIDGED = (
+    command_gate.STALL_LIMIT
+) = command_gate.FRESH = PATIENCE
+target_path.RUN_OUT = 1e6
 play.ARRIVAL_LIMIT = play.REST_LIMIT = PATIENCE
 play.FIRST_SAMPLE_LIMIT = PATIENCE
 receiver.SILENCE_LIMIT = PATIENCE

@@ -17,7 +17,7 @@ import numpy as np
 
 from drivers.can.bus import Frame, Sender
 from drivers.canopen402.motion.sdo_stop import SdoStop
-from drivers.canopen402.motion.target_path import TargetPath
+from drivers.canopen402.motion.target_path import BRIDGED, TargetPath
 from drivers.canopen402.protocol.emcy import HOW_TO_RESET
 from drivers.canopen402.protocol.objects import MODE_PROFILE_POSITION, RPDO1, SYNC, TPDO1, TPDO2, mode_words
 from drivers.canopen402.protocol.state_machine import (
@@ -116,6 +116,10 @@ class DriveMotion:
         self._set_points: list[int | None] = [None] * len(self._ids)
         self._offered = [False] * len(self._ids)
         self._last_moment = math.nan
+        # In cyclic position drives go on with their velocity, then jolt; a profile ends by itself.
+        self._longest_stall = (
+            STALL_LIMIT if mode == MODE_PROFILE_POSITION else min((BRIDGED + 0.5) * period, STALL_LIMIT)
+        )
         self._left: str | None = None
         self._dropped_out: int | None = None
 
@@ -163,10 +167,12 @@ class DriveMotion:
         stalled, self._last_moment = moment - self._last_moment - self._period, moment
         if phase == "moving":
             self._watch_for_drop_outs()
-            if stalled > STALL_LIMIT and self._left is None:  # the drives have had no target meanwhile
-                self._left = f"this computer stalled for {stalled:.3f} s, more than {STALL_LIMIT:g} s"
+            if stalled > self._longest_stall and self._left is None:  # the drives have had no target meanwhile
+                self._left = f"this computer stalled for {stalled:.3f} s, more than {self._longest_stall:g} s"
                 self._phase = "stopping"
         wanted = self._path.at(moment)
+        if self._phase == "moving" and self._mode != MODE_PROFILE_POSITION and self._path.run_out:
+            self._phase = "stopping"  # along their ramp; whoever commands them knows why
         return [self._output(index, wanted[index]) for index in range(len(self._ids))]
 
     def enable(self, timeout: float) -> None:
@@ -203,7 +209,8 @@ class DriveMotion:
             ValueError: a position does not fit into the drive's 32 bits.
         """
         if self._phase != "moving":
-            reason = self._left or "the drives are not enabled"
+            late = "the commands came too late, and it was stopped"
+            reason = self._left or (late if self._path.run_out else "the drives are not enabled")
             raise DriverStateError(f"the arm does not move: {reason}", hint="start again before the next motion")
         if np.any(np.abs(counts) > 2**31 - 1):
             raise ValueError("a target does not fit into 32 bits of counts")

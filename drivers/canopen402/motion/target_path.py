@@ -12,12 +12,14 @@ BRIDGED = 3
 them the target is that of the present moment; one of an earlier moment would throw the drives back."""
 DELAY = 1 + BRIDGED
 """Periods by which targets follow the commands: so late a command may be, and the drives still move evenly."""
+RUN_OUT = 1e-6
+"""Periods beyond the last command from which on it is missed."""
 CATCH_UP = 0.1
 """Further periods of the commands played in one of SYNC after a longer pause, so that the drives catch up gently."""
 
 
 class TargetPath:
-    """Straight lines between commands, read once a SYNC, at its moment.
+    """Straight lines between commands, one a period, read once a SYNC, at its moment.
 
     Commands belong to a grid of periods, each sent at its tick or a little later; a sender that is late leaves ticks
     out. Without this, a thread that comes now before and now after SYNC would give the drives one command twice and two
@@ -34,6 +36,9 @@ class TargetPath:
         self._played = self._asked = math.nan
         self._points: deque[tuple[int, tuple[int, ...]]] = deque([(-DELAY, tuple(start))])
         self._lock = threading.Lock()
+        self._moving = False
+        self.run_out = False
+        """Whether commands of a moving arm ceased, so that the next target would stop it at one stroke."""
 
     def put(self, now: float, counts: Sequence[int]) -> None:
         """Take a command (n,) [counts] sent at `now` [s, host's monotonic clock]."""
@@ -48,6 +53,7 @@ class TargetPath:
             elif tick - last > 1 and len(self._points) > 1:
                 self._bridge(tick, counts)
             self._points.append((tick, tuple(counts)))
+            self._moving = held != tuple(counts)
 
     def _bridge(self, tick: int, counts: Sequence[int]) -> None:
         """Fill the ticks left out before this one by a parabola: a corner would be several times the acceleration.
@@ -79,6 +85,7 @@ class TargetPath:
                 self._points.popleft()
             first, before = self._points[0]
             if len(self._points) == 1 or tick <= first:
+                self.run_out = self.run_out or (self._moving and tick > first + RUN_OUT)
                 return before
             second, after = self._points[1]
             share = (tick - first) / (second - first)

@@ -305,12 +305,12 @@ def test_frames_that_do_not_come_cost_their_rows_only(
     [
         (0.009, False, []),  # SYNC 161 is 4 ms late: less than half a period
         (0.0145, False, [161, 162]),  # SYNC 162 would apply old targets: no time to replace them
-        (0.0285, False, [161, 162, 163]),
+        (0.0285, False, []),
         (0.2, False, []),
         (0.2, True, []),
     ],
 )
-def test_a_stall_leaves_syncs_out_and_is_gone_on_from_or_ends_the_motion(
+def test_a_stall_leaves_syncs_out_or_ends_the_motion(
     tmp_path: Path, stall: float, drives_too: bool, left_out: list[int]
 ) -> None:
     """Of dynid's process, or of the whole computer with its drives."""
@@ -319,9 +319,8 @@ def test_a_stall_leaves_syncs_out_and_is_gone_on_from_or_ends_the_motion(
         bench.at(FAULT, lambda: clock.stall(stall) if drives_too else clock.suspend(stall, but=("canopen-nodes",)))
         run = bench.record(tmp_path, motion=swing())
         assert run.report.punctuality is not None
-        delayed = run.report.punctuality.delayed_ms
-        if stall > 0.05:
-            assert_stopped(bench, run, "this computer stalled for 0.1")
+        if stall > 0.02:  # more than is bridged: the drives, which nobody holds, would have to stop at one stroke
+            assert_stopped(bench, run, "this computer stalled for 0.")
             return
         late = {161: FAULT + 0.009 - 1.61} if stall == 0.009 else {}
         assert_exact(bench, run, left_out, late)
@@ -331,7 +330,7 @@ def test_a_stall_leaves_syncs_out_and_is_gone_on_from_or_ends_the_motion(
         assert run.report.stopped_by is None
         assert run.recording.complete
         assert bench.sent()[: len(run.slots)] == run.slots
-        assert delayed == 0.0 if stall < 0.02 else delayed > 20.0
+        assert run.report.punctuality.delayed_ms == 0.0
         assert bench.rests()
 
 

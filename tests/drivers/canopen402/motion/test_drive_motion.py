@@ -45,6 +45,7 @@ def test_targets_go_out_to_all_drives_after_the_next_sync() -> None:
             one.driver.command(start + step * np.array([0.001, -0.002, 0.003]))
             one.read_rows(1)
         goal = start + 10 * np.array([0.001, -0.002, 0.003])
+        one.driver.command(goal)  # at rest there
         one.read(lambda: np.allclose(one.position, goal, atol=1e-5))
         assert len(one.drives[0].targets) > 5
         assert one.said("error") == []

@@ -108,3 +108,15 @@ def test_targets_never_leave_what_was_commanded(commands: list[tuple[float, int]
         path.put(now, [value])
     values = [0, *(value for _, value in commands)]
     assert min(values) <= path.at(moment)[0] <= max(values)
+
+
+def test_commands_that_cease_in_motion_are_noticed_before_the_target_stands_still() -> None:
+    path = TargetPath([0], PERIOD)
+    for tick in range(20):
+        path.put(tick * PERIOD, [500 * tick])
+        path.at(tick * PERIOD)
+    for tick in range(20, 20 + DELAY - 1):
+        assert path.at(tick * PERIOD)[0] == 500 * (tick - DELAY)
+        assert not path.run_out
+    path.at((20 + DELAY) * PERIOD)
+    assert path.run_out
