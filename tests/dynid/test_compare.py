@@ -7,9 +7,9 @@ import sys
 
 import numpy as np
 import pytest
+from command_line import stored
 
 import dynid
-from daq.output_files import GENERATION_KEY
 from dynid import command
 
 
@@ -91,8 +91,7 @@ def test_the_command_writes_figures_and_page_and_never_over_its_input(monkeypatc
     status, out = call(*files, "--methods", "ols,energy", "-o", "out", "--json")
     assert status == 0
     printed = json.loads(out)
-    stored = json.loads((tmp_path / "out" / "comparison.json").read_text())
-    assert printed == {key: value for key, value in stored.items() if key != GENERATION_KEY}
+    assert printed == stored(tmp_path / "out" / "comparison.json")
     assert [model["method"] for model in printed["models"]][::2] == ["ols", "energy"]
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Largest errors" in page

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import sys
+from pathlib import Path
+from typing import Any
 
 import pytest
 
+from daq.output_files import GENERATION_KEY
 from dynid import command
 
 
@@ -18,3 +22,9 @@ def run(
         command.main()
     captured = capsys.readouterr()
     return int(stopped.value.code or 0), captured.out, captured.err
+
+
+def stored(path: Path) -> dict[str, Any]:
+    """The object of a JSON file, without the hashes of the files written with it."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    return {key: value for key, value in content.items() if key != GENERATION_KEY}

@@ -88,7 +88,7 @@ def test_info_writes_a_page_once(monkeypatch, capsys, folder):
     assert "exists already" in err
     status, out, _ = run(monkeypatch, capsys, folder, "info", "run.h5", "--page", "run-info", "--force", "--json")
     assert status == 0
-    assert json.loads(out) == json.loads((folder / "run-info" / "info.json").read_text(encoding="utf-8"))
+    assert json.loads(out) == command_line.stored(folder / "run-info" / "info.json")
 
 
 def test_identify_validates_writes_and_prints(monkeypatch, capsys, folder):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from command_line import run
+from command_line import run, stored
 from friction_experiment_arm import GIVEN, sweeps
 from html_page import Page
 
@@ -30,7 +30,7 @@ def test_friction_in_words_as_json_and_as_a_page(folder, capsys, monkeypatch):
     assert "j2" in out
     status, as_json, _ = run(monkeypatch, capsys, "friction", *names, *options, "--json", "--force")
     content = json.loads(as_json)
-    assert content == json.loads((folder / "sweep0-friction" / "friction.json").read_text(encoding="utf-8"))
+    assert content == stored(folder / "sweep0-friction" / "friction.json")
     assert [joint["joint"] for joint in content["joints"]] == ["j1", "j2"]
     page = Page((folder / "sweep0-friction" / "report.html").read_text(encoding="utf-8"))
     assert set(page.figures) == {"speed-plot", "temperature-plot", "load-plot"}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import h5py
 import pytest
-from command_line import run
+from command_line import run, stored
 from html_page import Page
 from loaded_arm import runs
 
@@ -56,7 +56,7 @@ def test_payload_as_json(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     status, out, _ = run(monkeypatch, capsys, "payload", "free.h5", "loaded.h5", "--json", "-o", "load")
     content = json.loads(out)
-    assert content == json.loads((folder / "load" / "payload.json").read_text(encoding="utf-8"))
+    assert content == stored(folder / "load" / "payload.json")
     assert status == 0
     assert [row["name"] for row in content["load"]] == [f"{symbol}_L" for symbol in INERTIAL]
     assert content["known"] is None
