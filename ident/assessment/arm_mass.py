@@ -17,7 +17,6 @@ deviation of a factor of 2.2; the arms lie between 0.17 (WidowX 250) and 4.0 (TX
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,16 +41,6 @@ UNKNOWN_END = 6.0
 
 LINK_SHARE = 0.6
 """Share of a whole arm's mass that one link has at most."""
-
-
-STANDARD_GRAVITY = 9.81
-
-CENTRE = 0.25
-"""Gravity's largest torque over the weight of the whole arm, in reaches: most of an arm is near its base."""
-
-RATING_SHARE = 0.3
-"""Of its strongest joint's torque limit, what an arm needs to hold itself stretched out. The torques of UR5e, UR10e,
-UR10, Panda, AUBO i5, TX40 and SR400 show 0.7 to 1.4 times the mass that their limits give so."""
 
 
 @dataclass(frozen=True)
@@ -83,27 +72,6 @@ def mass_of_length(length: float, part: bool) -> ArmMass:
     """The mass of an arm, or of a part of one, of a length [m] from frame to frame."""
     expected = DENSITY * (length / LENGTHS_PER_REACH) ** 3
     return ArmMass(expected, LEAST * expected, MOST * expected * (UNKNOWN_END if part else 1.0))
-
-
-def mass_of_rating(model: DynamicModel, limits: Sequence[float | None]) -> float | None:
-    """Mass [kg] of an arm of this length whose strongest joint bears a torque: it holds its own weight and a payload.
-
-    Args:
-        model: of the arm.
-        limits: (n,) torque limits [N·m or N] of the robot file, None where it has none.
-
-    Returns:
-        None for a part of an arm, and where all limits are the same: placeholders.
-    """
-    stated = [
-        limit
-        for limit, joint in zip(limits, model.active, strict=True)
-        if limit is not None and not model.joints[joint].prismatic
-    ]
-    length = arm_length(model)
-    if part_of_arm(model) or length == 0.0 or len(set(stated)) < 2:
-        return None
-    return RATING_SHARE * max(stated) / (CENTRE * STANDARD_GRAVITY * length / LENGTHS_PER_REACH)
 
 
 def part_of_arm(model: DynamicModel) -> bool:

@@ -9,14 +9,7 @@ import numpy as np
 from daq.robot.schema import Robot
 from drivers.percentage import percent_text
 from drivers.streams import FloatArray
-from ident.assessment.arm_mass import (
-    CENTRE,
-    LENGTHS_PER_REACH,
-    STANDARD_GRAVITY,
-    arm_length,
-    mass_of_length,
-    part_of_arm,
-)
+from ident.assessment.arm_mass import LENGTHS_PER_REACH, arm_length, mass_of_length, part_of_arm
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel, dense_regressor
@@ -34,12 +27,24 @@ FAR_BELOW = 0.01
 """The same of the joint that is used most. An excited arm carries itself: the public recordings reach 0.43 to 0.66 of
 a limit, so that a gear ratio of 50 left out gives about 0.01."""
 
+STANDARD_GRAVITY = 9.81
 DENSEST_ARM = 500.0
 """[kg/m³] mass that the peak torque holds at full length, over the length cubed. It is 10 to 220 for the public
 recordings (TX40 219, UR10 9, Panda 7); milliampere read as ampere make it a thousand times that."""
 
 UNKNOWN_LENGTH = 0.5
 """[m] that a part of an arm may be longer than its frames."""
+
+CENTRE = 0.25
+"""Gravity's largest torque over the weight of the whole arm, in reaches: most of an arm is near its base."""
+
+HOLDS = 1.5
+"""Gravity's part of a torque over its limit beyond which the arm could not hold itself: 0.1 to 0.5 of UR5e, UR10e, AUBO
+i5, Panda, TX40 and SR400."""
+
+HARDLY, LIGHT = 0.06, 1.0 / 3.0
+"""The same of the joint that bears most, and apparent mass over what arms of this size weigh, below which together the
+torques are too small; each alone is no more than unusual."""
 
 TOO_HEAVY = 5.0
 """Weight that gravity's torque shows over the most that an arm of its size has (`ident.assessment.arm_mass`)."""
@@ -99,15 +104,22 @@ def _load_checks(names: Sequence[str], model: DynamicModel, peak: FloatArray) ->
 
 
 def weight_checks(
-    model: DynamicModel, base: BaseParameters, parameters: FloatArray, position: FloatArray
+    robot: Robot,
+    model: DynamicModel,
+    base: BaseParameters,
+    parameters: FloatArray,
+    position: FloatArray,
+    apparent: float | None = None,
 ) -> list[Check]:
-    """Whether gravity's part of the torque is that of a mass that no arm of this size has.
+    """Whether gravity's part of the torque is that of a mass that no arm of this size, or with these limits, has.
 
     Args:
+        robot: its joints' limits, where it has any.
         model: of the arm.
         base: its base parameters.
         parameters: (b,) their values, of bodies that can exist where there are such.
         position: (n, N) that the arm was in [rad or m].
+        apparent: mass that the torques show [kg], where they show one.
     """
     few = position[:, :: max(1, position.shape[1] // GRAVITY_INSTANTS)]
     still = np.zeros_like(few)
@@ -121,15 +133,36 @@ def weight_checks(
     strongest = max(turning, key=lambda row: float(peak[row]))
     mass = mass_of_length(_length(model), part_of_arm(model))
     shown = float(peak[strongest]) / (CENTRE * STANDARD_GRAVITY * _length(model) / LENGTHS_PER_REACH)
-    if shown < TOO_HEAVY * mass.most:
-        return []
     name = model.joint_names[strongest]
-    text = (
-        f"gravity's part of the torque of {name} reaches {_figure(float(peak[strongest]))} N·m, as of an arm of "
-        f"{_figure(shown)} kg, and arms of this size weigh about {_figure(mass.expected)} kg: check the unit of the "
-        "current (A, not mA) or torque (N·m, not N·mm), and the drive gains"
-    )
-    return [raised("implausible-load", text, [name])]
+    gravity = f"gravity's part of the torque of {name} reaches {_figure(float(peak[strongest]))} N·m"
+    if shown >= TOO_HEAVY * mass.most:
+        text = (
+            f"{gravity}, as of an arm of {_figure(shown)} kg, and arms of this size weigh about "
+            f"{_figure(mass.expected)} kg: check the unit of the current (A, not mA) or torque (N·m, not N·mm), and "
+            "the drive gains"
+        )
+        return [raised("implausible-load", text, [name])]
+    limits = {robot.joint_names.index(one.name): one.torque for one in robot.joints if one.torque is not None}
+    limits = {row: limit for row, limit in limits.items() if row in turning}
+    if len(set(limits.values())) < 2 or model.transmission is not None:  # placeholders; motors that share a load
+        return []
+    shares = {row: float(peak[row]) / limit for row, limit in limits.items()}
+    most = max(shares, key=lambda row: shares[row])
+    name, share = model.joint_names[most], percent_text(shares[most], 2)
+    if shares[most] > HOLDS:
+        text = (
+            f"gravity alone takes {share} of the torque limit of {name}, so that the arm could not hold itself: check "
+            "the unit of the current (A, not mA) or torque, the drive gains, and the limits"
+        )
+        return [raised("implausible-load", text, [name])]
+    if apparent is not None and shares[most] < HARDLY and apparent < LIGHT * mass.expected:
+        text = (
+            f"gravity takes {share} of the torque limits at most, and the torques are those of an arm of "
+            f"{_figure(apparent)} kg, where arms of this size weigh about {_figure(mass.expected)} kg: check the unit "
+            "of torque or current, and the drive gains (left at 1 they give amperes)"
+        )
+        return [raised("torque-far-below-limits", text)]
+    return []
 
 
 def _length(model: DynamicModel) -> float:

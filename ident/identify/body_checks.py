@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from daq.robot.loader import RobotFile
+from drivers.errors import RobotFileError
+from drivers.percentage import percent_text
 from drivers.streams import FloatArray
-from ident.assessment.arm_mass import ArmMass, arm_length, mass_of_rating, mass_of_size
+from ident.assessment.arm_mass import ArmMass, arm_length, mass_of_size
+from ident.assessment.validation import fit_figures
 from ident.estimators.feasible.armature import ASSUMED
 from ident.estimators.feasible.consistent import ConsistentParameters
+from ident.identify.identification import Identification
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.urdf import urdf_inertias
 from ident.model.parameters import INERTIAL
+from ident.regression.comparison import compare_torques
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -23,15 +30,19 @@ URDF_FACTOR = 5.0
 """Apparent mass over that of a URDF's bodies, or the reverse, beyond which one of them is wrong. Bodies of CAD models
 lack cables, grease and motors, hardly more than half of the mass."""
 
-RATING_FACTOR = 4.0
-"""Apparent mass over that of the torque limits, or the reverse, beyond which unit, gains or limits are wrong."""
-
 BESIDE = 0.5
 """Distance of a link's centre of mass from the lines between its joints, over the arm's length, that no link has: 0.13
 of a UR10's shoulder, 0.33 at most of the estimates of 40 random arms (studies/plausible_bodies.py)."""
 
 TOOL = 0.25
 """The same, added for the link that carries the tool."""
+
+DENIED_FACTOR, DENIED_RISE = 2.0, 0.05
+"""What the robot file says of links and joints is refused where it raises the torque error by this factor and so much;
+less is a check."""
+
+OTHERWISE_WRONG = ("inconsistent-gain", "inconsistent-length", "joint-zero", "residual-bursts", "encoder-stuck")
+"""Checks of mistakes that make a sound statement of the file look wrong; so do all serious ones."""
 
 LEAST_SHARE = 0.005
 """Of the arm's mass; the centre of a link lighter than that says nothing."""
@@ -51,8 +62,7 @@ def body_checks(
     links = consistent.values[: len(INERTIAL) * len(model.joints)].reshape(-1, len(INERTIAL))
     masses = links[:, INERTIAL.index("M")]
     apparent = consistent.apparent_mass if whole else None
-    rating = mass_of_rating(model, [joint.torque for joint in robot_file.robot.joints])
-    checks = _total_checks(mass_of_size(model), _urdf_mass(model, robot_file), rating, apparent)
+    checks = _total_checks(mass_of_size(model), _urdf_mass(model, robot_file), apparent)
     checks += _link_checks(model, masses)
     checks += _centre_checks(model, masses, links[:, 6:9] / masses[:, None])
     assumed = [one for one in consistent.armatures if one.source == ASSUMED]
@@ -66,10 +76,38 @@ def body_checks(
     return checks
 
 
-def _total_checks(
-    size: ArmMass | None, urdf: float | None, rating: float | None, apparent: float | None
-) -> list[Check]:
-    """The mass that the torques show against what arms of this size and rating weigh, and against the URDF."""
+def refuse_denied(identification: Identification, checks: Sequence[Check]) -> None:
+    """Refuse what a robot file says of links and joints where no data fit it, and nothing else is wrong.
+
+    Raises:
+        RobotFileError: names it, with what the data say.
+    """
+    found = identification.consistent
+    if found is None or found.parameters.without is None or any(c.severity == "serious" for c in checks):
+        return
+    if any(check.name in OTHERWISE_WRONG for check in checks):
+        return
+    model = identification.model
+    columns, without = identification.base.columns, found.parameters.without
+    error = fit_figures(
+        [
+            part
+            for run in identification.runs
+            for part in compare_torques(model, columns, without, run.prepared.segments, run.prepared.parallel_filter)
+        ]
+    ).relative_error
+    stated = found.fit.relative_error
+    if stated > DENIED_FACTOR * error and stated - error > DENIED_RISE:
+        raise RobotFileError(
+            f"no data fit {', '.join(found.parameters.contradicted)}: with it the torque error is "
+            f"{percent_text(stated, 2)}, without it {percent_text(error, 2)}",
+            where=identification.robot_file.where,
+            hint="correct 'known' or 'prior.links', or the drive gains and the geometry",
+        )
+
+
+def _total_checks(size: ArmMass | None, urdf: float | None, apparent: float | None) -> list[Check]:
+    """The mass that the torques show against what arms of this size weigh, and against the URDF."""
     if apparent is None:
         return []
     if size is not None and not size.least / WRIST <= apparent <= size.most:
@@ -84,13 +122,6 @@ def _total_checks(
         text = (
             f"the torques are those of an arm of about {_kilograms(apparent)}, the URDF's links weigh "
             f"{_kilograms(urdf)}: check the unit of torque or current and the gains, or the URDF's inertials"
-        )
-        return [raised("implausible-mass", text)]
-    if rating is not None and not 1.0 / RATING_FACTOR <= apparent / rating <= RATING_FACTOR:
-        text = (
-            f"the torques are those of an arm of about {_kilograms(apparent)}, the torque limits those of one of "
-            f"{_kilograms(rating)}: check the unit of torque or current, the gains (left at 1 they give amperes), and "
-            "the limits"
         )
         return [raised("implausible-mass", text)]
     return []

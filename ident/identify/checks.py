@@ -142,7 +142,7 @@ def consistency_checks(
         )
         checks.append(raised("consistency-rejected", text))
     if consistent.contradicted:
-        text = f"the data contradict the robot file: {', '.join(consistent.contradicted)} make the fit clearly worse"
+        text = f"the data contradict the robot file, and the fit is clearly worse: {', '.join(consistent.contradicted)}"
         checks.append(raised("known-contradicts-data", text))
     if consistent.limits_hit:
         text = f"{', '.join(consistent.limits_hit)} of the robot file hold a parameter at their limit"
@@ -202,7 +202,14 @@ def _weight_checks(identification: Identification) -> list[Check]:
     parameters = solution.parameters if consistent is None else consistent.parameters.base
     segments = [segment for run in identification.runs for segment in run.prepared.segments]
     position = np.concatenate([segment.position[:, segment.used] for segment in segments], axis=1)
-    return weight_checks(identification.model, identification.base, parameters, position)
+    return weight_checks(
+        identification.robot_file.robot,
+        identification.model,
+        identification.base,
+        parameters,
+        position,
+        None if consistent is None else consistent.parameters.apparent_mass,
+    )
 
 
 def _mistake_checks(identification: Identification) -> list[Check]:

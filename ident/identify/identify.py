@@ -21,6 +21,7 @@ from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.feasible.armature import armature_vector
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.estimators.torque_estimator import reduce_torques
+from ident.identify.body_checks import refuse_denied
 from ident.identify.checks import identification_checks
 from ident.identify.data_split import check_torques, split_data
 from ident.identify.friction.shapes import with_free_shapes
@@ -193,6 +194,7 @@ def identify(
 
     progress("plausibility")
     checks = identification_checks(identification, recordings)
+    refuse_denied(identification, checks)
 
     progress("simulation")
     runs_held_out = held_out_runs(identification, validation)

@@ -387,7 +387,7 @@ _MODEL = (
         "implausible-mass",
         "serious",
         ALL,
-        "the torques are those of a mass that no arm of this size, of this URDF or with these torque limits has",
+        "the torques are those of a mass that no arm of this size, or of this URDF, has",
         "Check the unit of torque or current, the drive gains, and the lengths of the robot file or URDF (m, not mm).",
     ),
     CheckKind(

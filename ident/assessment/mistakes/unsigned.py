@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.streams import FloatArray
+from ident.assessment.instants import Instants
 from ident.assessment.mistakes.competition import EXPLAINED, HALVED, Competition
 from ident.assessment.mistakes.equations import equations
 from ident.signals.prepared import Prepared
@@ -19,10 +20,17 @@ BELOW_ZERO = 0.02
 NEAR_ZERO = 0.1
 """The same that it must come near to: a torque that keeps its sign because it holds a weight stays away from 0."""
 
+SEEN = 1e-6
+"""Singular values below this share of the largest are rounding."""
+
 TURN = 0.3
 """The same below which its sign may change."""
 
-ROUNDS = 8
+ROUNDS, FREE_ROUNDS = 16, 8
+"""Iterations, and those at the beginning in which every instant has a sign of its own."""
+
+DIRECTIONS = 3
+"""Eigenvectors from which signs start."""
 
 
 def unsigned_torques(competition: Competition, runs: Sequence[Prepared]) -> list[int]:
@@ -39,32 +47,66 @@ def unsigned_torques(competition: Competition, runs: Sequence[Prepared]) -> list
     _, conditions = competition.system(positions)
     regressor = competition.regressor(positions)
     size = np.abs(instants.torque)
+    used = competition.experiment.torques
     best: tuple[float, float] | None = None
-    for start in (np.sign(instants.velocity), np.ones_like(size)):
+    for start, free_rounds in _starts(instants, regressor, folded):
         torque = instants.torque.copy()
         torque[folded] = size[folded] * start[folded]
-        for _ in range(ROUNDS):
-            system = equations(regressor, replace(instants, torque=torque), competition.experiment.torques)
+        for number in range(ROUNDS):
+            system = equations(regressor, replace(instants, torque=torque), used)
             fit = system.fit(competition.recorded.torques, conditions)
             if fit is None:
                 break
             predicted = np.einsum("nbN,b->nN", regressor, fit.parameters)
             before = torque.copy()
             for joint in folded:
-                torque[joint] = size[joint] * _signs(size[joint], predicted[joint])
-            error = _error(torque - predicted, torque, instants.counted, competition.experiment.torques)
-            if best is None or fit.level < best[0]:
+                free = np.where(predicted[joint] < 0.0, -1.0, 1.0)
+                signs = (
+                    free if number < free_rounds else _signs(size[joint], predicted[joint], instants.velocity[joint])
+                )
+                torque[joint] = size[joint] * signs
+            error = _error(torque - predicted, torque, instants.counted, used)
+            if number >= free_rounds and (best is None or fit.level < best[0]):
                 best = (fit.level, error)
-            if np.array_equal(before, torque):
+            if number >= free_rounds and np.array_equal(before, torque):
                 break
     if best is None or recorded is None or recorded.level - best[0] < HALVED:
         return []
     return folded if best[1] < EXPLAINED else []
 
 
-def _signs(size: FloatArray, predicted: FloatArray) -> FloatArray:
-    """Signs (N,) that change only where an absolute torque (N,) comes near 0, those that fit the predicted torque."""
+def _starts(instants: Instants, regressor: FloatArray, folded: Sequence[int]) -> Iterator[tuple[FloatArray, int]]:
+    """Signs (n, N) to start from, and the rounds in which every instant has its own: those of spectral initialisation.
+
+    The others are the signs of the velocity, and all positive.
+
+    The parameters' direction is near the largest eigenvectors of Σ τ² w wᵀ over whitened rows w of the regressor
+    (Netrapalli, Jain and Sanghavi, Phase retrieval using alternating minimization, 2013, algorithm 2).
+    """
+    size = np.abs(instants.torque)
+    yield np.sign(instants.velocity), 0
+    yield np.ones_like(size), 0
+    level = np.sqrt(np.mean(size**2, axis=1))[:, None]
+    weight = instants.counted[folded] / np.maximum(level[folded], np.finfo(float).tiny)
+    rows = (regressor[folded] * weight[:, None]).transpose(0, 2, 1).reshape(-1, regressor.shape[1])
+    squares = (size[folded] * weight).reshape(-1) ** 2
+    left, singular, _ = np.linalg.svd(rows, full_matrices=False)
+    left = left[:, singular > SEEN * singular[0]]
+    vectors = np.linalg.eigh((left * squares[:, None]).T @ left)[1]
+    for number in range(1, 1 + min(DIRECTIONS, vectors.shape[1])):
+        signs = np.ones_like(size)
+        signs[folded] = np.where(left @ vectors[:, -number] < 0.0, -1.0, 1.0).reshape(len(folded), -1)
+        yield signs, FREE_ROUNDS
+        yield -signs, FREE_ROUNDS
+
+
+def _signs(size: FloatArray, predicted: FloatArray, velocity: FloatArray) -> FloatArray:
+    """Signs (N,) that fit the predicted torque.
+
+    They change only where an absolute torque (N,) comes near 0, and with the sign of the velocity, for the friction.
+    """
     near = size < TURN * float(np.sqrt(np.mean(size**2)))
+    near[1:] |= np.sign(velocity[1:]) != np.sign(velocity[:-1])
     part = np.cumsum(near)
     agreement = np.bincount(part, weights=size * predicted)
     return np.where(agreement[part] < 0.0, -1.0, 1.0)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from daq.robot.loader import RobotFile
+from daq.robot.prior import TOTAL_MASS, Known
 from drivers.errors import IdentificationError, RobotFileError
 from drivers.streams import FloatArray
 from ident.estimators.feasible.armature import Armature, armatures
 from ident.estimators.feasible.interior_point import BoolArray, Minimum, minimise, strictly_inside
 from ident.estimators.feasible.prior import apparent_mass, link_priors
-from ident.estimators.feasible.problem import Problem, build_problem
+from ident.estimators.feasible.problem import LINK_SIZE, MASS, Problem, build_problem
 from ident.linear_algebra.row_space import DETERMINED, row_space
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
@@ -53,7 +55,9 @@ class ConsistentParameters:
         boundary: indices of the links that the conditions hold near the boundary.
         limits_hit: ranges of the file that are active.
         steps: Newton steps.
-        contradicted: what the robot file says of links and joints, and the data deny; keys of the file.
+        contradicted: what the robot file says of links and joints, and the data deny: keys of the file, with what the
+            data say.
+        without: (b,) base parameters without all that the file says of links and joints, where the data deny it.
         armatures: of motors whose inertia the measured torque does not carry.
         apparent_mass: of all links, as `apparent_mass` has it [kg]; None where the data show none.
     """
@@ -71,6 +75,7 @@ class ConsistentParameters:
     limits_hit: tuple[str, ...]
     steps: int
     contradicted: tuple[str, ...] = ()
+    without: FloatArray | None = None
     armatures: tuple[Armature, ...] = ()
     apparent_mass: float | None = None
 
@@ -128,7 +133,10 @@ def consistent_parameters(
     fit = feasible_fit(problem, estimate, base.projection, robot_file.robot.name)
     of_base = base.projection @ fit.spread
     cost = cost_test(fit, estimate)
-    denied = cost is not None and cost.p_value < DENIED
+    contradicted: tuple[str, ...] = ()
+    without: FloatArray | None = None
+    if cost is not None and cost.p_value < DENIED:
+        contradicted, without = _contradicted(model, base, estimate, robot_file, fit)
     return ConsistentParameters(
         values=fit.values,
         std=fit.std,
@@ -142,7 +150,8 @@ def consistent_parameters(
         boundary=fit.boundary,
         limits_hit=fit.limits_hit,
         steps=fit.steps,
-        contradicted=_contradicted(model, base, estimate, robot_file, fit) if denied else (),
+        contradicted=contradicted,
+        without=without,
         armatures=armatures(model, robot_file.robot, range(len(fit.values)), fit.values),
         apparent_mass=apparent_mass(priors.links, system, target),
     )
@@ -150,28 +159,57 @@ def consistent_parameters(
 
 def _contradicted(
     model: DynamicModel, base: BaseParameters, estimate: Estimate, robot_file: RobotFile, fit: FeasibleFit
-) -> tuple[str, ...]:
-    """Keys of the file without which the sum of squares rises by less than a half, and which hold a parameter."""
+) -> tuple[tuple[str, ...], FloatArray | None]:
+    """What of the file makes the sum of squares more than twice as large, and the base parameters without it."""
     robot = robot_file.robot
     links = {
         name: link.model_copy(update={"com_box": None, "com_hull": None}) for name, link in robot.prior.links.items()
     }
     prior = robot.prior.model_copy(update={"links": links})
     if not robot.known and prior == robot.prior:
-        return ()
+        return (), None
     without = robot_file.model_copy(update={"robot": robot.model_copy(update={"known": {}, "prior": prior})})
     try:
         free = consistent_parameters(model, base, estimate, without)
     except IdentificationError:
-        return ()
+        return (), None
     if free.misfit > EASED * fit.misfit:
-        return ()
+        return (), None
     names = [parameter.name for parameter in model.parameters]
     values = dict(zip(names, zip(free.values, free.std, strict=True), strict=True))
     numbers = {name: one.value for name, one in robot.known.items() if name in values and one.value is not None}
     seen = [n for n, known in numbers.items() if abs(values[n][0] - known) > WITHIN_95_PERCENT * values[n][1]]
     stated = [f"known.{name}" for name in seen or (() if fit.limits_hit else numbers)]
-    return tuple(dict.fromkeys([*stated, *fit.limits_hit]))
+    total = robot.known.get(TOTAL_MASS)
+    if total is not None and total.value is not None and not seen:
+        stated.append(f"known.{TOTAL_MASS}")
+    keys = dict.fromkeys([*stated, *fit.limits_hit])
+    return tuple(f"{key}{_of_data(key, robot.known, values, free, model)}" for key in keys), free.base
+
+
+def _of_data(
+    key: str,
+    known: Mapping[str, Known],
+    values: Mapping[str, tuple[float, float]],
+    free: ConsistentParameters,
+    model: DynamicModel,
+) -> str:
+    """What the file and the data say of a key, in words: behind the key."""
+    name = key.split(".")[1]
+    if name in known:
+        one = known[name]
+        limits = [f"{word} {limit:.4g}" for word, limit in (("min", one.min), ("max", one.max)) if limit is not None]
+        text = ", ".join(limits) if one.value is None else f"= {one.value:.4g}"
+        if name in values and np.isfinite(values[name][1]):
+            value, std = values[name]
+            return f" {text} (the data say {value:.4g} ± {WITHIN_95_PERCENT * std:.2g})"
+        mass = free.apparent_mass
+        return f" {text} (the data say about {mass:.3g} kg)" if name == TOTAL_MASS and mass is not None else f" {text}"
+    if name != "links":
+        return ""
+    link = LINK_SIZE * model.link_names.index(key.split(".")[2])
+    centre = free.values[link + 6 : link + 9] / free.values[link + MASS]
+    return f" (without it the centre of mass is at {', '.join(f'{one:.3g}' for one in centre)} m)"
 
 
 def bounded_precision(estimate: Estimate) -> Estimate:

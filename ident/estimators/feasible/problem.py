@@ -141,7 +141,8 @@ def build_problem(
             values.append(1.0 / TOTAL_MASS_STD)
         else:
             index = by_name[name]
-            if signs[index] * known.value < 0 or (index in masses and known.value <= 0):
+            of_joint = index >= LINK_SIZE * links
+            if (of_joint and signs[index] * known.value < 0) or (index in masses and known.value <= 0):
                 raise RobotFileError(f"{known.value:g} is no value that a body or a joint can have", where=where)
             start[index], free[index] = known.value / scale[index], False
     for bound in centre_bounds(model, robot_file):

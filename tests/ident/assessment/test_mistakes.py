@@ -151,7 +151,25 @@ def test_currents_in_milliampere_show_in_gravity(found):
     positions = np.concatenate(
         [one.position[:, one.used] for run in found.runs for one in run.prepared.segments], axis=1
     )
-    parameters = found.solution.parameters
-    assert weight_checks(found.model, found.base, parameters, positions) == []
-    (check,) = weight_checks(found.model, found.base, 1e3 * parameters, positions)
+    parameters, robot = found.solution.parameters, found.robot_file.robot
+    assert weight_checks(robot, found.model, found.base, parameters, positions) == []
+    (check,) = weight_checks(robot, found.model, found.base, 1e3 * parameters, positions)
     assert check.name == "implausible-load"
+
+
+def test_gravity_is_compared_with_the_torque_limits(found):
+    """Limits that gravity alone exceeds, and such as it hardly uses, of an arm that seems light, too."""
+    positions = np.concatenate(
+        [one.position[:, one.used] for run in found.runs for one in run.prepared.segments], axis=1
+    )
+    parameters, robot = found.solution.parameters, found.robot_file.robot
+
+    def said(factor: float, apparent: float | None) -> list[str]:
+        limits = [one.model_copy(update={"torque": factor * (3 - n)}) for n, one in enumerate(robot.joints)]
+        rated = robot.model_copy(update={"joints": tuple(limits)})
+        return [one.name for one in weight_checks(rated, found.model, found.base, parameters, positions, apparent)]
+
+    assert said(30.0, 1.0) == []
+    assert said(0.1, 10.0) == ["implausible-load"]
+    assert said(1e4, 1e-3) == ["torque-far-below-limits"]
+    assert said(1e4, 1e3) == []

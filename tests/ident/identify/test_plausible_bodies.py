@@ -14,6 +14,7 @@ from random_arm import random_arm, recorded
 from daq.importers import ImportChoices, import_file
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
+from drivers.errors import RobotFileError
 from ident.assessment.arm_mass import arm_length, mass_of_size
 from ident.estimators.feasible.armature import armature_vector
 from ident.estimators.feasible.problem import COASTING, friction_rates
@@ -151,6 +152,18 @@ def test_what_the_file_says_against_the_data_is_named(name: str) -> None:
     said = [one.text for one in identify([recording(1, False)], [], QUICK, given).checks if one.name == CONTRADICTED]
     assert len(said) == 1
     assert f"known.{name}" in said[0]
+
+
+def test_what_no_data_fit_is_refused_with_what_they_say() -> None:
+    """A total mass of a tenth, which the same recording's bodies deny; a first moment may have either sign."""
+    content = yaml.safe_load(arm(1, False).text)
+    content["known"] = {"total_mass": 0.1 * float(masses(found(1, False)).sum())}
+    given = parse_robot(yaml.safe_dump(content), where="given", folder=None)
+    with pytest.raises(RobotFileError, match=r"no data fit known.total_mass = .* \(the data say about .* kg\)"):
+        identify([recording(1, False)], [], QUICK, given)
+    content["known"] = {"MX2": -1e-3}
+    given = parse_robot(yaml.safe_dump(content), where="given", folder=None)
+    assert identify([recording(1, False)], [], QUICK, given).consistent is not None
 
 
 @pytest.mark.realdata
