@@ -37,6 +37,9 @@ DENIED, EASED = 1e-3, 0.5
 """The robot file's values and ranges are compared with the data where bodies with them explain the data with a p-value
 below this; they are contradicted where the misfit without them is below this share."""
 
+BESIDE = 0.25
+"""Share of the largest deviation [σ] of a known value from the data below which another one is not named beside it."""
+
 
 @dataclass(frozen=True)
 class ConsistentParameters:
@@ -178,7 +181,9 @@ def _contradicted(
     names = [parameter.name for parameter in model.parameters]
     values = dict(zip(names, zip(free.values, free.std, strict=True), strict=True))
     numbers = {name: one.value for name, one in robot.known.items() if name in values and one.value is not None}
-    seen = [n for n, known in numbers.items() if abs(values[n][0] - known) > WITHIN_95_PERCENT * values[n][1]]
+    # A wrong value makes right ones look wrong, too, but less so.
+    beyond = {n: abs(values[n][0] - known) / values[n][1] for n, known in numbers.items() if values[n][1] > 0.0}
+    seen = [n for n, far in beyond.items() if far > max(WITHIN_95_PERCENT, BESIDE * max(beyond.values()))]
     stated = [f"known.{name}" for name in seen or (() if fit.limits_hit else numbers)]
     total = robot.known.get(TOTAL_MASS)
     if total is not None and total.value is not None and not seen:
