@@ -25,7 +25,7 @@ def import_recording(
     rate: float = typer.Option(None, "--rate", help="Rate [Hz] of a file without a time column."),
     time_unit: str = typer.Option(None, "--time-unit", help="Unit of the time column: s, ms, us or ns."),
     repair: list[str] = typer.Option(
-        [], "--repair", help="Repair to make: drop-nan, drop-duplicates, drop-repeats, sort."
+        [], "--repair", help="Repair to make: drop-nan, drop-duplicates, drop-repeats, opposite-torque, sort."
     ),
     by_order: bool = typer.Option(False, "--by-order", help="Match joints by their order, whatever their names."),
     comment: str = typer.Option("", "--comment", help="Your words, kept in the recording."),

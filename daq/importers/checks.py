@@ -8,7 +8,15 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.importers.assembly import ImportedSamples, rows
-from daq.importers.choices import DROP_DUPLICATES, DROP_NAN, DROP_REPEATS, SORT, TIME_UNITS, ImportChoices
+from daq.importers.choices import (
+    DROP_DUPLICATES,
+    DROP_NAN,
+    DROP_REPEATS,
+    OPPOSITE_TORQUE,
+    SORT,
+    TIME_UNITS,
+    ImportChoices,
+)
 from daq.importers.table import Note, printable
 from daq.importers.units import REVOLUTE
 from daq.recording.stale_samples import stale_samples
@@ -16,6 +24,7 @@ from drivers.errors import ImportFileError
 from drivers.ranges import SAMPLING_RATE
 from drivers.streams import FloatArray
 
+MOTOR_SIGNALS = ("torque", "current", "voltage")
 RESTART_RUN = 50
 """So many samples that rise in order, all before a stamp already passed, are a second run and not a late message."""
 
@@ -37,7 +46,7 @@ def check_samples(samples: ImportedSamples, choices: ImportChoices, where: str) 
     samples = _finite(samples, choices, where)
     samples = _rising(samples, choices, where)
     _plausible_rate(samples, choices, where)
-    return _fresh(samples, choices, where)
+    return _opposite(_fresh(samples, choices, where), choices)
 
 
 def sample_place(samples: ImportedSamples, index: int, where: str) -> str:
@@ -153,6 +162,19 @@ def _fresh(samples: ImportedSamples, choices: ImportChoices, where: str) -> Impo
     place = sample_place(samples, int(np.argmax(repeats)), "first")
     note = Note("info", f"{DROP_REPEATS}: {int(repeats.sum())} of {len(repeats)} samples left out, {place}")
     return replace(rows(samples, np.flatnonzero(~repeats)), notes=(*samples.notes, note))
+
+
+def _opposite(samples: ImportedSamples, choices: ImportChoices) -> ImportedSamples:
+    """With the other sign of all motor signals, where that repair was requested."""
+    if OPPOSITE_TORQUE not in choices.repair:
+        return samples
+    turned = {
+        name: replace(entry, values=-entry.values)
+        for name, entry in samples.quantities.items()
+        if name in MOTOR_SIGNALS
+    }
+    note = Note("warning", f"{OPPOSITE_TORQUE}: the sign of {', '.join(turned) or 'nothing'} was changed")
+    return replace(samples, quantities={**samples.quantities, **turned}, notes=(*samples.notes, note))
 
 
 def _plausible_rate(samples: ImportedSamples, choices: ImportChoices, where: str) -> None:

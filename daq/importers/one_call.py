@@ -37,7 +37,7 @@ def import_recording(
         effort: whether an array called `effort` is "torque" [N·m] or "current" [A].
         topic: of a bag.
         rate: of uniform stamps [Hz], for a file without a time column.
-        repair: of "drop-nan", "drop-duplicates", "drop-repeats" and "sort"; nothing is repaired unasked.
+        repair: of "drop-nan", "drop-duplicates", "drop-repeats", "opposite-torque" and "sort"; none is made unasked.
         by_order: take joints of other names in the file's order.
         time_unit: of the stamps: "s", "ms", "us" or "ns".
 

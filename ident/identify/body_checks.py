@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from daq.importers.choices import OPPOSITE_TORQUE
 from daq.robot.loader import RobotFile
 from drivers.errors import RobotFileError
 from drivers.percentage import percent_text
@@ -13,7 +15,8 @@ from drivers.streams import FloatArray
 from ident.assessment.arm_mass import ArmMass, arm_length, mass_of_size
 from ident.assessment.validation import fit_figures
 from ident.estimators.feasible.armature import ASSUMED
-from ident.estimators.feasible.consistent import ConsistentParameters
+from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
+from ident.estimators.feasible.problem import MASS
 from ident.identify.identification import Identification
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.urdf import urdf_inertias
@@ -59,8 +62,8 @@ def body_checks(
         consistent: what was found.
         whole: whether all joints moved and all torques were used; else they do not show the arm's mass.
     """
-    links = consistent.values[: len(INERTIAL) * len(model.joints)].reshape(-1, len(INERTIAL))
-    masses = links[:, INERTIAL.index("M")]
+    links = _links(consistent)
+    masses = links[:, MASS]
     apparent = consistent.apparent_mass if whole else None
     checks = _total_checks(mass_of_size(model), _urdf_mass(model, robot_file), apparent)
     checks += _link_checks(model, masses)
@@ -76,6 +79,45 @@ def body_checks(
     return checks
 
 
+def with_opposite_torques(identification: Identification, check: Check) -> Check:
+    """The check of torques that all have the opposite sign, with what a refit to −τ gives.
+
+    The parameters of −τ are the negative ones, so that only the consistent bodies are sought anew.
+    """
+    found, estimate = identification.consistent, identification.estimate
+    opposite = found_consistent(
+        identification.model, identification.base, replace(estimate, values=-estimate.values), identification.robot_file
+    )
+    if found is None or opposite is None:
+        return check
+    errors = found.fit.relative_error, _error(identification, -opposite.base)
+    masses = [_kilograms(float(_links(one)[:, MASS].sum())) for one in (found.parameters, opposite)]
+    text = (
+        f"{check.text}; with −τ the torque error of the consistent model falls from {percent_text(errors[0], 2)} to "
+        f"{percent_text(errors[1], 2)}, and its mass is {masses[1]} instead of {masses[0]}: import with --repair "
+        f"{OPPOSITE_TORQUE}"
+    )
+    return replace(check, text=text)
+
+
+def _error(identification: Identification, parameters: FloatArray) -> float:
+    """Relative torque error of base parameters on the identification data."""
+    model, columns = identification.model, identification.base.columns
+    runs = [run.prepared for run in identification.runs]
+    return fit_figures(
+        [
+            part
+            for run in runs
+            for part in compare_torques(model, columns, parameters, run.segments, run.parallel_filter)
+        ]
+    ).relative_error
+
+
+def _links(consistent: ConsistentParameters) -> FloatArray:
+    """(k, 10) standard parameters of the links."""
+    return consistent.values[: len(INERTIAL) * len(consistent.sources)].reshape(-1, len(INERTIAL))
+
+
 def refuse_denied(identification: Identification, checks: Sequence[Check]) -> None:
     """Refuse what a robot file says of links and joints where no data fit it, and nothing else is wrong.
 
@@ -87,15 +129,7 @@ def refuse_denied(identification: Identification, checks: Sequence[Check]) -> No
         return
     if any(check.name in OTHERWISE_WRONG for check in checks):
         return
-    model = identification.model
-    columns, without = identification.base.columns, found.parameters.without
-    error = fit_figures(
-        [
-            part
-            for run in identification.runs
-            for part in compare_torques(model, columns, without, run.prepared.segments, run.prepared.parallel_filter)
-        ]
-    ).relative_error
+    error = _error(identification, found.parameters.without)
     stated = found.fit.relative_error
     if stated > DENIED_FACTOR * error and stated - error > DENIED_RISE:
         raise RobotFileError(

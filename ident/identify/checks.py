@@ -28,7 +28,7 @@ from ident.estimators.energy.estimator import fits_energy_better
 from ident.estimators.estimator import Setup
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.estimators.torque_estimator import reduce_torques
-from ident.identify.body_checks import body_checks
+from ident.identify.body_checks import body_checks, with_opposite_torques
 from ident.identify.cutoff_search import cutoff_checks
 from ident.identify.identification import Identification
 from ident.identify.residual_bursts import burst_checks
@@ -215,7 +215,7 @@ def _weight_checks(identification: Identification) -> list[Check]:
 def _mistake_checks(identification: Identification) -> list[Check]:
     """Gravity, signs, columns, gains, lengths and zeros that fit the data better than those believed."""
     if identification.choices.estimator.equations == "torque":
-        return mistake_checks(
+        found = mistake_checks(
             identification.model,
             identification.experiment,
             identification.base,
@@ -223,6 +223,7 @@ def _mistake_checks(identification: Identification) -> list[Check]:
             _by_joint(identification, identification.reduction),
             identification.corrected.effective_rows,
         )
+        return [with_opposite_torques(identification, one) if one.name == "torques-opposite" else one for one in found]
     opposite = np.any(identification.model.gravity) and _fits_opposite_gravity(identification)
     return [opposite_gravity()] if opposite else []
 

@@ -278,7 +278,7 @@ _MODEL = (
         "serious",
         ALL,
         "all torques have the opposite sign",
-        "Change the sign of all drive gains, or of the torque columns.",
+        "Change the sign of all drive gains, or import with --repair opposite-torque.",
     ),
     CheckKind(
         "positions-opposite",

@@ -197,3 +197,12 @@ def test_doubts_are_recorded(tmp_path: Path, robot: RobotFile) -> None:
     assert "velocity is not the change of position" in text
     path = write_npz(tmp_path, arrays)
     assert "were they in radians already?" in messages(import_file(path, robot, ImportChoices(degrees=True)))
+
+
+def test_the_sign_of_all_torques_is_changed_when_asked_for(tmp_path: Path, robot: RobotFile) -> None:
+    arrays = samples(20)
+    path = write_npz(tmp_path, arrays | {"torque": 3.0 * arrays["q"]})
+    recording = import_file(path, robot, ImportChoices(repair=frozenset({"opposite-torque"})))
+    np.testing.assert_array_equal(content(recording)["torque"], -3.0 * arrays["q"])
+    np.testing.assert_array_equal(content(recording)["position"], arrays["q"])
+    assert "warning: opposite-torque: the sign of torque, current was changed" in messages(recording)

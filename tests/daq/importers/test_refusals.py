@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from three_links import make_robot
 
 from daq.importers import SUPPORTED, ImportChoices, import_file
+from daq.importers.choices import REPAIRS
 from daq.robot.loader import RobotFile
 from drivers.errors import ImportFileError, InputError, UsageError
 
@@ -350,7 +351,7 @@ def test_any_arrays_are_refused_in_our_words(data: st.DataObject) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.npz"
         np.savez(path, **arrays)  # type: ignore[arg-type]
-        repair = frozenset(data.draw(st.sets(st.sampled_from(["sort", "drop-nan", "drop-duplicates", "drop-repeats"]))))
+        repair = frozenset(data.draw(st.sets(st.sampled_from(list(REPAIRS)))))
         accept_or_refuse(path, ImportChoices(effort="torque", repair=repair))
 
 
