@@ -17,7 +17,7 @@ deviation of a factor of 2.2; the arms lie between 0.17 (WidowX 250) and 4.0 (TX
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -63,9 +63,13 @@ class ArmMass:
 
 
 def mass_of_size(model: DynamicModel) -> ArmMass | None:
-    """The mass of an arm as long as this one; None where its frames have no length."""
-    length = arm_length(model)
-    return mass_of_length(length, part_of_arm(model)) if length > 0.0 else None
+    """The mass of an arm of this length, at most with what slides drawn out; None where its frames have no length."""
+    length, part = arm_length(model), part_of_arm(model)
+    if not length > 0.0:
+        return None
+    ranges = [limits.position for limits, slides in zip(model.limits, model.sliding, strict=True) if slides]
+    travel = sum(high - low for low, high in ranges)
+    return replace(mass_of_length(length, part), most=mass_of_length(length + travel, part).most)
 
 
 def mass_of_length(length: float, part: bool) -> ArmMass:
