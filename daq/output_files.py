@@ -282,6 +282,27 @@ def _new_folder(folder: Path, texts: Mapping[str, str]) -> None:
         raise _refused(error, path) from error
 
 
+_together: dict[Path, str] | None = None
+
+
+@contextmanager
+def written_together() -> Iterator[None]:
+    """Let the files that `replace_files` is given within the context be written at its end: all, or none on an error.
+
+    Raises:
+        UsageError, DiskError: as `replace_files`, at the end.
+    """
+    global _together
+    _together = {}
+    try:
+        yield
+        texts, _together = _together, None
+        if texts:
+            replace_files(texts)
+    finally:
+        _together = None
+
+
 def replace_files(texts: Mapping[Path, str]) -> None:
     """Write text files as UTF-8, all of them or none: an error before the end leaves the old ones.
 
@@ -296,6 +317,9 @@ def replace_files(texts: Mapping[Path, str]) -> None:
     for path in texts:
         if path.is_dir():
             raise UsageError("cannot be written: it is a folder", where=str(path))
+    if _together is not None:
+        _together.update(texts)
+        return
     unfinished: dict[Path, Path] = {}
     path = next(iter(texts))
     with only_writer(texts):

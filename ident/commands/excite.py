@@ -54,7 +54,7 @@ def excite(
     Example: dynid excite ur5e -o traj.yaml --periods 3 --page traj.html
     """
     from daq.commands.console import print_json, progress_line
-    from daq.output_files import check_outputs
+    from daq.output_files import check_outputs, written_together
     from daq.robot.loader import load_robot
     from ident.commands.options import names_option
     from ident.result.model import result_path
@@ -85,10 +85,11 @@ def excite(
             earlier=None if earlier is None else load_trajectory(earlier, robot),
             progress=lambda result: progress(search_state(result, criterion)),
         )
-        trajectory.save(out)
-        if page is not None:
-            progress("page")
-            trajectory.page(page)
+        with written_together():
+            trajectory.save(out)
+            if page is not None:
+                progress("page")
+                trajectory.page(page)
     if as_json:
         print_json(_object(trajectory, out, page))
         return

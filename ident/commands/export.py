@@ -38,7 +38,7 @@ def export(
     from typing import cast
 
     from daq.commands.console import print_json, progress_line
-    from daq.output_files import check_outputs
+    from daq.output_files import check_outputs, written_together
     from drivers.errors import UsageError
     from ident.export.c_code.names import source_paths
     from ident.result.delivered import Parameters
@@ -54,7 +54,7 @@ def export(
         raise UsageError("--into needs --urdf, the file to write")
     check_outputs(targets, [result_path(model), into], overwrite=force)
     exports = []
-    with progress_line(quiet=as_json) as progress:
+    with progress_line(quiet=as_json) as progress, written_together():
         progress("model")
         identified = load_model(model, cast(Parameters | None, parameters))
         if urdf is not None:

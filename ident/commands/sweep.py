@@ -33,7 +33,7 @@ def sweep_velocities(
     from dataclasses import asdict
 
     from daq.commands.console import print_json, print_table, progress_line
-    from daq.output_files import check_outputs
+    from daq.output_files import check_outputs, written_together
     from daq.robot.loader import load_robot
     from drivers.units import common_unit
     from ident.commands.options import names_option
@@ -53,10 +53,11 @@ def sweep_velocities(
             speeds=speeds,
             prior=prior_file,
         )
-        motion.save(out)
-        if page is not None:
-            progress("page")
-            motion.page(page)
+        with written_together():
+            motion.save(out)
+            if page is not None:
+                progress("page")
+                motion.page(page)
     if as_json:
         print_json(
             {

@@ -27,6 +27,7 @@ from daq.output_files import (
     unfinished_name,
     with_hashes,
     write_folder,
+    written_together,
 )
 from drivers.errors import DiskError, UsageError
 
@@ -156,6 +157,26 @@ def test_neither_a_link_nor_a_second_name_is_written_through(tmp_path: Path):
     assert mine.read_text() == "mine"
     assert link.read_text() == second.read_text() == "new"
     assert not link.is_symlink()
+
+
+def test_files_of_several_steps_are_written_at_their_end_or_not_at_all(tmp_path: Path):
+    first, second = tmp_path / "arm.urdf", tmp_path / "arm.c"
+
+    def half() -> None:
+        with written_together():
+            replace_files({first: "new"})
+            raise UsageError("is no covariance")
+
+    with pytest.raises(UsageError, match="no covariance"):
+        half()
+    assert list(tmp_path.iterdir()) == []
+    with written_together():
+        replace_files({first: "new"})
+        replace_files({second: "new"})
+        assert list(tmp_path.iterdir()) == []
+    assert contents(tmp_path) == {"arm.urdf": "new", "arm.c": "new"}
+    replace_files({first: "newer"})
+    assert first.read_text() == "newer"
 
 
 def contents(folder: Path) -> dict[str, str]:
