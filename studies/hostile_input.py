@@ -249,7 +249,7 @@ CLASSES = (
                 text(URDF.replace("<collision>", "<collision></collision>" * 200_000 + "<collision>")),
             ),
         ],
-        ("URDF",),
+        ("URDF", "mesh"),
     ),
     HostileClass(
         "absurd numbers",
