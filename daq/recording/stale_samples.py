@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from daq.recording.quantisation import quantisation_step
+from daq.recording.quantisation import resolution
 from daq.recording.recording import JOINTS_STREAM, Recording, Stream
 from daq.recording.signal_quality import white_noise
 from drivers.streams import FloatArray
@@ -62,8 +62,6 @@ MOST_STUCK = 0.5
 
 _WINDOW = 3
 _AROUND = 5
-_ROUNDING = 1e-9  # of the largest value: what a change of units or of coordinates leaves
-_SMALL = 0.1
 
 BoolArray = npt.NDArray[np.bool_]
 Evidence = Literal["velocity", "target", "jump"]
@@ -121,7 +119,7 @@ def stale_samples(time: FloatArray, joints: tuple[str, ...], measured: Mapping[s
     none = np.zeros(len(time), dtype=np.bool_)
     if len(time) < 4 * _AROUND or not np.all(np.diff(time) >= 0) or not np.all(np.isfinite(position)):
         return StaleSamples(none, none, none, ())
-    steps = np.array([_step(column) for column in position.T])
+    steps = np.array([resolution(column) for column in position.T])
     rows = _repeated(position, steps)
     others = [measured[name] for name in MEASURED if name != "position" and name in measured]
     same = np.ones(len(time), dtype=np.bool_)
@@ -163,16 +161,6 @@ def fresh_recording(recording: Recording) -> tuple[Recording, StaleSamples | Non
     channels = {name: replace(channel, values=channel.values[rows]) for name, channel in stream.channels.items()}
     fresh = replace(stream, time=stream.time[rows], host_time=stream.host_time[rows], channels=channels)
     return replace(recording, streams={**recording.streams, JOINTS_STREAM: fresh}), stale
-
-
-def _step(column: FloatArray) -> float:
-    """Resolution of a position (N,): its grid, else what few of its changes are below; inf where it never changes."""
-    step = quantisation_step(column)
-    if np.isfinite(step):
-        return step
-    changes = np.abs(np.diff(column))
-    changes = changes[changes > _ROUNDING * float(np.max(np.abs(column), initial=0.0))]
-    return float(np.quantile(changes, _SMALL)) if len(changes) else np.inf
 
 
 def _repeated(position: FloatArray, steps: FloatArray) -> BoolArray:

@@ -77,9 +77,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     several = len(recordings) > 1
     checks = [check for one in recordings for check in recording_checks(one, label=one.label if several else "")]
     torque = np.concatenate([run.signals.torque for run in identification.runs])
-    levels = torque_level_checks(identification.robot_file.robot, identification.model, torque) or _weight_checks(
-        identification
-    )
+    levels = torque_level_checks(identification.robot_file.robot, identification.model, torque)
     checks += levels
     checks += delay_checks(identification.delay)
     checks += cutoff_checks(identification.lowered)
@@ -102,17 +100,18 @@ def identification_checks(identification: Identification, recordings: Sequence[R
             "of random poses; that of the physically consistent ones is everywhere"
         )
         checks.append(raised("indefinite-inertia", text))
+    # Wrong data have a wrong weight, too.
+    named = any(check.severity == "serious" for check in checks if check not in levels)
     consistent = identification.consistent
     checks += consistency_checks(
         identification.model.link_names,
         None if consistent is None else consistent.parameters,
         None if consistent is None else (identification.fit.relative_error, consistent.fit.relative_error),
     )
+    checks += [] if named or levels else _weight_checks(identification)
     if consistent is not None:
         whole = identification.experiment == whole_arm(identification.model)
         bodies = body_checks(identification.model, identification.robot_file, consistent.parameters, whole=whole)
-        # Wrong data have a wrong mass, too.
-        named = any(check.severity == "serious" for check in checks if check not in levels)
         checks += [check for check in bodies if not (named and check.name == "implausible-mass")]
     return checks + residual_checks(identification.residual_tests, identification.model.joint_names)
 
