@@ -231,10 +231,14 @@ def _idle_joint_checks(identification: Identification) -> list[Check]:
     """Joints that rest most of the time under dry friction."""
     base, model = identification.base, identification.model
     coulomb, deviation = np.zeros(model.dof), np.full(model.dof, np.inf)
+    # Static friction of rests differs from run to run: that it does is no reason to doubt that there is friction.
+    corrected = identification.corrected
+    std = np.sqrt(np.diag(corrected.covariance if corrected.within is None else corrected.within))
+    within = dict(zip(identification.solution.active, std.tolist(), strict=True))
     for i, (kind, joint) in enumerate(zip(base.kinds, base.joints, strict=True)):
         if kind == "coulomb" and joint in model.active and i in identification.solution.active:
             row = model.active.index(joint)
-            coulomb[row], deviation[row] = identification.solution.parameters[i], identification.std[i]
+            coulomb[row], deviation[row] = identification.solution.parameters[i], within[i]
     return idle_joint_checks(
         model.joint_names,
         model.sliding,

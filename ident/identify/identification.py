@@ -308,7 +308,10 @@ class Identification:
     @property
     def estimate(self) -> Estimate:
         """Values and covariance, for merging."""
-        return estimate_of(self.estimation.reduction, self.solution, self.corrected.covariance, self.corrected.blocks)
+        corrected = self.corrected
+        return estimate_of(
+            self.estimation.reduction, self.solution, corrected.covariance, corrected.blocks, corrected.within
+        )
 
     @property
     def residual_tests(self) -> list[ResidualTests]:

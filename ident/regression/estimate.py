@@ -30,6 +30,7 @@ class Estimate:
         taken_up: (a, b − a) how much of each base parameter without a value each estimated one absorbs, since the data
             confound them.
         blocks: of the jackknife behind the covariance.
+        within: (a, a) covariance without what changes between runs, where `covariance` holds that, too; else None.
     """
 
     active: tuple[int, ...]
@@ -38,6 +39,7 @@ class Estimate:
     covariance: FloatArray
     taken_up: FloatArray
     blocks: int
+    within: FloatArray | None = None
 
     def combinations(self, projection: FloatArray) -> FloatArray:
         """What the values are values of (a, k), from that (b, k) of all base parameters of the experiment."""
@@ -45,7 +47,13 @@ class Estimate:
         return np.asarray(projection[list(self.active)] + self.taken_up @ projection[others])
 
 
-def estimate_of(reduction: Reduction, solution: LeastSquares, covariance: FloatArray, blocks: int) -> Estimate:
+def estimate_of(
+    reduction: Reduction,
+    solution: LeastSquares,
+    covariance: FloatArray,
+    blocks: int,
+    within: FloatArray | None = None,
+) -> Estimate:
     """The estimate that belongs to a solution.
 
     Args:
@@ -53,6 +61,7 @@ def estimate_of(reduction: Reduction, solution: LeastSquares, covariance: FloatA
         solution: of it.
         covariance: (a, a) corrected.
         blocks: of its jackknife.
+        within: (a, a) the same without what changes between runs; None where that is all of it.
     """
     active = list(solution.active)
     factor = reduction.stacked(solution.weights)[:, : reduction.column_count]
@@ -65,6 +74,7 @@ def estimate_of(reduction: Reduction, solution: LeastSquares, covariance: FloatA
         covariance=covariance,
         taken_up=_taken_up(factor, active, excited_columns(reduction)),
         blocks=blocks,
+        within=within,
     )
 
 

@@ -54,6 +54,7 @@ class CorrectedCovariance:
         random_std: (a,) σ by the jackknife alone, where `covariance` holds more (`systematic_errors`); else None.
         repeatability: (a,) σ of friction between runs, part of `covariance` (`repeatability`); nan of bodies, None
             where it is not known.
+        within: (a, a) covariance without what changes between runs, where `covariance` holds that, too; else None.
     """
 
     covariance: FloatArray
@@ -64,6 +65,7 @@ class CorrectedCovariance:
     repetitions: float
     random_std: FloatArray | None = None
     repeatability: FloatArray | None = None
+    within: FloatArray | None = None
 
 
 @dataclass(frozen=True)

@@ -157,7 +157,9 @@ def with_repeatability(
     )
     between = np.full(len(active), np.nan)
     between[friction] = std
-    return replace(corrected, covariance=corrected.covariance + added, repeatability=between)
+    return replace(
+        corrected, covariance=corrected.covariance + added, repeatability=between, within=corrected.covariance
+    )
 
 
 def _sums(

@@ -221,9 +221,11 @@ def bounded_precision(estimate: Estimate) -> Estimate:
     """The estimate, its torques no more exact than autocorrelated residuals leave them, or `PRECISION` of their size.
 
     The factor behind an estimate counts every residual as independent; its covariance, corrected by the jackknife, says
-    what they are worth. Otherwise a prior would fade as the sampling rate grows.
+    what they are worth. Otherwise a prior would fade as the sampling rate grows. Friction that changes between runs
+    says nothing of the torques' precision: all bodies would follow their prior for it.
     """
-    covariance = np.where(np.isfinite(estimate.covariance), estimate.covariance, 0.0)
+    covariance = estimate.covariance if estimate.within is None else estimate.within
+    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
     spread = estimate.root @ covariance @ estimate.root.T
     inflation = float(np.trace(spread)) / max(1, len(spread))
     root = estimate.root / np.sqrt(max(1.0, inflation))

@@ -84,6 +84,7 @@ def merge_results(
     model = inputs[0].stored.model
     informations = [source.information for source in inputs]
     merged = merge(informations, identifiable_columns(informations, range(base.count)))
+    within = merged.covariance
     merged, between = _with_repeatability(base, inputs, merged)
     std = np.full(base.count, np.inf)
     std[list(merged.solution.active)] = np.sqrt(np.diag(merged.covariance))
@@ -97,7 +98,7 @@ def merge_results(
         essential,
         threshold,
     )
-    result, consistent = _result(model, base, inputs, merged, std, between, pruned, essential, threshold)
+    result, consistent = _result(model, base, inputs, merged, within, std, between, pruned, essential, threshold)
     whole = base.count == base_parameters(model).count
     bodies = [] if consistent is None else body_checks(model, inputs[0].stored.robot_file, consistent, whole=whole)
     checks = [*result.verdict.checks, *consistency_checks(model.link_names, consistent), *bodies]
@@ -143,6 +144,7 @@ def _result(
     base: BaseParameters,
     inputs: Sequence[MergeInput],
     merged: MergedEstimate,
+    within: FloatArray,
     std: FloatArray,
     between: FloatArray | None,
     pruned: Pruned,
@@ -161,6 +163,7 @@ def _result(
         covariance=merged.covariance,
         taken_up=merged.taken_up,
         blocks=min(source.information.blocks for source in inputs),
+        within=within,
     )
     residuals = _residuals(inputs)
     robot_file = inputs[0].stored.robot_file
