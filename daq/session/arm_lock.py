@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
-from contextlib import contextmanager
+import ipaddress
+import os
+import socket
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 
 from daq.robot.schema import Robot
 from daq.session.connections import connection_keys, connection_names
 from drivers.errors import MotionRefusedError
 from drivers.lock_file import held_lock
+from drivers.rtde.protocol import PORT
 
-_PLACE = ("host", "port", "interface", "channel", "url")
-"""Keys that tell where an arm is."""
 _WITHIN_A_PROCESS = "virtual"
 """python-can's interface that no other program can reach."""
+_THIS_COMPUTER = ("127.0.0.1", "::1", "0.0.0.0", "::")
+"""Addresses of one arm; simulated ones have 127.0.0.2 and so on."""
 
 
 @contextmanager
 def only_mover(robot: Robot, wire: str | None = None, host: str | None = None) -> Iterator[None]:
     """Hold the lock on the arm at the end of a connection; the system releases it when this program dies.
 
-    A connection that does not say where its arm is, and computers without `flock`, have no lock.
+    However its place is spelled: a host is locked by each of its addresses, a serial port by its file. A connection
+    that does not say where its arm is, and computers without `flock`, have no lock.
 
     Args:
         robot: names the connections.
@@ -33,17 +37,45 @@ def only_mover(robot: Robot, wire: str | None = None, host: str | None = None) -
         UsageError: no such connection.
     """
     name = connection_names(robot, wire)[0]
-    keys = {key: value for key, value in connection_keys(robot, name).items() if key in _PLACE}
+    keys = connection_keys(robot, name)
     if host is not None:
         keys["host"] = host
-    if not keys or keys.get("interface") == _WITHIN_A_PROCESS:
+    places = _places(keys)
+    with ExitStack() as held:
+        for place in places:
+            if not held.enter_context(held_lock(place)):
+                raise MotionRefusedError(
+                    "another program on this computer moves this arm", where=place, hint="wait until it has ended"
+                )
         yield
-        return
-    place = ", ".join(str(value) for value in keys.values())
-    text = json.dumps([robot.connections[name].driver, keys], sort_keys=True, default=str)
-    with held_lock(text) as alone:
-        if not alone:
-            raise MotionRefusedError(
-                "another program on this computer moves this arm", where=place, hint="wait until it has ended"
-            )
-        yield
+
+
+def _places(keys: Mapping[str, object]) -> list[str]:
+    """Where a connection's keys say that an arm is, in one spelling; several for a host with several addresses."""
+    if (host := keys.get("host")) is not None:
+        return [f"{address}, port {keys.get('port') or PORT}" for address in sorted(_addresses(str(host)))]
+    if (channel := keys.get("channel")) is not None and keys.get("interface") != _WITHIN_A_PROCESS:
+        return [f"{keys.get('interface')} {_bus(str(channel))}"]
+    return [str(keys["url"])] if keys.get("url") is not None else []
+
+
+def _addresses(host: str) -> set[str]:
+    """A host's addresses; its name where it has none, `localhost` for this computer's usual two."""
+    name = host.strip().rstrip(".").casefold()
+    try:
+        found = {str(entry[4][0]) for entry in socket.getaddrinfo(name, None, type=socket.SOCK_STREAM)}
+    except (OSError, ValueError):  # not known, or no name at all: opening the connection says so
+        return {name}
+    addresses = {ipaddress.ip_address(address) for address in found}
+    plain = {getattr(address, "ipv4_mapped", None) or address for address in addresses}
+    return {"localhost" if str(address) in _THIS_COMPUTER else str(address) for address in plain}
+
+
+def _bus(channel: str) -> str:
+    name = channel.strip().partition("@")[0]  # python-can's rate of a serial port follows
+    if "/" in name:
+        return os.path.realpath(name)
+    try:
+        return str(ipaddress.ip_address(name))
+    except ValueError:
+        return name

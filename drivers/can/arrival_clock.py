@@ -12,6 +12,7 @@ from drivers.clock import Clock
 _STAMPED_BY_CLOCK = frozenset({"SocketcanBus", "UdpMulticastBus", "VirtualBus"})
 _CLOCK_CHECK = 0.1
 _OLDEST = 1.0
+_JITTER = 1e-3
 
 
 class ArrivalClock:
@@ -26,16 +27,23 @@ class ArrivalClock:
         self._clock = clock
         self._stamped = type(bus).__name__ in _STAMPED_BY_CLOCK
         self._offset, self._checked = 0.0, -math.inf
+        self._last = -math.inf
 
     def arrived(self, message: can.Message) -> float:
-        """Arrival [s, the host's monotonic clock], from the frame's own stamp where it is the clock of day."""
+        """Arrival [s, the host's monotonic clock], from the frame's own stamp where it is the clock of day.
+
+        It never runs back, also where the clock of day is set meanwhile.
+        """
         now = self._clock.now()
         if not self._stamped:
             return now
-        if now - self._checked > _CLOCK_CHECK:
-            self._offset, self._checked = _clock_offset(self._clock), now
         arrived = message.timestamp - self._offset
-        return arrived if now - _OLDEST < arrived <= now else now
+        if now - self._checked > _CLOCK_CHECK or not self._last <= arrived <= now:
+            self._offset, self._checked = _clock_offset(self._clock), now
+            arrived = message.timestamp - self._offset
+        plausible = max(now - _OLDEST, self._last - _JITTER) < arrived <= now
+        self._last = max(arrived, self._last) if plausible else now
+        return self._last
 
 
 def _clock_offset(clock: Clock) -> float:
