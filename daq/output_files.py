@@ -74,6 +74,17 @@ def only_writer(files: Iterable[Path]) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def left_to_others() -> Iterator[None]:
+    """Outputs that are checked in this context are not this process's own: a command that it starts writes them."""
+    global _until_the_command_ends
+    own, _until_the_command_ends = _until_the_command_ends, None
+    try:
+        yield
+    finally:
+        _until_the_command_ends = own
+
+
 def _claim(files: Iterable[Path]) -> None:
     if _until_the_command_ends is not None:
         _until_the_command_ends.enter_context(only_writer(files))

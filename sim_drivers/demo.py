@@ -12,7 +12,7 @@ import numpy as np
 
 from daq.commands.console import print_json, print_table
 from daq.motion.trajectory_file import dump_trajectory, load_trajectory
-from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder, replace_files
+from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder, left_to_others, replace_files
 from daq.recording.reader import read_recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.errors import UsageError, WorkError
@@ -114,7 +114,10 @@ def run_demo(
     if not 2.0 <= duration <= 3600.0:
         raise UsageError(f"--duration {duration:g} s is not between 2 s and an hour")
     robot_file = load_robot(robot)
-    check_output_folder(folder, FILES, robot_file.files, overwrite=overwrite)
+    own = [name for name in FILES if not name.endswith(".h5")]
+    check_output_folder(folder, own, robot_file.files, overwrite=overwrite)
+    with left_to_others():  # `dynid record` makes them
+        check_output_folder(folder, [name for name in FILES if name not in own], robot_file.files, overwrite=overwrite)
     if not any(connection.driver == "rtde" for connection in robot_file.robot.connections.values()):
         raise UsageError(f"{robot} has no RTDE connection", hint="the demonstration works with ur5e, ur10 and ur10e")
     model = build_model(robot_file)

@@ -18,6 +18,7 @@ from daq.output_files import (
     check_output_folder,
     check_outputs,
     intended_name,
+    left_to_others,
     only_writer,
     outputs_of_a_command,
     replace_files,
@@ -30,6 +31,7 @@ from daq.output_files import (
     written_together,
 )
 from drivers.errors import DiskError, UsageError
+from drivers.lock_file import held_lock
 
 
 def hard_link(path: Path, other: Path) -> None:
@@ -332,3 +334,14 @@ def test_an_unfinished_file_says_whose_place_it_was_to_take(tmp_path: Path, name
     assert intended_name(path) == path
     if len(name) < 48:
         assert {intended_name(beside) for beside in found} == {path}
+
+
+def test_what_a_command_leaves_to_another_one_can_be_written_by_it(tmp_path: Path) -> None:
+    """As `dynid demo` leaves its recordings to the `dynid record` that it starts."""
+    with outputs_of_a_command():
+        with left_to_others():
+            check_outputs([tmp_path / "run.h5"], overwrite=False)
+        check_outputs([tmp_path / "report.html"], overwrite=False)
+        for name, free in (("run.h5", True), ("report.html", False)):
+            with held_lock(f"output {os.path.realpath(tmp_path / name)}") as held:
+                assert held == free
