@@ -50,12 +50,11 @@ MARGIN = 0.2
 STARTS = 1
 """Of the excitation's design: the first start already comes within a tenth of the best of many."""
 
-FILES = (
-    *(f"{name}.{kind}" for name in ("identification", "validation") for kind in ("yaml", "h5")),
-    RESULT_FILE,
-    REPORT_FILE,
-)
-"""What the demonstration writes into its folder."""
+RECORDINGS = ("identification.h5", "validation.h5")
+"""What the `dynid record` that the demonstration starts writes into its folder."""
+
+FILES = ("identification.yaml", "validation.yaml", RESULT_FILE, REPORT_FILE)
+"""What the demonstration itself writes there."""
 
 
 @dataclass(frozen=True)
@@ -114,10 +113,9 @@ def run_demo(
     if not 2.0 <= duration <= 3600.0:
         raise UsageError(f"--duration {duration:g} s is not between 2 s and an hour")
     robot_file = load_robot(robot)
-    own = [name for name in FILES if not name.endswith(".h5")]
-    check_output_folder(folder, own, robot_file.files, overwrite=overwrite)
-    with left_to_others():  # `dynid record` makes them
-        check_output_folder(folder, [name for name in FILES if name not in own], robot_file.files, overwrite=overwrite)
+    check_output_folder(folder, FILES, robot_file.files, overwrite=overwrite)
+    with left_to_others():
+        check_output_folder(folder, RECORDINGS, robot_file.files, overwrite=overwrite)
     if not any(connection.driver == "rtde" for connection in robot_file.robot.connections.values()):
         raise UsageError(f"{robot} has no RTDE connection", hint="the demonstration works with ur5e, ur10 and ur10e")
     model = build_model(robot_file)

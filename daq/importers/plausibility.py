@@ -74,7 +74,7 @@ def _check_positions(
         excess = np.maximum(values - high, low - values)
         worst = int(excess.argmax())
         if limits.name in sliding:
-            if other_unit(samples.time, values, limits, sliding=True):
+            if other_unit(samples.time, values, limits):
                 raise ImportFileError(
                     f"position {values[worst]:.4g} m is far outside the joint's limits; it looks like mm",
                     where=f"{sample_place(samples, worst, where)}, joint {limits.name}",

@@ -18,7 +18,7 @@ SKIP_TIME = 0.01
 """Overdue positions that are skipped, at most, and the time [s] that they may take beyond the first. Where a stall left
 more, the arm was held meanwhile: the motion goes on from rest, where it was."""
 UNHELD_STALL_LIMIT = 0.0
-"""The same, beyond positions that are skipped, for an arm that nobody holds where commands pause."""
+"""The same, beyond positions that are skipped, for an arm that is not held where commands pause."""
 KEPT_UP, BEHIND, SLOW = 25, 0.25, 0.004
 """A motion ends where more than this share of about so many positions took longer than a period, and than so long [s],
 to send: the bus does not carry them, and what the arm makes of them is no longer the motion that was checked."""

@@ -108,22 +108,22 @@ def _check_time(time: FloatArray) -> None:
 
 
 def _check_units(robot_file: RobotFile, time: FloatArray, values: Mapping[str, FloatArray]) -> None:
-    sliding = robot_file.prismatic_joints
     position = values["position"]
     for limits, column in zip(robot_file.robot.joints, position.T, strict=True):
-        unit = other_unit(time, column, limits, sliding=limits.name in sliding)
+        unit = other_unit(time, column, limits)
         if unit is not None:
             raise _refusal(
                 "position",
-                f"reaches {np.abs(column).max():.4g} {'m' if unit == 'mm' else 'rad'} at joint {limits.name}, whose "
+                f"reaches {np.abs(column).max():.4g} {limits.unit('rad')} at joint {limits.name}, whose "
                 f"limits are {list(limits.position)} and {limits.velocity:g} per second: these are {unit}",
                 "give metres" if unit == "mm" else "give numpy.deg2rad(position)",
             )
     if "velocity" not in values:
         return
     ratios = displacement_ratios(time, position, values["velocity"])
-    for name, ratio in zip(robot_file.robot.joint_names, ratios, strict=True):
-        if ratio is None or name in sliding:
+    for limits, ratio in zip(robot_file.robot.joints, ratios, strict=True):
+        name = limits.name
+        if ratio is None or limits.sliding:
             continue
         for expected, wrong, other in ((DEGREES, "position", "velocity"), (1 / DEGREES, "velocity", "position")):
             if near(ratio, expected):

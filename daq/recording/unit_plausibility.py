@@ -33,23 +33,22 @@ def beyond_reach(position: FloatArray, limits: tuple[float, float]) -> bool:
     return bool(np.abs(position).max() > max(abs(limits[0]), abs(limits[1])) + 2 * math.pi)
 
 
-def other_unit(time: FloatArray, position: FloatArray, limits: JointLimits, *, sliding: bool) -> str | None:
+def other_unit(time: FloatArray, position: FloatArray, limits: JointLimits) -> str | None:
     """The unit that a joint's positions are in by its limits, "degrees" or "mm"; None where rad or m can be right.
 
     Args:
         time: (N,) [s], rising.
         position: (N,) of the joint.
         limits: of the joint.
-        sliding: whether it slides.
     """
-    if sliding:
+    if limits.sliding:
         far = float(np.abs(position).max(initial=0.0)) > BEYOND_TRAVEL * max(abs(limit) for limit in limits.position)
     else:
         far = bool(len(position)) and beyond_reach(position, limits.position)
     way, passed = np.abs(position[_APART:] - position[:-_APART]), time[_APART:] - time[:-_APART]
     speeds = way[passed > 0] / passed[passed > 0]
     fast = len(speeds) > 0 and float(np.quantile(speeds, FASTEST)) > BEYOND_SPEED * limits.velocity
-    return ("mm" if sliding else "degrees") if far or fast else None
+    return ("mm" if limits.sliding else "degrees") if far or fast else None
 
 
 def near(ratio: float, expected: float) -> bool:

@@ -142,14 +142,13 @@ def unit_checks(recording: Recording, of: str = "") -> list[Check]:
     stream = recording.streams.get(JOINTS_STREAM)
     if not recording.robot_text or stream is None or "position" not in stream.channels:
         return []
-    robot_file, position = recording.robot(), stream.channels["position"]
+    position = stream.channels["position"]
     found: dict[str, list[str]] = {}
-    for limits in robot_file.robot.joints:
+    for limits in recording.robot().robot.joints:
         if limits.name in position.columns:
             column = position.values[:, position.columns.index(limits.name)]
             known = np.isfinite(column)
-            sliding = limits.name in robot_file.prismatic_joints
-            unit = other_unit(stream.time[known], column[known], limits, sliding=sliding)
+            unit = other_unit(stream.time[known], column[known], limits)
             if unit is not None:
                 found.setdefault(unit, []).append(limits.name)
     return [

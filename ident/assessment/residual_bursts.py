@@ -1,4 +1,4 @@
-"""Short stretches in which the torque leaves the model by far: contacts, collisions, a cable, a hand on the arm.
+"""Short times in which the torque leaves the model by far: contacts, collisions, a cable, a hand on the arm.
 
 A model that lacks something leaves residuals that grow and fall with the motion. A contact leaves a burst of some
 tenths of a second, in several joints at once. So windows are compared with what this recording's other windows are
@@ -49,7 +49,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Burst:
-    """A stretch of large residuals, by its first and last stamp [s] in its recording's clock."""
+    """A time of large residuals, by its first and last stamp [s] in its recording's clock."""
 
     start: float
     stop: float

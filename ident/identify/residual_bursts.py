@@ -21,10 +21,10 @@ MOST_SHOWN = 6
 """Stretches that the sentence lists."""
 
 SUSPECT = 3.0
-"""Robust σ from which on a stretch is left out for a trial; noise alone reaches 3.5."""
+"""Robust σ from which on a window is left out for a trial; noise alone reaches 3.5."""
 
 CONFIRMED = 5.0
-"""The same for a burst, over the residuals of the fit without the suspect stretches. Recordings without a contact reach
+"""The same for a burst, over the residuals of the fit without the suspect windows. Recordings without a contact reach
 3.8 (3 real arms, 7 built-in and 12 random ones), contacts of half a second that put half of a joint's usual torque on
 all joints 5.8 (UR10) and more."""
 
@@ -35,7 +35,7 @@ LEAST_ERROR = 0.005
 """Relative error of fit and validation below which bursts do not matter: without noise, rounding comes in bursts."""
 
 ROBUST = ("irls", "iirls")
-"""Methods that weigh such stretches down by themselves."""
+"""Methods that weigh bursts down by themselves."""
 
 
 def burst_checks(identification: Identification) -> list[Check]:
