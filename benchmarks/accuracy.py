@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.arm import PERIOD, arm, true_parameters
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.linear_algebra.triangular import GRAM_CONDITION_LIMIT, GramAccumulator
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.robot.loader import load_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.parameters import INERTIAL
 from ident.model.pinocchio_model import PINOCCHIO_ORDER

@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.timing import medians
 from daq.robot.loader import load_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.feasible.consistent import consistent_parameters
 from ident.estimators.feasible.pseudo_inertia import BASIS
 from ident.model.base_parameters import base_parameters, random_states

@@ -11,7 +11,7 @@ from benchmarks.agreement import check
 from benchmarks.arm import arm, data
 from benchmarks.regressor import fill_rows, unpacked
 from benchmarks.timing import medians
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.regressor import RegressorKernel
 from ident.signals.filters import chebyshev_decimation
 

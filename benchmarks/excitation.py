@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.agreement import check
 from benchmarks.peers import PinocchioLoop
 from daq.robot.loader import RobotFile, load_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.criteria import Criterion, RegressorCriterion

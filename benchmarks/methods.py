@@ -6,7 +6,7 @@ from functools import partial
 
 from benchmarks.timing import medians
 from daq.robot.loader import load_robot
-from drivers.errors import DynidError
+from drivers.core.errors import DynidError
 from ident.estimators.estimator import Setup
 from ident.estimators.method_choice import all_methods, chosen_method
 from ident.identify.identification import IdentifyChoices

@@ -10,7 +10,7 @@ from benchmarks.agreement import check
 from benchmarks.arm import Data, arm, data, pinocchio_columns
 from benchmarks.peers import Motion, PinocchioLoop, figaroh_regressor, figaroh_robot
 from benchmarks.timing import medians
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model import base_parameters as base_module
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel

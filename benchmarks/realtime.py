@@ -28,8 +28,9 @@ from daq.session.session import load_driver, record
 from daq.session.supervisor import Limits, Supervisor
 from drivers.can.bus import Sender, close_bus, open_bus
 from drivers.canopen402.samples.sync import SyncProducer
-from drivers.clock import SYSTEM_CLOCK
-from drivers.streams import Batch, FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK
+from drivers.streams import Batch
 from sim_drivers.simulated_arm import simulated_arm
 from studies import can_lossless, kill_recorder, lossless
 

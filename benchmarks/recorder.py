@@ -15,7 +15,8 @@ from benchmarks.agreement import check
 from daq.recording.recorder import Recorder
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import load_robot
-from drivers.streams import Batch, ChannelLayout, FloatArray, StreamLayout
+from drivers.core.arrays import FloatArray
+from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 ROWS, DOUBLES = 60_000, 32
 RATE = 500.0

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.agreement import check
 from benchmarks.timing import medians
 from daq.robot.loader import load_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.export.arm import ExportedArm
 from ident.export.mjcf import mjcf
 from ident.export.pinocchio_arm import pinocchio_arm

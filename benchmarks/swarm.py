@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.agreement import check
 from benchmarks.arm import arm
 from benchmarks.timing import medians
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.minimisation import Budget, minimise
 from ident.estimators.swarm.particle_swarm import ParticleSwarm

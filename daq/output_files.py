@@ -15,8 +15,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from drivers.errors import DiskError, DynidError, UsageError
-from drivers.lock_file import held_lock
+from drivers.core.errors import DiskError, DynidError, UsageError
+from drivers.core.files import held_lock
 
 RESULT_FILE = "result.json"
 """Name of a result in the folder that `identify` writes."""

@@ -18,10 +18,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol, TypeVar, runtime_checkable
 
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import DriverStateError
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import DriverStateError
 from drivers.gains import DriveGain
-from drivers.streams import Batch, FloatArray, StreamLayout
+from drivers.streams import Batch, StreamLayout
 
 DRIVERS_GROUP = "dynid.drivers"
 """Entry-point group: driver name → callable(settings: DriverSettings) -> Driver."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drivers.errors import DriverStateError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DriverStateError
 
 FIRST_STEP_LIMIT = 0.1
 """How far [rad or m] a first command may be from the measured position; it would be reached within one period."""

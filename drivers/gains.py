@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import ChannelLayout, FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.streams import ChannelLayout
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 REST_WINDOW = 0.1
 """How long [s] no joint may move for an arm to be at rest, unless the user asks for longer."""

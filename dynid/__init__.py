@@ -24,17 +24,17 @@ if TYPE_CHECKING:
     from daq.robot.loader import RobotFile as RobotFile
     from daq.robot.loader import builtin_robots as builtin_robots
     from daq.robot.loader import load_robot as load_robot
-    from drivers.errors import DataError as DataError
-    from drivers.errors import DynidError as DynidError
-    from drivers.errors import IdentificationError as IdentificationError
-    from drivers.errors import ImportFileError as ImportFileError
-    from drivers.errors import InputError as InputError
-    from drivers.errors import ModelError as ModelError
-    from drivers.errors import RecordingError as RecordingError
-    from drivers.errors import ResultFileError as ResultFileError
-    from drivers.errors import RobotFileError as RobotFileError
-    from drivers.errors import UsageError as UsageError
-    from drivers.errors import WorkError as WorkError
+    from drivers.core.errors import DataError as DataError
+    from drivers.core.errors import DynidError as DynidError
+    from drivers.core.errors import IdentificationError as IdentificationError
+    from drivers.core.errors import ImportFileError as ImportFileError
+    from drivers.core.errors import InputError as InputError
+    from drivers.core.errors import ModelError as ModelError
+    from drivers.core.errors import RecordingError as RecordingError
+    from drivers.core.errors import ResultFileError as ResultFileError
+    from drivers.core.errors import RobotFileError as RobotFileError
+    from drivers.core.errors import UsageError as UsageError
+    from drivers.core.errors import WorkError as WorkError
     from ident.result.model import Model as Model
     from ident.result.model import load_model as load_model
     from ident.result.tables import Table as Table
@@ -69,7 +69,7 @@ _HOMES = {
     "daq.recording.writer": ("write_recording",),
     "daq.robot.loader": ("RobotFile", "builtin_robots", "load_robot"),
     "daq.recording.recording": ("Recording",),
-    "drivers.errors": (
+    "drivers.core.errors": (
         "DataError",
         "DynidError",
         "IdentificationError",

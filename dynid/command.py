@@ -18,7 +18,7 @@ from typing import Any
 import typer
 
 from daq.output_files import DISK_ERRORS, outputs_of_a_command
-from drivers.errors import (
+from drivers.core.errors import (
     INTERRUPTED_STATUS,
     DiskError,
     DynidError,
@@ -28,7 +28,7 @@ from drivers.errors import (
     WorkError,
     out_of_memory,
 )
-from drivers.terminal import drop_unwritten, open_standard_streams, show_visibly
+from drivers.core.terminal import drop_unwritten, open_standard_streams, show_visibly
 
 COMMANDS_GROUP = "dynid.commands"
 

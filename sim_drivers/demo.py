@@ -15,8 +15,8 @@ from daq.motion.trajectory_file import dump_trajectory, load_trajectory
 from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder, left_to_others, replace_files
 from daq.recording.reader import read_recording
 from daq.robot.loader import RobotFile, load_robot
-from drivers.errors import UsageError, WorkError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError, WorkError
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 from typing import Literal
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 
 
 @dataclass(frozen=True)

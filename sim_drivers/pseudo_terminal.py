@@ -10,7 +10,7 @@ import tty
 from pathlib import Path
 from typing import Protocol
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 
 
 class LineEnd(Protocol):

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Self
 
-from drivers.clock import Clock
+from drivers.core.clock import Clock
 from sim_drivers.faults import Fault, FaultQueue, ServerKind, parse_fault
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from typing import Any
 
 from daq.recording.recording import JOINTS_STREAM
 from daq.session.realtime import may_have_realtime
-from drivers.errors import ConnectionFailedError, WorkError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ConnectionFailedError, WorkError
 
 HOSTS = tuple(f"127.0.0.{host}" for host in (1, 2, 3, 4, 5))
 """Loopback addresses that are tried in turn: the ports are fixed, another simulated arm may have them."""

@@ -19,7 +19,7 @@ import numpy as np
 from aubo_session import COLD, STRIBECK, WARM, aubo, excitation, played
 
 from daq.recording.recording import Recording
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.model.true_parameters import truth_vector

@@ -28,8 +28,8 @@ from aubo_session import COLD, PERIOD, RATE, WARM, aubo, excitation, played, swe
 from daq.motion.trajectories import Motion
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile
-from drivers.streams import FloatArray
-from drivers.units import ZERO_CELSIUS
+from drivers.core.arrays import FloatArray
+from drivers.core.units import ZERO_CELSIUS
 from ident.experiments.method_comparison import paired_difference
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify

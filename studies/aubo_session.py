@@ -15,7 +15,7 @@ import yaml
 from daq.motion.trajectories import Motion, PointToPoint, RestToRest
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
 from ident.model.dynamic_model import build_model

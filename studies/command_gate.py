@@ -44,9 +44,10 @@ from daq.session.supervisor import Limits, Supervisor
 from drivers.can_signals.motion import Commander
 from drivers.can_signals.settings import parse_settings
 from drivers.canopen402.motion.target_path import TargetPath
-from drivers.clock import Clock
-from drivers.errors import SafetyStopError
-from drivers.streams import Batch, ChannelLayout, FloatArray, StreamLayout
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import Clock
+from drivers.core.errors import SafetyStopError
+from drivers.streams import Batch, ChannelLayout, StreamLayout
 from sim_drivers.can_signals.arm import TableArm
 from sim_drivers.canopen.motion import AxisReference, CyclicPosition
 from sim_drivers.plant.control import Reference

@@ -24,7 +24,7 @@ import yaml
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise

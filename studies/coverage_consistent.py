@@ -27,7 +27,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from coverage import INSTANTS, another_arm, identified
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.feasible.prior import link_priors
 from ident.estimators.feasible.problem import build_problem
 from ident.identify.summary import summarise

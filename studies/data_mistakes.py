@@ -23,7 +23,7 @@ import dynid
 from daq.importers import ImportChoices, import_file
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, parse_robot
-from drivers.errors import DynidError
+from drivers.core.errors import DynidError
 from sim_drivers.synthetic import data_mistakes as mistakes
 
 SIMULATED = ("ur5e", "rocr6", "panda", "up6")

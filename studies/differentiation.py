@@ -29,7 +29,7 @@ from mistaken_recordings import arms
 from daq.importers import ImportChoices, import_file
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import load_robot, parse_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model

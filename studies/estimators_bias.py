@@ -30,8 +30,8 @@ from scipy.signal import lfilter
 
 from daq.motion.trajectories import FourierSeries
 from daq.robot.loader import RobotFile, load_robot
-from drivers.errors import DynidError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DynidError
 from ident.assessment.excitation import excited_base_columns
 from ident.estimators.estimator import Setup
 from ident.estimators.method_choice import chosen_method

@@ -23,8 +23,8 @@ import dynid
 from daq.motion.trajectories import PointToPoint
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.streams import FloatArray
-from drivers.units import ZERO_CELSIUS
+from drivers.core.arrays import FloatArray
+from drivers.core.units import ZERO_CELSIUS
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
 from ident.experiments.friction.joint_friction import friction_torque

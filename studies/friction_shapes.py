@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 Columns = Callable[[FloatArray], FloatArray]
 """Columns (P, N, k) of the observation matrix for shapes (P, s)."""

@@ -30,7 +30,7 @@ from daq.recording.reader import read_recording
 from daq.recording.recorder import Recorder
 from daq.recording.recover import follow_recording
 from daq.robot.loader import load_robot
-from drivers.errors import DynidError
+from drivers.core.errors import DynidError
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 from dynid import command
 

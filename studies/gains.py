@@ -17,7 +17,7 @@ import numpy as np
 from daq.motion.trajectories import FourierSeries
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.experiments.gains.drive_gains import DriveGains, identify_gains
 from ident.experiments.load.payload import identify_payload
 from ident.experiments.payload_summary import payload_sentences

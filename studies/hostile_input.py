@@ -152,7 +152,7 @@ NUMBERS = [
 CLASSES = (
     HostileClass(
         "no regular file, or one of 1 TB",
-        "`drivers/input_files.py`",
+        "`drivers/core/files.py`",
         "`tests/drivers/test_input_files.py`, `tests/daq/importers/test_bounds.py`",
         [
             ("x.h5", "info x.h5", sparse),
@@ -166,7 +166,7 @@ CLASSES = (
     ),
     HostileClass(
         "HDF5 over which the library loops, waits or crashes",
-        "`drivers/reading_process.py`",
+        "`drivers/core/reading_process.py`",
         "`tests/drivers/test_reading_process.py`, `tests/daq/recording/test_recover.py`",
         [
             ("x.h5", "info x.h5", looping_heap),
@@ -189,7 +189,7 @@ CLASSES = (
     ),
     HostileClass(
         "what unpacks to more than memory",
-        "`drivers/reading_process.py`, sizes declared in npz and mat files before",
+        "`drivers/core/reading_process.py`, sizes declared in npz and mat files before",
         "`tests/daq/importers/test_bounds.py`",
         [
             (
@@ -213,7 +213,7 @@ CLASSES = (
     ),
     HostileClass(
         "text tables of 250 MB",
-        "`drivers/reading_process.py`",
+        "`drivers/core/reading_process.py`",
         "`tests/daq/importers/test_bounds.py`",
         [
             ("x.csv", f"import x.csv {IMPORT}", lambda path: _write(path, b"t,q1\n" + b"1,2\n" * 62_000_000)),
@@ -224,7 +224,7 @@ CLASSES = (
     ),
     HostileClass(
         "YAML and JSON: aliases, depth, long lists, other types",
-        "`drivers/yaml_file.py`, `ident/result/schema.py`",
+        "`drivers/core/validation.py`, `ident/result/schema.py`",
         "`tests/daq/robot/test_robot_refused.py`, `tests/ident/result/test_result.py`",
         [
             ("x.yaml", "check x.yaml", text(aliases())),
@@ -253,7 +253,7 @@ CLASSES = (
     ),
     HostileClass(
         "absurd numbers",
-        "`drivers/ranges.py`",
+        "`drivers/core/ranges.py`",
         "`tests/ident/test_ranges.py`",
         [
             *(("unused", line, nothing) for line in NUMBERS),
@@ -272,7 +272,7 @@ CLASSES = (
     ),
     HostileClass(
         "legitimate, and as large as allowed",
-        "sizes in `drivers/input_files.py`, counts in `drivers/ranges.py`; progress is shown",
+        "sizes in `drivers/core/files.py`, counts in `drivers/core/ranges.py`; progress is shown",
         "–",
         [
             ("x.yaml", "check x.yaml", text(fifty_joints())),

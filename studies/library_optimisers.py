@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.estimators.swarm.minimisation import Search
 
 

@@ -21,7 +21,7 @@ from consistency import public
 from friction_models import choices_of, errors
 
 from daq.recording.recording import Recording
-from drivers.errors import DynidError
+from drivers.core.errors import DynidError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 

@@ -27,7 +27,7 @@ from random_arms import random_arm
 from daq.importers import ImportChoices, import_file
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.assessment.mistakes.checks import mistake_checks
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices

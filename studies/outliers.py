@@ -22,7 +22,7 @@ import numpy as np
 from daq.recording.outliers import CleanSignal, without_outliers
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import load_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters

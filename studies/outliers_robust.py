@@ -23,7 +23,7 @@ import numpy as np
 
 from daq.recording.recording import JOINTS_STREAM, Recording, Stream
 from daq.robot.loader import load_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model

@@ -28,8 +28,8 @@ from random_arms import random_arm
 
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, parse_robot
-from drivers.errors import DynidError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DynidError
 from ident.assessment.arm_mass import arm_length, mass_of_size
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify

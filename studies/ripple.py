@@ -19,7 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from consistency import public
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.identify.friction.candidates import FOLDS
 from ident.identify.identification import Identification, ModelChoices, PreparedRun
 from ident.identify.identify import identify

@@ -20,7 +20,7 @@ import numpy as np
 from consistency import public
 from friction_models import choices_of, errors
 
-from drivers.errors import DynidError
+from drivers.core.errors import DynidError
 from ident.identify.identify import identify
 
 CASES = (

@@ -25,7 +25,7 @@ import dynid
 from daq.motion.trajectories import FourierSeries
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.minimisation import Budget, Optimiser, minimise
 from ident.estimators.swarm.particle_swarm import ConstantWeight, ParticleSwarm, RandomWeight

@@ -20,7 +20,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from daq.robot.loader import RobotFile, load_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import true_model, truth_vector
 from ident.signals.joint_signals import read_joint_signals

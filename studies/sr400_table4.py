@@ -25,7 +25,7 @@ import numpy as np
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model

@@ -18,7 +18,7 @@ from friction_shapes import Columns, ShapeCost, lugre_columns, stribeck_columns
 from library_optimisers import CmaEs, DifferentialEvolution
 from scipy.optimize import least_squares
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.frog_leaping import FrogLeaping
 from ident.estimators.swarm.minimisation import Budget, Optimiser, minimise

@@ -24,7 +24,7 @@ import numpy as np
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.experiments.merge.merged_result import merge_results
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify

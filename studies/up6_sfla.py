@@ -23,7 +23,7 @@ from up6_excitation import PAPER
 
 import dynid
 from daq.robot.loader import load_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.frog_leaping import FrogLeaping
 from ident.estimators.swarm.identifiability import identifiability

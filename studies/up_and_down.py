@@ -25,8 +25,8 @@ from gains import HIDDEN, LOAD, SLOW_DURATION, slow_motion
 from daq.motion.trajectories import Motion, PointToPoint
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, load_robot
-from drivers.errors import DynidError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DynidError
 from ident.experiments.gains.drive_gains import identify_gains
 from ident.experiments.gains.up_and_down import identify_slow_gains
 from ident.model.dynamic_model import build_model

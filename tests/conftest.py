@@ -15,7 +15,7 @@ from hypothesis.database import DirectoryBasedExampleDatabase
 from hypothesis.internal.conjecture import providers
 from simulated_clock import SimulatedClock, simulated_time
 
-from drivers.clock import Clock
+from drivers.core.clock import Clock
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

@@ -16,9 +16,9 @@ from daq.motion.player import STALL_LIMIT
 from daq.motion.trajectories import Motion
 from daq.robot.schema import JointLimits
 from daq.session.supervisor import TRACKING_ERROR
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
-from drivers.units import common_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.text import percent_text
+from drivers.core.units import common_unit
 
 _SHOWN = 3
 """Clearances that are shown at most, the smallest ones."""

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from drivers.percentage import DASH, percentage_text
-from drivers.terminal import styled, visible
+from drivers.core.terminal import styled, visible
+from drivers.core.text import DASH, percentage_text
 
 WIDTH_WITHOUT_TERMINAL = 160
 

@@ -82,7 +82,7 @@ def import_recording(
 
 
 def _column_mapping(pairs: list[str]) -> dict[str, str]:
-    from drivers.errors import UsageError
+    from drivers.core.errors import UsageError
 
     mapping: dict[str, str] = {}
     for pair in pairs:

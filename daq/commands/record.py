@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from daq.commands.options import FORCE, JSON
-from drivers.percentage import percent_text
+from drivers.core.text import percent_text
 
 if TYPE_CHECKING:
     from daq.motion.motion_check import MotionFigures
@@ -69,9 +69,9 @@ def record_command(
     from daq.session.realtime import ask_for_realtime
     from daq.session.session import ENDED_BY, load_driver, record
     from daq.session.supervisor import Limits, Supervisor
-    from drivers.clock import SYSTEM_CLOCK
-    from drivers.errors import UsageError
-    from drivers.ranges import RECORDING_TIME, check_option
+    from drivers.core.clock import SYSTEM_CLOCK
+    from drivers.core.errors import UsageError
+    from drivers.core.ranges import RECORDING_TIME, check_option
 
     if (trajectory is None) == (duration is None):
         raise UsageError("give either --trajectory or --duration")
@@ -186,7 +186,7 @@ def _report_session(
     from daq.commands.console import print_json
     from daq.recording.reader import read_recording
     from daq.recording.stream_quality import StreamQuality, stream_quality
-    from drivers.errors import RecordingError
+    from drivers.core.errors import RecordingError
 
     qualities: dict[str, StreamQuality] = {}
     try:

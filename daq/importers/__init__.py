@@ -28,9 +28,9 @@ from daq.importers.table import ForeignTable, parsing, printable
 from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, Stream, software_versions
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
-from drivers.errors import ImportFileError
-from drivers.input_files import ARRAY_FILE, open_input
-from drivers.reading_process import TIME_LIMIT, Progress, read_apart
+from drivers.core.errors import ImportFileError
+from drivers.core.files import ARRAY_FILE, open_input
+from drivers.core.reading_process import TIME_LIMIT, Progress, read_apart
 from drivers.streams import UNITS
 
 __all__ = ["REPAIRS", "SUPPORTED", "ImportChoices", "import_file"]

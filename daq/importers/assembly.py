@@ -12,9 +12,9 @@ from daq.importers.matching import match_joints
 from daq.importers.table import ForeignTable, Note, QuantityColumns, listed, printable
 from daq.importers.units import allowed_units, to_si
 from daq.robot.loader import RobotFile
-from drivers.errors import ImportFileError
-from drivers.streams import FloatArray
-from drivers.units import normalised
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ImportFileError
+from drivers.core.units import normalised
 
 EPOCH = 1e8
 """[s]; stamps beyond it count from 1970, not from the start of a measurement (it is March 1973)."""

@@ -20,9 +20,9 @@ from daq.importers.choices import (
 from daq.importers.table import Note, printable
 from daq.importers.units import REVOLUTE
 from daq.recording.stale_samples import stale_samples
-from drivers.errors import ImportFileError
-from drivers.ranges import SAMPLING_RATE
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ImportFileError
+from drivers.core.ranges import SAMPLING_RATE
 
 MOTOR_SIGNALS = ("torque", "current", "voltage")
 RESTART_RUN = 50

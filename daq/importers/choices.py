@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from drivers.closest import did_you_mean
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
+from drivers.core.text import did_you_mean
 
 DROP_NAN = "drop-nan"
 DROP_DUPLICATES = "drop-duplicates"

@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from daq.importers.naming import Role
 from daq.importers.table import ForeignTable, Note, QuantityColumns, listed, printable
-from drivers.errors import ImportFileError
-from drivers.streams import FloatArray
-from drivers.terminal import hidden_character
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ImportFileError
+from drivers.core.terminal import hidden_character
 
 _FLOAT_INTEGERS = 2**53
 """Integers up to here are exact in float64."""

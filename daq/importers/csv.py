@@ -12,9 +12,9 @@ from daq.importers.choices import ImportChoices
 from daq.importers.collecting import collect
 from daq.importers.roles import assign_roles
 from daq.importers.table import ForeignTable, Note, listed, printable
-from drivers.errors import ImportFileError
-from drivers.input_files import TEXT_TABLE, read_bytes
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ImportFileError
+from drivers.core.files import TEXT_TABLE, read_bytes
 
 _SEPARATORS = (";", "\t", ",")
 _SEPARATOR_NAMES = {";": "semicolon", "\t": "tab", ",": "comma", None: "blanks"}

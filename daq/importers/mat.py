@@ -16,8 +16,8 @@ from daq.importers.choices import ImportChoices
 from daq.importers.npz import table_of_arrays
 from daq.importers.table import ForeignTable, check_count, parsing
 from daq.recording.hdf5_bounds import MOST_ENTRIES, Hdf5Bounds
-from drivers.errors import ImportFileError
-from drivers.input_files import ARRAY_FILE, check_input, open_input, size_text
+from drivers.core.errors import ImportFileError
+from drivers.core.files import ARRAY_FILE, check_input, open_input, size_text
 
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _USER_BLOCK = 512

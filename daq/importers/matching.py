@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from daq.importers.table import Note, listed, printable
-from drivers.closest import did_you_mean
-from drivers.errors import ImportFileError
+from drivers.core.errors import ImportFileError
+from drivers.core.text import did_you_mean
 
 _SEPARATORS = "_/.:-"
 

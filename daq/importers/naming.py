@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from daq.importers.units import REVOLUTE, SUFFIXES
-from drivers.units import normalised
+from drivers.core.units import normalised
 
 ALIASES: Mapping[str, tuple[str, ...]] = {
     "time": ("t", "time", "timestamp", "timestamps", "stamp", "__time"),

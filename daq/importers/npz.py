@@ -16,8 +16,8 @@ from daq.importers.choices import ImportChoices
 from daq.importers.collecting import MOST_UNUSED, collect
 from daq.importers.roles import assign_roles
 from daq.importers.table import ForeignTable, Note, check_count, listed, parsing, printable
-from drivers.errors import ImportFileError
-from drivers.input_files import ARRAY_FILE, check_input, size_text
+from drivers.core.errors import ImportFileError
+from drivers.core.files import ARRAY_FILE, check_input, size_text
 
 JOINT_NAME_KEYS = ("joints", "joint_names")
 MOST_ARRAYS = 10_000

@@ -13,7 +13,7 @@ from daq.importers.choices import ImportChoices
 from daq.importers.table import Note, listed
 from daq.recording.unit_plausibility import DEGREES, beyond_reach, displacement_ratios, near, other_unit
 from daq.robot.schema import Robot
-from drivers.errors import ImportFileError
+from drivers.core.errors import ImportFileError
 
 _MILLIAMPERE = 500.0
 _TORQUE_EXCESS = 10.0

@@ -9,9 +9,9 @@ from dataclasses import replace
 from daq.importers.naming import BRACKETED, Role, parse_name
 from daq.importers.table import listed, printable
 from daq.importers.units import REVOLUTE
-from drivers.closest import did_you_mean
-from drivers.errors import ImportFileError, UsageError
-from drivers.units import normalised
+from drivers.core.errors import ImportFileError, UsageError
+from drivers.core.text import did_you_mean
+from drivers.core.units import normalised
 
 PLACE = "{}"
 """Placeholder of the joints' numbers or names in a choice of several columns: `q{}`."""

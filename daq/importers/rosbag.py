@@ -13,11 +13,11 @@ import numpy.typing as npt
 from daq.importers.choices import ImportChoices
 from daq.importers.matching import JointMatch, match_joints, shares_joints
 from daq.importers.table import ForeignTable, Note, QuantityColumns, check_count, listed, parsing, printable
-from drivers.closest import did_you_mean
-from drivers.errors import ImportFileError, UsageError
-from drivers.input_files import BAG_FILE, BAG_METADATA, check_input
-from drivers.reading_process import Progress
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ImportFileError, UsageError
+from drivers.core.files import BAG_FILE, BAG_METADATA, check_input
+from drivers.core.reading_process import Progress
+from drivers.core.text import did_you_mean
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 METADATA = "metadata.yaml"

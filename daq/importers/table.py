@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.recording.recording import Level
-from drivers.errors import DynidError, ImportFileError
-from drivers.input_files import MOST_VALUES
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DynidError, ImportFileError
+from drivers.core.files import MOST_VALUES
 
 
 @dataclass(frozen=True)

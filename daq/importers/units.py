@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from drivers.units import conversion, factors, normalised
+from drivers.core.units import conversion, factors, normalised
 
 _ANGLE = factors("rad", "radian", "radians", "deg", "degree", "degrees")
 _LENGTH = factors("m", "mm")

@@ -28,10 +28,11 @@ from daq.recording.recorder import Recorder
 from daq.recording.recording import JOINTS_STREAM
 from daq.session.realtime import give_realtime_back
 from daq.session.supervisor import Limits
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.percentage import percent_text
-from drivers.streams import Batch, FloatArray
-from drivers.terminal import styled, visible
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.terminal import styled, visible
+from drivers.core.text import percent_text
+from drivers.streams import Batch
 
 if TYPE_CHECKING:
     from rich.console import Group

@@ -11,8 +11,8 @@ from daq.motion.limits import check_limits
 from daq.motion.motion_check import MotionCheck, MotionFigures
 from daq.motion.trajectories import PointToPoint, slow_move
 from daq.robot.schema import JointLimits
-from drivers.errors import MotionRefusedError, UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import MotionRefusedError, UsageError
 
 _SAME = 1e-3
 """A joint that is as near as this to its start [rad or m] is not moved on its own."""

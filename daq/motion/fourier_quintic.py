@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.motion.trajectories import QUINTIC_ACCELERATION, FourierSeries, Pieces
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 _LARGEST = ((1.0, np.sqrt(3.0) / 18.0), (QUINTIC_ACCELERATION, 1.0), (60.0, 6.0), (360.0, 12.0))
 """Largest magnitudes of the first to fourth derivative of u − 10u³ + 15u⁴ − 6u⁵ and of u²(1 − u)²/2."""

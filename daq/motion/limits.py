@@ -14,8 +14,8 @@ import numpy as np
 
 from daq.motion.trajectories import Motion, Pieces
 from daq.robot.schema import JointLimits
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 
 LIMIT_TOLERANCE = 1e-9
 _SHARPNESS = 1e-10

@@ -13,7 +13,7 @@ from typing import Protocol, cast
 
 from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
-from drivers.errors import MotionRefusedError
+from drivers.core.errors import MotionRefusedError
 
 MOTION_CHECK_GROUP = "dynid.motion_check"
 """Entry-point group of exactly one `MakeMotionCheck`."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.motion.trajectories import Motion, quintic_pace
-from drivers.clock import STALL_LIMIT as STALL_LIMIT
-from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
-from drivers.errors import DynidError, SafetyStopError, WorkError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import STALL_LIMIT as STALL_LIMIT
+from drivers.core.clock import SYSTEM_CLOCK, Clock, set_timer_slack
+from drivers.core.errors import DynidError, SafetyStopError, WorkError
 
 SKIP_LIMIT = 3
 SKIP_TIME = 0.01

@@ -10,7 +10,7 @@ from typing import Protocol, Self
 import numpy as np
 
 from daq.robot.schema import JointLimits
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 SHORTEST_RAMP = 0.1
 """Shortest time from rest to full speed that a motion may have [s]; no arm's position loop settles much faster."""

@@ -42,11 +42,11 @@ from daq.motion.trajectories import (
 )
 from daq.robot.schema import Robot
 from daq.robot.section import Finite, NonNegative, NotTruthValue, within
-from drivers.errors import UsageError
-from drivers.input_files import TRAJECTORY_FILE, TRAJECTORY_SAMPLES, read_text
-from drivers.ranges import COEFFICIENTS, PIECE, SAMPLE_STEP
-from drivers.streams import FloatArray
-from drivers.yaml_file import describe, read_mapping, validated
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
+from drivers.core.files import TRAJECTORY_FILE, TRAJECTORY_SAMPLES, read_text
+from drivers.core.ranges import COEFFICIENTS, PIECE, SAMPLE_STEP
+from drivers.core.validation import describe, read_mapping, validated
 
 _LARGEST = 1e9
 """No arm gets near it, whatever the unit."""

@@ -13,8 +13,8 @@ from typing import Any
 
 import h5py
 
-from drivers.errors import DiskError
-from drivers.input_files import RECORDING_FILE, size_text
+from drivers.core.errors import DiskError
+from drivers.core.files import RECORDING_FILE, size_text
 
 SPARE = 2**20
 """Space [B] that the file always owns beyond its end: for the last chunks, the last events and its closing."""

@@ -11,8 +11,8 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from drivers.errors import InputError
-from drivers.input_files import MB, MOST_VALUES
+from drivers.core.errors import InputError
+from drivers.core.files import MB, MOST_VALUES
 
 MOST_OBJECTS = 10_000
 """Groups and datasets of a file."""

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from daq.recording.unit_plausibility import DEGREES, displacement_ratios, near, other_unit
 from daq.robot.loader import RobotFile
-from drivers.errors import DataError
-from drivers.ranges import SAMPLING_RATE
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
+from drivers.core.ranges import SAMPLING_RATE
 
 WHERE = "Recording.from_arrays"
 

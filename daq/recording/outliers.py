@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.recording.quantisation import quantisation_step
-from drivers.ranges import STAMP
-from drivers.streams import FloatArray
+from drivers.core.arrays import BoolArray, FloatArray, IntArray
+from drivers.core.ranges import STAMP
 
 LONGEST = 3
 """Consecutive wrong samples; more of them are a signal."""
@@ -40,9 +40,6 @@ _SAME_STAMP = 1e-9  # [s] to the one before
 _LARGEST_GAP = 4.0  # of the samples around, in median periods: no cubic across a gap
 _PASSES = 3
 _CHUNK = 20_000
-
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

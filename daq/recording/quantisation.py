@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 LATTICE_TOLERANCE = 0.05
 """Values count as quantised when all gaps between them are whole multiples of the smallest within this part of it."""

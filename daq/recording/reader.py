@@ -13,12 +13,12 @@ from daq.output_files import unfinished_files
 from daq.recording.hdf5_bounds import Hdf5Bounds
 from daq.recording.hdf5_reason import hdf5_reason
 from daq.recording.recording import SCHEMA_VERSION, Channel, Event, Recording, Stream
-from drivers.errors import RecordingError
-from drivers.input_files import RECORDING_FILE, check_input
-from drivers.ranges import STAMP
-from drivers.reading_process import read_apart
-from drivers.streams import FloatArray
-from drivers.terminal import hidden_character
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import RecordingError
+from drivers.core.files import RECORDING_FILE, check_input
+from drivers.core.ranges import STAMP
+from drivers.core.reading_process import read_apart
+from drivers.core.terminal import hidden_character
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -35,7 +35,7 @@ def read_recording(path: str | Path) -> Recording:
         >>> import dynid
         >>> dynid.read_recording("nowhere.h5")
         Traceback (most recent call last):
-        drivers.errors.RecordingError: nowhere.h5: no such file
+        drivers.core.errors.RecordingError: nowhere.h5: no such file
     """
     path = Path(path)
     where = str(path)

@@ -18,8 +18,8 @@ from daq.recording.hdf5_bounds import MOST_ROWS, MOST_TEXT, text_length
 from daq.recording.recording import Level
 from daq.recording.writer import CHUNK_SECONDS, RecordingWriter, chunk_rows
 from daq.robot.loader import RobotFile
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import DiskError, RecordingError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import DiskError, RecordingError
 from drivers.streams import Batch, StreamLayout
 
 MEMORY_LIMIT = 64 * 2**20

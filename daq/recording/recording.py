@@ -23,8 +23,9 @@ import numpy.typing as npt
 
 from daq.recording.joint_arrays import joint_arrays
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.errors import DataError, RecordingError, RobotFileError, UsageError
-from drivers.streams import UNITS, FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError, RecordingError, RobotFileError, UsageError
+from drivers.streams import UNITS
 
 if TYPE_CHECKING:
     from xarray import Dataset

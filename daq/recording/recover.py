@@ -13,9 +13,9 @@ from daq.recording.hdf5_reason import hdf5_reason
 from daq.recording.reader import read_open_recording
 from daq.recording.recording import Channel, Event, Recording, Stream
 from daq.recording.writer import write_recording
-from drivers.errors import RecordingError, UsageError
-from drivers.input_files import RECORDING_FILE, check_input
-from drivers.reading_process import read_apart
+from drivers.core.errors import RecordingError, UsageError
+from drivers.core.files import RECORDING_FILE, check_input
+from drivers.core.reading_process import read_apart
 
 WAITING_LIMIT = 20.0
 """Time limit [s] for reading a small recording; a larger one has its size over READ_SPEED [B/s] more.

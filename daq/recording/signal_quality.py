@@ -10,7 +10,7 @@ import numpy.typing as npt
 from daq.recording.outliers import without_outliers
 from daq.recording.quantisation import quantisation_step
 from daq.recording.recording import Channel
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 FEWEST_FILLED = 10
 """Fewer runs of zeros between large values are switching on and off."""

@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from daq.recording.quantisation import resolution
 from daq.recording.recording import JOINTS_STREAM, Recording, Stream
 from daq.recording.signal_quality import white_noise
-from drivers.streams import FloatArray
+from drivers.core.arrays import BoolArray, FloatArray
 
 MEASURED = ("position", "velocity", "current", "voltage", "torque")
 """Quantities that all repeat where a whole row does."""
@@ -63,7 +62,6 @@ MOST_STUCK = 0.5
 _WINDOW = 3
 _AROUND = 5
 
-BoolArray = npt.NDArray[np.bool_]
 Evidence = Literal["velocity", "target", "jump"]
 
 

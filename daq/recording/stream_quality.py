@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 LOST_FROM = 1.5
 """An interval longer than this many periods means that samples are missing."""

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from daq.robot.schema import JointLimits
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 DEGREES = 180 / math.pi
 CORRELATED = 0.9

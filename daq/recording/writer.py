@@ -21,9 +21,10 @@ from daq.recording.hdf5_reason import hdf5_reason
 from daq.recording.recording import SCHEMA_VERSION, Level, Recording, software_versions
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
-from drivers.errors import DiskError, DynidError, RecordingError
-from drivers.input_files import RECORDING_FILE, size_text
-from drivers.streams import UNITS, ChannelLayout, FloatArray, StreamLayout
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DiskError, DynidError, RecordingError
+from drivers.core.files import RECORDING_FILE, size_text
+from drivers.streams import UNITS, ChannelLayout, StreamLayout
 
 CHUNK_SECONDS = 0.5
 """Duration of a chunk [s], and so the most that a crash can cost a recorder that flushes whole chunks."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from drivers.yaml_file import describe
+from drivers.core.validation import describe
 
 _KEYS = ("b", "d", "r")
 

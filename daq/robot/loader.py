@@ -13,10 +13,10 @@ from daq.robot.loops import BASE as BASE
 from daq.robot.schema import Robot
 from daq.robot.urdf_robot import assumed_of_urdf, read_urdf_arm, robot_text_of_urdf, urdf_prismatic_joints
 from daq.robot.validation import validated_robot
-from drivers.closest import did_you_mean
-from drivers.errors import RobotFileError
-from drivers.input_files import ROBOT_FILE, URDF_FILE, read_text
-from drivers.yaml_file import read_mapping
+from drivers.core.errors import RobotFileError
+from drivers.core.files import ROBOT_FILE, URDF_FILE, read_text
+from drivers.core.text import did_you_mean
+from drivers.core.validation import read_mapping
 
 URDF_SUFFIXES = frozenset({".urdf", ".xml"})
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, ValidatorFunctionWrapHandler, WrapValidator
 
 from daq.robot.section import Angle, Positive
-from drivers.ranges import POSITION_LIMIT, TABLE_ANGLE, VELOCITY_LIMIT
+from drivers.core.ranges import POSITION_LIMIT, TABLE_ANGLE, VELOCITY_LIMIT
 
 
 def multiple_of_pi(degrees: float) -> str:

@@ -14,8 +14,8 @@ from daq.robot.loader import read_robot_text
 from daq.robot.schema import ASSUMED_ACCELERATION
 from daq.robot.urdf_robot import UrdfArm, UrdfJoint, read_urdf_arm
 from daq.robot.validation import TODO
-from drivers.errors import UsageError
-from drivers.ranges import JOINTS, POSITION_LIMIT, VELOCITY_LIMIT
+from drivers.core.errors import UsageError
+from drivers.core.ranges import JOINTS, POSITION_LIMIT, VELOCITY_LIMIT
 
 _HEAD = """\
 # Robot file of dynid (docs/robot-file.md). Replace every TODO, or delete its line where the comment says so;

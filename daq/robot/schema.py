@@ -31,10 +31,10 @@ from daq.robot.section import (
     within,
 )
 from daq.robot.workspace import Mounting, Workspace
-from drivers.ranges import EXPONENT, JOINTS, NUMBER, STRIBECK_VELOCITY
-from drivers.terminal import hidden_character
-from drivers.units import common_unit, joint_unit
-from drivers.yaml_file import SeveralProblems
+from drivers.core.ranges import EXPONENT, JOINTS, NUMBER, STRIBECK_VELOCITY
+from drivers.core.terminal import hidden_character
+from drivers.core.units import common_unit, joint_unit
+from drivers.core.validation import SeveralProblems
 
 ASSUMED_ACCELERATION = 10.0
 """Acceleration limit of a joint whose limit the file does not state [rad/s² or m/s²]."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 from functools import lru_cache
 
-from drivers.errors import RobotFileError
-from drivers.ranges import INERTIA, JOINTS, LENGTH, MASS, NUMBER, Range
-from drivers.terminal import hidden_character
+from drivers.core.errors import RobotFileError
+from drivers.core.ranges import INERTIA, JOINTS, LENGTH, MASS, NUMBER, Range
+from drivers.core.terminal import hidden_character
 
 MOST_LINKS = 1000
 """Links of a URDF; its parser calls itself for each along a chain, and a humanoid with hands has 100."""

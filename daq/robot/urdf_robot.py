@@ -11,8 +11,8 @@ import numpy as np
 import yaml
 
 from daq.robot.urdf_check import checked_urdf
-from drivers.errors import RobotFileError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import RobotFileError
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 UNLIMITED = 2 * math.pi

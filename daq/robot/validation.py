@@ -9,8 +9,8 @@ from pydantic import ValidationError
 
 from daq.robot.references import name_problems, names_in, row_problems, rows_in
 from daq.robot.schema import Robot
-from drivers.errors import RobotFileError
-from drivers.yaml_file import YamlProblem, first_of, key_path, meaning, schema_problems
+from drivers.core.errors import RobotFileError
+from drivers.core.validation import YamlProblem, first_of, key_path, meaning, schema_problems
 
 TODO = "TODO"
 """Prefix of a value that is still to be filled in (`dynid robot new` writes it)."""

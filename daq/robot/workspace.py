@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from daq.robot.magnitudes import TableAngle
 from daq.robot.section import Finite, NonNegative, Section, Vector3
-from drivers.yaml_file import describe
+from drivers.core.validation import describe
 
 DEFAULT_LINK_RADIUS = 0.05
 """Radius [m] of a link whose thickness the file does not say."""

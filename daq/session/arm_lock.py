@@ -10,8 +10,8 @@ from contextlib import ExitStack, contextmanager
 
 from daq.robot.schema import Robot
 from daq.session.connections import connection_keys, connection_names
-from drivers.errors import MotionRefusedError
-from drivers.lock_file import held_lock
+from drivers.core.errors import MotionRefusedError
+from drivers.core.files import held_lock
 from drivers.rtde.protocol import PORT
 
 _WITHIN_A_PROCESS = "virtual"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from daq.robot.loader import RobotFile
 from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
 from drivers.bus_budget import TIGHT_SHARE, Budget, connection_budget
-from drivers.errors import RobotFileError
-from drivers.percentage import percent_text
+from drivers.core.errors import RobotFileError
+from drivers.core.text import percent_text
 
 
 def bus_budget(robot_file: RobotFile, name: str, *, moves: bool = True) -> Budget | None:

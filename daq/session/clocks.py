@@ -15,8 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.streams import Batch, FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.streams import Batch
 
 REPORT_PERIOD = 60.0
 """[s] between two reports on a clock."""

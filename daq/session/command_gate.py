@@ -15,10 +15,10 @@ import numpy as np
 from daq.motion.player import STALL_LIMIT, skip_limit
 from daq.robot.schema import JointLimits
 from daq.session.supervisor import TRACKING_ERROR, TRACKING_WINDOW
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import SafetyStopError
-from drivers.streams import FloatArray
-from drivers.units import joint_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import SafetyStopError
+from drivers.core.units import joint_unit
 
 COMMAND_RATE = 100.0
 """A motion is not played with fewer commands, or fewer measured positions, per second than this."""

@@ -9,8 +9,8 @@ from pathlib import Path
 from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
 from drivers.base import DriverSettings
-from drivers.config import WITH
-from drivers.errors import UsageError
+from drivers.connection_settings import WITH
+from drivers.core.errors import UsageError
 from drivers.gains import DriveGain
 
 READ_ONLY: Mapping[str, Mapping[str, object]] = {"canopen402": {"mode": "none"}}

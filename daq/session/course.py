@@ -10,9 +10,10 @@ import numpy as np
 from daq.recording.recording import JOINTS_STREAM
 from daq.session.clocks import ClockLog
 from daq.session.command_gate import CommandGate
-from drivers.clock import Clock
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import Clock
 from drivers.standstill import StandstillWatch
-from drivers.streams import Batch, FloatArray
+from drivers.streams import Batch
 
 REST_TIME = 0.5
 """How long [s] an arm, and what its controller aims at, must have been at rest before control of it is taken."""

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from daq.robot.schema import Robot
 from daq.session.sources import Sources
 from drivers.base import Cautioning, DeviceLimits, Driver, Limiting
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 POSITION_AGREEMENT = 1e-3
 """[rad]: positions that differ by less are the same."""

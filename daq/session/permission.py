@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from daq.motion.trajectories import Motion
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 
 class Permission(Protocol):

@@ -19,9 +19,9 @@ from daq.session.permission import Permission
 from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
 from drivers.base import Driver, Holding, ReportingSafety
-from drivers.errors import ConnectionLostError, DynidError, MotionRefusedError, UsageError, WorkError
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ConnectionLostError, DynidError, MotionRefusedError, UsageError, WorkError
 from drivers.standstill import StandstillWatch
-from drivers.streams import FloatArray
 
 MOVED_MEANWHILE = 0.02
 """A joint that moved this far [rad or m] while the answer was awaited is somewhere else than the person saw."""

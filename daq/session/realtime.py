@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 
 PRIORITY = 20
 """Of SCHED_FIFO: above all ordinary processes, below the kernel's own threads that serve interrupts (50)."""

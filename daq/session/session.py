@@ -35,8 +35,8 @@ from daq.session.play import (
 from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
 from drivers.base import DRIVERS_GROUP, Attributing, Driver, DriverSettings, Notice
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import DynidError, MotionRefusedError, SafetyStopError, UsageError, WorkError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import DynidError, MotionRefusedError, SafetyStopError, UsageError, WorkError
 
 READ_TIMEOUT = 0.01
 LOSS_LIMIT = 0.01

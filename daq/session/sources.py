@@ -10,8 +10,9 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from drivers.base import Attributing, Driver, Notice, ReportingSafety
-from drivers.errors import DynidError
-from drivers.streams import Batch, FloatArray, StreamLayout
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DynidError
+from drivers.streams import Batch, StreamLayout
 
 _Result = TypeVar("_Result")
 

@@ -10,9 +10,8 @@ current or velocity whose changes are few steps of its resolution, so that it ma
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray, IndexArray
 
 WATCHED = {"position": 0.05, "velocity": 0.1, "torque": 0.1, "current": 0.1, "temperature": 5.0}
 """Quantity → the least that is taken for a channel that hangs [rad or m; s of a temperature]."""
@@ -31,8 +30,6 @@ SPEED_TIME, SPEED_CHANGE = 0.05, 0.1
 """Speed is that over so long [s]; at a constant one, to within this [rad/s or m/s], a torque may be constant."""
 TOGETHER, MOST_TOGETHER = 0.0099, 10
 """Samples are looked at so long [s], and so many batches, at a time."""
-
-IndexArray = npt.NDArray[np.intp]
 
 
 class StuckChannel:

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
 from daq.session.stuck_channels import MOST_TOGETHER, TOGETHER, WATCHED, JointSpeed, StuckChannel
+from drivers.core.arrays import FloatArray, IndexArray
+from drivers.core.units import joint_unit
 from drivers.gains import torque_at_joints
-from drivers.streams import UNITS, Batch, FloatArray, StreamLayout
-from drivers.units import joint_unit
+from drivers.streams import UNITS, Batch, StreamLayout
 
 TRACKING_ERROR = 0.2
 """Default limit of the tracking error [rad or m]."""
@@ -28,8 +28,6 @@ STALE_FLOOR = 0.05
 """A PC stalls for tens of milliseconds itself: below this [s] that is indistinguishable from a silent source."""
 VALUE_AGES = {"position": (0.0, 1.0), "velocity": (0.0, 1.0), "torque": (0.0, 1.0), "temperature": (5.0, 60.0)}
 """Of each quantity with a limit, how old [s] the newest value may be at least, and where its rate is unknown."""
-
-IndexArray = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import math
 
 import can
 
-from drivers.clock import Clock
+from drivers.core.clock import Clock
 
 # Interfaces whose time stamps are the kernel's or the sender's clock of day, so that they give a frame's age.
 _STAMPED_BY_CLOCK = frozenset({"SocketcanBus", "UdpMulticastBus", "VirtualBus"})

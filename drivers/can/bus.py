@@ -19,8 +19,8 @@ from typing import Any
 import can
 
 from drivers.can.adapter_errors import reason, why_not_opened
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionFailedError, ConnectionLostError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError
 
 RECEIVE_BUFFER_BYTES = 4 * 2**20
 """Asked of the kernel; udp_multicast's default holds 256 frames, 21 ms of six drives at 1 kHz."""

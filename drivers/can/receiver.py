@@ -14,8 +14,8 @@ from drivers.base import Level, Notice, drained
 from drivers.can.adapter_errors import error_frame_words, is_bus_off, is_unreadable, reason
 from drivers.can.arrival_clock import ArrivalClock
 from drivers.can.bus import EXTENDED, Frame
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionLostError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionLostError
 
 POLL = 0.005
 """How long [s] the receiving thread waits for a frame before it looks whether it shall end."""

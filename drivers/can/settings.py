@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from drivers.config import ConnectionSettings, Text
+from drivers.connection_settings import ConnectionSettings, Text
 
 
 class CanSettings(ConnectionSettings):

@@ -18,11 +18,12 @@ from drivers.can_signals.settings import CommandTable, parse_settings
 from drivers.can_signals.startup import hear_all
 from drivers.can_signals.streams import FrameStreams
 from drivers.can_signals.table.signals import FixedFrame, batches
-from drivers.clock import STALL_LIMIT
-from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import STALL_LIMIT
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from drivers.first_step import check_first_step, finite_position
 from drivers.standstill import REST_WINDOW, StandstillWatch
-from drivers.streams import Batch, FloatArray, StreamLayout
+from drivers.streams import Batch, StreamLayout
 
 SILENCE_LIMIT = 0.5
 """Without a row for so long [s], or for `SILENT_PERIODS`, the connection counts as lost."""

@@ -12,8 +12,8 @@ from drivers.base import Notice
 from drivers.can.receiver import NOTICE_PERIOD
 from drivers.can_signals.rows.assembly import Rows
 from drivers.can_signals.table.signals import Signal
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
 
 RATE_TIME = 2.0
 """How long [s] rows are counted before their rate is judged."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from drivers.can_signals.settings import CommandTable
 from drivers.can_signals.table.signals import Signal, encode
-from drivers.errors import DriverStateError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DriverStateError
 
 
 class Commander:

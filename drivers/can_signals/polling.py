@@ -7,8 +7,8 @@ from collections import deque
 from drivers.can.bus import Sender
 from drivers.can_signals.rows.assembly import Rows
 from drivers.can_signals.settings import Poll
-from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
-from drivers.errors import ConnectionLostError
+from drivers.core.clock import SYSTEM_CLOCK, Clock, set_timer_slack
+from drivers.core.errors import ConnectionLostError
 
 ANSWER_LIMIT = 0.1
 """A poll that has not been answered after so long [s] never will be."""

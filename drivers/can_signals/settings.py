@@ -20,8 +20,8 @@ from drivers.can_signals.table.signal_keys import (
     require_no_overlap,
 )
 from drivers.can_signals.table.signals import FixedFrame, FrameLayout, Signal, frame_layouts, identifier_text
-from drivers.config import ConnectionSettings, Entries, Text, read_settings, refused
-from drivers.errors import UsageError
+from drivers.connection_settings import ConnectionSettings, Entries, Text, read_settings, refused
+from drivers.core.errors import UsageError
 
 MOST_SIGNALS = 4096
 _FRAMES = 'a list of frames, such as [{id: 0x200, data: "01 00"}]'

@@ -6,8 +6,8 @@ from drivers.can.receiver import Receiver
 from drivers.can_signals.rows.cycle_order import CycleOrder, Order
 from drivers.can_signals.settings import CanFramesSettings
 from drivers.can_signals.table.signals import identifier_text
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionFailedError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError
 
 
 def hear_all(settings: CanFramesSettings, receiver: Receiver, clock: Clock = SYSTEM_CLOCK) -> Order:

@@ -17,9 +17,10 @@ from drivers.can_signals.rows.sample_clock import SourceClock
 from drivers.can_signals.settings import CanFramesSettings
 from drivers.can_signals.table.signal_keys import WHOLE_ARM
 from drivers.can_signals.table.signals import batches
-from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.gains import DriveGain, gives_torque, joint_torque, torque_channel
-from drivers.streams import Batch, ChannelLayout, FloatArray, StreamLayout
+from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 
 class FrameStreams:

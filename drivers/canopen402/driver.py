@@ -35,10 +35,11 @@ from drivers.canopen402.setup.configuration import Configured, Identity, configu
 from drivers.canopen402.setup.drive_limits import at_joints
 from drivers.canopen402.setup.error_control import check_own_id, release
 from drivers.canopen402.setup.other_masters import masters_heartbeats, require_alone
-from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from drivers.first_step import check_first_step, finite_position
 from drivers.standstill import StandstillWatch
-from drivers.streams import Batch, FloatArray, StreamLayout
+from drivers.streams import Batch, StreamLayout
 
 SILENCE_LIMIT = 0.5
 """Without a complete row for this long [s], or ten periods, the connection counts as lost."""

@@ -9,8 +9,8 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from drivers.can.settings import CanSettings
 from drivers.canopen402.protocol.objects import MODE_CYCLIC_POSITION, MODE_PROFILE_POSITION
-from drivers.clock import STALL_LIMIT
-from drivers.config import ConnectionSettings, read_settings, refused
+from drivers.connection_settings import ConnectionSettings, read_settings, refused
+from drivers.core.clock import STALL_LIMIT
 
 Mode = Literal["position", "profile", "none"]
 MODES: Mapping[Mode, int | None] = {

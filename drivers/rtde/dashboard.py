@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 
-from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.rtde.connect import Connect, connect_tcp
 
 PORT = 29999

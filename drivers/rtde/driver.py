@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.base import DeviceLimits, DriverSettings, Notice, State, drained, require_state
-from drivers.errors import ConnectionFailedError, DriverStateError, MotionRefusedError, UsageError
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ConnectionFailedError, DriverStateError, MotionRefusedError, UsageError
 from drivers.first_step import check_first_step, finite_position
 from drivers.gains import gives_torque, joint_torque, torque_channel
 from drivers.rtde import protocol as wire
@@ -25,7 +26,7 @@ from drivers.rtde.modes import RUNTIME_STOPPED, describe_mode
 from drivers.rtde.motion import JOINTS, MotionProcess
 from drivers.rtde.receiver import TIMESTAMP, RtdeReceiver, Samples
 from drivers.rtde.settings import parse_settings
-from drivers.streams import Batch, ChannelLayout, FloatArray, StreamLayout
+from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 THERMAL_RATE = 20.0
 STATUS_RATE = 10.0

@@ -12,10 +12,10 @@ import struct
 
 import numpy as np
 
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionFailedError
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError
 from drivers.rtde.connect import Connect, connect_tcp
-from drivers.streams import FloatArray
 
 PORT = 30002
 ROBOT_STATE, CONFIGURATION_DATA = 16, 6

@@ -22,8 +22,8 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.errors import ConnectionFailedError, ConnectionLostError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError
 
 JOINTS = 6
 LOOKAHEAD = 0.1

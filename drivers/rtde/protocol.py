@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drivers.errors import ConnectionLostError
+from drivers.core.errors import ConnectionLostError
 
 PORT = 30004
 PROTOCOL_VERSION = 2

@@ -20,11 +20,11 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.base import Level, Notice, drained
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionFailedError, ConnectionLostError, UsageError
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
 from drivers.rtde import protocol as wire
 from drivers.rtde.connect import Connect, connect_tcp
-from drivers.streams import FloatArray
 
 SILENCE_LIMIT = 0.5
 """Without a fresh data package for this long [s] the connection counts as lost."""

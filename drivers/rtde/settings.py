@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from pydantic import Field
 
-from drivers.config import ConnectionSettings, Text, read_settings
+from drivers.connection_settings import ConnectionSettings, Text, read_settings
 from drivers.rtde import protocol as wire
 
 

@@ -13,11 +13,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.base import DriverSettings, Level, Notice, State, require_state
-from drivers.errors import ConnectionFailedError, DriverStateError
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ConnectionFailedError, DriverStateError
 from drivers.serial_thermometer.lines import LineParser, Reading
 from drivers.serial_thermometer.port import BITS_A_CHARACTER, Chunk, Lost, Restored, SerialPort
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
-from drivers.streams import Batch, ChannelLayout, FloatArray, StreamLayout
+from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 STREAM = "thermometer"
 SILENT_PERIODS = 5.0

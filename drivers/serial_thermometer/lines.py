@@ -6,8 +6,8 @@ import re
 from collections import Counter
 from dataclasses import dataclass
 
+from drivers.core.units import ZERO_CELSIUS
 from drivers.serial_thermometer.settings import ThermometerSettings
-from drivers.units import ZERO_CELSIUS
 
 LONGEST_LINE = 1024
 """Bytes; beyond, something else than lines is coming, and waiting for an end would fill the memory."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import serial
 
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionFailedError, UsageError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError, UsageError
 
 READ_TIMEOUT = 0.01
 """Longest time [s] that a chunk is collected."""

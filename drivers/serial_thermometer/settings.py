@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, Strict, ValidationInfo, field_validator, model_validator
 
-from drivers.config import ConnectionSettings, Text, read_settings, refused
+from drivers.connection_settings import ConnectionSettings, Text, read_settings, refused
 
 OPEN_PERIODS = 3.0
 """How many periods an opening waits for a first temperature where no `timeout` is given."""

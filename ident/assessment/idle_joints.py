@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
-from drivers.units import joint_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.text import percent_text
+from drivers.core.units import joint_unit
 from ident.regression.comparison import TorqueSeries
 from ident.signals.motion_masks import SHORTEST_REST
 from ident.verdict.catalogue import raised

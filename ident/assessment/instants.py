@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.regressor import RegressorKernel, dense_regressor
 from ident.regression.velocity_reversals import reversal_mask
 from ident.signals.prepared import Prepared

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.assessment.refit import Deviation, Kind, Refit, Unknown
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.autocorrelation import independent_share, residual_autocorrelation

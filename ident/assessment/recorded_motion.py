@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
-from drivers.errors import DataError, DynidError, RobotFileError, UsageError
+from drivers.core.errors import DataError, DynidError, RobotFileError, UsageError
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel

@@ -12,7 +12,7 @@ from daq.recording.signal_quality import ColumnQuality, channel_quality
 from daq.recording.stale_samples import fresh_recording, stale_rows
 from daq.recording.stream_quality import StreamQuality, stream_quality
 from daq.recording.unit_plausibility import other_unit
-from drivers.percentage import percent_text, percentage_text
+from drivers.core.text import percent_text, percentage_text
 from ident.assessment.time_axis import time_axis_checks
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check

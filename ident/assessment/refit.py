@@ -16,8 +16,8 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.errors import IdentificationError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError
 from ident.assessment.instants import Instants
 from ident.linear_algebra.triangular import triangular
 from ident.model.dynamic_model import DynamicModel

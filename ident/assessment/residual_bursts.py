@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import BoolArray, FloatArray
 from ident.regression.comparison import TorqueSeries
 
 WINDOW = 0.3
@@ -43,8 +42,6 @@ LEAST_LEVEL = 1e-6
 """Of a joint's median squared residual: what is smaller is rounding."""
 
 _MEDIAN_OF_NORMAL = 0.6745
-
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

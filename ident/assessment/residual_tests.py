@@ -18,17 +18,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import BoolArray, FloatArray
+from drivers.core.text import percent_text
 from ident.regression.comparison import TorqueSeries
 from ident.regression.hypothesis_tests import LEVEL, p_text
 from ident.signals.filters import ZeroPhaseFilter
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
-
-BoolArray = npt.NDArray[np.bool_]
 
 LARGEST_AUTOCORRELATION = 0.15
 """Of independent residuals (AUBO section 3.2)."""

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.robot.schema import Robot
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.text import percent_text
 from ident.assessment.arm_mass import LENGTHS_PER_REACH, arm_length, mass_of_length, part_of_arm
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel

@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from drivers.errors import DataError
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
+from drivers.core.text import percent_text
 from ident.regression.comparison import TorqueSeries
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check

@@ -16,10 +16,11 @@ from daq.session.device_limits import before_a_motion
 from daq.session.session import load_driver
 from daq.session.supervisor import Limits, Supervisor
 from drivers.base import DeviceLimits, Driver, Identifying, Limiting
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.config import WITH
-from drivers.errors import ConnectionFailedError
-from drivers.streams import Batch, FloatArray
+from drivers.connection_settings import WITH
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError
+from drivers.streams import Batch
 
 FIRST_SAMPLE_LIMIT = 5.0
 """Time limit [s] for the first sample."""

@@ -14,9 +14,9 @@ from daq.recording.signal_quality import ColumnQuality
 from daq.recording.stream_quality import StreamQuality
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
-from drivers.errors import DynidError
-from drivers.reading_process import Progress
-from drivers.units import common_unit
+from drivers.core.errors import DynidError
+from drivers.core.reading_process import Progress
+from drivers.core.units import common_unit
 from ident.assessment.delay.delay import DelaySearch, delay_checks, search_delay
 from ident.assessment.excitation import ExcitationReached, excitation_reached
 from ident.assessment.recorded_motion import RecordedMotion, recorded_motion

@@ -16,8 +16,8 @@ from daq.session.bus_room import bus_budget, tight_bus
 from daq.session.session import load_driver
 from drivers.base import DRIVERS_GROUP
 from drivers.bus_budget import TIGHT_SHARE, Budget
-from drivers.errors import InputError
-from drivers.percentage import percent_text
+from drivers.core.errors import InputError
+from drivers.core.text import percent_text
 from ident.checks.tool_pose import ToolPose, tool_poses
 from ident.estimators.feasible.centre_bounds import CentreBound, centre_bounds
 from ident.excite.constraints.constraints import unchecked_pairs

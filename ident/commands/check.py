@@ -7,7 +7,7 @@ from typing import NoReturn
 
 import typer
 
-from drivers.errors import InputError
+from drivers.core.errors import InputError
 from ident.commands.options import JSON, ROBOT
 
 app = typer.Typer()
@@ -32,8 +32,8 @@ def check(
 
     from daq.commands.console import print_json
     from daq.robot.loader import load_robot
-    from drivers.clock import SYSTEM_CLOCK
-    from drivers.errors import RobotFileError, UsageError
+    from drivers.core.clock import SYSTEM_CLOCK
+    from drivers.core.errors import RobotFileError, UsageError
     from ident.checks.connection_check import check_connections, print_connection
     from ident.checks.robot_check import budget_object, check_robot, print_budget
     from ident.checks.robot_description import description, inertial_count

@@ -39,7 +39,7 @@ def export(
 
     from daq.commands.console import print_json, progress_line
     from daq.output_files import check_outputs, written_together
-    from drivers.errors import UsageError
+    from drivers.core.errors import UsageError
     from ident.export.c_code.names import source_paths
     from ident.result.delivered import Parameters
     from ident.result.model import load_model, result_path

@@ -28,7 +28,7 @@ def find_friction(
     from daq.commands.console import print_table, progress_line
     from daq.output_files import REPORT_FILE, check_output_folder
     from daq.robot.loader import load_robot
-    from drivers.units import common_unit
+    from drivers.core.units import common_unit
     from ident.commands.options import delay_option
     from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
     from ident.result.friction_experiment import FRICTION_FILE

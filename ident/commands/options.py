@@ -10,7 +10,7 @@ import typer
 
 from daq.commands.options import FORCE as FORCE
 from daq.commands.options import JSON as JSON
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 
 ROBOT = typer.Argument(help="Built-in robot or robot file.")
 ESSENTIAL = typer.Option(

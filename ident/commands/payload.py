@@ -54,7 +54,7 @@ def identify_drive_gains(
     """
     from daq.commands.console import progress_line
     from daq.output_files import REPORT_FILE
-    from drivers.errors import UsageError
+    from drivers.core.errors import UsageError
     from ident.experiments.gains.drive_gains import DriveGains
     from ident.tasks.loads import GAINS_FILE, drive_gains
 
@@ -191,7 +191,7 @@ def print_gains(gains: DriveGains) -> None:
 def print_slow_gains(gains: SlowGains) -> None:
     """Gains from slow up-and-down runs as a person reads them at the terminal."""
     from daq.commands.console import print_table
-    from drivers.units import common_unit
+    from drivers.core.units import common_unit
     from ident.experiments.payload_summary import drives_text, gain_unit
     from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from daq.commands.console import print_table
-from drivers.percentage import in_percent, percent_text
+from drivers.core.text import in_percent, percent_text
 from ident.result.delivered import DELIVERED_WORDS
 from ident.result.schema import Fit, Merge, Result
 from ident.verdict.verdict import Verdict

@@ -23,7 +23,7 @@ def show(
     """
     from daq.commands.console import print_json, print_table
     from daq.robot.loader import load_robot
-    from drivers.units import common_unit
+    from drivers.core.units import common_unit
     from ident.checks.robot_description import description, inertial_count
     from ident.model.base_parameters import base_parameters
     from ident.model.dynamic_model import build_model

@@ -35,7 +35,7 @@ def sweep_velocities(
     from daq.commands.console import print_json, print_table, progress_line
     from daq.output_files import check_outputs, written_together
     from daq.robot.loader import load_robot
-    from drivers.units import common_unit
+    from drivers.core.units import common_unit
     from ident.commands.options import names_option
     from ident.result.model import result_path
     from ident.tasks.velocity_sweep import design_sweep

@@ -14,7 +14,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from daq.robot.loader import RobotFile
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.base_parameters import BaseParameters
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun

@@ -13,8 +13,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from drivers.ranges import EXPONENT, STRIBECK_VELOCITY, Range
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.ranges import EXPONENT, STRIBECK_VELOCITY, Range
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import FrictionTerms, LoadTorque

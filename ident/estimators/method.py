@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 
 from pydantic import AfterValidator
 
-from drivers.ranges import Range
+from drivers.core.ranges import Range
 from ident.estimators.estimator import Equations, Estimator, Setup
 
 Options = TypeVar("Options")

@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.estimators import methods as methods_folder
 from ident.estimators.estimator import Equations, Estimator, Setup
 from ident.estimators.method import Method

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Setup
 from ident.estimators.feasible.prior import link_priors
 from ident.estimators.search_estimator import Space, no_penalty

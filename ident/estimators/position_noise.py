@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from drivers.errors import IdentificationError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError
 from ident.model.regressor import RegressorKernel
 from ident.regression.observation_matrix import Reduction, filtered_samples
 from ident.signals.filters import butterworth

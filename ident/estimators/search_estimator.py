@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.text import percent_text
 from ident.estimators.estimator import Estimation, Loop, Setup
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.minimisation import Budget, Minimum, Optimiser, minimise

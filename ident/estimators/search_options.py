@@ -7,7 +7,6 @@ from typing import Annotated
 
 from pydantic import Field
 
-from drivers.ranges import BOX_SHARE, GENERATIONS, LEARNING_FACTOR, POPULATION, SEARCH_TIME, SEED, WEIGHT
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import within
 from ident.estimators.search_estimator import SearchEstimator, base_space
@@ -15,6 +14,7 @@ from ident.estimators.swarm.minimisation import Budget
 from ident.estimators.swarm.particle_stability import InertiaWeight
 from ident.estimators.swarm.particle_swarm import ConstantWeight, ParticleSwarm
 from ident.estimators.torque_estimator import Solve
+from ident.ranges import BOX_SHARE, GENERATIONS, LEARNING_FACTOR, POPULATION, SEARCH_TIME, SEED, WEIGHT
 
 
 @dataclass(frozen=True)

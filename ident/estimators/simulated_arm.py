@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from drivers.errors import IdentificationError, ModelError
+from drivers.core.errors import IdentificationError, ModelError
 from ident.estimators.estimator import Setup
 from ident.estimators.feasible.consistent import found_consistent
 from ident.model.inverse_dynamics import InverseDynamics

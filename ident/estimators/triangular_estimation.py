@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.linear_algebra.triangular import triangular
 from ident.regression.least_squares import LeastSquares, residual_deviations, solve_weighted
 from ident.regression.observation_matrix import JointFactor, Reduction

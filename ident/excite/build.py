@@ -8,10 +8,10 @@ import numpy as np
 
 from daq.motion.trajectories import SHORTEST_RAMP
 from daq.robot.loader import RobotFile
-from drivers.closest import did_you_mean
-from drivers.errors import UsageError
-from drivers.ranges import HARMONICS, PERIOD, PERIODS, PIECE, POINTS, RAMP, check_option
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
+from drivers.core.ranges import PERIOD, PIECE, check_option
+from drivers.core.text import did_you_mean
 from ident.excite.choices import DesignChoices
 from ident.excite.constraints.constraints import constraints_of
 from ident.excite.constraints.within_limits import constraints_within_limits, criterion_within_limits
@@ -39,6 +39,7 @@ from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.parameters import INERTIAL
 from ident.model.regressor import RegressorKernel, motion_factor
+from ident.ranges import HARMONICS, PERIODS, POINTS, RAMP
 from ident.regression.least_squares import EXCITATION_TOLERANCE
 
 POINTS_PER_WAVE = 20

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.excite.measures import Measure
 from ident.excite.path import Path
 from ident.model.dynamic_model import DynamicModel

@@ -10,9 +10,9 @@ import numpy as np
 
 from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import UsageError
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.path import Family

@@ -15,7 +15,7 @@ import numpy as np
 from daq.motion.limits import Extremes, motion_extremes
 from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.excite.path import repeated_for
 from ident.excite.prior import Prior, recording_rate
 from ident.linear_algebra.triangular import scaled_condition

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 Measure = Callable[[FloatArray, float], tuple[float, FloatArray]]
 """(A (b, b), sharpness) → cost and its symmetric derivative (b, b)."""

@@ -12,9 +12,9 @@ import numpy as np
 from daq.motion.motion_check import MotionFigures, SmallestClearance
 from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
-from drivers.errors import MotionRefusedError
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import MotionRefusedError
+from drivers.core.text import percent_text
 from ident.excite.constraints.collision_geometry import link_name
 from ident.excite.constraints.constraints import constraints_of, unchecked_pairs
 from ident.excite.constraints.placements import place_arm, tool_point

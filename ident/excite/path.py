@@ -11,7 +11,7 @@ from daq.motion.fourier_quintic import FourierQuintic
 from daq.motion.trajectories import Motion, RestToRest
 from daq.motion.trajectory_file import Trajectory
 from daq.robot.schema import JointLimits
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 
 @dataclass(frozen=True)

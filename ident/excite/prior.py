@@ -10,9 +10,9 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from daq.robot.schema import JointLimits, Robot
-from drivers.errors import ResultFileError, UsageError
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ResultFileError, UsageError
+from drivers.core.text import percent_text
 from ident.identify.revalidate import stored_choices
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import build_model

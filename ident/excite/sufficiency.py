@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.errors import DynidError
-from drivers.percentage import percentage_text
-from drivers.ranges import PERCENT, check_option
+from drivers.core.errors import DynidError
+from drivers.core.ranges import check_option
+from drivers.core.text import percentage_text
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recorded_motion import RecordedMotion
 from ident.excite.forecast import Forecast, forecast
 from ident.excite.prior import Prior, find_prior, least_noise
+from ident.ranges import PERCENT
 from ident.regression.comparison import compare_torques
 from ident.regression.jackknife import FilteredRun, block_jackknife
 from ident.regression.least_squares import weighted_least_squares

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivers.ranges import Range, check_option
+from drivers.core.ranges import Range, check_option
 
 SMALLEST_STROKE = 0.1
 """Shorter strokes [rad or m] pass too few positions to tell gravity from friction."""

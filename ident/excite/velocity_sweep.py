@@ -16,9 +16,9 @@ from daq.motion.motion_check import MotionCheck, MotionFigures
 from daq.motion.trajectories import QUINTIC_ACCELERATION, QUINTIC_VELOCITY, PointToPoint
 from daq.robot.loader import RobotFile
 from daq.robot.schema import JointLimits
-from drivers.closest import did_you_mean
-from drivers.errors import MotionRefusedError, UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import MotionRefusedError, UsageError
+from drivers.core.text import did_you_mean
 from ident.excite.families.moving_joints import middle_of_range
 from ident.excite.sweep_choices import SMALLEST_STROKE, SweepChoices
 

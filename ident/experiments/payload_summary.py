@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.robot.schema import Robot
-from drivers.streams import FloatArray
-from drivers.units import common_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.units import common_unit
 from ident.experiments.gains.drive_gains import DriveGains
 from ident.experiments.gains.up_and_down import SlowGains
 from ident.experiments.load.consistent_load_summary import consistent_load_result

@@ -15,8 +15,8 @@ import numpy as np
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
-from drivers.errors import DataError, UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray, IntArray
+from drivers.core.errors import DataError, UsageError
 from ident.assessment.delay.delay import search_delay
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recording_checks import closing_checks
@@ -31,7 +31,6 @@ from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
 from ident.signals.prepared import Prepared
-from ident.signals.repetition import IntArray
 
 FREE, LOADED = 0, 1
 """Indices of the two runs, in every list of two."""

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from daq.robot.loader import RobotFile
-from drivers.errors import ModelError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ModelError
 from ident.estimators.feasible.pseudo_inertia import Body, body_of
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel

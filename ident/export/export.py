@@ -7,8 +7,8 @@ from os import PathLike
 from pathlib import Path
 
 from daq.output_files import check_outputs, replace_files
-from drivers.errors import ModelError, RobotFileError
-from drivers.input_files import URDF_FILE, read_text
+from drivers.core.errors import ModelError, RobotFileError
+from drivers.core.files import URDF_FILE, read_text
 from ident.export import mujoco_reading, pinocchio_reading
 from ident.export.arm import ExportedArm
 from ident.export.left_out import left_out_of_mjcf, left_out_of_ros2_inertial, left_out_of_urdf

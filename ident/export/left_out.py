@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.streams import FloatArray
-from drivers.units import joint_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.units import joint_unit
 from ident.export.arm import ExportedArm
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)

@@ -6,9 +6,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from drivers.errors import ModelError
-from drivers.streams import FloatArray
-from drivers.units import common_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ModelError
+from drivers.core.units import common_unit
 from ident.export.arm import ExportedArm
 from ident.export.left_out import left_out_of_mjcf
 from ident.export.shapes import Segment, link_segments

@@ -10,8 +10,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from drivers.errors import ModelError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ModelError
 from ident.export.arm import ExportedArm
 from ident.export.reading import (
     DURATION,

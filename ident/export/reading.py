@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import ModelError
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ModelError
+from drivers.core.text import percent_text
 from ident.export.arm import ExportedArm
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.errors import ModelError
+from drivers.core.errors import ModelError
 from ident.export.arm import ExportedArm
 from ident.export.left_out import left_out_of_ros2_inertial
 from ident.export.xml_text import rotation_of

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.export.arm import ExportedArm
 from ident.export.left_out import left_out_of_urdf
 from ident.export.shapes import Segment, link_segments

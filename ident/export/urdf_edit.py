@@ -14,8 +14,8 @@ from xml.parsers.expat import ExpatError
 
 import numpy as np
 
-from drivers.errors import RobotFileError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import RobotFileError
 from ident.export.arm import ExportedArm
 from ident.export.urdf import dynamics_attributes, inertial, limit_attributes, notes
 from ident.export.xml_text import comment_text, numbers, roll_pitch_yaw, rotation_of

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 
 def number(value: float) -> str:

@@ -9,9 +9,9 @@ import numpy as np
 
 from daq.importers.choices import OPPOSITE_TORQUE
 from daq.robot.loader import RobotFile
-from drivers.errors import RobotFileError
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import RobotFileError
+from drivers.core.text import percent_text
 from ident.assessment.arm_mass import ArmMass, arm_length, mass_of_size
 from ident.assessment.validation import fit_figures
 from ident.estimators.feasible.armature import ASSUMED

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from daq.recording.recording import Recording
-from drivers.errors import IdentificationError
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError
+from drivers.core.text import percent_text
 from ident.assessment.delay.delay import delay_checks
 from ident.assessment.idle_joints import idle_joint_checks
 from ident.assessment.mistakes.checks import mistake_checks

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.errors import DynidError
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DynidError
+from drivers.core.text import percent_text
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import rows_by_block
 from ident.signals.filters import ZeroPhaseFilter

@@ -10,9 +10,9 @@ import numpy as np
 
 from daq.recording.recording import Recording
 from daq.robot.schema import Robot
-from drivers.errors import DataError, UsageError
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError, UsageError
+from drivers.core.text import percent_text
 from ident.assessment.validation import HELD_OUT_SHARE
 from ident.identify.held_friction import HeldFriction
 from ident.regression.least_squares import LEAST_TORQUE

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.robot.loader import RobotFile
-from drivers.reading_process import Progress
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.reading_process import Progress
 from ident.assessment.excitation import excited_base_columns
 from ident.estimators.friction_steps import (
     LOAD_TOLERANCE,

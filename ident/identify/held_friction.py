@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.closest import did_you_mean
-from drivers.errors import DataError, UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError, UsageError
+from drivers.core.text import did_you_mean
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import (
     FIRST_STRIBECK_VELOCITY,

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.robot.schema import Robot
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
-from drivers.units import joint_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.text import percent_text
+from drivers.core.units import joint_unit
 from ident.assessment.validation import fit_figures, overfitting_checks
 from ident.identify.data_split import labelled
 from ident.model.base_parameters import BaseParameters, base_parameters

@@ -8,9 +8,9 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Friction
-from drivers.errors import UsageError
-from drivers.ranges import SMOOTHING, check_option
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
+from drivers.core.ranges import check_option
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.residual_tests import ResidualTests, filter_memory, residual_tests
 from ident.assessment.validation import FitFigures
@@ -26,6 +26,7 @@ from ident.identify.presliding import PreslidingFit, PreslidingTravel
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import friction_terms
+from ident.ranges import SMOOTHING
 from ident.regression.comparison import TorqueSeries
 from ident.regression.estimate import Estimate, estimate_of
 from ident.regression.jackknife import CorrectedCovariance

@@ -10,9 +10,9 @@ import numpy as np
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
-from drivers.errors import UsageError
-from drivers.reading_process import Progress
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
+from drivers.core.reading_process import Progress
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.validation import fit_figures

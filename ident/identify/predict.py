@@ -9,8 +9,8 @@ import numpy as np
 
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile
-from drivers.streams import FloatArray
-from drivers.units import ZERO_CELSIUS
+from drivers.core.arrays import FloatArray
+from drivers.core.units import ZERO_CELSIUS
 from ident.identify.revalidate import stored_choices
 from ident.result.model import Model, TorquePart
 from ident.signals.joint_signals import JointSignals, joint_positions, read_joint_signals

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.reading_process import Progress
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.reading_process import Progress
 from ident.assessment.delay.delay import DelaySearch, search_delay
 from ident.identify.cutoff_search import LoweredCutoffs, lowered_cutoffs
 from ident.identify.data_split import DataSplit, RunWindow

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.assessment.validation import LOW_SPEED
 from ident.model.presliding import DryFriction
 from ident.regression.comparison import TorqueSeries

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from drivers.errors import IdentificationError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError
 from ident.assessment.residual_bursts import Burst, bursts_beyond, windows
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.identification import Identification

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from daq.recording.recording import Recording
-from drivers.errors import ResultFileError
+from drivers.core.errors import ResultFileError
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.validation import FitFigures, fit_figures
 from ident.estimators.feasible.armature import armature_vector

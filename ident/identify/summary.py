@@ -13,9 +13,9 @@ import numpy as np
 
 from daq.recording.recording import Recording, software_versions
 from daq.robot.schema import Robot
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
-from drivers.units import common_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.text import percent_text
+from drivers.core.units import common_unit
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.validation import LOW_SPEED, FitFigures
 from ident.identify.convergence import convergence_result

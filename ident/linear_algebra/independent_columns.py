@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 
 def independent_columns(matrix: FloatArray, order: Iterable[int], tolerance: float) -> list[int]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 DETERMINED = 1.0 - 1e-6
 """An unknown is determined where this share of it lies in the row space: all of it but rounding."""

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 GRAM_CONDITION_LIMIT = 1e4
 """Up to this condition (column-normalised) the plain Gram matrix is accurate enough."""

@@ -14,9 +14,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from drivers.errors import IdentificationError
-from drivers.streams import FloatArray
-from drivers.units import ZERO_CELSIUS
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError
+from drivers.core.units import ZERO_CELSIUS
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import joint_column

@@ -21,8 +21,8 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from daq.robot.schema import JointLimits, Robot
-from drivers.errors import DataError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
 from ident.model.friction_terms import FrictionTerms
 from ident.model.kinematics.joints import Joint
 from ident.model.kinematics.loops import build_transmission, main_chain

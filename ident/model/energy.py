@@ -22,7 +22,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.linear_algebra.triangular import triangular
 from ident.linear_algebra.vectors import cross
 from ident.model.base_parameters import (

@@ -22,7 +22,7 @@ from typing import Any, cast
 import numpy as np
 
 from daq.robot.schema import Friction, LoadFriction, TemperatureFriction
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.parameters import Kind, Quantity
 
 REFERENCE_TEMPERATURE = 298.15

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import ModelError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ModelError
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import (
     LOAD_POWERS,

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.robot.schema import Robot
-from drivers.errors import UsageError
-from drivers.ranges import INERTIA, LENGTH, check_option
-from drivers.ranges import MASS as MASS_RANGE
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
+from drivers.core.ranges import INERTIA, LENGTH, check_option
+from drivers.core.ranges import MASS as MASS_RANGE
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel

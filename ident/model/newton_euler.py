@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.linear_algebra.vectors import cross_matrix
 from ident.model.kinematics.joints import BASE_INDEX, Joint
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 INERTIAL = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
 """The ten standard inertial parameters of a link, in column order [kg·m², kg·m, kg] (SR400 .3.1)."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import FrictionConditions
 from ident.model.joint_columns import NO_CONDITIONS, column_signal, joint_column

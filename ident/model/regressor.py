@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.linear_algebra.triangular import QrAccumulator
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import NO_STATES, FrictionConditions, States

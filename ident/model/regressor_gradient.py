@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.linear_algebra.vectors import cross
 from ident.model.joint_columns import column_slope
 from ident.model.newton_euler import AxisMotion

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.transmission import LinearTransmission, Transmission
 from ident.model.pinocchio_model import pinocchio_model

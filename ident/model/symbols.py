@@ -15,9 +15,9 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
-from drivers.errors import DynidError
-from drivers.streams import FloatArray
-from drivers.yaml_file import load_yaml
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DynidError
+from drivers.core.validation import load_yaml
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.parameters import StandardParameter

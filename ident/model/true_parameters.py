@@ -8,8 +8,8 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from daq.robot.schema import TruthJoint
-from drivers.errors import RobotFileError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.friction_terms import TEMPERATURE_KINDS, LoadTorque, friction_terms, root_coefficients
 from ident.model.parameters import INERTIAL, PAIR_FIELDS, link_parameters

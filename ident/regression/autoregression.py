@@ -14,14 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import BoolArray, FloatArray
 from ident.model.regressor import RegressorKernel
 from ident.regression.moment_equations import MomentRows
 from ident.regression.observation_matrix import filtered_samples
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
-
-BoolArray = npt.NDArray[np.bool_]
 
 LEAST_INNOVATION = 1e-6
 """Of the residual's variance; an order that leaves less is rounding."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.dynamic_model import DynamicModel
 from ident.model.presliding import presliding_states
 from ident.model.regressor import model_torque

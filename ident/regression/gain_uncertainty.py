@@ -16,8 +16,8 @@ from collections.abc import Collection
 import numpy as np
 
 from daq.robot.schema import Robot
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observation_matrix import Reduction
 

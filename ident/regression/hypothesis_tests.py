@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.load import INDEPENDENT
 
 WITHIN_95_PERCENT = 1.96

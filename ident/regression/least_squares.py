@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from drivers.errors import IdentificationError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError
 from ident.linear_algebra.triangular import scaled_condition, triangular
 from ident.regression.observation_matrix import Reduction
 

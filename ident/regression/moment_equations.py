@@ -17,8 +17,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from drivers.errors import IdentificationError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError
 from ident.model.regressor import RegressorKernel
 from ident.regression.autocorrelation import independent_share, residual_autocorrelation
 from ident.regression.comparison import TorqueSeries

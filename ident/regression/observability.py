@@ -16,8 +16,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from drivers.errors import DataError, IdentificationError, UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError, IdentificationError, UsageError
 from ident.linear_algebra.triangular import QrAccumulator
 from ident.model.base_parameters import (
     STATES_PER_PARAMETER,

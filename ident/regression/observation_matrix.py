@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.linear_algebra.triangular import (
     GRAM_CONDITION_LIMIT,
     PRECONDITIONED_CONDITION_LIMIT,

@@ -19,8 +19,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 from ident.regression.least_squares import LeastSquares
 
 SIGNIFICANT_RSD = 15.0

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.base_parameters import BaseParameters
 from ident.model.parameters import FRICTION_KINDS
 from ident.model.regressor import RegressorKernel

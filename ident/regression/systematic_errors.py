@@ -14,8 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.errors import IdentificationError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import CorrectedCovariance
 from ident.regression.least_squares import excited_columns, solve_weighted

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import IdentificationError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError
 from ident.linear_algebra.triangular import triangular
 from ident.regression.jackknife import delete_block_moves
 from ident.regression.least_squares import ROUNDING

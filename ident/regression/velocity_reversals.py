@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from drivers.errors import UsageError
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
+from drivers.core.text import percent_text
 from ident.model.joint_columns import combined
 from ident.model.regressor import RegressorKernel
 from ident.signals.motion_masks import SHORTEST_REST, moving_mask

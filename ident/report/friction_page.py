@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.streams import FloatArray
-from drivers.units import ZERO_CELSIUS, common_unit, joint_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.units import ZERO_CELSIUS, common_unit, joint_unit
 from ident.experiments.friction.experiment import FrictionExperiment
 from ident.experiments.friction.joint_friction import JointFriction, friction_torque
 from ident.model.dynamic_model import DynamicModel

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from drivers.units import common_unit
+from drivers.core.units import common_unit
 from ident.experiments.load.consistent_load_summary import consistent_load_rows, consistent_load_sentences
 from ident.experiments.schema import (
     BaseParameterChange,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from drivers.percentage import DASH as DASH
-from drivers.percentage import percent_text, percentage_text
+from drivers.core.text import DASH as DASH
+from drivers.core.text import percent_text, percentage_text
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -10,7 +10,7 @@ import numpy as np
 
 from daq.output_files import replace_files
 from daq.robot.schema import JointLimits, Robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.identify.predict import PARTS, RecordingPrediction, SegmentPrediction
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures.figures import (

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from daq.recording.recording import Recording
-from drivers.streams import UNITS, FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.streams import UNITS
 from ident.identify.identification import Identification
 
 

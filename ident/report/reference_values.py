@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from drivers.errors import DynidError
+from drivers.core.errors import DynidError
 from ident.model.true_parameters import truth_vector
 from ident.report.section import ReportData
 from ident.result.stored_model import stored_model

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.regression.comparison import TorqueSeries
 from ident.report.recorded_runs import RecordedRuns
 from ident.result.schema import Result

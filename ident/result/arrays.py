@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from drivers.errors import DataError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
 
 
 def samples(names: Sequence[str], **given: npt.ArrayLike) -> tuple[tuple[FloatArray, ...], bool]:

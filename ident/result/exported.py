@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.errors import ResultFileError, UsageError
+from drivers.core.errors import ResultFileError, UsageError
 from ident.export.arm import ExportedArm, refuse_unidentified_friction
 from ident.model.base_parameters import base_parameters
 from ident.model.inverse_dynamics import InverseDynamics

@@ -6,7 +6,7 @@ from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal
 
-from drivers.errors import ModelError
+from drivers.core.errors import ModelError
 from ident.result.delivered import Parameters
 from ident.result.model_parameters import ModelParameters
 

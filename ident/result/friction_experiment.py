@@ -10,10 +10,10 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from drivers.errors import ResultFileError
-from drivers.input_files import RESULT_FILE, read_text
-from drivers.ranges import EXPONENT, STRIBECK_VELOCITY
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ResultFileError
+from drivers.core.files import RESULT_FILE, read_text
+from drivers.core.ranges import EXPONENT, STRIBECK_VELOCITY
 from ident.model.friction_terms import TEMPERATURE_KINDS
 from ident.model.parameters import Kind
 from ident.result.schema import FrictionStepResult, JointFrictionResult, Number, Value

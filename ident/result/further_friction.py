@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.base_parameters import random_states
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import REFERENCE_TEMPERATURE, FrictionConditions

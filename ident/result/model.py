@@ -13,8 +13,8 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from drivers.errors import DataError, ModelError, UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError, ModelError, UsageError
 from ident.model.parameters import FRICTION_KINDS
 from ident.model.presliding import dry_friction
 from ident.model.regressor import CHUNK

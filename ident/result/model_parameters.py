@@ -7,9 +7,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from drivers.errors import DataError, ModelError
-from drivers.streams import FloatArray
-from drivers.units import ZERO_CELSIUS
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError, ModelError
+from drivers.core.units import ZERO_CELSIUS
 from ident.estimators.feasible.armature import armature_vector
 from ident.estimators.feasible.consistent import ConsistentParameters, consistent_parameters
 from ident.model.base_parameters import base_parameters

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from daq.recording.recording import software_versions
-from drivers.percentage import percent_text
+from drivers.core.text import percent_text
 from ident.result.delivered import Parameters
 from ident.result.schema import Fit, Result
 

@@ -23,12 +23,13 @@ from pydantic import (
 
 from daq.output_files import replace_files, strange_files
 from daq.robot.section import within
-from drivers.errors import DynidWarning, ResultFileError
-from drivers.input_files import RESULT_FILE, read_text
-from drivers.ranges import EXPONENT, PRESLIDING_TRAVEL, RESULT_VALUE, SMOOTHING, STRIBECK_VELOCITY
-from drivers.units import common_unit, joint_unit
+from drivers.core.errors import DynidWarning, ResultFileError
+from drivers.core.files import RESULT_FILE, read_text
+from drivers.core.ranges import EXPONENT, STRIBECK_VELOCITY
+from drivers.core.units import common_unit, joint_unit
 from ident.model.friction_terms import FrictionTerms
 from ident.model.parameters import Kind
+from ident.ranges import PRESLIDING_TRAVEL, RESULT_VALUE, SMOOTHING
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.delivered import DeliveredParameters
 from ident.verdict.acceptance import Acceptance

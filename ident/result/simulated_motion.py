@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from drivers.errors import DataError, ModelError, UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError, ModelError, UsageError
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.result.arrays import samples
 from ident.simulation.forward_arm import ForwardArm

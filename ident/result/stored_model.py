@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.robot.loader import RobotFile, parse_robot
-from drivers.errors import ResultFileError
+from drivers.core.errors import ResultFileError
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.joint_columns import quantity_of

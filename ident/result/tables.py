@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drivers.errors import UsageError
-from drivers.percentage import DASH, percentage_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
+from drivers.core.text import DASH, percentage_text
 
 if TYPE_CHECKING:
     from pandas import DataFrame

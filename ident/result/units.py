@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.units import joint_unit
+from drivers.core.units import joint_unit
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import joint_column
 from ident.result.schema import UNITS

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.errors import UsageError
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
+from drivers.core.text import percent_text
 from ident.signals.filters import butterworth as butterworth_filter
 from ident.signals.filters import no_filter
 from ident.signals.motion_masks import BAND_POWER

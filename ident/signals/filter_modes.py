@@ -9,9 +9,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
-
-ComplexArray = npt.NDArray[np.complex128]
+from drivers.core.arrays import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,9 @@ from functools import cached_property
 
 import numpy as np
 
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
-from ident.signals.filter_modes import ChunkResponse, ComplexArray, Modes, chunk_response, modes_of
+from drivers.core.arrays import ComplexArray, FloatArray
+from drivers.core.errors import UsageError
+from ident.signals.filter_modes import ChunkResponse, Modes, chunk_response, modes_of
 
 DECIMATION_RIPPLE_DB = 0.05
 """Passband ripple of the decimation filter [dB], one direction (scipy.signal.decimate)."""

@@ -14,10 +14,10 @@ from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.recording.stale_samples import StaleSamples, fresh_recording
 from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
-from drivers.errors import DataError
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
 from drivers.gains import DriveGain, joint_torque
-from drivers.ranges import RECORDED_POSITION, RECORDED_TORQUE, RECORDED_VELOCITY
-from drivers.streams import FloatArray
+from ident.ranges import RECORDED_POSITION, RECORDED_TORQUE, RECORDED_VELOCITY
 from ident.signals.joint_target import joint_target
 from ident.signals.joint_temperature import joint_temperature
 

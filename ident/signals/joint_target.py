@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from daq.recording.recording import Stream
-from drivers.ranges import RECORDED_POSITION
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from ident.ranges import RECORDED_POSITION
 
 QUANTITY = "target_position"
 

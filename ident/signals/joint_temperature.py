@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from daq.recording.recording import JOINTS_STREAM, Recording
-from drivers.streams import FloatArray
-from drivers.units import ZERO_CELSIUS
+from drivers.core.arrays import FloatArray
+from drivers.core.units import ZERO_CELSIUS
 
 QUANTITY = "temperature"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 BAND_POWER = 0.999
 """Share of a joint's velocity power that lies within the motion's band."""

@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass, fields, replace
 from typing import Literal, get_args
 
-from drivers.errors import UsageError
-from drivers.ranges import CUTOFF, DECIMATION, DELAY, NOISE_LEVEL, VELOCITY_LIMIT, WINDOW_TIME, check_option
+from drivers.core.errors import UsageError
+from drivers.core.ranges import DELAY, VELOCITY_LIMIT, check_option
+from ident.ranges import CUTOFF, DECIMATION, NOISE_LEVEL, WINDOW_TIME
 from ident.signals.filters import ZeroPhaseFilter, butterworth, chebyshev_decimation
 
 FilterKind = Literal["butterworth", "chebyshev"]

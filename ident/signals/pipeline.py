@@ -14,9 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.errors import DataError, DynidError, UsageError
-from drivers.streams import FloatArray
-from drivers.units import common_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError, DynidError, UsageError
+from drivers.core.units import common_unit
 from ident.signals.derivatives import Smoother, choose_smoother, smooth_motion
 from ident.signals.filters import ZeroPhaseFilter, chebyshev_decimation, unit_gain
 from ident.signals.joint_signals import JointSignals

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.options import Cutoffs, PreprocessChoices
 from ident.signals.resampling import Irregularity

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray, IntArray
 
 SAME_MOTION = 0.01
 """Mean square difference of two velocities, relative to the sum of their mean squares, below which they are the same
@@ -24,8 +23,6 @@ DIFFERENT_MOTION = 0.5
 
 LEAST_OVERLAP = 0.1
 """Share of the shorter segment that must be there twice."""
-
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from drivers.errors import DataError
-from drivers.ranges import SAMPLING_RATE, STAMP
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
+from drivers.core.ranges import SAMPLING_RATE, STAMP
 
 GAP_PERIODS = 10.0
 GAP_SECONDS = 0.05

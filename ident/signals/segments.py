@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import DataError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
 from ident.signals.motion_masks import SHORTEST_REST, default_rest_velocity, moving_mask
 from ident.signals.options import Cutoffs, PreprocessChoices
 from ident.signals.prepared import Segment, SmoothMotion, Step

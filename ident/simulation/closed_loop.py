@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.signals.prepared import Segment
 from ident.simulation.forward_arm import ForwardArm

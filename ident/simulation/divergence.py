@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.errors import ModelError
-from drivers.streams import FloatArray
-from drivers.units import joint_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ModelError
+from drivers.core.units import joint_unit
 from ident.simulation.forward_arm import ForwardArm
 
 FASTEST = 1e4

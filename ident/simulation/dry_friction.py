@@ -18,7 +18,7 @@ from operator import mul
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 PRECISION = 5e-13
 """Velocity that counts as 0, as a share of |u_free| + |W|·f of the same direction: no unit matters."""

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.errors import ModelError
-from drivers.streams import FloatArray
-from drivers.units import joint_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ModelError
+from drivers.core.units import joint_unit
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import SLOWEST, TEMPERATURE_KINDS, FrictionConditions
 from ident.model.inverse_dynamics import InverseDynamics, with_masses

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import ModelError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ModelError
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.signals.prepared import Segment
 from ident.simulation.forward_arm import ForwardArm

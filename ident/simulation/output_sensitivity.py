@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 DIFFERENCE = 1e-5
 """Of positions [rad] and velocities [rad/s], for the derivatives of the torque."""

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import DataError, ModelError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError, ModelError
 from ident.simulation.divergence import diverged, divergence
 from ident.simulation.dry_friction import dry_friction
 from ident.simulation.forward_arm import ForwardArm

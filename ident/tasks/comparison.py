@@ -14,10 +14,10 @@ import numpy as np
 from daq.commands.console import json_text
 from daq.output_files import REPORT_FILE, write_folder
 from daq.robot.loader import RobotFile, load_robot
-from drivers.errors import IdentificationError, UsageError
-from drivers.percentage import in_percent
-from drivers.streams import FloatArray
-from drivers.units import common_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError, UsageError
+from drivers.core.text import in_percent
+from drivers.core.units import common_unit
 from ident.experiments.method_comparison import (
     JointGroup,
     PairedDifference,

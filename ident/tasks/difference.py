@@ -7,9 +7,9 @@ from os import PathLike
 
 import numpy as np
 
-from drivers.errors import UsageError
-from drivers.percentage import in_percent
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
+from drivers.core.text import in_percent
 from ident.regression.estimate import Estimate
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest, chi_square_test
 from ident.result.model import Model

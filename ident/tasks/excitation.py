@@ -18,10 +18,10 @@ from daq.output_files import replace_files
 from daq.robot.assumptions import assumed_limits
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
-from drivers.errors import IdentificationError, UsageError
-from drivers.percentage import percent_text, percentage_text
-from drivers.ranges import SEARCH_TIME, SEED, STARTS, check_option
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError, UsageError
+from drivers.core.ranges import check_option
+from drivers.core.text import percent_text, percentage_text
 from ident.excite.choices import DEFAULT_SECONDS, CriterionName, DesignChoices, Kind
 from ident.excite.constraints.surroundings import surroundings_warning
 from ident.excite.design import Design, design
@@ -30,6 +30,7 @@ from ident.excite.page.page import write_page
 from ident.excite.prior import Prior, find_prior
 from ident.excite.search.search import SearchChoices, SearchResult
 from ident.excite.search.solve import Solver
+from ident.ranges import SEARCH_TIME, SEED, STARTS
 from ident.result.tables import Table, table_of_rows
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from daq.commands.console import json_text
 from daq.output_files import REPORT_FILE, write_folder
 from daq.robot.loader import RobotFile, load_robot
-from drivers.reading_process import Progress
+from drivers.core.reading_process import Progress
 from ident.experiments.friction.experiment import FrictionExperiment, analyse_friction
 from ident.experiments.friction.summary import friction_result, friction_table
 from ident.identify.friction.choice import AUTO
@@ -99,7 +99,7 @@ def friction(
         >>> import dynid
         >>> dynid.friction("sweep.h5")
         Traceback (most recent call last):
-        drivers.errors.RecordingError: sweep.h5: no such file
+        drivers.core.errors.RecordingError: sweep.h5: no such file
     """
     robot_file = None if robot is None else load_robot(robot)
     return IdentifiedFriction(analyse_friction(recordings_of(runs), friction, robot_file, delay, progress))

@@ -8,13 +8,14 @@ from os import PathLike
 from pathlib import Path
 
 from daq.robot.loader import RobotFile, load_robot
-from drivers.errors import UsageError
-from drivers.ranges import PERCENT, check_option
-from drivers.reading_process import Progress
+from drivers.core.errors import UsageError
+from drivers.core.ranges import check_option
+from drivers.core.reading_process import Progress
 from ident.identify.acceptance import result_figures
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify as identify_recordings
 from ident.identify.summary import summarise
+from ident.ranges import PERCENT
 from ident.regression.comparison import TorqueSeries
 from ident.regression.observability import REST_TOLERANCE, ExperimentChoices
 from ident.regression.pruning import DEFAULT_RULE, SIGNIFICANT_RSD, EssentialRule

@@ -12,8 +12,8 @@ import numpy as np
 from daq.commands.console import json_text
 from daq.output_files import REPORT_FILE, write_folder
 from daq.robot.loader import RobotFile, load_robot
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 from ident.experiments.gains.drive_gains import DriveGains, identify_gains
 from ident.experiments.gains.up_and_down import SlowGains, identify_slow_gains
 from ident.experiments.load.consistent_load import ConsistentLoad
@@ -275,7 +275,7 @@ def drive_gains(
         >>> import dynid
         >>> dynid.drive_gains("free.h5", "loaded.h5", mass=2.8)
         Traceback (most recent call last):
-        drivers.errors.RecordingError: free.h5: no such file
+        drivers.core.errors.RecordingError: free.h5: no such file
     """
     known = _known_load(mass, com, inertia)
     runs = recording_of(free), recording_of(loaded)

@@ -15,8 +15,9 @@ import numpy as np
 from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, Stream, software_versions
 from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile
-from drivers.streams import UNITS, FloatArray
-from drivers.units import common_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.units import common_unit
+from drivers.streams import UNITS
 from ident.identify.predict import PARTS, RecordingPrediction, predict_recording
 from ident.report.prediction_page import write_prediction_page
 from ident.result.delivered import Parameters

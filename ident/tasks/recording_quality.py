@@ -9,7 +9,7 @@ from pathlib import Path
 from daq.commands.console import json_text
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import RobotFile, load_robot
-from drivers.reading_process import Progress
+from drivers.core.reading_process import Progress
 from ident.checks.page.page import write_page
 from ident.checks.recording_check import RecordingInfo, info_object, recording_info
 from ident.result.tables import Table, table_of_rows

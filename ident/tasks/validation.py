@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.assessment.validation import fit_figures
 from ident.experiments.merge.merged_result import merge_results
 from ident.identify.acceptance import acceptance_figures

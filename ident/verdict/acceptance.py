@@ -11,10 +11,10 @@ from typing import Annotated, Any, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from daq.robot.section import Positive, Section
-from drivers.errors import UsageError
-from drivers.input_files import LIMITS_FILE, read_text
-from drivers.units import joint_unit
-from drivers.yaml_file import read_mapping, validated
+from drivers.core.errors import UsageError
+from drivers.core.files import LIMITS_FILE, read_text
+from drivers.core.units import joint_unit
+from drivers.core.validation import read_mapping, validated
 from ident.verdict.check import PURPOSE_WORDS, Purpose
 from ident.verdict.verdict import GRADES, Grade, Verdict
 

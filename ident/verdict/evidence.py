@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from drivers.percentage import percent_text
+from drivers.core.text import percent_text
 
 
 @dataclass(frozen=True)

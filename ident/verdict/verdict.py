@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Literal, get_args
 
-from drivers.percentage import percent_text
+from drivers.core.text import percent_text
 from ident.verdict.catalogue import CATALOGUE
 from ident.verdict.check import PURPOSE_WORDS, PURPOSES, SEVERITIES, Check, Purpose, Severity
 from ident.verdict.evidence import Evidence, MotionError, known

@@ -10,8 +10,8 @@ import can
 import numpy as np
 
 from drivers.can.bus import close_bus, open_bus
-from drivers.clock import Clock, set_timer_slack
-from drivers.errors import ConnectionLostError
+from drivers.core.clock import Clock, set_timer_slack
+from drivers.core.errors import ConnectionLostError
 from sim_drivers.can.bus_load import Frame
 from sim_drivers.faults import ServerKind
 from sim_drivers.server import FaultyServer, Server

@@ -13,7 +13,7 @@ from typing import Protocol
 import can
 import numpy as np
 
-from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.core.clock import SYSTEM_CLOCK, Clock
 from sim_drivers.pseudo_terminal import LineEnd, PseudoTerminal
 from sim_drivers.server import Server
 

@@ -17,8 +17,8 @@ from drivers.can.bus import EXTENDED
 from drivers.can_signals.settings import CanFramesSettings
 from drivers.can_signals.table.signal_keys import WHOLE_ARM
 from drivers.can_signals.table.signals import FixedFrame, FrameLayout, Signal, batches, decode, encode, frame_layouts
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 from sim_drivers.can.bus_load import Frame
 from sim_drivers.canopen.motion import EXTRAPOLATED_CYCLES, AxisReference, CyclicPosition, SyncClock
 from sim_drivers.plant.arm import MeasurementLike, SimulatedArm

@@ -17,8 +17,8 @@ from daq.robot.schema import Robot
 from drivers.can.bus import EXTENDED
 from drivers.can.receiver import Receiver
 from drivers.can_signals.settings import parse_settings
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.percentage import percent_text
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.text import percent_text
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
 from sim_drivers.can.bus_server import BusServer, send_error_frame
 from sim_drivers.can_signals.arm import TableArm

@@ -17,8 +17,8 @@ from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
 from drivers.canopen402.protocol.objects import EMCY, HEARTBEAT, NMT, SDO_ANSWER, SDO_REQUEST, SYNC
 from drivers.canopen402.settings import CanopenSettings
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
 from sim_drivers.canopen.drive import SimulatedDrive
 from sim_drivers.canopen.error_control import HIGHEST_NODE

@@ -17,8 +17,8 @@ from daq.robot.schema import Robot
 from drivers.can.arrival_clock import ArrivalClock
 from drivers.canopen402.protocol.objects import STATE_OPERATIONAL, TPDO1
 from drivers.canopen402.settings import CanopenSettings
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.percentage import percent_text
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.text import percent_text
 from sim_drivers.can.bus_load import Frame, exact_bits
 from sim_drivers.can.bus_server import BusServer, send_error_frame
 from sim_drivers.can.slcan_adapter import SlcanAdapter

@@ -12,7 +12,7 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from daq.robot.schema import TruthLink
-from drivers.errors import RobotFileError, UsageError
+from drivers.core.errors import RobotFileError, UsageError
 from ident.model.dynamic_model import build_model
 
 

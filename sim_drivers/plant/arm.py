@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 
 class MeasurementLike(Protocol):

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.rigid_arm import RigidArm
 from sim_drivers.plant.friction import FrictionParameters
 

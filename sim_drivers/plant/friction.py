@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.robot.schema import Robot, TruthJoint
-from drivers.streams import FloatArray
-from drivers.units import ZERO_CELSIUS
+from drivers.core.arrays import FloatArray
+from drivers.core.units import ZERO_CELSIUS
 
 BRISTLE_DAMPING = 0.5
 """Damping ratio of a joint at rest on its bristle."""

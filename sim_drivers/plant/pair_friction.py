@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from daq.robot.schema import Robot, TruthJoint
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.dynamic_model import DynamicModel
 
 WIDTH = 0.01

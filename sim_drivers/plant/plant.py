@@ -17,8 +17,8 @@ import numpy as np
 from daq.robot.loader import RobotFile
 from daq.robot.loops import coupling_matrix
 from daq.robot.schema import TruthJoint
-from drivers.errors import RobotFileError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import build_model
 from ident.model.rigid_arm import RigidArm, rigid_arm
 from ident.model.true_parameters import truth_vector

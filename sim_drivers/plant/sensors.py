@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.robot.schema import Robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from daq.robot.schema import Robot, TruthThermal
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 LOSS_AT_TORQUE_LIMIT = 80.0
 """Copper loss [W] at the torque limit of a joint whose truth gives none: a size, not a measurement."""

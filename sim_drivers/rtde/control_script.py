@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from sim_drivers.rtde.controller import Controller
 from sim_drivers.rtde.joint_motion import ACCELERATION_RANGE, JointMotion, MoveJ, ServoJ, VelocityRamp
 from sim_drivers.rtde.variables import JOINTS, Value

@@ -15,8 +15,8 @@ from typing import Protocol
 import numpy as np
 
 from daq.robot.schema import JointLimits
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 from sim_drivers.plant.arm import MeasurementLike, SimulatedArm
 from sim_drivers.plant.control import Reference
 from sim_drivers.rtde.joint_motion import JointMotion, VelocityRamp

@@ -5,7 +5,7 @@ Wordings: Universal Robots, "Dashboard Server e-Series", as far as ur_rtde 1.6.5
 
 from __future__ import annotations
 
-from drivers.errors import ConnectionLostError
+from drivers.core.errors import ConnectionLostError
 from sim_drivers.rtde.controller import NORMAL, Controller
 
 LONGEST_LINE = 4096

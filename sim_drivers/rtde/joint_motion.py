@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from sim_drivers.plant.control import Reference
 
 LOOKAHEAD_RANGE = (0.03, 0.2)

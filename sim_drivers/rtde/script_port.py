@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-from drivers.errors import ConnectionLostError
+from drivers.core.errors import ConnectionLostError
 from sim_drivers.rtde.control_script import ControlScript
 from sim_drivers.rtde.controller import Controller
 

@@ -16,8 +16,8 @@ from queue import SimpleQueue
 from typing import Literal
 
 from daq.robot.schema import JointLimits
-from drivers.clock import SYSTEM_CLOCK, Clock, HasFileno
-from drivers.errors import ConnectionFailedError, ConnectionLostError, UsageError
+from drivers.core.clock import SYSTEM_CLOCK, Clock, HasFileno
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
 from sim_drivers.faults import (
     BlockJoint,
     Cut,

@@ -6,7 +6,7 @@ import math
 import struct
 from collections import deque
 
-from drivers.errors import ConnectionLostError
+from drivers.core.errors import ConnectionLostError
 from drivers.rtde.protocol import (
     DATA_PACKAGE,
     GET_CONTROL_VERSION,

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from drivers.rtde.protocol import DATA_PACKAGE, TEXT_MESSAGE, encode_package
 
 Value = float | int | bool | Sequence[float] | Sequence[int]

@@ -10,7 +10,7 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from drivers.can.bus import open_bus
 from drivers.canopen402.settings import parse_settings
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from sim_drivers.can.bus_load import Frame, exact_bits, worst_case_bits
 from sim_drivers.can.slcan_adapter import SlcanAdapter
 from sim_drivers.canopen.server import CanopenServer

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from sim_drivers.rtde.server import RtdeServer
 from sim_drivers.serving.served import BusOptions, Served, serve_until_interrupted
 
 if TYPE_CHECKING:
     from daq.robot.loader import RobotFile
-    from drivers.streams import FloatArray
+    from drivers.core.arrays import FloatArray
 
 WIRES = ("rtde", "canopen", "slcan", "can", "thermometer")
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Protocol, Self
 
-from drivers.errors import DynidError, UsageError, WorkError
-from drivers.terminal import styled, visible
+from drivers.core.errors import DynidError, UsageError, WorkError
+from drivers.core.terminal import styled, visible
 
 REFRESH = 0.5
 """[s] between two status lines."""

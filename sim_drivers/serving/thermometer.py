@@ -9,8 +9,8 @@ from typing import Self
 
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import UsageError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import UsageError
 from sim_drivers.faults import Fault, Heat
 from sim_drivers.plant.plant import Plant
 from sim_drivers.server import FaultyServer

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
-from drivers.streams import UNITS, FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.streams import UNITS
 
 MOTOR_SIGNALS = ("torque", "current", "voltage")
 

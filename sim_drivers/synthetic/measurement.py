@@ -10,8 +10,9 @@ from daq.motion.trajectories import Motion
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream, software_versions
 from daq.robot.loader import RobotFile
 from daq.robot.loops import coupling_matrix
-from drivers.streams import UNITS, FloatArray
-from drivers.units import ZERO_CELSIUS
+from drivers.core.arrays import FloatArray
+from drivers.core.units import ZERO_CELSIUS
+from drivers.streams import UNITS
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import true_model, truth_vector
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from daq.motion.trajectories import FourierSeries
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.linear_algebra.triangular import scaled_condition
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion

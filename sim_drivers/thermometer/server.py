@@ -15,12 +15,12 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import UsageError
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import UsageError
+from drivers.core.units import ZERO_CELSIUS
 from drivers.serial_thermometer.port import BITS_A_CHARACTER
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
-from drivers.streams import FloatArray
-from drivers.units import ZERO_CELSIUS
 from sim_drivers.faults import Fault, Freeze, Noise, Replug, Stick, Unplug
 from sim_drivers.plant.plant import Plant
 from sim_drivers.pseudo_terminal import LineEnd, PseudoTerminal

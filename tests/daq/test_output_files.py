@@ -30,8 +30,8 @@ from daq.output_files import (
     write_folder,
     written_together,
 )
-from drivers.errors import DiskError, UsageError
-from drivers.lock_file import held_lock
+from drivers.core.errors import DiskError, UsageError
+from drivers.core.files import held_lock
 
 
 def hard_link(path: Path, other: Path) -> None:

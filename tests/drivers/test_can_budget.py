@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from drivers.base import DriverSettings
 from drivers.bus_budget import Budget, FrameGroup, connection_budget, frame_bits, synchronous_cycle
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from drivers.gains import DriveGain
 from sim_drivers.can.bus_load import Frame, exact_bits, worst_case_bits
 

@@ -13,7 +13,7 @@ from typing import TextIO
 import pytest
 
 from daq.robot import loader
-from drivers.errors import DataError, IdentificationError
+from drivers.core.errors import DataError, IdentificationError
 from dynid import command
 
 HEAVY = ("numpy", "scipy", "pinocchio", "cvxpy", "h5py", "pydantic", "plotly", "rosbags")

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from drivers.errors import DriverStateError
+from drivers.core.errors import DriverStateError
 from drivers.first_step import FIRST_STEP_LIMIT, check_first_step, finite_position
 
 JOINTS = ("shoulder", "elbow", "wrist")

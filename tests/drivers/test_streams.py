@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.base import require_state
-from drivers.errors import DriverStateError
+from drivers.core.errors import DriverStateError
 from drivers.streams import UNITS, Batch, ChannelLayout, StreamLayout
 
 

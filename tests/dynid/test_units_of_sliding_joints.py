@@ -19,7 +19,7 @@ from daq.robot.loader import parse_robot
 from daq.robot.schema import JointLimits
 from daq.session.command_gate import CommandGate, GateLimits
 from daq.session.supervisor import Limits, Supervisor
-from drivers.errors import SafetyStopError, UsageError
+from drivers.core.errors import SafetyStopError, UsageError
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 from ident.commands.print_result import print_result
 

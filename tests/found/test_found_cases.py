@@ -9,7 +9,7 @@ import pytest
 from fuzzing.judged_run import run_command
 from fuzzing.seed_files import COMMANDS, Seeds, make_seeds
 
-from drivers import reading_process
+from drivers.core import reading_process
 
 CASES = sorted((Path(__file__).parent / "cases").glob("*/*/*"))
 

@@ -9,7 +9,7 @@ import pytest
 
 from daq.robot.loader import RobotFile, parse_robot
 from daq.robot.schema import JointLimits
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.linear_algebra.triangular import triangular
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import Joint

@@ -14,7 +14,7 @@ from odd_recordings import DAMAGES, MOTIONS, odd_recording
 import dynid
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, parse_robot
-from drivers.errors import DynidError
+from drivers.core.errors import DynidError
 from tests.ident.conftest import THREE_JOINT
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")

@@ -11,11 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+import ident.ranges
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot, parse_robot
-from drivers import ranges
-from drivers.errors import DataError, RobotFileError, UsageError
-from drivers.ranges import Range, check_option
+from drivers.core import ranges
+from drivers.core.errors import DataError, RobotFileError, UsageError
+from drivers.core.ranges import Range, check_option
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.sufficiency import check_wanted_rsd
@@ -26,7 +27,7 @@ from ident.signals.options import PreprocessChoices
 from ident.signals.resampling import check_stamps, measure_irregularity
 from ident.tasks.recording_quality import info
 
-TABLE = {name: value for name, value in vars(ranges).items() if isinstance(value, Range)}
+TABLE = {name: value for name, value in (vars(ranges) | vars(ident.ranges)).items() if isinstance(value, Range)}
 UR5E = load_robot("ur5e")
 
 

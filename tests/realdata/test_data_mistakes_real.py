@@ -12,7 +12,7 @@ import pytest
 from daq.importers import ImportChoices, import_file
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.assessment.instants import instants
 from ident.assessment.mistakes.checks import mistake_checks
 from ident.assessment.recording_checks import stale_checks, unit_checks

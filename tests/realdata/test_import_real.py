@@ -10,7 +10,7 @@ import pytest
 from daq.importers import ImportChoices, import_file
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import RobotFile, parse_robot
-from drivers.errors import ImportFileError
+from drivers.core.errors import ImportFileError
 
 pytestmark = pytest.mark.realdata
 

@@ -16,7 +16,7 @@ from daq.motion.trajectory_file import load_trajectory
 from daq.recording.reader import read_recording
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import RobotFile, load_robot
-from drivers.errors import ConnectionFailedError, RobotFileError, UsageError, WorkError
+from drivers.core.errors import ConnectionFailedError, RobotFileError, UsageError, WorkError
 from ident.excite.choices import DesignChoices
 from ident.excite.design import Design, design
 from ident.excite.prior import Prior

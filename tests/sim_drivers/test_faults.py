@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from sim_drivers.faults import (
     FAULTS,
     BlockJoint,

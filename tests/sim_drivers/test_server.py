@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import pytest
 from simulated_clock import SimulatedClock
 
-from drivers.errors import ConnectionFailedError
+from drivers.core.errors import ConnectionFailedError
 from sim_drivers.server import Server
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import load_robot
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from sim_drivers.serving.serve import simulate, start_position
 
 

@@ -26,7 +26,7 @@ from daq.recording.recording import Recording
 from daq.recording.recover import half_written
 from daq.robot.loader import load_robot
 from drivers.can.bus import close_bus, open_bus
-from drivers.errors import ConnectionFailedError
+from drivers.core.errors import ConnectionFailedError
 
 COMMAND = "import sys; from dynid.command import main; sys.exit(main())"
 SYNC_RATE = 100

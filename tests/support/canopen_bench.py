@@ -12,8 +12,9 @@ from simulated_clock import SimulatedClock, simulated_time
 
 from drivers.base import DriverSettings, Notice
 from drivers.canopen402.driver import Canopen402Driver
-from drivers.errors import DynidError
-from drivers.streams import Batch, FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DynidError
+from drivers.streams import Batch
 
 JOINTS = ("pan", "lift", "elbow")
 RATE = 100.0

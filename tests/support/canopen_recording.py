@@ -28,7 +28,7 @@ from daq.session.session import SessionReport, load_driver, record
 from daq.session.supervisor import Limits, Supervisor
 from drivers.canopen402.driver import Canopen402Driver
 from drivers.canopen402.settings import parse_settings
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from sim_drivers.canopen.server import CanopenServer
 from sim_drivers.canopen.setup import Feedback
 from sim_drivers.plant.plant import Plant

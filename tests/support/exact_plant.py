@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from sim_drivers.plant.sensors import Measurement
 
 JOINT_NAMES = tuple(f"j{number}" for number in range(1, 7))

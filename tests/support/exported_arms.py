@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from daq.robot.loader import RobotFile
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.export.arm import ExportedArm
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model

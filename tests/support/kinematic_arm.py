@@ -9,8 +9,8 @@ import numpy as np
 
 from daq.robot.loader import parse_robot
 from drivers.base import Notice
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionLostError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionLostError
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 RATE = 200.0

@@ -11,7 +11,7 @@ import numpy as np
 
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import true_model, truth_vector
 

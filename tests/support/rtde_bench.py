@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.rtde import protocol as wire
 
 LIMIT = 60.0

@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from simulated_clock import SimulatedClock
 
+from drivers.core.arrays import FloatArray
 from drivers.rtde import protocol as wire
 from drivers.rtde.connect import Connect
 from drivers.rtde.motion import Control, ControlFactory, MotionProcess, obey
-from drivers.streams import FloatArray
 from sim_drivers.plant.arm import MeasurementLike, SimulatedArm
 from sim_drivers.rtde.server import Ports, RtdeServer, Service
 

@@ -7,7 +7,7 @@ from itertools import count
 
 import can
 
-from drivers.clock import Clock
+from drivers.core.clock import Clock
 
 RATE = 100.0
 ANSWER_TIME = 0.001

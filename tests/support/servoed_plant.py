@@ -16,7 +16,7 @@ from daq.robot.loader import load_robot
 from daq.session.session import record
 from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Notice
-from drivers.clock import Clock
+from drivers.core.clock import Clock
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 from sim_drivers.plant.control import Reference
 from sim_drivers.plant.plant import Plant

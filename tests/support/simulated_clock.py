@@ -19,7 +19,7 @@ import can
 import can.interfaces
 from can.interfaces import virtual
 
-from drivers.clock import Clock, HasFileno
+from drivers.core.clock import Clock, HasFileno
 
 START = 1000.0
 DAY = 1.75e9

@@ -11,7 +11,7 @@ import numpy as np
 
 from daq.motion.trajectories import FourierSeries
 from daq.robot.schema import JointLimits
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.path import Path
 from ident.excite.search.problem import Problem

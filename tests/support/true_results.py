@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from daq.robot.loader import RobotFile
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.identify.summary import gain_results, model_options
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model

@@ -31,7 +31,7 @@ from daq.robot.loader import RobotFile, load_robot
 from daq.session.connections import driver_settings
 from daq.session.session import READ_TIMEOUT, SessionReport, record
 from daq.session.supervisor import STALE_FLOOR, TRACKING_ERROR, TRACKING_WINDOW, VELOCITY_MARGIN, Limits, Supervisor
-from drivers.errors import ConnectionLostError, SafetyStopError
+from drivers.core.errors import ConnectionLostError, SafetyStopError
 from drivers.rtde.driver import RtdeDriver
 from drivers.rtde.receiver import SILENCE_LIMIT
 from sim_drivers.faults import parse_fault

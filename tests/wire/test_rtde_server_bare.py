@@ -15,7 +15,7 @@ from rtde_bench import BareClient
 from rtde_in_process import NOWHERE
 from simulated_clock import START, SimulatedClock
 
-from drivers.errors import ConnectionFailedError, ConnectionLostError, UsageError
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
 from drivers.rtde import protocol as wire
 from sim_drivers.faults import Cut, Drop, Freeze, Heat, ProtectiveStop
 from sim_drivers.rtde.controller import Controller

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from daq.robot.loader import load_robot
-from drivers.errors import ConnectionFailedError, DynidError, UsageError
+from drivers.core.errors import ConnectionFailedError, DynidError, UsageError
 from sim_drivers.plant.plant import Plant
 from sim_drivers.serving import can as can_wires
 from sim_drivers.serving.serve import simulate

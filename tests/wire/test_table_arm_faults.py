@@ -43,7 +43,7 @@ from daq.session.session import READ_TIMEOUT, SessionReport
 from daq.session.supervisor import STALE_FLOOR
 from drivers.can.bus import close_bus, open_bus
 from drivers.can_signals.driver import SILENCE_LIMIT, STOP_LIMIT
-from drivers.errors import ConnectionFailedError
+from drivers.core.errors import ConnectionFailedError
 
 FAULT_AT = 1.3
 """When a fault comes [s of the arm's counter]; a motion is under way."""

@@ -18,7 +18,7 @@ from drivers.can_signals.rows.cycle_order import Order
 from drivers.can_signals.rows.sample_clock import SourceClock
 from drivers.can_signals.table.signal_keys import WHOLE_ARM
 from drivers.can_signals.table.signals import FrameBatch, FrameLayout, Signal, decode
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 LATE, SHORT = 0.75, 0.6
 """Shares of the pause between two cycles: a frame that is so much late is suspect; that it was late and not of the next

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.can_signals.table.signals import Signal
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 RESTART = 1.0
 """A clock that is so much [s] further on than the host's between two rows has been set, or its arm restarted."""

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 FRAME_BYTES = 8
 FRAME_BITS = 8 * FRAME_BYTES

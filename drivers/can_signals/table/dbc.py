@@ -10,8 +10,8 @@ from typing import Any
 from drivers.can.bus import EXTENDED
 from drivers.can_signals.table.bits import FRAME_BYTES, BitField, ByteOrder
 from drivers.can_signals.table.signals import identifier_text
-from drivers.errors import UsageError
-from drivers.input_files import DBC_FILE, read_bytes
+from drivers.core.errors import UsageError
+from drivers.core.files import DBC_FILE, read_bytes
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from drivers.can.bus import EXTENDED
 from drivers.can_signals.table.bits import FRAME_BITS, FRAME_BYTES
 from drivers.can_signals.table.signals import FixedFrame
-from drivers.config import ConnectionSettings, refused
+from drivers.connection_settings import ConnectionSettings, refused
 
 STANDARD_LIMIT = 0x7FF
 EXTENDED_LIMIT = 0x1FFFFFFF

@@ -13,8 +13,8 @@ from drivers.can_signals.table.dbc import Dbc, DbcSignal
 from drivers.can_signals.table.keys import BitKeys, IdentifiedKeys, MultiplexerKeys
 from drivers.can_signals.table.signals import Signal, check_overlaps
 from drivers.can_signals.table.units import FACTORS, to_si
-from drivers.closest import did_you_mean
-from drivers.config import ConnectionSettings, refused
+from drivers.connection_settings import ConnectionSettings, refused
+from drivers.core.text import did_you_mean
 from drivers.streams import UNITS
 
 WHOLE_ARM = ("time", "counter")

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from drivers.can.bus import EXTENDED, Frame
 from drivers.can_signals.table.bits import FRAME_BYTES, BitField, Payloads, stack
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 
 @dataclass(frozen=True)

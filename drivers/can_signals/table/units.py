@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from drivers.units import conversion, factors, normalised
+from drivers.core.units import conversion, factors, normalised
 
 _ANGLE = factors("rad", "mrad", "urad", "deg", "mdeg", "rev")
 _VELOCITY = factors(*(f"{unit}/s" for unit in _ANGLE), "rpm", "1/min")

@@ -21,8 +21,8 @@ from drivers.canopen402.protocol.state_machine import (
     DriveState,
     drive_state,
 )
-from drivers.canopen402.samples.alignment import Aligned, IntArray
-from drivers.streams import FloatArray
+from drivers.canopen402.samples.alignment import Aligned
+from drivers.core.arrays import FloatArray, IntArray
 
 ALIGNMENT_PERIOD = 1.0
 """Missing and extra frames are reported at most once in so many seconds."""

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 
 from drivers.can.bus import REMOTE, Sender
 from drivers.canopen402.protocol.objects import HEARTBEAT, STATE_OPERATIONAL
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionLostError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionLostError
 
 
 class LifeSigns:

@@ -33,9 +33,9 @@ from drivers.canopen402.protocol.state_machine import (
     DriveState,
     drive_state,
 )
-from drivers.canopen402.samples.alignment import IntArray
-from drivers.clock import STALL_LIMIT, SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionLostError, DriverStateError, MotionRefusedError
+from drivers.core.arrays import IntArray
+from drivers.core.clock import STALL_LIMIT, SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionLostError, DriverStateError, MotionRefusedError
 
 STOP_LIMIT = 3.0
 """How long [s] the drives may go on without coming to rest or slowing down: then their voltage is switched off."""

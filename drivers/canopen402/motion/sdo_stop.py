@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from drivers.can.bus import Sender
 from drivers.canopen402.protocol.objects import CONTROLWORD, SDO_ANSWER, SDO_REQUEST, STATUSWORD
 from drivers.canopen402.protocol.state_machine import POWERED, DriveState, drive_state
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionLostError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionLostError
 
 PATIENCE = 0.1
 """How long [s] a drive may take to answer SYNC before it is asked by SDO."""

@@ -15,8 +15,8 @@ from drivers.can.bus import Sender
 from drivers.canopen402.protocol import objects
 from drivers.canopen402.protocol.emcy import NOT_THERE, describe_abort
 from drivers.canopen402.protocol.objects import DriveObject
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionFailedError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError
 
 _UPLOAD = 0x40
 _DOWNLOAD = 0x23

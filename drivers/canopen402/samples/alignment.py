@@ -13,10 +13,8 @@ import numpy.typing as npt
 
 from drivers.can.bus import Frame
 from drivers.canopen402.protocol.objects import TPDO_BASES
+from drivers.core.arrays import FloatArray, IntArray
 from drivers.gains import torque_at_joints
-from drivers.streams import FloatArray
-
-IntArray = npt.NDArray[np.int64]
 
 _STATE = np.dtype([("statusword", "<u2"), ("mode", "i1"), ("position", "<i4")])
 _EFFORT = np.dtype([("velocity", "<i4"), ("torque", "<i2"), ("current", "<i2")])

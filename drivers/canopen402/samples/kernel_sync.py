@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from drivers.can.bus import Sender
 from drivers.canopen402.protocol.objects import SYNC
 from drivers.canopen402.samples.sync import PATIENCE, TARGET_ROOM, SyncProducer
-from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
-from drivers.errors import ConnectionLostError
+from drivers.core.clock import SYSTEM_CLOCK, Clock, set_timer_slack
+from drivers.core.errors import ConnectionLostError
 
 SILENT_PERIODS = 3
 """Without a SYNC for so many periods, and for `PATIENCE`, the adapter counts as lost."""

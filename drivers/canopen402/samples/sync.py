@@ -12,9 +12,9 @@ from typing import TypeVar
 from drivers.base import drained
 from drivers.can.bus import Sender
 from drivers.canopen402.protocol.objects import SYNC
-from drivers.clock import SYSTEM_CLOCK, Clock, set_timer_slack
-from drivers.errors import ConnectionLostError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock, set_timer_slack
+from drivers.core.errors import ConnectionLostError
 
 LATEST = 0.5
 """Of a period: in motion, a SYNC that would come later than this is left out, or the next one would come too soon."""

@@ -14,9 +14,9 @@ from drivers.base import Notice, drained
 from drivers.canopen402.protocol.objects import DriveObject
 from drivers.canopen402.protocol.sdo import RemoteDrive
 from drivers.canopen402.settings import TemperatureSource
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionFailedError, ConnectionLostError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError
 
 RATE = 5.0
 """Rows a second."""

@@ -20,8 +20,8 @@ from drivers.canopen402.setup.drive_limits import DriveLimits, cautions_of, read
 from drivers.canopen402.setup.error_control import ErrorControl, configure_error_control, warnings_of
 from drivers.canopen402.setup.pdo_mapping import configure_pdos
 from drivers.canopen402.setup.readiness import faults, require_unpowered, reset_faults
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionFailedError, MotionRefusedError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError, MotionRefusedError
 
 PROBE_LIMIT = 1.0
 """How long [s] all drives together may take to answer the first one."""

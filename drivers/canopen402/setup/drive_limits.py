@@ -11,7 +11,7 @@ from drivers.base import DeviceLimits
 from drivers.canopen402.protocol import objects
 from drivers.canopen402.protocol.sdo import RemoteDrive
 from drivers.canopen402.samples.alignment import PER_MILLE, Scaling
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 NO_WINDOW = 2**32 - 1
 """Value of 0x6065 that switches the supervision of the following error off."""

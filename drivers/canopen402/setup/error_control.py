@@ -21,8 +21,8 @@ from drivers.canopen402.protocol.objects import (
 )
 from drivers.canopen402.protocol.sdo import RemoteDrive, abort_code
 from drivers.canopen402.settings import HEARTBEATS_MISSED, CanopenSettings
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionFailedError, ConnectionLostError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError
 
 OWN_ID_ANSWER = 0.05
 """How long [s] another device may take to say that it has dynid's node id."""

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from drivers.canopen402.protocol import objects
 from drivers.canopen402.protocol.sdo import CanopenNetwork
 from drivers.canopen402.settings import HIGHEST_ID
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import MotionRefusedError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import MotionRefusedError
 
 LISTEN = 0.5
 """How long [s] is listened, or for two periods of the heartbeat where that is longer."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from drivers.canopen402.protocol import objects
 from drivers.canopen402.protocol.objects import DriveObject
 from drivers.canopen402.protocol.sdo import RemoteDrive
-from drivers.errors import ConnectionFailedError
+from drivers.core.errors import ConnectionFailedError
 
 _INVALID = 1 << 31
 _OLD_ID = (1 << 30) - 1

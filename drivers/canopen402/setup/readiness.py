@@ -15,8 +15,8 @@ from drivers.canopen402.protocol.state_machine import (
     DriveState,
     drive_state,
 )
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import MotionRefusedError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import MotionRefusedError
 
 SETTLE_LIMIT = 1.0
 """How long [s] a drive may take to leave a fault."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray, IntArray
+from drivers.core.text import percent_text
 from ident.assessment.delay.delay_equations import (
     FEWEST_BLOCKS,
     DelayEquations,
@@ -29,7 +29,6 @@ from ident.assessment.delay.delay_equations import (
 from ident.model.regressor import RegressorKernel
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
-from ident.signals.repetition import IntArray
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 

@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray, IntArray
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import rows_by_block
 from ident.regression.least_squares import LEAST_TORQUE, ROUNDING
 from ident.regression.velocity_reversals import STICKING_SHARE, reversal_mask
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
-from ident.signals.repetition import IntArray, motion_phases
+from ident.signals.repetition import motion_phases
 from ident.signals.resampling import shift_torque
 
 BLOCKS = 20

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.assessment.instants import BLOCKS, Columns, Instants
 from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions, moving_joints
 from ident.assessment.mistakes.equations import Equations, Fit, equations

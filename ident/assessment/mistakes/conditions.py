@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.assessment.instants import Instants
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.assessment.instants import BLOCKS, Columns, Instants
 from ident.linear_algebra.inequalities import least_squares_within
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.assessment.instants import Instants
 from ident.assessment.mistakes.competition import EXPLAINED, HALVED, Competition
 from ident.assessment.mistakes.equations import equations

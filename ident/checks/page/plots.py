@@ -9,8 +9,9 @@ import numpy as np
 
 from daq.recording.recording import Recording, Stream
 from daq.recording.stream_quality import LOST_FROM, StreamQuality
-from drivers.streams import UNITS, FloatArray
-from drivers.units import common_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.units import common_unit
+from drivers.streams import UNITS
 from ident.assessment.recorded_motion import RecordedMotion
 from ident.report.figures.figures import LOG_AXIS, PREDICTED, RESIDUAL, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.figures.panels import Line, Panel, panel_figure

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.linear_algebra.triangular import QrAccumulator
 from ident.model.energy import EnergyKernel
 from ident.regression.autocorrelation import independent_share, lag_one, residual_autocorrelation

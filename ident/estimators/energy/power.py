@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.energy.equations import EnergyRows
 from ident.estimators.energy.windows import friction_motion, motor_power
 from ident.model.energy import CHUNK, EnergyKernel

@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from drivers.errors import DataError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
 from ident.estimators.energy.equations import EnergyRows
 from ident.model.dynamic_model import DynamicModel
 from ident.model.energy import CHUNK, EnergyKernel, motor_velocity

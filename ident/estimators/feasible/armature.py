@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from daq.robot.schema import Robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.feasible.problem import friction_rates
 from ident.model.dynamic_model import DynamicModel
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from daq.robot.loader import RobotFile
-from drivers.errors import RobotFileError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.urdf_shapes import (
     Shape,

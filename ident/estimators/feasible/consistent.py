@@ -9,8 +9,8 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from daq.robot.prior import TOTAL_MASS, Known
-from drivers.errors import IdentificationError, RobotFileError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError, RobotFileError
 from ident.estimators.feasible.armature import Armature, armatures
 from ident.estimators.feasible.interior_point import BoolArray, Minimum, minimise, strictly_inside
 from ident.estimators.feasible.prior import apparent_mass, link_priors

@@ -13,8 +13,8 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from daq.robot.prior import PriorLink
-from drivers.errors import RobotFileError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import RobotFileError
 from ident.assessment.arm_mass import arm_length, mass_of_size
 from ident.estimators.feasible.pseudo_inertia import pseudo_inertia, standard_parameters
 from ident.model.dynamic_model import DynamicModel

@@ -9,9 +9,9 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from daq.robot.prior import TOTAL_MASS, Prior
-from drivers.closest import did_you_mean
-from drivers.errors import RobotFileError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import RobotFileError
+from drivers.core.text import did_you_mean
 from ident.estimators.feasible.centre_bounds import centre_bounds
 from ident.estimators.feasible.interior_point import BoolArray, Conditions
 from ident.estimators.feasible.prior import LinkPriors

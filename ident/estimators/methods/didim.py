@@ -15,13 +15,13 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from drivers.errors import IdentificationError
-from drivers.ranges import LOOP_BANDWIDTH
+from drivers.core.errors import IdentificationError
 from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.simulated_arm import check_whole_arm, simulated_motions
 from ident.estimators.target_motion import target_motions
 from ident.estimators.torque_estimator import TorqueEstimator, reduce_torques
+from ident.ranges import LOOP_BANDWIDTH
 from ident.regression.comparison import compare_torques
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun, block_jackknife
 from ident.regression.least_squares import LeastSquares, weighted_least_squares

@@ -7,13 +7,13 @@ from typing import Annotated
 
 from pydantic import Field
 
-from drivers.errors import UsageError
-from drivers.ranges import ENERGY_WINDOW
+from drivers.core.errors import UsageError
 from ident.estimators.energy.estimator import EnergyEstimator
 from ident.estimators.energy.windows import EnergyWindows, exchange_for, mean_duration, moving_spans
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.model.energy import EnergyKernel
+from ident.ranges import ENERGY_WINDOW
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ from typing import Annotated
 
 from pydantic import Field
 
-from drivers.errors import UsageError
-from drivers.ranges import FRICTION_SHARE
+from drivers.core.errors import UsageError
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.robust.iirls import FullFrictionEstimator
 from ident.estimators.robust.weight_functions import WeightName
+from ident.ranges import FRICTION_SHARE
 
 
 @dataclass(frozen=True)

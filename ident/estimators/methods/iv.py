@@ -14,9 +14,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from drivers.errors import IdentificationError
-from drivers.ranges import LOOP_BANDWIDTH
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError
 from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.simulated_arm import check_whole_arm, simulated_motions
@@ -24,6 +23,7 @@ from ident.estimators.target_motion import WEAKEST, first_stage_f, independent_r
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.estimators.triangular_estimation import restricted_solution, triangular_system
 from ident.linear_algebra.triangular import QrAccumulator, triangular
+from ident.ranges import LOOP_BANDWIDTH
 from ident.regression.comparison import compare_torques
 from ident.regression.exogeneity import exogeneity_test
 from ident.regression.hypothesis_tests import LEVEL, p_text

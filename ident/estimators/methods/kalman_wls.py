@@ -16,13 +16,13 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from drivers.ranges import GENERATIONS, NOISE_RATIO
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Estimation, Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.model.presliding import presliding_states
 from ident.model.regressor import model_torque
+from ident.ranges import GENERATIONS, NOISE_RATIO
 from ident.regression.least_squares import LeastSquares, weighted_least_squares
 from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared, Segment

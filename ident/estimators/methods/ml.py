@@ -9,12 +9,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from drivers.ranges import AR_ORDER
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.linear_algebra.triangular import QrAccumulator
+from ident.ranges import AR_ORDER
 from ident.regression.autoregression import WhitenedRows, whitening_filters
 from ident.regression.comparison import TorqueSeries, compare_torques
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun

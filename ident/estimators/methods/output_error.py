@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.errors import IdentificationError, ModelError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError, ModelError
 from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
 from ident.estimators.method import Method, NoOptions
 from ident.estimators.output_rows import OutputRows, output_rows

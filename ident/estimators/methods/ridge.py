@@ -9,13 +9,13 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from drivers.ranges import RIDGE_WEIGHT
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Estimation, Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.estimators.triangular_estimation import restricted_solution, triangular_system
 from ident.linear_algebra.triangular import triangular
+from ident.ranges import RIDGE_WEIGHT
 from ident.regression.autocorrelation import independent_share, residual_autocorrelation
 from ident.regression.comparison import compare_torques
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun

@@ -7,13 +7,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from drivers.ranges import BOX_SHARE, GENERATIONS, LEAP, LEARNING_FACTOR, POPULATION, SEARCH_TIME, SEED
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.physical_space import physical_space
 from ident.estimators.search_estimator import SearchEstimator
 from ident.estimators.swarm.frog_leaping import FrogLeaping
 from ident.estimators.swarm.minimisation import Budget
+from ident.ranges import BOX_SHARE, GENERATIONS, LEAP, LEARNING_FACTOR, POPULATION, SEARCH_TIME, SEED
 from ident.regression.least_squares import weighted_least_squares
 
 

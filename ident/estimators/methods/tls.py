@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
 from ident.estimators.method import Method, NoOptions
 from ident.estimators.position_noise import noise_deviations, regressor_noise

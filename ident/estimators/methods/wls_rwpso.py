@@ -7,11 +7,11 @@ from typing import Annotated
 
 from pydantic import Field
 
-from drivers.ranges import WEIGHT
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.search_options import SwarmOptions, swarm_estimator
 from ident.estimators.swarm.particle_swarm import RandomWeight
+from ident.ranges import WEIGHT
 from ident.regression.least_squares import weighted_least_squares
 
 

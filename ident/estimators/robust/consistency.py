@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Setup
 from ident.estimators.feasible.consistent import found_consistent
 from ident.estimators.robust.reweighting import Solve

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Setup
 from ident.estimators.friction_steps import own_column
 from ident.model.friction_terms import LOAD_POWERS

@@ -13,8 +13,8 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.text import percent_text
 from ident.estimators.estimator import Estimation, Loop, Setup
 from ident.estimators.friction_steps import (
     LOAD_TOLERANCE,

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.robust.weight_functions import WeightFunction
 from ident.estimators.robust.weighted_pass import Pass, weighted_pass
 from ident.model.regressor import RegressorKernel

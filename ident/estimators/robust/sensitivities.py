@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Estimation
 from ident.estimators.friction_steps import COEFFICIENT_OF, own_column
 from ident.estimators.robust.friction_bounds import FrictionBounds

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 WeightName = Literal["hard", "huber", "tukey"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.robust.weight_functions import WeightFunction
 from ident.estimators.robust.whitened_equations import CovarianceSums, Whitening, sample_equations, whitened
 from ident.linear_algebra.triangular import QrAccumulator

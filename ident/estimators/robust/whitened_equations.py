@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.regressor import RegressorKernel
 from ident.regression.observation_matrix import filtered_samples
 from ident.signals.filters import ZeroPhaseFilter

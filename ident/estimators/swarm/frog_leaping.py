@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 from ident.estimators.swarm.minimisation import Search
 
 

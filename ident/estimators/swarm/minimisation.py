@@ -8,9 +8,9 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import IdentificationError, UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import IdentificationError, UsageError
 from ident.estimators.swarm.box import Box
 
 Cost = Callable[[FloatArray], FloatArray]

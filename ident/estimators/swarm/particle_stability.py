@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 
 class InertiaWeight(Protocol):

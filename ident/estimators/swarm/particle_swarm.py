@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 from ident.estimators.swarm.minimisation import Search
 from ident.estimators.swarm.particle_stability import InertiaWeight, Stability, particle_stability
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 from ident.estimators.feasible.pseudo_inertia import body_of, pseudo_inertia
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.quadratic_cost import QuadraticCost

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.swarm.box import Box
 from ident.linear_algebra.triangular import triangular
 from ident.regression.observation_matrix import Reduction

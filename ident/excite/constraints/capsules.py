@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 _MOST_STRIPS = 4
 """A flat box gets at most so many capsules side by side."""

@@ -18,9 +18,8 @@ import numpy as np
 from daq.robot.loader import RobotFile
 from daq.robot.schema import BASE, MdhRow
 from daq.robot.workspace import Workspace
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray, IndexArray
 from ident.excite.constraints.capsules import Capsule
-from ident.excite.constraints.placements import IndexArray
 from ident.excite.constraints.urdf_capsules import urdf_capsules
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import BASE_INDEX, Joint

@@ -8,8 +8,8 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from daq.robot.obstacles import obstacles_of
-from drivers.errors import RobotFileError, UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import RobotFileError, UsageError
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry, link_name
 from ident.excite.constraints.joint_limits import JointMotionLimits
 from ident.excite.constraints.self_collision import LinkPairs, SelfCollision, link_pairs

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.robot.schema import JointLimits
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.path import Path
 

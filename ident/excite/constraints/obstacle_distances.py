@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.robot.workspace import Box, HalfSpace
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 _HALVINGS = 24
 

@@ -6,14 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray, IndexArray
 from ident.linear_algebra.vectors import axis_rotation
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import BASE_INDEX, Joint, ancestors
-
-IndexArray = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 _TOUCHING = 1e-9
 """Segments closer than this [m] cross; the difference of their nearest points has no direction any more."""

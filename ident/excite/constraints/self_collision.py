@@ -8,7 +8,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.excite.constraints.collision_geometry import DISTANCE_SCALE, ArmGeometry, link_name
 from ident.excite.constraints.placements import Placements, moved_by, place_arm, wrench
 from ident.excite.constraints.segment_distance import Nearest, nearest_points

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.text import percent_text
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.path import Path
 from ident.model.dynamic_model import DynamicModel

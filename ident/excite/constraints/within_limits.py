@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.robot.schema import JointLimits
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.excite.constraints.joint_limits import JointMotionLimits
 from ident.excite.criteria import Criterion
 from ident.excite.path import Constraint, Path

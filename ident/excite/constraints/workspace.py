@@ -18,11 +18,11 @@ import numpy.typing as npt
 
 from daq.robot.obstacles import Obstacle
 from daq.robot.workspace import Box, HalfSpace, Workspace
-from drivers.errors import RobotFileError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray, IndexArray
+from drivers.core.errors import RobotFileError
 from ident.excite.constraints.collision_geometry import DISTANCE_SCALE, ArmGeometry
 from ident.excite.constraints.obstacle_distances import Distances, above_plane, box_distances
-from ident.excite.constraints.placements import IndexArray, Placements, moved_by, place_arm, wrench
+from ident.excite.constraints.placements import Placements, moved_by, place_arm, wrench
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.path import Path
 from ident.model.base_parameters import random_states

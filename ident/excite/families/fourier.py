@@ -11,8 +11,8 @@ import numpy as np
 from daq.motion.fourier_quintic import FourierQuintic
 from daq.motion.trajectories import FourierSeries, Motion, RestToRest
 from daq.motion.trajectory_file import FourierQuinticTrajectory, FourierTrajectory, Trajectory
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 from ident.excite.families.moving_joints import (
     JointFamily,
     check_count,

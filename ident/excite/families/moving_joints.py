@@ -10,8 +10,8 @@ import numpy as np
 
 from daq.motion.trajectories import SHORTEST_RAMP, Motion, RestToRest
 from daq.robot.schema import JointLimits
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 from ident.excite.path import Path
 
 ONE_TURN = 2.0 * np.pi

@@ -9,8 +9,8 @@ import numpy as np
 
 from daq.motion.trajectories import QUINTIC_ACCELERATION, QUINTIC_VELOCITY, Motion, PointToPoint
 from daq.motion.trajectory_file import PointsTrajectory, Trajectory
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 from ident.excite.families.bounded import from_share, to_share
 from ident.excite.families.moving_joints import (
     LARGEST_SHARE,

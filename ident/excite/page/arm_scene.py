@@ -15,9 +15,9 @@ from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
 from daq.robot.obstacles import obstacles_of
 from daq.robot.workspace import Box, HalfSpace
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray, IndexArray
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry
-from ident.excite.constraints.placements import IndexArray, place_arm, tool_point
+from ident.excite.constraints.placements import place_arm, tool_point
 from ident.excite.page.plots import Shown, part_shown, path_until
 from ident.model.dynamic_model import build_model
 from ident.model.kinematics.joints import BASE_INDEX, Joint

@@ -9,7 +9,7 @@ from pathlib import Path
 from daq.motion.trajectories import Motion
 from daq.output_files import replace_files
 from daq.robot.loader import RobotFile
-from drivers.units import common_unit
+from drivers.core.units import common_unit
 from ident.excite.constraints.constraints import unchecked_pairs
 from ident.excite.forecast import ExcitationFigures
 from ident.excite.page.arm_scene import arm_figure

@@ -11,7 +11,7 @@ import numpy as np
 from daq.motion.trajectories import Motion, RestToRest
 from daq.robot.loader import RobotFile
 from daq.robot.schema import JointLimits
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.excite.constraints.constraints import constraints_of
 from ident.excite.constraints.placements import place_arm, tool_point
 from ident.excite.constraints.self_collision import SelfCollision

@@ -9,8 +9,8 @@ import numpy as np
 
 from daq.motion.limits import check_limits
 from daq.motion.trajectories import Motion
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 from ident.excite.path import Family, Path, repeated_for
 from ident.excite.search.problem import Problem
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.excite.criteria import RegressorCriterion
 from ident.excite.path import Path
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT

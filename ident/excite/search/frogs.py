@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.frog_leaping import FrogLeaping
 from ident.estimators.swarm.minimisation import Budget, minimise

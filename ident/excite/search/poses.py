@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from drivers.errors import UsageError
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
+from drivers.core.text import percent_text
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.families.moving_joints import MovingJoints
 from ident.excite.path import Path

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.excite.criteria import Criterion
 from ident.excite.path import Constraint, Family, Path
 from ident.excite.search.error_bars import ErrorBars

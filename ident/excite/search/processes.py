@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
 
-from drivers.clock import SYSTEM_CLOCK
-from drivers.errors import DynidError
+from drivers.core.clock import SYSTEM_CLOCK
+from drivers.core.errors import DynidError
 from ident.excite.search.poses import NoFeasiblePoseError
 from ident.excite.search.problem import Problem
 from ident.excite.search.solve import Solver

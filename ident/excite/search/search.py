@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import IdentificationError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import IdentificationError
 from ident.excite.search.acceptance import accepted
 from ident.excite.search.poses import NoFeasiblePoseError
 from ident.excite.search.problem import Problem

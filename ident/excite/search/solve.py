@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 from scipy.optimize import BFGS, NonlinearConstraint, minimize
 
-from drivers.errors import UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 from ident.excite.search.problem import Problem
 
 LocalSolver = Literal["slsqp", "trust-constr", "ipopt"]

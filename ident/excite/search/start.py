@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.text import percent_text
 from ident.excite.search.acceptance import LEAST_SHARE, ROUNDING, accepted, dense_use, shrunk_to_fit
 from ident.excite.search.error_bars import ErrorBar
 from ident.excite.search.frogs import leap

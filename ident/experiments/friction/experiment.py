@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
-from drivers.errors import UsageError
-from drivers.reading_process import Progress
+from drivers.core.errors import UsageError
+from drivers.core.reading_process import Progress
 from ident.experiments.friction.joint_fit import fit_joint
 from ident.experiments.friction.joint_friction import JointFriction
 from ident.experiments.friction.single_joint import JointPeriods, joint_periods

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.experiments.friction.joint_friction import friction_signal
 from ident.experiments.friction.single_joint import JointPeriod
 from ident.identify.friction.candidates import Candidate

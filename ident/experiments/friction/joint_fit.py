@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.robot.schema import Friction, TemperatureFriction
-from drivers.errors import IdentificationError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError
 from ident.estimators.friction_steps import LOAD_TOLERANCE, SHAPE_TOLERANCE, braking, shortened_step
 from ident.experiments.friction.joint_data import JointData
 from ident.experiments.friction.joint_friction import JointFriction, Span, shape_of

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.identify.friction.selection import FrictionStep
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import LOAD_POWERS, FrictionConditions, FrictionTerms

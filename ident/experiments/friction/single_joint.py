@@ -19,9 +19,9 @@ import numpy.typing as npt
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
-from drivers.errors import DataError
-from drivers.reading_process import Progress
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
+from drivers.core.reading_process import Progress
 from ident.identify.data_split import DataSplit, run_window
 from ident.identify.identification import IdentifyChoices
 from ident.identify.preparation import PreparedData, prepare_data

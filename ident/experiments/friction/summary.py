@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from daq.recording.recording import software_versions
-from drivers.units import ZERO_CELSIUS, common_unit
+from drivers.core.units import ZERO_CELSIUS, common_unit
 from ident.experiments.friction.experiment import FrictionExperiment
 from ident.experiments.friction.joint_friction import JointFriction
 from ident.identify.summary import PLAIN_KINDS

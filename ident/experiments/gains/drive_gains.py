@@ -29,8 +29,8 @@ import numpy as np
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
-from drivers.percentage import percentage_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.text import percentage_text
 from ident.experiments.gains.gain_system import GainSystem, jackknife_moves, own_angles, solve_gains, system_blocks
 from ident.experiments.gains.motor_signals import signal_of, torques_by
 from ident.experiments.run_pair import BlockGrams, RunPair, pair_warnings, prepare_pair

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import DataError, IdentificationError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError, IdentificationError
 from ident.experiments.run_pair import FREE, LOADED, BlockGrams, RunPair, block_grams, widened
 from ident.linear_algebra.triangular import triangular
 from ident.model.load import KnownLoad, LoadColumns, load_columns, load_effect

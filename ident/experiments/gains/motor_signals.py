@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.schema import Robot
-from drivers.errors import DataError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
 from ident.experiments.run_pair import Motion
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 

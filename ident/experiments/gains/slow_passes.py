@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.signals.prepared import Segment
 
 POSE_TOLERANCE = 0.01

@@ -20,9 +20,9 @@ import numpy as np
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
-from drivers.errors import DataError, IdentificationError
-from drivers.percentage import percentage_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError, IdentificationError
+from drivers.core.text import percentage_text
 from ident.experiments.gains.drive_gains import LEAST_GAP
 from ident.experiments.gains.motor_signals import signal_of, torques_by
 from ident.experiments.gains.slow_passes import Sweep, passes_of, sweeps_of

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.errors import IdentificationError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError
 from ident.estimators.feasible.consistent import FeasibleFit, bounded_precision, cost_test, feasible_fit
 from ident.estimators.feasible.interior_point import BoolArray
 from ident.estimators.feasible.prior import can_exist, link_priors, uniform_ball

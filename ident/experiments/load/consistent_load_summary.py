@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.percentage import percent_text
+from drivers.core.text import percent_text
 from ident.estimators.feasible.pseudo_inertia import Body, body_of
 from ident.experiments.load.consistent_load import ConsistentLoad
 from ident.experiments.run_pair import RunPair

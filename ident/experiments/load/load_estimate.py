@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.errors import DataError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
 from ident.experiments.run_pair import FREE, LOADED, BlockGrams, RunPair, block_grams, weighted_blocks, widened
 from ident.model.load import MASS, KnownLoad, LoadColumns, load_columns
 from ident.regression.estimate import Estimate, estimate_of

@@ -23,8 +23,8 @@ import numpy as np
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.text import percent_text
 from ident.experiments.load.consistent_load import ConsistentLoad, consistent_load
 from ident.experiments.load.load_estimate import (
     LoadEstimate,

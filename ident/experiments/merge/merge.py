@@ -21,8 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import IdentificationError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.linear_algebra.triangular import scaled_condition, triangular
 from ident.regression.hypothesis_tests import SignificanceTest, chi_square_test

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from drivers.errors import ResultFileError, UsageError
+from drivers.core.errors import ResultFileError, UsageError
 from ident.experiments.merge.merge import Information, usable, variance_ratio
 from ident.model.base_parameters import BaseParameters
 from ident.regression.observability import experiment_base

@@ -9,8 +9,8 @@ from datetime import UTC, datetime
 import numpy as np
 
 from daq.recording.recording import Recording, software_versions
-from drivers.percentage import percent_text
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.text import percent_text
 from ident.assessment.plausibility import indefinite_share, sign_checks
 from ident.assessment.validation import FitFigures
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent

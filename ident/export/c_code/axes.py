@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.export.c_code.expressions import Expression, Graph
 from ident.export.c_code.frames import JointFrame
 from ident.export.c_code.recursion import LinkMotion, unit_wrench

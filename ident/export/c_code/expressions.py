@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 Kind = Literal[
     "constant",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.export.c_code.expressions import Expression, Graph, cosine, sine
 from ident.export.c_code.vectors import (
     Matrix,

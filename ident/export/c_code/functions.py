@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import ModelError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ModelError
 from ident.export.c_code.axes import inertial_column, link_axes
 from ident.export.c_code.composite import tree_inertia
 from ident.export.c_code.expressions import Expression, Graph

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.export.c_code.expressions import Expression, Graph, decay, hyperbolic_tangent, power, sign
 from ident.export.c_code.frames import combination
 from ident.model.dynamic_model import DynamicModel

@@ -6,7 +6,7 @@ import re
 import unicodedata
 from pathlib import Path
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 
 _FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*")
 _SUFFIXES = (".c", ".h")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.export.c_code.axes import Axes, inertial_column
 from ident.export.c_code.expressions import Expression, Graph
 from ident.export.c_code.recursion import LinkMotion

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.export.c_code.expressions import Expression, Graph
 from ident.export.c_code.frames import JointFrame
 from ident.export.c_code.vectors import Matrix, Vector, add, apply, constant_vector, cross, dot, scale

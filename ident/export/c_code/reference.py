@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import ModelError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ModelError
 from ident.export.c_code.expressions import Graph
 from ident.export.c_code.functions import PAYLOAD, Function
 from ident.export.c_code.statements import Real

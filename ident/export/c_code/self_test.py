@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.export.c_code.functions import Function
 from ident.export.c_code.reference import TOLERANCES, Reference
 from ident.export.c_code.statements import Dialect

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.errors import ModelError
+from drivers.core.errors import ModelError
 from ident.export.c_code.expressions import Expression, Graph
 from ident.export.c_code.functions import Function, input_size
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import TEMPERATURE_KINDS, FrictionConditions
 from ident.model.joint_columns import JointColumn, column_signal, combined, joint_column

@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import Any
 
 from daq.robot.schema import Friction
-from drivers.closest import did_you_mean
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
+from drivers.core.text import did_you_mean
 
 AUTO = "auto"
 BASES = ("none", "viscous", "coulomb", "coulomb-viscous")

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.robot.loader import RobotFile
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.feasible.consistent import found_consistent
 from ident.identify.friction.candidates import FOLDS, solve_columns, squared_error
 from ident.identify.friction.rows import FrictionRows

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.identify.friction.candidates import FOLDS, Candidate, CandidateGrams, candidate_signals
 from ident.linear_algebra.triangular import triangular
 from ident.model.base_parameters import BaseParameters

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.identify.friction.candidates import CandidateGrams, solve_columns, squared_error
 from ident.model.friction_terms import FrictionTerms
 from ident.model.parameters import Quantity

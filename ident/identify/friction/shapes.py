@@ -12,7 +12,7 @@ from typing import get_args
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Estimation, Estimator
 from ident.estimators.friction_steps import COEFFICIENT_OF
 from ident.estimators.robust.sensitivities import with_shapes

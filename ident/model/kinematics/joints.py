@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 BASE_INDEX = -1
 

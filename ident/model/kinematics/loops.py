@@ -20,8 +20,8 @@ import numpy as np
 from daq.robot.loader import RobotFile
 from daq.robot.loops import BASE, ClosingFrame, Loop, coupling_matrix
 from daq.robot.schema import MdhRow, Robot
-from drivers.errors import RobotFileError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import RobotFileError
 from ident.linear_algebra.vectors import axis_rotation
 from ident.model.kinematics.joints import BASE_INDEX, Joint, Placement, ancestors
 from ident.model.kinematics.loop_text import length, loop_name

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.robot.schema import BASE, MdhRow
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.kinematics.joints import Joint
 
 Z_AXIS = np.array([0.0, 0.0, 1.0])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 ZERO_SHARE = 1e-12
 """Entries of G and R⁻ᵀGᵀ below this are rounding."""

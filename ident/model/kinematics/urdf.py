@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from daq.robot.urdf_check import checked_urdf
-from drivers.closest import did_you_mean
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
+from drivers.core.text import did_you_mean
 from ident.model.kinematics.joints import BASE_INDEX, Joint
 
 UNIVERSE = 0

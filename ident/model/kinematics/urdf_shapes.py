@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from daq.robot.loader import RobotFile
-from drivers.errors import UsageError
-from drivers.input_files import MESH_FILE, check_input
-from drivers.reading_process import read_apart
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
+from drivers.core.files import MESH_FILE, check_input
+from drivers.core.reading_process import read_apart
 from ident.model.kinematics.joints import BASE_INDEX
 from ident.model.kinematics.urdf import UNIVERSE, urdf_model
 

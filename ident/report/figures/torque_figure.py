@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.streams import FloatArray
-from drivers.units import joint_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.units import joint_unit
 from ident.regression.comparison import TorqueSeries
 from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure

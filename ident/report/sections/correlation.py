@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.report.figures.figures import BOTTOM, TOP, Figure, base_layout, narrow_layout, plain
 from ident.report.section import ReportData, ReportSection
 from ident.result.schema import EstimateResult

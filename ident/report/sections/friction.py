@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.streams import FloatArray
-from drivers.units import joint_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.units import joint_unit
 from ident.model.friction_terms import power_law, stribeck_share
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain, shortened

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from drivers.streams import FloatArray
-from drivers.units import joint_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.units import joint_unit
 from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
 from ident.report.figures.traces import Timeline, broken_line, lay_out, packed

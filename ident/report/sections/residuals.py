@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.streams import FloatArray
-from drivers.units import joint_unit
+from drivers.core.arrays import FloatArray
+from drivers.core.units import joint_unit
 from ident.assessment.residual_tests import (
     LARGEST_AUTOCORRELATION,
     LARGEST_CURVATURE,

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 MOST_PASSES = 200
 """A low cut-off at a high rate would need thousands: the gain falls with the fourth power of the frequency."""

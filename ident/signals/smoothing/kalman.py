@@ -26,11 +26,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
-from drivers.streams import FloatArray
-
-ComplexArray = npt.NDArray[np.complex128]
+from drivers.core.arrays import FloatArray
 
 WHITE_SNAP = 4
 """Order of the model of a position: its fourth derivative is white noise (constant jerk between samples)."""

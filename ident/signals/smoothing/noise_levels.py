@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.signals.smoothing.kalman import innovations, stationary_filter
 
 HIGHEST_CUTOFF = 0.2

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 DEGREE = 4
 """Of the polynomial: the second derivative is exact for signals up to the fifth degree."""

@@ -29,7 +29,7 @@ from daq.recording.growing_file import SPARE
 from daq.recording.reader import read_recording
 from daq.recording.recover import follow_recording, half_written
 from daq.session import session
-from drivers.errors import RecordingError
+from drivers.core.errors import RecordingError
 from dynid import command
 
 TRAJECTORY = {
@@ -65,7 +65,7 @@ def bench(tmp_path, monkeypatch):
 @pytest.fixture
 def dynid(clock, monkeypatch, capsys):
     """The command in simulated time."""
-    monkeypatch.setattr("drivers.clock.SYSTEM_CLOCK", clock)
+    monkeypatch.setattr("drivers.core.clock.SYSTEM_CLOCK", clock)
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
@@ -430,11 +430,11 @@ ROOT = Path(session.__file__).parents[2]
 SUPPORT = Path(sys.modules["kinematic_arm"].__file__).parent
 IN_SIMULATED_TIME = """
 import resource
-import drivers.clock
+import drivers.core.clock
 from kinematic_arm import KinematicArm
 from simulated_clock import SimulatedClock
-drivers.clock.SYSTEM_CLOCK = SimulatedClock()
-arm = KinematicArm(rate=2000.0, clock=drivers.clock.SYSTEM_CLOCK)
+drivers.core.clock.SYSTEM_CLOCK = SimulatedClock()
+arm = KinematicArm(rate=2000.0, clock=drivers.core.clock.SYSTEM_CLOCK)
 resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
 """
 IN_REAL_TIME = """

@@ -18,7 +18,7 @@ from three_links import NAMES, make_robot
 
 from daq.importers import ImportChoices, import_file
 from daq.robot.loader import RobotFile
-from drivers.errors import ImportFileError, UsageError
+from drivers.core.errors import ImportFileError, UsageError
 
 ROBOT = make_robot()
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -20,9 +20,9 @@ from daq.importers import mat as mat_module
 from daq.importers import table as table_module
 from daq.importers.choices import ImportChoices
 from daq.recording import hdf5_bounds
-from drivers import reading_process
-from drivers.errors import ImportFileError
-from drivers.input_files import InputKind
+from drivers.core import reading_process
+from drivers.core.errors import ImportFileError
+from drivers.core.files import InputKind
 
 SUFFIXES = [suffix for suffix in SUPPORTED if suffix.startswith(".")]
 

@@ -20,7 +20,7 @@ from daq.recording.reader import read_recording
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile
-from drivers.errors import ImportFileError
+from drivers.core.errors import ImportFileError
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from daq.importers import ImportChoices
 from daq.importers.naming import parse_name
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 
 NAMES = ("shoulder", "elbow", "wrist")
 

@@ -18,7 +18,7 @@ from three_links import make_robot
 from daq.importers import SUPPORTED, ImportChoices, import_file
 from daq.importers.choices import REPAIRS
 from daq.robot.loader import RobotFile
-from drivers.errors import ImportFileError, InputError, UsageError
+from drivers.core.errors import ImportFileError, InputError, UsageError
 
 ROBOT = make_robot()
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -15,7 +15,7 @@ from three_links import NAMES, Arrays, make_robot, samples, write_csv, write_npz
 from daq.importers import ImportChoices, import_file
 from daq.importers.roles import assign_roles
 from daq.recording.recording import JOINTS_STREAM, Recording
-from drivers.errors import ImportFileError, InputError, UsageError
+from drivers.core.errors import ImportFileError, InputError, UsageError
 
 ROBOT = make_robot()
 

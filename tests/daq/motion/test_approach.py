@@ -13,7 +13,7 @@ from daq.motion.approach import approaches, checked_approach
 from daq.motion.limits import check_rest, motion_extremes
 from daq.motion.motion_check import load_motion_check
 from daq.robot.loader import load_robot
-from drivers.errors import MotionRefusedError
+from drivers.core.errors import MotionRefusedError
 
 ROBOT = load_robot("up6").robot
 HERE, START = np.array([0.2, -0.5, 1.0]), np.array([-1.0, 1.2, 0.1])

@@ -14,7 +14,7 @@ from daq.motion.limits import check_limits, check_rest, motion_extremes
 from daq.motion.time_scaled import TimeScaled
 from daq.motion.trajectories import FourierSeries, Motion, PointToPoint, RestToRest, SampledMotion, SumOfSines
 from daq.robot.schema import JointLimits
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 
 ROUNDING = 1e-6
 """Of a value far from 0 s, as a share of the largest."""

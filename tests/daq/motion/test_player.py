@@ -8,7 +8,7 @@ from simulated_clock import SimulatedClock
 
 from daq.motion.player import DRY_RUN, STALL_LIMIT, Path, Player, dry_run, skip_limit
 from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest
-from drivers.errors import ConnectionLostError, SafetyStopError, WorkError
+from drivers.core.errors import ConnectionLostError, SafetyStopError, WorkError
 
 RATE = 100.0
 PERIOD = 1.0 / RATE

@@ -11,7 +11,7 @@ from daq.motion.limits import check_rest, motion_extremes
 from daq.motion.time_scaled import TimeScaled
 from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest
 from daq.robot.loader import load_robot
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 
 POINTS = PointToPoint(np.array([[0.1, -0.1], [0.3, 0.1], [0.0, 0.0]]), np.array([0.8, 0.5]), dwell=0.1)
 SERIES = RestToRest(FourierSeries(4.0, np.zeros(2), np.array([[0.3], [0.1]]), np.array([[0.0], [0.2]])), 2, 1.0)

@@ -13,7 +13,7 @@ from kinematic_arm import ROBOT_FILE
 
 from daq.motion.limits import check_limits
 from daq.motion.trajectory_file import dump_trajectory, load_trajectory, parse_trajectory
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 
 ROBOT = ROBOT_FILE.robot
 FOURIER = {

@@ -26,7 +26,7 @@ CHILD = """
     from daq.recording.recorder import Recorder
     from daq.recording.recording import Channel, Recording, Stream
     from daq.recording.writer import write_recording
-    from drivers.errors import DynidError
+    from drivers.core.errors import DynidError
     from drivers.streams import Batch, ChannelLayout, StreamLayout
 
     path = Path({path!r})

@@ -21,8 +21,8 @@ from daq.recording.reader import read_recording
 from daq.recording.recorder import Recorder
 from daq.recording.recover import recover
 from daq.recording.writer import CHUNK_SECONDS
-from drivers.errors import DiskError, UsageError
-from drivers.input_files import InputKind
+from drivers.core.errors import DiskError, UsageError
+from drivers.core.files import InputKind
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 ROOT = Path(__file__).parents[3]
@@ -40,7 +40,7 @@ FOLLOWER = """
     from pathlib import Path
     from daq.recording.reader import read_recording
     from daq.recording.recover import follow_recording
-    from drivers.errors import RecordingError
+    from drivers.core.errors import RecordingError
     path = Path({path!r})
     for _ in sys.stdin:
         now = follow_recording(path)
@@ -58,7 +58,7 @@ FULL_DISK = """
     from kinematic_arm import ROBOT_FILE, NAMES
     from simulated_clock import simulated_time
     from daq.recording.recorder import Recorder
-    from drivers.errors import DiskError
+    from drivers.core.errors import DiskError
     from drivers.streams import Batch, ChannelLayout, StreamLayout
     layout = StreamLayout("joints", (ChannelLayout("position", NAMES),), 100.0)
     unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -18,8 +18,8 @@ from daq.recording.reader import read_recording
 from daq.recording.recording import JOINTS_STREAM, SCHEMA_VERSION, Channel, Event, Recording, Stream
 from daq.recording.writer import RecordingWriter, write_recording
 from daq.robot.loader import RobotFile, parse_robot
-from drivers.errors import RecordingError, UsageError
-from drivers.ranges import STAMP
+from drivers.core.errors import RecordingError, UsageError
+from drivers.core.ranges import STAMP
 from drivers.streams import ChannelLayout, StreamLayout
 
 NAMES = ("shoulder", "elbow")

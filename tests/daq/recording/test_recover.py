@@ -23,9 +23,9 @@ from daq.recording import recover as recover_module
 from daq.recording.reader import read_recording
 from daq.recording.recover import follow_recording, half_written, recover
 from daq.recording.writer import CHUNK_SECONDS, RecordingWriter
-from drivers import reading_process
-from drivers.errors import RecordingError, UsageError
-from drivers.reading_process import read_apart
+from drivers.core import reading_process
+from drivers.core.errors import RecordingError, UsageError
+from drivers.core.reading_process import read_apart
 from drivers.streams import ChannelLayout, StreamLayout
 
 ROOT = Path(__file__).parents[3]

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.recording.stale_samples import StaleSamples, stale_samples
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 RATE = 200.0
 JOINTS = ("j1", "j2")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from daq.robot.loader import load_robot, parse_robot
 from daq.robot.loops import coupling_matrix
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 
 SR400 = load_robot("sr400").text
 COUPLED = "    j6: {j6: 1, j5: 1}"

@@ -7,7 +7,7 @@ import pytest
 from daq.robot.loader import parse_robot
 from daq.robot.obstacles import obstacles_of
 from daq.robot.workspace import DEFAULT_CLEARANCE, HalfSpace
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 
 ARM = """
 name: arm

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from daq.robot.schema import MdhRow, Robot
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 
 TWO_JOINTS = """\
 name: arm

@@ -8,7 +8,7 @@ import pytest
 
 from daq.robot.loader import builtin_robots, load_robot, parse_robot
 from daq.robot.urdf_check import checked_urdf
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 
 TWO_JOINTS = """\
 name: arm

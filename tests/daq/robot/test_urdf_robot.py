@@ -16,7 +16,7 @@ from daq.robot.assumptions import assumed_limits, assumptions
 from daq.robot.loader import load_robot, parse_robot
 from daq.robot.new_robot import new_robot_file, new_robot_of_joints, new_robot_of_urdf
 from daq.robot.urdf_robot import UrdfArm, UrdfJoint, read_urdf_arm, robot_text_of_urdf
-from drivers.errors import RobotFileError, UsageError
+from drivers.core.errors import RobotFileError, UsageError
 
 LIMIT = '<limit lower="-1" upper="2" velocity="3" effort="40"/>'
 URDF = f"""\

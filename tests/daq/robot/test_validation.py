@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from daq.robot.loader import parse_robot
 from daq.robot.magnitudes import multiple_of_pi
 from daq.robot.schema import MdhRow
-from drivers.errors import RobotFileError
-from drivers.ranges import POSITION_LIMIT, VELOCITY_LIMIT
+from drivers.core.errors import RobotFileError
+from drivers.core.ranges import POSITION_LIMIT, VELOCITY_LIMIT
 
 ARM = """\
 name: arm

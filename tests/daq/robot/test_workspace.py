@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from daq.robot.loader import parse_robot
 from daq.robot.workspace import DEFAULT_LINK_RADIUS
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 
 ARM = """
 name: arm

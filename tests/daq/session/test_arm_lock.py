@@ -13,7 +13,7 @@ from kinematic_arm import ROBOT_FILE
 from daq.robot.loader import load_robot
 from daq.robot.schema import Connection
 from daq.session.arm_lock import only_mover
-from drivers.errors import MotionRefusedError
+from drivers.core.errors import MotionRefusedError
 
 ARM = load_robot("ur5e").robot
 HOLD = """

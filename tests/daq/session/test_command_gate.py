@@ -13,8 +13,8 @@ from daq.motion.player import STALL_LIMIT, Path, Player, skip_limit
 from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest, slow_move
 from daq.robot.schema import JointLimits
 from daq.session.command_gate import FRESH, MARGIN, CommandGate, GateLimits
-from drivers.clock import Clock
-from drivers.errors import SafetyStopError, UsageError
+from drivers.core.clock import Clock
+from drivers.core.errors import SafetyStopError, UsageError
 
 JOINTS = (
     JointLimits(name="shoulder", position=(-3.0, 3.0), velocity=2.0, acceleration=8.0),

@@ -8,7 +8,7 @@ import pytest
 from daq.robot.loader import load_robot
 from daq.session.connections import driver_settings
 from daq.session.session import load_driver
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 
 
 def test_an_error_about_keys_says_which_connection_of_which_robot() -> None:

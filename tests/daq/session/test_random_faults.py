@@ -22,7 +22,7 @@ from daq.recording.recording import Recording
 from daq.robot.schema import Robot
 from daq.session.session import SessionReport
 from drivers.base import Driver
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from sim_drivers.faults import FAULTS, STICKING, ServerKind
 
 WAY, SHARE = 0.05, 0.9

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from daq.session import realtime
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 
 linux = pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="Linux only")
 

@@ -34,7 +34,7 @@ from daq.session.session import (
 )
 from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Notice
-from drivers.errors import ConnectionLostError, MotionRefusedError, SafetyStopError, UsageError, WorkError
+from drivers.core.errors import ConnectionLostError, MotionRefusedError, SafetyStopError, UsageError, WorkError
 from drivers.standstill import REST_WINDOW
 from drivers.streams import Batch
 

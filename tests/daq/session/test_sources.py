@@ -16,7 +16,7 @@ from daq.session.session import Play, record
 from daq.session.sources import Sources
 from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Notice
-from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 MOTION = PointToPoint(np.array([[0.1, -0.1], [0.3, 0.1], [0.0, 0.0]]), np.array([0.8, 0.8]))

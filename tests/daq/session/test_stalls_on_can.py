@@ -21,7 +21,7 @@ from unchecked import unchecked_play
 from daq.motion.trajectories import PointToPoint
 from daq.robot.schema import Robot
 from daq.session.session import SessionReport
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 
 SHARE = 0.9
 """Of the acceleration limit that the motion uses."""

@@ -20,8 +20,8 @@ from simulated_serial import simulated_line
 
 from drivers.can.bus import EXTENDED, RECEIVE_BUFFER_BYTES, Frame, Sender, close_bus, open_bus
 from drivers.can.receiver import NOTICE_PERIOD, POLL, Receiver
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionFailedError, ConnectionLostError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError
 
 MINUTE = 60.0
 STAMP_ERROR = 1e-6

@@ -17,7 +17,7 @@ from simulated_clock import START, SimulatedClock
 from drivers.base import DRIVERS_GROUP, Attributing, Driver, DriverSettings, Notice
 from drivers.can_signals.driver import SILENCE_LIMIT, STOP_INTERVAL, STOP_LIMIT, CanFramesDriver
 from drivers.can_signals.monitor import RATE_TIME, RATE_TIMES
-from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
 from drivers.gains import DriveGain
 from drivers.standstill import REST_WINDOW
 from drivers.streams import Batch

@@ -16,7 +16,7 @@ from drivers.can_signals.settings import parse_settings
 from drivers.can_signals.table.bits import BitField
 from drivers.can_signals.table.dbc import load_dbc
 from drivers.can_signals.table.signals import FixedFrame
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 
 HERE = Path(__file__).parent
 JOINTS = ("shoulder", "elbow")

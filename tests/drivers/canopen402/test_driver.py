@@ -15,7 +15,7 @@ from drivers.base import DRIVERS_GROUP, Driver, DriverSettings
 from drivers.can.receiver import POLL
 from drivers.canopen402.driver import FIRST_ROW_LIMIT, SILENCE_LIMIT, Canopen402Driver
 from drivers.canopen402.monitor.drives import ALIGNMENT_PERIOD
-from drivers.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
 
 TEMPERATURE: dict[str, object] = {"index": 0x2031, "subindex": 1, "scale": 0.1, "offset": -1.0}
 

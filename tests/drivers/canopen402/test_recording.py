@@ -23,7 +23,7 @@ from drivers.can.receiver import POLL, Receiver
 from drivers.canopen402.monitor.presence import HEARTBEATS_MISSED
 from drivers.canopen402.samples import temperature
 from drivers.canopen402.samples.sync import SyncProducer
-from drivers.errors import ConnectionFailedError
+from drivers.core.errors import ConnectionFailedError
 from sim_drivers.canopen.network import LOOP_PERIOD, TICKS_PER_CHORE
 from sim_drivers.canopen.server import GRANULARITY, LONGEST_WAIT
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.canopen402.settings import Guarding, TemperatureSource, parse_settings
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 
 JOINTS = ("j1", "j2")
 GOOD: dict[str, Any] = {

@@ -15,7 +15,7 @@ from simulated_clock import START, SimulatedClock
 
 from daq.session.play import unreported_safety
 from drivers.base import DRIVERS_GROUP, Driver, DriverSettings, Identifying
-from drivers.errors import (
+from drivers.core.errors import (
     ConnectionFailedError,
     ConnectionLostError,
     DriverStateError,

@@ -16,7 +16,7 @@ from simulated_clock import SimulatedClock, simulated_time
 from daq.robot.loader import load_robot
 from daq.session.device_limits import before_a_motion
 from drivers.base import DriverSettings
-from drivers.errors import ConnectionFailedError
+from drivers.core.errors import ConnectionFailedError
 from drivers.rtde.driver import RtdeDriver
 from drivers.rtde.joint_limits import PORT, read_joint_limits
 from sim_drivers.rtde.secondary import SecondarySession

@@ -27,7 +27,7 @@ from rtde_bench import loopback
 from rtde_in_process import MotionThread, PipeEnd
 from simulated_clock import START, SimulatedClock
 
-from drivers.errors import ConnectionFailedError, ConnectionLostError
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError
 from drivers.rtde.motion import BACKLOG_LIMIT, PATIENCE, SILENCE_LIMIT, STOP_LIMIT, WATCHDOG_RATE, MotionProcess
 
 REPOSITORY = Path(__file__).resolve().parents[3]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scripted_rtde import Cut, Never, Sample, ScriptedController, Step, Text, Wait, data_package, paced, package, steady
 from simulated_clock import START, SimulatedClock, simulated_time
 
-from drivers.errors import ConnectionFailedError, ConnectionLostError, UsageError
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
 from drivers.rtde import receiver as receiver_module
 from drivers.rtde.receiver import RtdeReceiver, Samples
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.errors import ConnectionLostError
+from drivers.core.errors import ConnectionLostError
 from drivers.rtde import protocol as wire
 
 KINDS = st.sampled_from([ord(letter) for letter in "VvMUOISP"])

@@ -16,8 +16,8 @@ from serial_lines import SerialLine
 from simulated_clock import SimulatedClock
 
 from drivers.base import DRIVERS_GROUP, DriverSettings, Notice
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionFailedError, DriverStateError, UsageError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError, DriverStateError, UsageError
 from drivers.gains import DriveGain
 from drivers.serial_thermometer.driver import STREAM, SerialThermometerDriver
 from drivers.serial_thermometer.port import BUFFER_BYTES, CHUNK_BYTES, READ_TIMEOUT

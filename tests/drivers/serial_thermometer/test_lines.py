@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from drivers.serial_thermometer.driver import RowAssembler
 from drivers.serial_thermometer.lines import (
     LONGEST_LINE,

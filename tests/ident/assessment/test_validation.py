@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import DataError
+from drivers.core.errors import DataError
 from ident.assessment.validation import LOW_SPEED, fit_figures, overfitting_checks
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector

@@ -16,7 +16,7 @@ from kinematic_arm import KinematicArm
 from daq.robot.loader import load_robot, parse_robot
 from daq.session import session
 from drivers.base import DRIVERS_GROUP, Notice
-from drivers.errors import ConnectionFailedError, RobotFileError, UsageError
+from drivers.core.errors import ConnectionFailedError, RobotFileError, UsageError
 from drivers.streams import ChannelLayout, StreamLayout
 from dynid import command
 from ident.checks import robot_check
@@ -236,7 +236,7 @@ def test_wire_without_connect_is_refused(monkeypatch, capsys):
 
 
 def test_the_command_shows_what_answered(monkeypatch, capsys, tmp_path, three_joint, drivers, clock):
-    monkeypatch.setattr("drivers.clock.SYSTEM_CLOCK", clock)
+    monkeypatch.setattr("drivers.core.clock.SYSTEM_CLOCK", clock)
     (tmp_path / "arm.yaml").write_text(three_joint.text + BENCH.split("  lost")[0])
     status, out, _ = run(monkeypatch, capsys, "check", str(tmp_path / "arm.yaml"), "--connect")
     assert status == 0

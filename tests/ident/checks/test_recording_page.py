@@ -14,7 +14,7 @@ import pytest
 from html_page import Page
 
 from daq.recording.recording import Channel, Event, Recording, Stream
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.checks.page.page import JSON_FILE, MOST_GAPS, PAGE_FILE, render_page, write_page
 from ident.checks.page.plots import MOST_COLUMNS
 from ident.checks.recording_check import info_object, recording_info

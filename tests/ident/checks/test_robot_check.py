@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from daq.robot.loader import builtin_robots, load_robot, parse_robot
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 from ident.checks.robot_check import check_robot
 
 

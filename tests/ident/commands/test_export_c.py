@@ -13,8 +13,8 @@ from true_results import true_result
 
 import dynid
 from daq.robot.loader import load_robot
-from drivers.errors import ModelError
-from drivers.percentage import percent_text
+from drivers.core.errors import ModelError
+from drivers.core.text import percent_text
 from ident.result.schema import write_result
 
 

@@ -19,7 +19,7 @@ from daq.motion.trajectories import RestToRest
 from daq.output_files import REPORT_FILE
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.checks.page.page import PAGE_FILE as INFO_PAGE
 from ident.checks.page.page import write_page as write_info_page
 from ident.checks.recording_check import recording_info

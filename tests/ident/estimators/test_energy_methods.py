@@ -16,7 +16,7 @@ from sampled_arm import sampled
 from daq.motion.trajectories import FourierSeries
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import load_robot, parse_robot
-from drivers.errors import DataError, UsageError
+from drivers.core.errors import DataError, UsageError
 from ident.assessment.plausibility import CLEARLY_SMALLER, critical_variance_ratio
 from ident.estimators.energy.equations import energy_jackknife, reduce_energy
 from ident.estimators.energy.power import PowerSamples

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.estimators import methods
 from ident.estimators.method_choice import all_methods, chosen_method, describe_methods
 from ident.identify.identification import IdentifyChoices

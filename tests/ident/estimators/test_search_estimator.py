@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.estimators.method_choice import chosen_method
 from ident.estimators.search_estimator import centred_reduction
 from ident.estimators.swarm.frog_leaping import FrogLeaping

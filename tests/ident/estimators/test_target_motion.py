@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from daq.recording.recording import JOINTS_STREAM, Recording
-from drivers.errors import IdentificationError
+from drivers.core.errors import IdentificationError
 from ident.estimators.target_motion import first_stage_f
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import load_robot, parse_robot
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.excite.constraints.constraints import constraints_of
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model

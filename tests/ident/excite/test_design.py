@@ -9,7 +9,7 @@ import pytest
 
 from daq.motion.limits import check_limits, check_rest
 from daq.robot.loader import builtin_robots, load_robot
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.criteria import RegressorCriterion

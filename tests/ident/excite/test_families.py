@@ -13,7 +13,7 @@ from daq.motion.trajectories import RestToRest
 from daq.motion.trajectory_file import dump_trajectory, parse_trajectory
 from daq.robot.loader import load_robot
 from daq.robot.schema import JointLimits
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.excite.families.fourier import FourierFamily, FourierQuinticFamily
 from ident.excite.families.points import PointsFamily
 from ident.excite.families.sines import SinesFamily

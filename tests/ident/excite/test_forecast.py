@@ -9,7 +9,7 @@ import pytest
 
 from daq.motion.limits import motion_extremes
 from daq.motion.trajectories import RestToRest
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.excite import forecast as module
 from ident.excite.forecast import excitation_figures
 from ident.excite.prior import find_prior

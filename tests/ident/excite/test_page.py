@@ -11,7 +11,7 @@ from html_page import Page
 
 from daq.motion.trajectories import RestToRest
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.excite.constraints.collision_geometry import arm_geometry
 from ident.excite.forecast import excitation_figures
 from ident.excite.page.arm_scene import FRAMES, arm_figure, capsule_mesh

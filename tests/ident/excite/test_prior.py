@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.errors import ResultFileError, UsageError
+from drivers.core.errors import ResultFileError, UsageError
 from ident.excite.prior import find_prior, recording_rate
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from toy_design import BEST, impossible_problem, maker, slow_problem, toy_problem
 
-from drivers.errors import IdentificationError, UsageError
+from drivers.core.errors import IdentificationError, UsageError
 from ident.excite.search import processes as processes_module
 from ident.excite.search.poses import NoFeasiblePoseError
 from ident.excite.search.search import SearchChoices, search

@@ -11,7 +11,7 @@ from daq.commands.confirmation import motion_lines
 from daq.motion.trajectories import PointToPoint
 from daq.robot.loader import builtin_robots, load_robot, parse_robot
 from daq.robot.workspace import Workspace
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 from ident.checks.robot_check import check_robot
 from ident.excite.constraints.capsules import Capsule
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry, tube_capsules

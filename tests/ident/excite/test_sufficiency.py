@@ -13,7 +13,7 @@ import pytest
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile, parse_robot
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from dynid import command
 from ident.assessment.recorded_motion import recorded_motion
 from ident.excite.sufficiency import OWN_TORQUE, Sufficiency, check_wanted_rsd, motion_sufficiency, times_needed

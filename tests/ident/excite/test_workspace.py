@@ -9,7 +9,7 @@ from path_derivatives import assert_derivatives, assert_upper_bound, random_path
 from daq.robot.loader import load_robot, parse_robot
 from daq.robot.obstacles import obstacles_of
 from daq.robot.workspace import Box, Workspace
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry, tube_capsules
 from ident.excite.constraints.obstacle_distances import box_distances
 from ident.excite.constraints.workspace import WorkspaceLimits

@@ -8,7 +8,7 @@ import pytest
 from exported_arms import exported_arm
 
 from daq.robot.loader import parse_robot
-from drivers.errors import ModelError, UsageError
+from drivers.core.errors import ModelError, UsageError
 from ident.export import export, mujoco_reading
 from ident.export.arm import refuse_unidentified_friction
 from ident.export.export import export_mjcf, export_ros2_inertial, export_urdf

@@ -11,7 +11,7 @@ from exported_arms import exported_arm, random_parameters
 from loop_arms import FOUR_BAR, SPHERICAL, four_bar_arm, spatial_arm, spherical_arm
 
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.errors import ModelError
+from drivers.core.errors import ModelError
 from ident.export import mujoco_reading
 from ident.export.arm import ExportedArm
 from ident.export.mjcf import mjcf

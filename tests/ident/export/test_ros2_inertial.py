@@ -7,7 +7,7 @@ import yaml
 from exported_arms import exported_arm
 
 from daq.robot.loader import load_robot, parse_robot
-from drivers.errors import ModelError
+from drivers.core.errors import ModelError
 from ident.export.ros2_inertial import check_ros2_inertial, has_ur_frames, inertial_names, ros2_inertial
 from ident.model.true_parameters import truth_vector
 

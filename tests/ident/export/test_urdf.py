@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from loop_arms import four_bar_arm, spatial_arm
 
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.errors import ModelError, RobotFileError
+from drivers.core.errors import ModelError, RobotFileError
 from ident.export import pinocchio_reading
 from ident.export.urdf import new_urdf
 from ident.export.urdf_edit import edited_urdf

@@ -10,7 +10,7 @@ import yaml
 from friction_experiment_arm import TWO_JOINTS
 
 from daq.robot.loader import RobotFile, parse_robot
-from drivers.errors import DataError, ModelError, UsageError
+from drivers.core.errors import DataError, ModelError, UsageError
 from ident.identify.friction.choice import check_friction, chosen_friction
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify

@@ -10,7 +10,7 @@ import pytest
 from friction_experiment_arm import arm, experiment
 
 from daq.recording.recording import Recording
-from drivers.errors import DataError, UsageError
+from drivers.core.errors import DataError, UsageError
 from ident.model.true_parameters import true_model
 from ident.result.model import load_model
 from ident.tasks.identification import identify

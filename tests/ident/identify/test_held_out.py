@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import dynid
 from daq.recording.recording import JOINTS_STREAM, Recording, Stream
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.identify.held_out import COSTLY_RATIO, consistency_cost
 from ident.model.dynamic_model import build_model
 from ident.result.delivered import delivered_parameters

@@ -11,7 +11,7 @@ import pytest
 
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import load_robot, parse_robot
-from drivers.errors import DataError, IdentificationError, RecordingError, UsageError
+from drivers.core.errors import DataError, IdentificationError, RecordingError, UsageError
 from ident.assessment.validation import HELD_OUT_SHARE
 from ident.identify.data_split import split_data
 from ident.identify.identification import IdentifyChoices, ModelChoices

@@ -14,7 +14,7 @@ from random_arm import random_arm, recorded
 from daq.importers import ImportChoices, import_file
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 from ident.assessment.arm_mass import arm_length, mass_of_size
 from ident.estimators.feasible.armature import armature_vector
 from ident.estimators.feasible.problem import COASTING, friction_rates

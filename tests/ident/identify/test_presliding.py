@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from daq.recording.recording import JOINTS_STREAM
-from drivers.errors import ResultFileError
+from drivers.core.errors import ResultFileError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.predict import predict_recording

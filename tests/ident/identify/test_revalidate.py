@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from drivers.errors import DataError, ResultFileError
+from drivers.core.errors import DataError, ResultFileError
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.revalidate import revalidate
@@ -89,7 +89,7 @@ def test_a_wrong_parameter_shows(result, recordings):
     ids=["one missing", "renamed", "other columns", "another arm"],
 )
 def test_parameters_that_do_not_belong_to_the_robot_are_refused(result, recordings, change):
-    from drivers.errors import RobotFileError
+    from drivers.core.errors import RobotFileError
 
     with pytest.raises((ResultFileError, RobotFileError)):
         revalidate(tampered(result, change), recordings[1])

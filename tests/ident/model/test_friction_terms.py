@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from friction_arm import TERMS, arm_file
 
-from drivers.errors import DataError, ModelError
+from drivers.core.errors import DataError, ModelError
 from ident.model.base_parameters import base_parameters, random_states, random_temperature
 from ident.model.dynamic_model import build_model
 from ident.model.energy import EnergyKernel

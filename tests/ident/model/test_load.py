@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.robot.loader import load_robot, parse_robot
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad, load_columns, load_effect, moved_origin

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import load_robot
-from drivers.errors import DataError, UsageError
+from drivers.core.errors import DataError, UsageError
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import regressor

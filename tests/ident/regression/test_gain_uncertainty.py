@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import load_robot, parse_robot
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.errors import IdentificationError
+from drivers.core.errors import IdentificationError
 from ident.regression.jackknife import (
     BlockSums,
     delete_block_moves,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.regression.least_squares import ordinary_least_squares
 from ident.regression.pruning import (
     RULES,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.assessment.delay.delay import search_delay
 from ident.identify.identification import IdentifyChoices
 from ident.model.base_parameters import base_parameters

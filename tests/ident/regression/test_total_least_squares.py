@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.errors import IdentificationError
+from drivers.core.errors import IdentificationError
 from ident.linear_algebra.triangular import triangular
 from ident.regression.total_least_squares import null_vector, null_vector_of_gram, signal_noise
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from html_page import Page
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.regression.comparison import TorqueSeries
 from ident.report import TruthTable, render_report, write_result_folder
 from ident.report.figures.traces import POINTS_PER_TRACE

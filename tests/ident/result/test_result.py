@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from daq.recording.reader import read_recording
 from daq.recording.recording import Event
 from daq.recording.writer import write_recording
-from drivers.errors import ResultFileError
+from drivers.core.errors import ResultFileError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise

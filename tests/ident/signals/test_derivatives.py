@@ -7,7 +7,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.signals.joint_signals import JointSignals
 from ident.signals.options import Differentiation, PreprocessChoices
 from ident.signals.pipeline import prepare

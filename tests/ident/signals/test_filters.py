@@ -10,7 +10,7 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.signals.filters import (
     StreamedFilter,
     ZeroPhaseFilter,

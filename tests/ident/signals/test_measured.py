@@ -7,7 +7,7 @@ import pytest
 
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile, parse_robot
-from drivers.errors import DataError
+from drivers.core.errors import DataError
 from drivers.streams import UNITS
 from ident.signals.joint_signals import joint_positions, read_joint_signals
 

@@ -93,7 +93,7 @@ def test_without_events_of_the_player_the_whole_recording_counts(approached):
 
 
 def test_a_window_of_the_user_s_goes_before(approached):
-    from drivers.errors import DataError
+    from drivers.core.errors import DataError
     from ident.signals.pipeline import PreprocessChoices
 
     choices = IdentifyChoices(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import DataError, InputError, UsageError
+from drivers.core.errors import DataError, InputError, UsageError
 from ident.signals.joint_signals import JointSignals
 from ident.signals.motion_masks import default_rest_velocity, motion_band, moving_mask
 from ident.signals.options import PreprocessChoices, choose_cutoffs

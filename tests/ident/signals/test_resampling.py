@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.errors import DataError
+from drivers.core.errors import DataError
 from ident.signals.resampling import (
     check_stamps,
     gap_free_segments,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.verdict.acceptance import (
     AcceptanceLimits,
     ModelFigures,

@@ -16,7 +16,7 @@ from exported_arms import exported_arm
 
 from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording
 from daq.robot.loader import RobotFile, parse_robot
-from drivers.errors import ModelError
+from drivers.core.errors import ModelError
 from ident.assessment.recording_checks import recording_checks
 from ident.checks.recording_check import recording_info
 from ident.experiments.merge.merged_result import merge_results

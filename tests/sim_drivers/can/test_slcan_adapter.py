@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from simulated_clock import SimulatedClock
 from simulated_serial import SimulatedLine, simulated_line
 
-from drivers.clock import SYSTEM_CLOCK
+from drivers.core.clock import SYSTEM_CLOCK
 from sim_drivers.can.slcan_adapter import BACKLOG_LIMIT, SlcanAdapter, format_frame, parse_frame
 from sim_drivers.canopen.server import CanopenServer
 

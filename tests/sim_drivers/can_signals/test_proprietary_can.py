@@ -35,7 +35,7 @@ from daq.recording.reader import read_recording
 from drivers.can_signals.driver import CanFramesDriver
 from drivers.can_signals.settings import parse_settings
 from drivers.can_signals.table.signals import batches, decode, frame_layouts
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from sim_drivers.can_signals.arm import FAULT_COMMAND, TableArm
 from sim_drivers.can_signals.server import ProprietaryCanServer
 from sim_drivers.faults import BusOff, Drop, Freeze, Garbage, Mute, Truncate

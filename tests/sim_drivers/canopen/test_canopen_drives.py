@@ -11,7 +11,7 @@ from exact_plant import ExactPlant
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from sim_drivers.can.bus_load import Frame, worst_case_bits
 from sim_drivers.canopen.drive import FOLLOWING_ERROR, OVER_TEMPERATURE
 from sim_drivers.canopen.object_dictionary import Abort, entries

@@ -18,7 +18,7 @@ from exact_plant import ExactPlant
 from simulated_clock import SimulatedClock
 
 from drivers.can.bus import open_bus
-from drivers.errors import ConnectionFailedError
+from drivers.core.errors import ConnectionFailedError
 from sim_drivers.canopen.drive import BOOT_TIME
 from sim_drivers.canopen.object_dictionary import EDS_NAME, entries
 from sim_drivers.canopen.server import GRANULARITY, LONGEST_WAIT, CanopenServer

@@ -15,7 +15,7 @@ from drive_bench import Bench
 from daq.robot.loader import load_robot
 from drivers.canopen402.motion.target_path import TargetPath
 from drivers.canopen402.settings import parse_settings
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.dynamic_model import build_model
 from sim_drivers.canopen.network import DriveNetwork
 from sim_drivers.plant.plant import Plant

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import load_robot
-from drivers.errors import RobotFileError, UsageError
+from drivers.core.errors import RobotFileError, UsageError
 from ident.model.parameters import link_parameters
 from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.altered_arm import with_gains, with_load, with_payload

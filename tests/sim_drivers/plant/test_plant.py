@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from daq.robot.loader import builtin_robots, load_robot, parse_robot
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from daq.robot.loader import parse_robot
 from daq.robot.schema import TruthThermal
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 from sim_drivers.plant.plant import Plant, PlantSettings
 from sim_drivers.plant.thermal import JointHeat
 

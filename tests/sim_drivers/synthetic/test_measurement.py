@@ -9,7 +9,7 @@ from daq.recording.reader import read_recording
 from daq.recording.recording import JOINTS_STREAM
 from daq.recording.writer import write_recording
 from daq.robot.loader import builtin_robots, load_robot, parse_robot
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector

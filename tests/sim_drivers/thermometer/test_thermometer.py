@@ -24,8 +24,8 @@ from daq.session.session import SessionReport, record
 from daq.session.sources import Sources
 from daq.session.supervisor import Limits, Supervisor
 from drivers.base import DriverSettings, Notice
-from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import ConnectionFailedError, UsageError
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError, UsageError
 from drivers.gains import DriveGain
 from drivers.serial_thermometer.driver import SerialThermometerDriver
 from drivers.serial_thermometer.port import READ_TIMEOUT

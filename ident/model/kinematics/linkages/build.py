@@ -15,8 +15,8 @@ import numpy as np
 
 from daq.robot.loops import Loop
 from daq.robot.schema import Robot
-from drivers.errors import RobotFileError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import RobotFileError
 from ident.model.kinematics.joints import Joint, Placement
 from ident.model.kinematics.linkages.closed_loops import ClosedLoops
 from ident.model.kinematics.linkages.closing_chain import ClosingChain, closing_chain

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.errors import DataError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
 from ident.model.kinematics.linkages.loop_equations import Closing, LoopEquations
 from ident.model.kinematics.transmission import Transmission, TreeMotion
 

@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.linear_algebra.vectors import cross, cross_matrix
 from ident.model.kinematics.joints import BASE_INDEX, Joint, Placement
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
 from ident.model.kinematics.linkages.closing_chain import ChainState, ClosingChain
 
 BoolArray = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]

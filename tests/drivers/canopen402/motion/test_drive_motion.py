@@ -12,7 +12,7 @@ from scripted_drives import FRAME_TIME, RAMP, ScriptedDrive
 from drivers.can.receiver import POLL
 from drivers.canopen402.motion.drive_motion import OFF_LIMIT
 from drivers.canopen402.motion.sdo_stop import PATIENCE, REPEAT
-from drivers.errors import ConnectionLostError, DriverStateError, MotionRefusedError
+from drivers.core.errors import ConnectionLostError, DriverStateError, MotionRefusedError
 
 ENABLING = ["disabled", "ready", "switched on", "enabled"]
 

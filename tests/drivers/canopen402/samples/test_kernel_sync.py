@@ -12,8 +12,8 @@ from can.interfaces.virtual import VirtualBus
 from canopen_bench import RATE, Bench, bench
 
 from drivers.canopen402.samples.sync import PATIENCE
-from drivers.clock import Clock
-from drivers.errors import ConnectionLostError
+from drivers.core.clock import Clock
+from drivers.core.errors import ConnectionLostError
 
 DRIVES, KERNEL = "scripted drives", "kernel"
 

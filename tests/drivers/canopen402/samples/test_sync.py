@@ -13,7 +13,7 @@ from simulated_clock import START, SimulatedClock
 from drivers.can.bus import Sender
 from drivers.canopen402.protocol.objects import SYNC
 from drivers.canopen402.samples.sync import BEHIND, LATEST, PATIENCE, SPACING, TARGET_ROOM, SyncProducer
-from drivers.errors import ConnectionLostError
+from drivers.core.errors import ConnectionLostError
 
 RATE = 100.0
 TARGETS = 0x201

@@ -8,7 +8,7 @@ from drivers.can.receiver import POLL
 from drivers.canopen402.setup.configuration import PROBE_LIMIT
 from drivers.canopen402.setup.error_control import OWN_ID_ANSWER
 from drivers.canopen402.setup.other_masters import LISTEN
-from drivers.errors import ConnectionFailedError, MotionRefusedError
+from drivers.core.errors import ConnectionFailedError, MotionRefusedError
 
 
 def drives(*changed: ScriptedDrive) -> list[ScriptedDrive]:

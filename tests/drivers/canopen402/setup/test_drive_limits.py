@@ -9,7 +9,7 @@ import pytest
 from canopen_bench import bench
 from scripted_drives import ScriptedDrive
 
-from drivers.errors import ConnectionFailedError
+from drivers.core.errors import ConnectionFailedError
 
 COUNTS = 409600 / (2 * math.pi)
 TOLD = {

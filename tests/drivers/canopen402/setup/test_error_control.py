@@ -14,7 +14,7 @@ from scripted_drives import FRAME_TIME, ScriptedDrive
 from drivers.base import Attributing
 from drivers.can.receiver import POLL
 from drivers.canopen402.setup.error_control import RELEASE_LIMIT
-from drivers.errors import ConnectionFailedError, ConnectionLostError
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError
 
 NO_OBJECT, VALUE_RANGE, READ_ONLY = 0x06020000, 0x06090030, 0x06010002
 GUARDING: dict[str, object] = {"period": 0.05, "factor": 3}

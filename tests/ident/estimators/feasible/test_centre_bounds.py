@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import RobotFile, parse_robot
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 from ident.checks.robot_check import check_robot
 from ident.estimators.feasible.centre_bounds import CLOSE, centre_bounds, half_spaces
 from ident.estimators.feasible.consistent import consistent_parameters

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 from ident.estimators.feasible.consistent import ConsistentParameters, consistent_parameters
 from ident.estimators.feasible.prior import link_priors
 from ident.estimators.feasible.problem import MARGIN, build_problem

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.estimators.method_choice import chosen_method
 from ident.estimators.methods.kalman_wls import filtered_torque, stationary_gain
 from ident.identify.identification import IdentifyChoices

@@ -10,7 +10,7 @@ import pytest
 
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import parse_robot
-from drivers.errors import IdentificationError, UsageError
+from drivers.core.errors import IdentificationError, UsageError
 from ident.estimators.method_choice import chosen_method
 from ident.estimators.methods.iv import repeated_segment
 from ident.estimators.methods.ridge import GRID, cross_validated_weight

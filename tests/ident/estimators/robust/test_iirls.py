@@ -7,7 +7,7 @@ import pytest
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, parse_robot
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.estimators.robust.friction_bounds import FrictionBounds
 from ident.estimators.robust.sensitivities import shape_columns
 from ident.identify.identification import Identification, IdentifyChoices

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.errors import IdentificationError, UsageError
-from drivers.streams import FloatArray
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import IdentificationError, UsageError
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.frog_leaping import FrogLeaping
 from ident.estimators.swarm.minimisation import Budget, Optimiser, minimise

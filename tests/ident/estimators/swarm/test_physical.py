@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import load_robot
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 from ident.estimators.swarm.box import Box
 from ident.estimators.swarm.identifiability import identifiability
 from ident.estimators.swarm.physical import (

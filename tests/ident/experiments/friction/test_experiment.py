@@ -10,7 +10,7 @@ from friction_experiment_arm import GIVEN, arm, experiment, sweeps
 
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot, parse_robot
-from drivers.errors import DataError, DynidError, ResultFileError, UsageError
+from drivers.core.errors import DataError, DynidError, ResultFileError, UsageError
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
 from ident.experiments.friction.experiment import analyse_friction

@@ -11,7 +11,7 @@ from loaded_arm import HIDDEN, LOAD, arm_runs, runs
 from daq.motion.trajectories import FourierSeries
 from daq.recording.recording import Channel
 from daq.robot.loader import load_robot, parse_robot
-from drivers.errors import DataError
+from drivers.core.errors import DataError
 from ident.experiments.gains.drive_gains import identify_gains
 from ident.experiments.payload_summary import drives_text, gains_result
 from ident.model.base_parameters import base_parameters

@@ -19,7 +19,7 @@ from daq.motion.trajectory_file import parse_trajectory
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.errors import DataError, IdentificationError
+from drivers.core.errors import DataError, IdentificationError
 from ident.experiments.gains.drive_gains import identify_gains
 from ident.experiments.gains.slow_passes import BINS, passes_of, sweeps_of
 from ident.experiments.gains.up_and_down import SlowGains, identify_slow_gains

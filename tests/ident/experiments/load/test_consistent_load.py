@@ -8,7 +8,7 @@ import yaml
 from loaded_arm import LOAD, arm_runs, runs
 
 from daq.robot.loader import load_robot, parse_robot
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 from ident.estimators.feasible.pseudo_inertia import body_of, pseudo_inertia
 from ident.experiments.load.consistent_load import consistent_load
 from ident.experiments.load.payload import identify_payload

@@ -9,7 +9,7 @@ import pytest
 from loaded_arm import LOAD, RATE, runs
 
 from daq.robot.loader import load_robot, parse_robot
-from drivers.errors import DataError, UsageError
+from drivers.core.errors import DataError, UsageError
 from ident.experiments.load.load_estimate import estimate_load, identify_separately
 from ident.experiments.load.payload import identify_payload
 from ident.experiments.payload_summary import payload_result, payload_sentences

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import IdentificationError
+from drivers.core.errors import IdentificationError
 from ident.experiments.merge.merge import Information, identifiable_columns, merge, usable, variance_ratio
 from ident.linear_algebra.triangular import triangular
 from ident.regression.estimate import estimate_of

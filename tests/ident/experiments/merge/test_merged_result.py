@@ -11,7 +11,7 @@ from daq.recording.reader import read_recording
 from daq.recording.recording import JOINTS_STREAM
 from daq.recording.writer import write_recording
 from daq.robot.loader import parse_robot
-from drivers.errors import DataError, ResultFileError, UsageError
+from drivers.core.errors import DataError, ResultFileError, UsageError
 from ident.experiments.merge.merged_result import merge_results
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify

@@ -10,7 +10,7 @@ from loop_arms import FOUR_BAR, four_bar_arm, spatial_arm
 from random_arms import random_arm
 
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.errors import ModelError
+from drivers.core.errors import ModelError
 from ident.export.c_code.expressions import Graph
 from ident.export.c_code.functions import arm_functions, left_out
 from ident.export.c_code.reference import check_expressions, deviation, reference

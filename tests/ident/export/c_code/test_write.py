@@ -12,7 +12,7 @@ from friction_arm import arm_file
 from loop_arms import four_bar_arm
 
 from daq.robot.loader import load_robot
-from drivers.errors import ModelError, UsageError
+from drivers.core.errors import ModelError, UsageError
 from ident.export.c_code.functions import left_out
 from ident.export.c_code.names import identifier
 from ident.export.c_code.reference import reference

@@ -10,7 +10,7 @@ import pytest
 from loop_arms import four_bar_arm, spatial_arm, spherical_arm
 
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from drivers.errors import DataError
+from drivers.core.errors import DataError
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.kinematics.linkages.closed_loops import ClosedLoops

@@ -7,7 +7,7 @@ import pytest
 from loop_arms import FOUR_BAR, four_bar_arm, spatial_arm
 
 from daq.robot.loader import parse_robot
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import build_model
 from ident.model.kinematics.linkages.closed_loops import ClosedLoops
 

@@ -11,7 +11,7 @@ import pytest
 
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from daq.robot.obstacles import obstacles_of
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.plausibility import inertia_matrices
 from ident.model.base_parameters import base_parameters, random_states

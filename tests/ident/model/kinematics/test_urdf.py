@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import parse_robot
-from drivers.errors import RobotFileError
+from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import regressor
 

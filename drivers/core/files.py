@@ -1,19 +1,21 @@
-"""Input files: only regular ones, of a bounded size, are opened, so that no input makes a command wait or fill memory.
+"""Input files, only regular ones of a bounded size, so that no input makes a command wait or fill memory; and locks.
 
 Every reader of a file goes through this module. A library that opens a file by its name gets it after `check_input`.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import stat
+import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from drivers.errors import InputError
+from drivers.core.errors import InputError
 
 KB, MB, GB = 10**3, 10**6, 10**9
 
@@ -144,3 +146,46 @@ def _too_large(kind: InputKind, path: Path, refusal: type[InputError]) -> InputE
 def _unreadable(error: Exception, path: Path, refusal: type[InputError]) -> InputError:
     reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return refusal(f"cannot be read: {reason}", where=str(path))
+
+
+@contextmanager
+def held_lock(key: str) -> Iterator[bool]:
+    """Hold the lock of a name; false where it is held already. Computers without `flock` have no locks.
+
+    Args:
+        key: what is locked; programs with one folder for temporary files share it.
+
+    Raises:
+        OSError: there is no place for temporary files.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        yield True
+        return
+    name = hashlib.sha256(key.encode(errors="surrogateescape")).hexdigest()[:16]
+    path = Path(tempfile.gettempdir()) / f"dynid-{name}.lock"
+    while True:
+        descriptor = _opened(path)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(descriptor)
+            yield False
+            return
+        with suppress(OSError):
+            if os.path.samestat(os.fstat(descriptor), path.stat()):
+                break
+        os.close(descriptor)  # its last holder has removed it meanwhile
+    try:
+        yield True
+    finally:
+        with suppress(OSError):  # another user's, in a folder where such files stay
+            path.unlink()
+        os.close(descriptor)
+
+
+def _opened(path: Path) -> int:
+    with suppress(PermissionError):  # another user's, in a folder where such files are not created over
+        return os.open(path, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+    return os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)

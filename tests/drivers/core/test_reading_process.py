@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers import reading_process
-from drivers.errors import ImportFileError, RecordingError
-from drivers.reading_process import Progress, read_apart
+from drivers.core import reading_process
+from drivers.core.errors import ImportFileError, RecordingError
+from drivers.core.reading_process import Progress, read_apart
 
 PATH = Path("run.h5")
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from drivers.errors import UsageError
+from drivers.core.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -51,35 +51,16 @@ POSITIVE = Range(1e-12, 1e9)
 MASS = Range(0.0, 1e5, "kg")
 INERTIA = Range(-1e6, 1e6, "kg·m²")
 
-RECORDED_POSITION = Range(-1e6, 1e6, "rad or m")
-RECORDED_VELOCITY = Range(-1e5, 1e5, "rad/s or m/s")
-RECORDED_TORQUE = Range(-1e8, 1e8, "N·m or N")
 STAMP = Range(-1e11, 1e11, "s")
 """Seconds since 1970 are 2e9; beyond 1e11 a double cannot tell samples of 20 µs apart."""
 SAMPLING_RATE = Range(1.0, 20_000.0, "Hz")
 """Of a robot arm's recordings; beyond them the stamps are probably not in seconds."""
 
-CUTOFF = Range(0.01, 10_000.0, "Hz")
-"""Of a filter, whose response lasts as long as a period of its cut-off."""
-DECIMATION = Range(1, 10_000)
 DELAY = Range(-60.0, 60.0, "s")
-WINDOW_TIME = Range(0.0, 1e7, "s")
-"""From a recording's first stamp; four months."""
-ENERGY_WINDOW = Range(1e-3, 3600.0, "s")
-RIDGE_WEIGHT = Range(0.0, 1e3)
-"""Of a penalty, over a column's squared length; from 1 on parameters are pulled half way to 0."""
-LOOP_BANDWIDTH = Range(1.0, 1000.0, "rad/s")
-"""Of a simulated position loop; arms have 10 to 100."""
-AR_ORDER = Range(0, 50)
-"""Of an autoregressive noise model."""
-SMOOTHING = Range(0.0, 10.0, "rad/s")
 EXPONENT = Range(0.05, 4.0)
 """Of the velocity in viscous friction; measured ones lie between 0.3 and 1.5."""
 STRIBECK_VELOCITY = Range(1e-4, 10.0, "rad/s or m/s")
-PRESLIDING_TRAVEL = Range(1e-6, 1.0, "rad or m")
 """Where the Stribeck term has fallen to 1/e; of gears mostly 0.01 to 0.5 rad/s."""
-PERCENT = Range(1e-3, 100.0, "%")
-"""A standard deviation relative to its parameter: wanted, or a threshold of significance."""
 
 COEFFICIENTS = Range(1, 1000)
 """Of one joint in a trajectory file: harmonics or sines; the check of the limits of 13,000 takes a minute and 4 GB."""
@@ -90,36 +71,7 @@ SAMPLE_STEP = Range(1e-4, 86_400.0, "s")
 """Between samples of a trajectory."""
 PERIOD = Range(0.1, 3600.0, "s")
 """Of an excitation trajectory."""
-PERIODS = Range(1, 10_000)
-HARMONICS = Range(1, 50)
-POINTS = Range(2, 200)
-RAMP = Range(1e-3, 3600.0, "s")
-SEARCH_TIME = Range(1e-3, 604_800.0, "s")
-"""A week."""
 RECORDING_TIME = Range(1e-3, 604_800.0, "s")
-STARTS = Range(1, 100_000)
-SEED = Range(0, 2**63 - 1)
-
-POPULATION = Range(1, 100_000)
-"""Of a swarm, and its memeplexes."""
-GENERATIONS = Range(1, 1_000_000)
-LEARNING_FACTOR = Range(0.0, 100.0)
-"""Of a swarm's moves towards good points."""
-FRICTION_SHARE = Range(1e-3, 10.0)
-"""Largest torque of a friction term over the joint's torque limit."""
-NOISE_LEVEL = Range(1e-30, 1e30)
-"""A variance, or the density of white noise."""
-NOISE_RATIO = Range(1e-12, 1e12)
-"""Variance of a process over that of a sample."""
-LEAP = Range(1e-6, 1e3)
-"""Longest leap of a frog over the width of the search range."""
-WEIGHT = Range(0.0, 100.0)
-"""Of inertia in a swarm."""
-BOX_SHARE = Range(1e-6, 1e3)
-"""Half of a search range over the size of its middle."""
-
-RESULT_VALUE = Range(-1e100, 1e100)
-"""Any number of a result: a parameter that is hardly excited may be huge, but not so that squares overflow."""
 
 
 def check_option(option: str, value: float, allowed: Range, hint: str = "") -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.percentage import DASH, LEAST, MOST, percent_text, percentage_text
+from drivers.core.text import DASH, LEAST, MOST, percent_text, percentage_text
 
 
 @pytest.mark.parametrize(

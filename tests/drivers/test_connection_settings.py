@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from drivers.config import MOST_PROBLEMS, ConnectionSettings, Entries, read_settings
-from drivers.errors import UsageError
+from drivers.connection_settings import MOST_PROBLEMS, ConnectionSettings, Entries, read_settings
+from drivers.core.errors import UsageError
 
 
 class Sensor(ConnectionSettings):

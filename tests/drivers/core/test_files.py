@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.errors import UsageError
-from drivers.input_files import InputKind, check_input, read_bytes, read_text, size_text
+from drivers.core.errors import UsageError
+from drivers.core.files import InputKind, check_input, read_bytes, read_text, size_text
 
 SMALL = InputKind("a small file", 100)
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from drivers.units import FACTORS, common_unit, conversion, factors, normalised
+from drivers.core.units import FACTORS, common_unit, conversion, factors, normalised
 
 
 @pytest.mark.parametrize(

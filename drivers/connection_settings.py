@@ -9,9 +9,9 @@ from pydantic import BaseModel, ConfigDict, Strict, StringConstraints, Validatio
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from drivers.closest import did_you_mean
-from drivers.errors import UsageError
-from drivers.yaml_file import describe, fields_of, locate, plain_type
+from drivers.core.errors import UsageError
+from drivers.core.text import did_you_mean
+from drivers.core.validation import describe, fields_of, locate, plain_type
 
 WITH = "with"
 """Key of a connection that belongs to the session: names of others that are recorded beside it."""

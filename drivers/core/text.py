@@ -1,14 +1,22 @@
-"""Percentages as people write them: 0.34 %, 12.5 %, 1230 %; no powers of ten, and no 0 for what is not 0."""
+"""Texts of messages: suggestions for misspelt names; percentages as people write them (0.34 %, 12.5 %, 1230 %)."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from difflib import get_close_matches
 
 DASH = "–"
 """What stands for a missing value."""
 
 LEAST, MOST = 0.001, 1e6
 """Percentages outside of these sizes are written as less or more than them."""
+
+
+def did_you_mean(given: str, known: Iterable[str]) -> str:
+    """'did you mean …?' with the closest known name, or an empty text."""
+    matches = get_close_matches(given, list(known), n=1, cutoff=0.6)
+    return f"did you mean '{matches[0]}'?" if matches else ""
 
 
 def in_percent(ratio: float | None) -> float | None:

@@ -10,7 +10,7 @@ import unicodedata
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.terminal import VisibleStream, hidden_character, show_visibly, styled, visible
+from drivers.core.terminal import VisibleStream, hidden_character, show_visibly, styled, visible
 
 # Any character, lone halves of pairs included; those that command a terminal often.
 TEXT = st.text(st.characters() | st.sampled_from("\x1b\x07\x9b\x08\r\x00\u202e\u2066\u2028\udc80"))

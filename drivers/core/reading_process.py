@@ -18,8 +18,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, BinaryIO, NoReturn, TypeVar
 
-from drivers.errors import DynidError, InputError
-from drivers.input_files import GB, size_text
+from drivers.core.errors import DynidError, InputError
+from drivers.core.files import GB, size_text
 
 if sys.platform == "linux":
     import resource

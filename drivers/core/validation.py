@@ -13,9 +13,9 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from drivers.closest import did_you_mean
-from drivers.errors import InputError
-from drivers.terminal import visible
+from drivers.core.errors import InputError
+from drivers.core.terminal import visible
+from drivers.core.text import did_you_mean
 
 Schema = TypeVar("Schema", bound=BaseModel)
 Refusal = TypeVar("Refusal", bound=InputError)

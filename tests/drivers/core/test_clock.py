@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from simulated_clock import SimulatedClock
 
-from drivers.clock import Clock
+from drivers.core.clock import Clock
 
 WAITS_FOR_NOTHING = {
-    "drivers/clock.py",  # the one place
+    "drivers/core/clock.py",  # the one place
     "daq/session/realtime.py",  # is joined at once
     "sim_drivers/serving/served.py",  # reads what is typed, with errors of its own
     "sim_drivers/simulated_arm.py",  # waits for one line of a process

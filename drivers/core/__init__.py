@@ -1,0 +1,1 @@
+"""The ground floor: arrays, errors, clock, units, ranges, text, files, validation; knows neither bus nor robot."""
