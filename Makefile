@@ -35,7 +35,7 @@ bench: $(INSTALLED)
 
 # What depends on how busy the computer is: measured, never tested.
 realtime: $(INSTALLED)
-	$(BIN)/python -m benchmarks.realtime $(REALTIME)
+	$(BIN)/python -m benchmarks.recording.realtime $(REALTIME)
 
 # Damaged files against the commands, then the property tests with many random examples: a file that is found becomes a
 # case of tests/found, an example that is found an @example of its test.

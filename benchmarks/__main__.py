@@ -14,24 +14,21 @@ import time
 from importlib.metadata import version
 from pathlib import Path
 
-from benchmarks import (
+from benchmarks import startup
+from benchmarks.identification import (
     accuracy,
-    c_code,
     consistency,
     decimation,
     excitation,
     memory,
     methods,
-    model,
     parameters,
     pipeline,
-    plant,
-    recorder,
     regressor,
-    simulation,
-    startup,
     swarm,
 )
+from benchmarks.models import c_code, model, plant, simulation
+from benchmarks.recording import recorder
 
 RESULTS = Path(__file__).with_name("results.json")
 

@@ -4,7 +4,7 @@
 
 A table says how it was measured in a comment above it:
 
-    <!-- measured: python studies/payload.py 40 | skip: CPU s; seconds | within: 3 % -->
+    <!-- measured: python -m studies.payload.payload 40 | skip: CPU s; seconds | within: 3 % -->
     <!-- measured once: a UR10e that is no longer there -->
 
 `skip` names columns that differ from run to run, by their headings: times of computation. `within` is the relative
@@ -125,7 +125,7 @@ def measurement_of(line: str) -> Measurement | None:
     if found["once"]:
         return Measurement("", reason=found["text"])
     command, *settings = (part.strip() for part in found["text"].split("|"))
-    if not command.startswith("python "):
+    if not command.startswith("python -m studies."):
         raise ValueError(f"'{command}' is not the command of a study")
     skip: tuple[str, ...] = ()
     within, anywhere = WITHIN, False

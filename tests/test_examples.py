@@ -42,7 +42,7 @@ def test_the_notebook_runs_and_holds_no_outputs(capsys):
 
 
 def test_coverage_runs(capsys):
-    script("studies/coverage.py").main(robots=("ur5e",), seeds=1, methods=("wls",), plays=("periodic",))
+    script("studies/coverage/coverage.py").main(robots=("ur5e",), seeds=1, methods=("wls",), plays=("periodic",))
     assert "ur5e" in capsys.readouterr().out
 
 

@@ -1,4 +1,4 @@
-"""The figures that studies/lossless.py prints."""
+"""The figures that studies/recording/lossless.py prints."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from studies import lossless
+from studies.recording import lossless
 
 
 def clock(*ticks: int) -> np.ndarray:

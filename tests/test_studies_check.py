@@ -22,7 +22,7 @@ def check():
 
 
 PAGE = """
-<!-- measured: python studies/a.py 3 | skip: CPU s -->
+<!-- measured: python -m studies.folder.a 3 | skip: CPU s -->
 
 | arm | error [%] | kept | CPU s |
 |---|---|---|---|
@@ -84,8 +84,8 @@ def test_the_tolerance_is_relative(check):
     "comment",
     [
         "<!-- measured: rm -rf / -->",
-        "<!-- measured: python a.py | skipp: x -->",
-        "<!-- measured: python a.py | skip: x -->",
+        "<!-- measured: python -m studies.a | skipp: x -->",
+        "<!-- measured: python -m studies.a | skip: x -->",
     ],
 )
 def test_comments_that_cannot_be_read_name_their_place(check, comment):
@@ -96,7 +96,7 @@ def test_comments_that_cannot_be_read_name_their_place(check, comment):
 
 def test_a_table_that_cannot_be_measured_again_says_why(check):
     (table,) = check.tables_of(
-        "page.md", PAGE.replace("measured: python studies/a.py 3 | skip: CPU s", "measured once: by hand")
+        "page.md", PAGE.replace("measured: python -m studies.folder.a 3 | skip: CPU s", "measured once: by hand")
     )
     assert (table.measurement.command, table.measurement.reason) == ("", "by hand")
 
@@ -140,6 +140,7 @@ def test_every_comment_of_the_docs_can_be_read_and_names_a_study(check):
     assert len(measured) > 50
     for table in measured:
         if table.measurement.command:
-            assert (ROOT / table.measurement.command.split()[1]).is_file(), table.place
+            study = table.measurement.command.split()[2].replace(".", "/")
+            assert (ROOT / f"{study}.py").is_file(), table.place
         else:
             assert table.measurement.reason, table.place

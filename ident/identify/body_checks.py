@@ -35,7 +35,7 @@ lack cables, grease and motors, hardly more than half of the mass."""
 
 BESIDE = 0.5
 """Distance of a link's centre of mass from the lines between its joints, over the arm's length, that no link has: 0.13
-of a UR10's shoulder, 0.33 at most of the estimates of 40 random arms (studies/plausible_bodies.py)."""
+of a UR10's shoulder, 0.33 at most of the estimates of 40 random arms (studies/checks/plausible_bodies.py)."""
 
 TOOL = 0.25
 """The same, added for the link that carries the tool."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, c_code, decimation, parameters, regressor, simulation, swarm
 from benchmarks.agreement import DisagreementError, check
+from benchmarks.identification import accuracy, decimation, parameters, regressor, swarm
+from benchmarks.models import c_code, simulation
 from benchmarks.timing import medians
 
 

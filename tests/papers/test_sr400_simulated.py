@@ -12,7 +12,7 @@ from sampled_arm import sampled
 
 from daq.robot.loader import load_robot
 
-EXAMPLE = Path(__file__).parents[2] / "studies" / "sr400_table4.py"
+EXAMPLE = Path(__file__).parents[2] / "studies" / "papers" / "sr400_table4.py"
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from sampled_arm import sampled
 
 from daq.robot.loader import load_robot
 
-EXAMPLE = Path(__file__).parents[2] / "studies" / "two_experiments.py"
+EXAMPLE = Path(__file__).parents[2] / "studies" / "papers" / "two_experiments.py"
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from daq.recording.growing_file import SPARE
 
 ROOT = Path(__file__).parents[3]
 STEP = 3 * 4096
-"""Bytes; studies/full_disk.py takes 4096."""
+"""Bytes; studies/safety/full_disk.py takes 4096."""
 CHILD = """
     import json, os, resource, sys
     from pathlib import Path

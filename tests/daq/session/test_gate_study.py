@@ -1,4 +1,4 @@
-"""Some random cases of `studies/command_gate.py`: nothing above a limit at the sender, nothing sound refused."""
+"""Some random cases of `studies/safety/command_gate.py`: nothing above a limit at the sender, nothing sound refused."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-STUDY = Path(__file__).parents[3] / "studies" / "command_gate.py"
+STUDY = Path(__file__).parents[3] / "studies" / "safety" / "command_gate.py"
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ import importlib
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -343,10 +342,9 @@ def test_a_gap_and_a_rest_are_no_trouble(three_joint, method):
 
 
 @pytest.mark.slow
-def test_the_example_runs(capsys, monkeypatch):
+def test_the_example_runs(capsys):
     """On little data: each of its tables in small; and what it is there to show."""
-    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[3] / "studies")
-    example = importlib.import_module("energy_vs_dynamic")
+    example = importlib.import_module("studies.papers.energy_vs_dynamic")
     arm = sampled(load_robot("sr400"), 200.0)
     models = example.compare_parameters(arm, moves=8)
     assert [found.solution.method for found in models] == ["wls", *METHODS]

@@ -16,7 +16,7 @@ from sim_drivers.synthetic.motion import random_fourier_motion
 
 @pytest.fixture(scope="module")
 def example() -> ModuleType:
-    path = Path(__file__).resolve().parents[3] / "studies" / "four_bar.py"
+    path = Path(__file__).resolve().parents[3] / "studies" / "models" / "four_bar.py"
     spec = importlib.util.spec_from_file_location("four_bar", path)
     assert spec is not None
     assert spec.loader is not None

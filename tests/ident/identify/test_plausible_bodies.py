@@ -39,7 +39,7 @@ QUICK = IdentifyChoices(search_delay=False, presliding=False, model=ModelChoices
 TX40 = Path(__file__).parents[3] / "examples" / "tx40.yaml"
 FILES = {"panda": "panda_gaz1.npz", "tx40": "tx40_t1.npz", "ur10": "ur10_unisa1.npz"}
 ARMS = range(2)
-"""`studies/plausible_bodies.py` has more."""
+"""`studies/checks/plausible_bodies.py` has more."""
 
 
 @cache

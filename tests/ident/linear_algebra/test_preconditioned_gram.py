@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.accuracy import problem
 from benchmarks.arm import arm
+from benchmarks.identification.accuracy import problem
 from ident.linear_algebra.triangular import GramAccumulator, PreconditionedGram, QrAccumulator, triangular
 from ident.regression.least_squares import ordinary_least_squares
 from ident.regression.observation_matrix import estimate_condition, reduce_segments

@@ -190,5 +190,5 @@ def test_the_catalogue_names_the_low_speed_of_the_errors() -> None:
 
 
 def test_the_docs_have_the_catalogue() -> None:
-    """`python studies/checks_table.py` writes it."""
+    """`python -m studies.checks.checks_table` writes it."""
     assert markdown_table() in DOCS.read_text(encoding="utf-8")

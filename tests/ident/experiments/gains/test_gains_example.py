@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def test_gains_example_runs(capsys):
-    path = Path(__file__).resolve().parents[4] / "studies" / "gains.py"
+    path = Path(__file__).resolve().parents[4] / "studies" / "payload" / "gains.py"
     spec = importlib.util.spec_from_file_location("gains", path)
     assert spec is not None
     assert spec.loader is not None

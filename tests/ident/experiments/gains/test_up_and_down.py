@@ -264,8 +264,7 @@ def test_the_command(folder, capsys, monkeypatch):
 @pytest.mark.slow
 def test_the_example_runs(capsys, monkeypatch):
     """One seed, one friction: half sums are right where the load adds friction."""
-    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[4] / "studies")
-    example = importlib.import_module("up_and_down")
+    example = importlib.import_module("studies.payload.up_and_down")
     monkeypatch.setattr(example, "FRICTIONS", {"load": example.FRICTIONS["and 5 % of the load"]})
     monkeypatch.setattr(example, "RATE", 25.0)
     example.main(1)

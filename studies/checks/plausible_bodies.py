@@ -1,0 +1,81 @@
+"""Are the default bodies plausible, and do they simulate? Public recordings, and random arms with light wrists.
+
+For each arm: held-out error of the unconstrained and the consistent model, mass of the links, least inertia that a
+joint has over random poses with all others free (the motor's included), how many times 1 ms friction needs to stop it
+from its greatest velocity, and the worst joint's error of the simulated motion: with a soft controller, and without
+one over 1 s windows as a multiple of constant velocity's. The last column are the checks of bodies that are raised. No
+check of bodies may be raised for any of them. About 20 s an arm.
+
+    python -m studies.checks.plausible_bodies [ARMS [DATA]]
+
+ARMS random arms of each kind (motor side, link side with a wrist of a third of its mass); DATA is the folder of the
+public recordings (`DYNID_DATA`).
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
+
+import numpy as np
+from random_arm import random_arm, recorded
+
+from daq.recording.recording import Recording
+from ident.estimators.feasible.problem import friction_rates
+from ident.identify.identification import IdentifyChoices
+from ident.identify.identify import identify
+from ident.identify.summary import summarise
+from ident.model.base_parameters import random_states
+from ident.result.model import Model
+from studies.models.consistency import public
+
+OF_BODIES = ("implausible-mass", "implausible-link", "implausible-centre", "known-contradicts-data")
+
+
+def line(name: str, recording: Recording, choices: IdentifyChoices) -> str:
+    """One row of the table."""
+    found = identify([recording], [], choices)
+    result = summarise(found, [recording], [])
+    if found.consistent is None or result.consistent is None or result.delivered is None:
+        return f"| {name} | none found | | | | | | |"
+    model, consistent = Model(result), found.consistent.parameters
+    matrices = model.mass_matrix(random_states(found.model, 200)[0].T) + np.diag(model.armature)
+    least = np.min(1.0 / np.diagonal(np.linalg.inv(matrices), axis1=1, axis2=2), axis=0)
+    rates = friction_rates(found.model, range(len(consistent.values)), consistent.values)
+    run = result.delivered.runs[0]
+    tracked = "–" if run.simulation is None else f"{1e3 * max(run.simulation.position_rmse):.1f}"
+    driven = "–" if run.open_loop is None else f"{max(r for r in run.open_loop.joint_ratio if r is not None):.2f}"
+    raised = ", ".join(check.name for check in found.checks if check.name in OF_BODIES) or "none"
+    mass = sum(link.mass for link in result.standard_parameters or [])
+    coasting = 1e3 * np.min(np.divide(least, rates, out=np.full_like(least, np.inf), where=rates > 0))
+    return (
+        f"| {name} | {100 * found.validation.relative_error:.2f} / "
+        f"{100 * found.consistent.validation.relative_error:.2f} | {mass:.3g} | {least.min():.2g} | {coasting:.0f} | "
+        f"{tracked} | {driven} | {raised} |"
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    arms = int(sys.argv[1]) if len(sys.argv) > 1 else 12
+    data = Path(sys.argv[2] if len(sys.argv) > 2 else os.environ.get("DYNID_DATA", "../shared/data"))
+    print(
+        "| arm | error, unconstrained / consistent [%] | mass [kg] | least inertia [kg·m²] | coasting [ms] | soft "
+        "controller [mrad] | open loop over constant velocity | checks of bodies |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
+    if data.is_dir():
+        for name in ("ur10", "panda", "tx40"):
+            print(line(f"{name}, public recording", *public(data, name)), flush=True)
+    for seed in range(arms):
+        print(line(f"random {seed}", recorded(random_arm(seed), seed), IdentifyChoices()), flush=True)
+        light = recorded(random_arm(seed, link_side=True, wrist=0.3), seed)
+        print(line(f"random {seed}, link side, light wrist", light, IdentifyChoices()), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,148 @@
+"""How often do 95 % intervals hold the truth? Simulated arms, many seeds; about a minute per method with 10 seeds.
+
+Every seed is another arm: the bodies and the friction of a built-in one, each scaled at random. It plays a periodic
+motion of 20 s, or goes through 24 random points. For each arm the shares of true values inside ±1.96 standard
+deviations, over all seeds: of the base parameters (corrected and classical deviations), of those that the essential
+model keeps (`essential_std`, and the submodel's own deviations, which know nothing of the selection), and of the torque
+along another motion (`torque_std` of the full and of the essential model). In brackets is the seed with the fewest
+inside; `wide` is the median of `essential_std` over `std`, `no.` the mean number of parameters kept.
+
+python -m studies.coverage.coverage [seeds [methods, as wls,irls:weights=huber [motions, as periodic,points]]]
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import Literal
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+import yaml
+
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile, load_robot, parse_robot
+from drivers.core.arrays import FloatArray
+from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identify import identify
+from ident.identify.summary import summarise
+from ident.model.dynamic_model import build_model
+from ident.model.regressor import model_torque
+from ident.model.true_parameters import truth_vector
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.result.model import Model
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.random_points import random_points_motion
+
+Play = Literal["periodic", "points"]
+
+ROBOTS = ("ur5e", "rocr6", "aubo_i5", "panda")
+METHODS: tuple[str, ...] = ("wls", "ols", "irls", "energy", "power")
+DURATION = 20.0
+HELD_OUT = 8.6
+MOVES = 24
+INSTANTS = 200
+SPREAD = 0.5
+"""Standard deviation of the logarithm of what masses and friction are scaled by; of lengths, half of it."""
+
+COLUMNS = ("full", "classical", "kept", "submodel", "torque", "torque kept")
+
+
+def another_arm(name: str, seed: int) -> RobotFile:
+    """A built-in arm with bodies and friction scaled at random."""
+    known = load_robot(name)
+    generator = np.random.default_rng([seed, len(name)])
+    robot = yaml.safe_load(known.text)
+    for body in robot["truth"]["links"].values():
+        mass, length = np.exp(SPREAD * np.array([1.0, 0.5]) * generator.standard_normal(2)).tolist()
+        body["mass"] *= mass
+        body["com"] = [length * value for value in body["com"]]
+        body["inertia"] = [mass * length**2 * value for value in body["inertia"]]
+    for joint in robot["truth"]["joints"].values():
+        for key in {"viscous", "coulomb", "motor_inertia", "offset"} & joint.keys():
+            joint[key] *= float(np.exp(SPREAD * generator.standard_normal()))
+    return parse_robot(yaml.safe_dump(robot), where=name, folder=None, urdf_text=known.urdf_text)
+
+
+def identified(arm: RobotFile, method: str, play: Play, seed: int) -> tuple[Identification, Recording]:
+    """The arm's model, from the first part of the motion."""
+    if play == "points":
+        motion = random_points_motion(arm.robot, seed, MOVES)
+        recording = simulate_recording(arm, motion, motion.duration, seed)
+        return identify([recording], [], IdentifyChoices(method)), recording
+    periodic = random_fourier_motion(build_model(arm), DURATION, seed=seed, candidates=10)
+    recording = simulate_recording(arm, periodic, DURATION + HELD_OUT, seed=seed)
+    return identify([recording], [], IdentifyChoices(method, split=DURATION)), recording
+
+
+def deviations(arm: RobotFile, method: str, play: Play, seed: int) -> tuple[list[FloatArray], float]:
+    """Errors over standard deviations, an array for each of `COLUMNS`, and the ratio `wide`."""
+    found, recording = identified(arm, method, play, seed)
+    result = summarise(found, [recording], [])
+    truth = dict(zip(found.base.names, found.base.projection @ truth_vector(arm), strict=True))
+    table = [
+        (entry.value, entry.std, entry.classical_std, truth[entry.name])
+        for entry in result.base_parameters
+        if entry.value is not None
+    ]
+    value, std, classical, true = np.array(table, dtype=np.float64).T
+    kept = list(found.pruned.solution.active)
+    entries = {entry.name: entry for entry in result.base_parameters}
+    of_kept = [entries[found.base.names[i]] for i in kept]
+    essential_std = np.array([entry.essential_std for entry in of_kept], dtype=np.float64)
+    error = found.pruned.solution.parameters[kept] - np.array([truth[entry.name] for entry in of_kept])
+    inflation = found.std[kept] / found.solution.std[kept]
+    motion = random_points_motion(arm.robot, 1000 + seed, 8)
+    samples = [signal.T for signal in motion.evaluate(np.linspace(0.0, motion.duration, INSTANTS + 2)[1:-1])]
+    torque = model_torque(found.model, None, truth_vector(arm), *(signal.T for signal in samples)).T
+    models = [Model(result, kind) for kind in ("full", "essential")]
+    figures = [
+        (value - true) / std,
+        (value - true) / classical,
+        error / essential_std,
+        error / (found.pruned.solution.std[kept] * inflation),
+        *((model.torque(*samples) - torque) / model.torque_std(*samples) for model in models),
+    ]
+    return [figure.ravel() for figure in figures], float(np.median(essential_std / found.std[kept]))
+
+
+def line(robot: str, seeds: int, method: str, play: Play) -> str:
+    """The figures of one arm."""
+    columns: list[list[FloatArray]] = [[] for _ in COLUMNS]
+    ratios = []
+    for seed in range(seeds):
+        figures, ratio = deviations(another_arm(robot, seed), method, play, seed)
+        ratios.append(ratio)
+        for column, figure in zip(columns, figures, strict=True):
+            column.append(np.abs(figure) <= WITHIN_95_PERCENT)
+    shares = "".join(
+        f"{np.mean(np.concatenate(column)):9.1%} ({min(np.mean(part) for part in column):4.0%})" for column in columns
+    )
+    count = np.mean([len(part) for part in columns[COLUMNS.index("kept")]])
+    return f"{robot:10}{shares}{np.median(ratios):7.2f}{count:5.0f}"
+
+
+def main(
+    robots: Sequence[str] = ROBOTS,
+    seeds: int = 10,
+    methods: Sequence[str] = METHODS,
+    plays: Sequence[Play] = ("periodic", "points"),
+) -> None:
+    """Print a line for each arm."""
+    heads = "".join(f"{name:>16}" for name in COLUMNS)
+    for play in plays:
+        for method in methods:
+            print(f"\n{method}, {play}, {seeds} seeds\n{'arm':10}{heads}{'wide':>7}{'no.':>5}")
+            for robot in robots:
+                print(line(robot, seeds, method, play), flush=True)
+
+
+if __name__ == "__main__":
+    main(
+        seeds=int(sys.argv[1]) if len(sys.argv) > 1 else 10,
+        methods=sys.argv[2].split(",") if len(sys.argv) > 2 else METHODS,  # type: ignore[arg-type]
+        plays=sys.argv[3].split(",") if len(sys.argv) > 3 else ("periodic", "points"),  # type: ignore[arg-type]
+    )

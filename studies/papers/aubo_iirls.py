@@ -1,0 +1,204 @@
+"""LS, IRLS and I-IRLS on a simulated AUBO i5 that warms up, as AUBO .3.3 and .3.4: tables of docs/aubo.md.
+
+    python -m studies.papers.aubo_iirls [validation runs [ways, as experiment,estimated]]
+
+A session (`aubo_session`): one excitation identifies, 25 other motions validate, while the joints warm up. Two ways to
+know the temperature's part of the friction:
+
+- *experiment*, the paper's: the excitation is played once, cold. f_T(T) − f_T(25 °C) comes from velocity sweeps, one
+  joint at a time, at three temperatures, and is subtracted from the torques (eq. 7) of both sets.
+- *estimated*: the excitation is played cold, in between and warm, and the temperature's coefficients are estimated with
+  the rest.
+
+Models I, II and III have no load term, a linear and a quadratic one. About ten minutes of CPU time.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from daq.motion.trajectories import Motion
+from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.robot.loader import RobotFile
+from drivers.core.arrays import FloatArray
+from drivers.core.units import ZERO_CELSIUS
+from ident.experiments.method_comparison import paired_difference
+from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
+from ident.identify.identify import identify
+from ident.model.friction_terms import TEMPERATURE_KINDS, power_law, temperature_factor
+from ident.tasks.comparison import ComparedModel, compare
+from studies.papers.aubo_session import COLD, PERIOD, RATE, WARM, aubo, excitation, played, sweep, temperatures
+
+MODELS = {
+    "default": "coulomb-viscous",
+    "I": "coulomb-viscous+power",
+    "II": "coulomb-viscous+power+load-linear",
+    "III": "coulomb-viscous+power+load",
+}
+SWEEP_FRICTION = "coulomb-viscous+power+load+temperature"
+IDENTIFICATION_SEED, VALIDATION_SEED = 1, 100
+TEMPERATURES = (COLD, 0.5 * (COLD + WARM), WARM)
+"""Of the housings at the beginning of the sweeps, and of the excitation where it is played three times [°C]."""
+SMOOTHED = 21
+"""Samples of the velocity's Savitzky-Golay filter, 0.1 s."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A row of the tables.
+
+    Attributes:
+        name: in the paper's words.
+        method: of dynid.
+        model: I, II or III, or dynid's default.
+        warm: whether the temperature's part of the friction is in the model.
+    """
+
+    name: str
+    method: str
+    model: str
+    warm: bool
+
+
+CASES = (
+    Case("WLS", "wls", "default", False),
+    Case("LS", "ols", "I", False),
+    Case("WLS", "wls", "I", False),
+    Case("IRLS", "iirls", "I", False),
+    Case("I-IRLS", "iirls", "I", True),
+    Case("I-IRLS", "iirls", "II", False),
+    Case("I-IRLS", "iirls", "II", True),
+    Case("I-IRLS", "iirls", "III", False),
+    Case("I-IRLS", "iirls", "III", True),
+    Case("LS", "ols", "III", True),
+    Case("WLS", "wls", "III", True),
+)
+"""The paper's IRLS is I-IRLS with friction that depends on the velocity alone (Remark 3)."""
+
+
+def without_temperature(recording: Recording, found: Identification) -> Recording:
+    """The recording less the friction by which its temperatures differ from 25 °C, as a sweep identified it."""
+    stream = recording.streams[JOINTS_STREAM]
+    celsius, position = stream.channels["temperature"].values, stream.channels["position"].values
+    current = stream.channels["current"]
+    root = power_law(_velocity(position), 0.5)
+    torque = np.zeros_like(position)
+    for kind in TEMPERATURE_KINDS[1:]:
+        for joint in range(position.shape[1]):
+            (coefficient,) = (
+                value
+                for value, of_kind, of_joint in zip(
+                    found.solution.parameters, found.base.kinds, found.base.joints, strict=True
+                )
+                if of_kind == kind and of_joint == joint
+            )
+            factor = temperature_factor(kind, celsius[:, joint] + ZERO_CELSIUS)
+            torque[:, joint] += coefficient * factor * root[:, joint]
+    robot = recording.robot().robot
+    gains = np.array([robot.drive(name).gain for name in robot.joint_names], dtype=np.float64)
+    changed = replace(current, values=current.values - torque / gains)
+    channels = {**stream.channels, "current": changed}
+    return replace(recording, streams={**recording.streams, JOINTS_STREAM: replace(stream, channels=channels)})
+
+
+def _velocity(position: FloatArray) -> FloatArray:
+    from scipy.signal import savgol_filter
+
+    return np.asarray(savgol_filter(position, SMOOTHED, 3, deriv=1, delta=1.0 / RATE, axis=0))
+
+
+def compared(case: Case, suffix: str, runs: Sequence[Recording], held_out: Sequence[Recording]) -> list[ComparedModel]:
+    """The case's models, full and consistent, on the validation runs."""
+    friction = MODELS[case.model] + suffix
+    found = compare(runs, (case.method,), friction=(friction,), validation=held_out, delay=0.0)
+    print(f"# {case}: {found.models[0].seconds:.0f} s", *found.failures, file=sys.stderr, flush=True)
+    return list(found.models)
+
+
+def print_table(title: str, rows: Sequence[tuple[Case, list[ComparedModel]]]) -> None:
+    """RMSE against IRLS, then the largest errors as in Tables III and IV."""
+    irls = next(models for case, models in rows if case.name == "IRLS")
+    print(f"\n{title}\n\n| | model | T | parameters | RMSE | low | high | against IRLS | fit [%] | CPU s |")
+    print("|---|---|---|---|---|---|---|---|---|---|")
+    for case, models in rows:
+        for of_kind, reference in zip(models, irls, strict=False):
+            rmse = [run.rmse for run in of_kind.runs]
+            base = [run.rmse for run in reference.runs]
+            paired = paired_difference(base, rmse)
+            share, half = (100.0 * figure / np.mean(base) for figure in (paired.mean, paired.half_width))
+            low, high = (np.mean([getattr(run, f"{s}_speed_rmse") for run in of_kind.runs]) for s in ("low", "high"))
+            print(
+                f"| {case.name} | {case.model} | {'with' if case.warm else 'without'} | {of_kind.parameters} | "
+                f"{np.mean(rmse):.3f} | {low:.3f} | {high:.3f} | {share:+.1f} ± {half:.1f} % | "
+                f"{100.0 * of_kind.fit:.2f} | {of_kind.seconds:.0f} |"
+            )
+    print("\n| | model | T | parameters | elbow low | elbow high | wrist low | wrist high | elbow high against IRLS |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    for case, models in rows:
+        for of_kind, reference in zip(models, irls, strict=False):
+            cells = []
+            for group in range(2):
+                for speed in ("low_speed_max", "high_speed_max"):
+                    values = [getattr(run, speed)[group] for run in of_kind.runs]
+                    cells.append(f"{np.mean(values):.2f} ({np.std(values, ddof=1):.2f})")
+            first, second = ([run.high_speed_max[0] for run in kind.runs] for kind in (reference, of_kind))
+            paired = paired_difference(first, second)
+            share, half = (100.0 * figure / np.mean(first) for figure in (paired.mean, paired.half_width))
+            print(
+                f"| {case.name} | {case.model} | {'with' if case.warm else 'without'} | {of_kind.parameters} | "
+                f"{' | '.join(cells)} | {share:+.1f} ± {half:.1f} % |"
+            )
+    sys.stdout.flush()
+
+
+def by_experiment(
+    arm: RobotFile, motion: Motion, held_out: Sequence[Recording]
+) -> list[tuple[Case, list[ComparedModel]]]:
+    """Identified cold; the temperature's part of the friction from sweeps."""
+    friction = sweep(arm)
+    sweeps = [played(arm, friction, celsius, seed) for seed, celsius in enumerate(TEMPERATURES, start=11)]
+    choices = IdentifyChoices(model=ModelChoices(SWEEP_FRICTION), search_delay=False)
+    known = identify(sweeps, held_out[:1], choices)
+    print(f"friction experiment: {len(sweeps)} sweeps of {friction.duration:.0f} s")
+    for kind in TEMPERATURE_KINDS[1:]:
+        columns = [index for index, of_kind in enumerate(known.base.kinds) if of_kind == kind]
+        values = ", ".join(f"{known.solution.parameters[i]:.4f} ± {1.96 * known.std[i]:.4f}" for i in columns)
+        print(f"  {kind}: {values}")
+    cold = played(arm, motion, COLD, 1)
+    less = without_temperature(cold, known), [without_temperature(run, known) for run in held_out]
+    return [
+        (case, compared(case, "", [less[0] if case.warm else cold], less[1] if case.warm else held_out))
+        for case in CASES
+    ]
+
+
+def estimated(arm: RobotFile, motion: Motion, held_out: Sequence[Recording]) -> list[tuple[Case, list[ComparedModel]]]:
+    """Identified cold, in between and warm, with the temperature's coefficients."""
+    runs = [played(arm, motion, celsius, seed) for seed, celsius in enumerate(TEMPERATURES, start=1)]
+    return [(case, compared(case, "+temperature" * case.warm, runs, held_out)) for case in CASES]
+
+
+def main(count: int = 25, ways: str = "experiment,estimated") -> None:
+    """Print the tables."""
+    arm = aubo()
+    motion = excitation(arm, IDENTIFICATION_SEED, candidates=30)
+    held_out = []
+    for k in range(count):
+        other = excitation(arm, VALIDATION_SEED + k, candidates=1)
+        held_out.append(played(arm, other, temperatures(k / (count - 1)), VALIDATION_SEED + k))
+    speed = np.concatenate([_velocity(run.streams[JOINTS_STREAM].channels["position"].values) for run in held_out])
+    print(f"{count} validation runs of {PERIOD:g} s; rms speed {np.sqrt(np.mean(speed**2, axis=0)).round(2)} rad/s")
+    for way in ways.split(","):
+        rows = (by_experiment if way == "experiment" else estimated)(arm, motion, held_out)
+        print_table(f"f_T, {way}", rows)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 25, *sys.argv[2:3])
