@@ -541,7 +541,7 @@ def test_progress_names_the_steps(recorded):
 
 
 def test_error_bars_cover_the_truth(three_joint):
-    """95 % intervals over ten motions; classical ones are far too short. Six-joint arms: studies/coverage/coverage.py."""
+    """95 % intervals over ten motions; classical ones are far too short. Six joints: studies/coverage/coverage.py."""
     corrected, classical = [], []
     truth = truth_of(three_joint)
     for seed in range(10):
