@@ -47,7 +47,7 @@ class FrameGroup:
 
     @property
     def bits(self) -> int:
-        """Of all, at worst."""
+        """Bits of all frames, at worst."""
         return self.count * frame_bits(self.data_bytes, extended=self.extended)
 
 

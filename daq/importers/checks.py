@@ -150,7 +150,7 @@ def _restart(time: FloatArray) -> int | None:
 
 
 def _fresh(samples: ImportedSamples, choices: ImportChoices, where: str) -> ImportedSamples:
-    """Without rows, and positions, that repeat those before them, where that repair was requested."""
+    """Drop rows and positions that repeat those before them, where that repair was requested."""
     if DROP_REPEATS not in choices.repair:
         return samples
     joints = samples.quantities["position"].joints
@@ -165,7 +165,7 @@ def _fresh(samples: ImportedSamples, choices: ImportChoices, where: str) -> Impo
 
 
 def _opposite(samples: ImportedSamples, choices: ImportChoices) -> ImportedSamples:
-    """With the other sign of all motor signals, where that repair was requested."""
+    """Reverse the sign of all motor signals, where that repair was requested."""
     if OPPOSITE_TORQUE not in choices.repair:
         return samples
     turned = {

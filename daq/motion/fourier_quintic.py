@@ -41,7 +41,7 @@ class FourierQuintic:
 
     @property
     def duration(self) -> float:
-        """Of all periods [s]."""
+        """Duration of all periods [s]."""
         return self.periods * self.period
 
     def evaluate(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -174,7 +174,7 @@ class Player:
 
     @property
     def duration(self) -> float:
-        """Of the path [s]."""
+        """Duration of the path [s]."""
         return self._path.duration
 
     @property

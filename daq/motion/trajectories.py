@@ -195,7 +195,7 @@ class PointToPoint:
 
     @property
     def duration(self) -> float:
-        """Of all moves and rests [s]."""
+        """Duration of all moves and rests [s]."""
         return float(self._starts[-1])
 
     def evaluate(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -287,7 +287,7 @@ class RestToRest:
 
     @property
     def duration(self) -> float:
-        """Of the ramps and the periods [s]."""
+        """Duration of the ramps and the periods [s]."""
         return self.periods * self.motion.duration + 2.0 * self.ramp
 
     def evaluate(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -235,7 +235,7 @@ def _limits(joint: UrdfJoint) -> dict[str, object]:
 
 
 def _tool(last: str, joints: list[ElementTree.Element], where: str) -> tuple[str, tuple[float, ...], tuple[float, ...]]:
-    """Of the links fixed to the last one, that at which the arm ends: name, origin [m], rotation vector [rad]."""
+    """Find the link at which the arm ends, fixed to the last one: name, origin [m], rotation vector [rad]."""
     from scipy.spatial.transform import Rotation
 
     placed = {last: (Rotation.identity(), np.zeros(3))}

@@ -153,7 +153,7 @@ class CanFramesDriver:
         return of_bus + drained(self._notices)
 
     def command_rate(self) -> float:
-        """That of the joints' rows; 0 where the table has no command frames."""
+        """Rate of the commands [Hz], that of the joints' rows; 0 where the table has no command frames."""
         return 0.0 if self._settings.command is None else self._settings.rate
 
     def holds(self) -> bool:

@@ -208,7 +208,7 @@ class CanFramesSettings:
 
     @property
     def identifiers(self) -> frozenset[int]:
-        """Of the frames that are listened to."""
+        """Identifiers of the frames that are listened to."""
         marker = () if self.cycle is None else (self.cycle,)
         return frozenset((*(signal.identifier for signal in self.signals), *marker))
 

@@ -64,7 +64,7 @@ class VisibleStream:
             self.write(line)
 
     def __getattr__(self, name: str) -> Any:
-        """As the stream's own."""
+        """Hand out an attribute of the stream beneath."""
         return getattr(self.stream, name)
 
 

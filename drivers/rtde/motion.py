@@ -162,7 +162,7 @@ class MotionProcess:
 
     @property
     def pid(self) -> int | None:
-        """Of the process."""
+        """Identifier of the process; None before it runs."""
         return self._process.pid
 
     def command(self, position: FloatArray) -> None:

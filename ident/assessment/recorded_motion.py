@@ -45,7 +45,7 @@ class RecordedMotion:
 
     @cached_property
     def reduction(self) -> Reduction:
-        """Of `prepared`."""
+        """Reduction of the prepared segments."""
         return reduce_segments(self.kernel, self.prepared.segments, self.prepared.parallel_filter)
 
 

@@ -16,7 +16,7 @@ Options = TypeVar("Options")
 
 @dataclass(frozen=True)
 class NoOptions:
-    """Of a method without any."""
+    """Options of a method that has none."""
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ def _band_limited(run: Prepared, segment: Segment, generator: np.random.Generato
 def regressor_noise(
     kernel: RegressorKernel, run: Prepared, deviations: FloatArray, plain: Reduction
 ) -> list[FloatArray]:
-    """Of each joint, the expected Gram matrix (k, k) of the errors of its columns of W, from one realisation.
+    """Expected Gram matrix (k, k) of the errors of each joint's columns of W, from one realisation.
 
     Args:
         kernel: of the base columns.

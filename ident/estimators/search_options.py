@@ -55,7 +55,7 @@ class ConstantWeightOptions(SwarmOptions):
 
     @property
     def inertia_weight(self) -> InertiaWeight:
-        """As chosen."""
+        """Inertia weight as chosen."""
         return ConstantWeight(self.weight)
 
 

@@ -56,7 +56,7 @@ def simulable_arm(setup: Setup, reduction: Reduction, solution: LeastSquares) ->
 def simulated_motions(
     setup: Setup, runs: Sequence[Prepared], reduction: Reduction, solution: LeastSquares, bandwidth: float | None
 ) -> list[tuple[Segment, ...]]:
-    """Of each run, its segments with the motion of the simulated arm, physically consistent and near the solution.
+    """Segments of each run with the motion of the simulated arm, physically consistent and near the solution.
 
     Args:
         setup: of the estimator.

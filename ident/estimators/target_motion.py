@@ -20,7 +20,7 @@ DEPENDENT = 1e-9
 
 
 def target_motions(runs: Sequence[Prepared]) -> list[tuple[Segment, ...]] | None:
-    """Of each run, its segments with the targets' motion; None where a segment has none without a gap."""
+    """Segments of each run with the targets' motion; None where a segment has none without a gap."""
     motions = []
     for run in runs:
         segments = []

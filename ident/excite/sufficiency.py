@@ -112,7 +112,7 @@ def _summary(motion: RecordedMotion, prior: Prior, repetitions: float = 1.0) -> 
 
 
 def _from_torque(motion: RecordedMotion) -> Sufficiency:
-    """With the values of weighted least squares and its residuals as noise.
+    """Forecast with the values of weighted least squares and its residuals as noise.
 
     They are autocorrelated and scaled up by the ratio of jackknife to classical standard deviations (median).
     """

@@ -78,12 +78,12 @@ class ExportedArm:
 
     @cached_property
     def motors(self) -> JointTerms:
-        """Of the motors, on their own motion."""
+        """Friction of the motors, on their own motion."""
         return self._terms(of_pairs=False)
 
     @cached_property
     def at_joints(self) -> JointTerms:
-        """Of the joints: those of the motors that one joint alone moves, and what turns with a coupled joint itself."""
+        """Friction of the joints: of motors that move one joint alone, and of what turns with a coupled joint itself."""
         pairs, motors = self._terms(of_pairs=True), self.motors
         single = self.coupling[[not several for several in self.coupled]]
         one = JointTerms(*(values[[not several for several in self.coupled]] for values in vars(motors).values()))

@@ -202,7 +202,7 @@ def _fall(arm: ExportedArm, model: Any) -> Simulation:
 
 
 def _track(arm: ExportedArm, model: Any) -> Simulation:
-    """With the model's torque of the motion and a controller, within the control limits."""
+    """Track the motion with the model's torque and a controller, within the control limits."""
     import mujoco
 
     data, active = mujoco.MjData(model), [_order(arm, model)[index] for index in arm.model.active]

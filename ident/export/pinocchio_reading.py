@@ -170,7 +170,7 @@ def _fall(tree: _Tree) -> Simulation:
 
 
 def _track(tree: _Tree) -> Simulation:
-    """With the torque of the motion, friction included, and a controller."""
+    """Track the motion with its torque, friction included, and a controller."""
     import pinocchio as pin
 
     arm = tree.arm

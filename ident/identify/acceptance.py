@@ -11,7 +11,7 @@ from ident.verdict.verdict import Verdict
 
 
 def result_figures(result: Result) -> ModelFigures:
-    """Of an identification or a merge, on its held-out data."""
+    """Figures of an identification or a merge on its held-out data."""
     delivered = result.delivered
     if delivered is None:
         return acceptance_figures(result, None, [], result.verdict)
@@ -21,7 +21,7 @@ def result_figures(result: Result) -> ModelFigures:
 def acceptance_figures(
     result: Result, errors: Fit | None, runs: Sequence[HeldOutErrors], verdict: Verdict
 ) -> ModelFigures:
-    """Of the delivered model on held-out recordings; none on data that it was identified from.
+    """Figures of the delivered model on held-out recordings; none on data that it was identified from.
 
     Args:
         result: the model.

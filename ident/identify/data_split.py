@@ -41,7 +41,7 @@ class RunWindow:
 
     @property
     def duration(self) -> float:
-        """Of the whole recording [s]."""
+        """Duration of the whole recording [s]."""
         time = self.signals.time
         return float(time[-1] - time[0]) if len(time) else 0.0
 

@@ -115,7 +115,7 @@ def _consistent(consistent: ConsistentModel, entries: list[BaseParameterResult])
 
 
 def _estimate(estimate: EstimateResult, model: DynamicModel, held: HeldFriction) -> EstimateResult:
-    """With the experiment's covariance as further blocks."""
+    """Estimate with the experiment's covariance as further blocks."""
     names, blocks = list(estimate.parameters), []
     for joint in held.joints:
         names += [parameter_of(model, joint.motor, kind).name for kind in joint.kinds]

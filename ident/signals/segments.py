@@ -121,7 +121,7 @@ def without_ends(segments: Sequence[Segment], cutoffs: Cutoffs) -> tuple[tuple[S
 
 
 def _without_ends(segment: Segment, cut: float, uncounted: float) -> Segment | None:
-    """Without `cut` [s] at both ends, the next `uncounted` [s] not used; None where nothing is left."""
+    """Cut `cut` [s] off both ends and mark the next `uncounted` [s] as not used; None where nothing is left."""
     edge = math.ceil(cut * segment.rate)
     inner = slice(edge, len(segment.time) - edge)
     if inner.stop - inner.start < SHORTEST_SEGMENT:

@@ -99,7 +99,7 @@ class Axis:
         return round((position - self.setup.zero) * self.setup.counts_per_radian)
 
     def restart(self) -> None:
-        """As after power on; the brake falls in."""
+        """Start as after power on; the brake falls in."""
         self.machine = StateMachine()
         self._controlword, self._active_mode = 0, 0
         self._setpoint = self._next_setpoint = None
@@ -306,5 +306,5 @@ class Axis:
 
 
 def _int32(value: int) -> int:
-    """As a drive's counter does: it wraps around."""
+    """Wrap around as a drive's 32-bit counter does."""
     return (value + (1 << 31) & 0xFFFFFFFF) - (1 << 31)

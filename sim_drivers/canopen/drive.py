@@ -223,7 +223,7 @@ class SimulatedDrive:
         self.axis.machine.initialised()
 
     def _restart(self) -> None:
-        """As after power on."""
+        """Start as after power on."""
         self.nmt = STATE_BOOT_UP
         self.objects.reset()
         self.axis.restart()

@@ -118,7 +118,7 @@ class ThermometerServer(FaultyServer):
 
     @property
     def path(self) -> str:
-        """Of the port; it stays the same when the thermometer is unplugged and plugged in again."""
+        """Path of the port; it stays the same when the thermometer is unplugged and plugged in again."""
         return self._line_end.path
 
     def unplug(self, duration: float | None = None) -> None:

@@ -32,7 +32,7 @@ class IdentifiedKeys(ConnectionSettings):
 
     @property
     def identifier(self) -> int:
-        """With `EXTENDED` added to one of 29 bits."""
+        """The frame's identifier, with `EXTENDED` added to one of 29 bits."""
         return self.id | (EXTENDED if self.extended else 0)
 
 

@@ -70,7 +70,7 @@ class Heard:
 
     @property
     def state(self) -> DriveState:
-        """Of the power stage."""
+        """State of the power stage (CiA 402)."""
         return drive_state(self.statusword)
 
 

@@ -41,7 +41,7 @@ class Armature:
 
 
 def armatures(model: DynamicModel, robot: Robot, columns: Sequence[int], values: FloatArray) -> tuple[Armature, ...]:
-    """Of the joints whose drive says `inertia: false`.
+    """Indices of the joints whose drive says `inertia: false`.
 
     Args:
         model: the arm.

@@ -233,7 +233,7 @@ class InstrumentalEstimator(TorqueEstimator):
     def _factors(
         self, runs: Sequence[Prepared], motions: Sequence[Sequence[Segment]], plain: Reduction
     ) -> list[FloatArray]:
-        """Of each joint, the triangular factor (2k + 1, 2k + 1) of its [Z W τ]."""
+        """Triangular factors (2k + 1, 2k + 1) of each joint's [Z W τ]."""
         sums = [QrAccumulator(2 * len(joint.columns) + 1) for joint in plain.joints]
         for run, segments in zip(runs, motions, strict=True):
             for segment, instruments in zip(run.segments, segments, strict=True):
@@ -244,7 +244,7 @@ class InstrumentalEstimator(TorqueEstimator):
 
 
 def _repetitions(runs: Sequence[Prepared]) -> list[tuple[Segment, ...]] | None:
-    """Of each run, its segments one period later; None where one does not repeat itself."""
+    """Shift the segments of each run by one period; None where one does not repeat itself."""
     found = [[repeated_segment(segment) for segment in run.segments] for run in runs]
     if any(segment is None for segments in found for segment in segments):
         return None

@@ -44,7 +44,7 @@ class FrogOptions:
 
     @property
     def optimiser(self) -> FrogLeaping:
-        """With these settings.
+        """Build the optimiser with these settings.
 
         Raises:
             UsageError: they contradict each other.

@@ -114,7 +114,7 @@ class ShapeSystem:
         return known
 
     def value(self, parameters: FloatArray, kind: str, motor: int) -> float | None:
-        """Of a motor's own parameter of a kind, among parameters (b + s,); None where it was not estimated."""
+        """Value of a motor's own parameter of a kind, among parameters (b + s,); None where it was not estimated."""
         place = own_column(self.shapes.kernel.model, self.shapes.kernel.columns, kind, motor)
         if place is None or (place in self.shapes.columns and place not in self._excited):
             return None

@@ -100,7 +100,7 @@ class CovarianceSums:
     """Sums that make up Ω (AUBO eq. 14), over samples of different sets of motors."""
 
     def __init__(self, dof: int) -> None:
-        """Of no samples."""
+        """Factors before the first sample."""
         self._products = np.zeros((dof, dof))
         self._counts = np.zeros((dof, dof))
 

@@ -66,7 +66,7 @@ class Minimum:
 
     @property
     def generations(self) -> int:
-        """That were completed."""
+        """Number of completed generations."""
         return max(0, len(self.history) - 1)
 
     def generations_to(self, cost: float) -> int | None:

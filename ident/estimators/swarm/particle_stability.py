@@ -21,11 +21,11 @@ class InertiaWeight(Protocol):
 
     @property
     def mean(self) -> float:
-        """Of W."""
+        """Mean of W."""
 
     @property
     def mean_square(self) -> float:
-        """Of W²."""
+        """Mean of W²."""
 
     def draw(self, generator: np.random.Generator, count: int) -> FloatArray:
         """(count, 1) weights."""

@@ -69,12 +69,12 @@ class RandomWeight:
 
     @property
     def mean(self) -> float:
-        """Of W."""
+        """Mean of W."""
         return 0.5 * (self.least + self.most)
 
     @property
     def mean_square(self) -> float:
-        """Of W²."""
+        """Mean of W²."""
         return self.mean**2 + (self.most - self.least) ** 2 / 12.0 + self.spread**2
 
     def __str__(self) -> str:
@@ -115,12 +115,12 @@ class ParticleSwarm:
 
     @property
     def stability(self) -> Stability:
-        """Of a particle whose best points do not change."""
+        """Stability of a particle whose best points do not change."""
         return particle_stability(self.weight, self.cognitive, self.social)
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """That the settings are unstable, where they are."""
+        """Say where the settings are unstable."""
         text = self.stability.remark
         return (f"{self.weight}, c1 = {self.cognitive:g}, c2 = {self.social:g}: {text}",) if text else ()
 

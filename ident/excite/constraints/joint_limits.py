@@ -47,7 +47,7 @@ class JointMotionLimits:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """As in `velocity of elbow`."""
+        """Names of the limits, such as `velocity of elbow`."""
         return tuple(bound.name for bound in self._bounds)
 
     def use(self, path: Path) -> FloatArray:

@@ -135,7 +135,7 @@ class SelfCollision:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """As in `distance of link forearm from base`, links named by the joints that move them."""
+        """Names of the limits, such as `distance of link forearm from base`; links go by the joints that move them."""
         named = [
             (link_name(self._model, first), link_name(self._model, second)) for first, second in self.pairs.checked
         ]

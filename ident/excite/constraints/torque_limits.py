@@ -59,7 +59,7 @@ class TorqueLimits:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """As in `torque of elbow (85 % of its limit)`."""
+        """Names of the limits, such as `torque of elbow (85 % of its limit)`."""
         return tuple(f"torque of {name} ({percent_text(TORQUE_SHARE)} of its limit)" for name in self.joint_names)
 
     def use(self, path: Path) -> FloatArray:

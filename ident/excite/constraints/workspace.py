@@ -105,7 +105,7 @@ class WorkspaceLimits:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """As in `largest radius of the arm`."""
+        """Names of the limits, such as `largest radius of the arm`."""
         return tuple(limit.name for limit in self._limits)
 
     def use(self, path: Path) -> FloatArray:

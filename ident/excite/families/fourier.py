@@ -80,7 +80,7 @@ class _Series(JointFamily):
         return self.joints.path(time, *moved)
 
     def pull_back(self, variables: FloatArray, time: FloatArray, gradient: FloatArray) -> FloatArray:
-        """As in the protocol: the motion is linear in x, so that x itself does not matter."""
+        """Implement the protocol; the motion is linear in x, so that x itself does not matter."""
         of_moving = gradient[..., self.joints.rows, :]
         by_coefficient = (of_moving @ self._at(time).transpose(0, 2, 1)).sum(axis=-3)
         return np.asarray((by_coefficient * self._scale).reshape(*gradient.shape[:-3], self.size))
@@ -101,7 +101,7 @@ class _Series(JointFamily):
         return midrange(self._coefficients(variables) @ self._own_basis[0])
 
     def about(self, variables: FloatArray, pose: FloatArray, share: float) -> FloatArray:
-        """As in the protocol."""
+        """Implement the protocol."""
         moved = share * variables.reshape(self.joints.count, -1)
         offset = self._coefficients(variables)[:, 0]
         moved[:, 0] = (pose + share * (offset - self.middle(variables)) - self.joints.middle) / self.joints.half

@@ -93,7 +93,7 @@ class PointsFamily(JointFamily):
         return self.joints.path(time, *PointToPoint(points, self.durations(points), self.dwell).evaluate(time))
 
     def pull_back(self, variables: FloatArray, time: FloatArray, gradient: FloatArray) -> FloatArray:
-        """As in the protocol; the durations are differentiated too."""
+        """Implement the protocol; the durations are differentiated too."""
         points = self._points(variables)
         ways = np.diff(points, axis=0)
         need, need_by_way = self._needs(ways)
@@ -197,7 +197,7 @@ class PointsFamily(JointFamily):
         return midrange(self._points(variables).T)
 
     def about(self, variables: FloatArray, pose: FloatArray, share: float) -> FloatArray:
-        """As in the protocol; the durations follow. Points are kept within the joints' ranges."""
+        """Implement the protocol; the durations follow. Points are kept within the joints' ranges."""
         points = self._points(variables)
         return self._variables(pose + share * (points - midrange(points.T)))
 

@@ -75,7 +75,7 @@ class SinesFamily(JointFamily):
         return self.joints.path(time, *SumOfSines(self.duration, *self._values(variables)).evaluate(time))
 
     def pull_back(self, variables: FloatArray, time: FloatArray, gradient: FloatArray) -> FloatArray:
-        """As in the protocol."""
+        """Implement the protocol."""
         _, amplitude, frequency = self._values(variables)
         w = frequency[:, :, None]
         sin, cos = np.sin(w * time), np.cos(w * time)
@@ -111,7 +111,7 @@ class SinesFamily(JointFamily):
         return midrange(SumOfSines(self.duration, *self._values(variables)).evaluate(time)[0])
 
     def about(self, variables: FloatArray, pose: FloatArray, share: float) -> FloatArray:
-        """As in the protocol; the frequencies are unchanged."""
+        """Implement the protocol; the frequencies are unchanged."""
         offset, amplitude, frequency = self._split(variables)
         middle = self.middle(variables)
         away = share * (self.joints.middle + self.joints.half * offset - middle)

@@ -69,7 +69,7 @@ def accepted(problem: Problem, variables: FloatArray) -> Accepted | None:
 
 
 def _within_joint_limits(family: Family, motion: Motion) -> bool:
-    """As a trajectory file is checked, at the exact extremes."""
+    """Check the joints' limits at the exact extremes, as a trajectory file is checked."""
     try:
         check_limits(motion, family.limits, where="")
     except UsageError:

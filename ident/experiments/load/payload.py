@@ -64,7 +64,7 @@ class BaseChange:
 
 @dataclass(frozen=True)
 class LargestChange:
-    """Of the base parameters that a load does not change, the one that changed most between the runs.
+    """The base parameter that changed most between the runs, of those that a load does not change.
 
     Attributes:
         index: of the base parameter.

@@ -81,7 +81,7 @@ def variance_ratio(root: FloatArray, covariance: FloatArray) -> float:
 
 
 def usable(information: Information) -> Information:
-    """Without the values whose variance is not known; weighted as if they had never been estimated.
+    """Drop the values whose variance is not known; weighted as if they had never been estimated.
 
     Raises:
         IdentificationError: no value is left.

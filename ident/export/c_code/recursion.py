@@ -79,7 +79,7 @@ def _motion_of(index: int, motions: Sequence[LinkMotion], base: LinkMotion) -> L
 
 
 def link_motion(velocity: Vector, acceleration: Vector, linear: Vector) -> LinkMotion:
-    """With what follows from ω and α."""
+    """Complete a link's motion with what follows from ω and α."""
     x, y, z = velocity
     ax, ay, az = acceleration
     products = {"xx": x * x, "yy": y * y, "zz": z * z, "xy": x * y, "xz": x * z, "yz": y * z}

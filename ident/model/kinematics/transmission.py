@@ -134,7 +134,7 @@ class LinearTransmission(Transmission):
 
     @property
     def joint_count(self) -> int:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         return len(self.offset)
 
     @property
@@ -143,7 +143,7 @@ class LinearTransmission(Transmission):
         return without_rounding(self.joint_to_motor @ self.follow.T)
 
     def tree_position(self, position: FloatArray) -> FloatArray:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         offset = self.offset.reshape(-1, *(1,) * (position.ndim - 1))
         return np.asarray(np.tensordot(self.follow, position, axes=1) + offset)
 
@@ -152,17 +152,17 @@ class LinearTransmission(Transmission):
         return np.asarray(np.tensordot(self.follow, rate, axes=1))
 
     def tree_velocity(self, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         return self.tree_position(position), self.tree_rate(velocity)
 
     def tree_motion(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> TreeMotion:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         return TreeMotion(
             self.tree_position(position), self.tree_rate(velocity), self.tree_rate(acceleration), self.follow
         )
 
     def active_gradient(self, position: FloatArray, gradient: FloatArray) -> FloatArray:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         return np.asarray(np.einsum("na,...nt->...at", self.follow, gradient))
 
     def pull_back(
@@ -173,16 +173,16 @@ class LinearTransmission(Transmission):
         gradient: FloatArray,
         share: FloatArray,
     ) -> FloatArray:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         return np.asarray(np.einsum("na,...nt->...at", self.follow, gradient))
 
     def share_pattern(self) -> tuple[FloatArray, np.ndarray]:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         constant = self.tree_to_motor
         return constant, np.zeros(constant.shape, dtype=bool)
 
     def content(self) -> tuple[object, ...]:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         return (self.active, self.follow.tolist(), self.offset.tolist(), *self._motor_content())
 
 

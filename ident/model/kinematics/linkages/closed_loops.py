@@ -55,12 +55,12 @@ class ClosedLoops(Transmission):
 
     @property
     def joint_count(self) -> int:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         return len(self.start)
 
     @property
     def solved_numerically(self) -> bool:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         return True
 
     def tree_position(self, position: FloatArray) -> FloatArray:
@@ -72,12 +72,12 @@ class ClosedLoops(Transmission):
         return self._solved(position.reshape(len(self.active), -1)).reshape(-1, *position.shape[1:])
 
     def tree_velocity(self, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         tree = self._solved(position)
         return tree, _applied(self._follow(self.equations.at(tree)), velocity)
 
     def tree_motion(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> TreeMotion:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         return self.motion_at(self.pose(position), velocity, acceleration)
 
     def pose(self, position: FloatArray, last: Pose | None = None) -> Pose:
@@ -106,7 +106,7 @@ class ClosedLoops(Transmission):
         return TreeMotion(pose.tree, rate, accelerated, pose.follow)
 
     def active_gradient(self, position: FloatArray, gradient: FloatArray) -> FloatArray:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         follow = self._follow(self.equations.at(self._solved(position)))
         return np.asarray(np.einsum("nat,...nt->...at", follow, gradient))
 
@@ -118,7 +118,7 @@ class ClosedLoops(Transmission):
         gradient: FloatArray,
         share: FloatArray,
     ) -> FloatArray:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         # q_tree = f(q): f′ = G, f″ = Γ, f‴ along q̇ twice = T, each by differentiating Φ(f(q)) = 0 once more.
         closing, follow, rate = self.equations.at(motion.position), motion.follow, motion.velocity
         columns = range(len(self.active))
@@ -142,13 +142,13 @@ class ClosedLoops(Transmission):
         return pulled
 
     def share_pattern(self) -> tuple[FloatArray, np.ndarray]:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         mixing = self.joint_to_motor
         varies = (np.abs(mixing) > 0.0).astype(float) @ self.varies.T.astype(float) > 0.0
         return np.where(varies, 0.0, mixing @ self.constant.T), varies
 
     def content(self) -> tuple[object, ...]:
-        """As in `Transmission`."""
+        """Implement `Transmission`."""
         equations = self.equations
         loops = [
             (chain.spherical, chain.before[0].tolist(), chain.before[1].tolist())
