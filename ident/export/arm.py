@@ -83,7 +83,7 @@ class ExportedArm:
 
     @cached_property
     def at_joints(self) -> JointTerms:
-        """Friction of the joints: of motors that move one joint alone, and of what turns with a coupled joint itself."""
+        """Friction of the joints: motors that move one joint alone, and what turns with a coupled joint itself."""
         pairs, motors = self._terms(of_pairs=True), self.motors
         single = self.coupling[[not several for several in self.coupled]]
         one = JointTerms(*(values[[not several for several in self.coupled]] for values in vars(motors).values()))
