@@ -35,7 +35,7 @@ class QuadraticCost:
     def of_reduction(
         cls, reduction: Reduction, active: Sequence[int], weights: FloatArray | None = None
     ) -> QuadraticCost:
-        """Build the cost of a reduced system's active base columns, rows times the joints' weights (n,), 1 where None."""
+        """Build the cost of a reduced system's active base columns, rows times joints' weights (n,), 1 where None."""
         columns = [*active, reduction.column_count]
         factor = triangular(reduction.stacked(weights)[:, columns])
         count = len(active)
