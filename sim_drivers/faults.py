@@ -77,6 +77,13 @@ class Drift:
 
 
 @dataclass(frozen=True)
+class ClockJump:
+    """The clock or counter in the samples jumps by `seconds` [s], and goes on from there; the arm does not."""
+
+    seconds: float
+
+
+@dataclass(frozen=True)
 class PowerCycle:
     """Interrupt the power of the drive of joint index `joint` for a moment."""
 
@@ -155,6 +162,7 @@ Fault = (
     | Stick
     | Refuse
     | Drift
+    | ClockJump
     | PowerCycle
     | HeartbeatStop
     | OverTemperature
@@ -224,6 +232,7 @@ class Argument:
 COUNT = Argument("N", "", lambda text, _: int(text) if text.isdecimal() and int(text) > 0 else None)
 SECONDS = Argument("SECONDS", "s", _number(0.0, math.inf))
 CELSIUS = Argument("CELSIUS", "K", _number(0.0, 1000.0))
+JUMP = Argument("JUMP", "s", _number(-math.inf, math.inf))
 SPEED = Argument("RAD/S", "rad/s", _number(-math.inf, math.inf))
 JOINT = Argument("JOINT", "", joint_index)
 QUANTITY = Argument("QUANTITY", "", lambda text, _: text if text in STICKING else None)
@@ -263,6 +272,7 @@ FAULTS = (
     FaultEntry("cut", (), Cut, ("UR controller",)),
     FaultEntry("protective-stop", (), ProtectiveStop, ("UR controller",)),
     FaultEntry("mute", (IDENTIFIER, SECONDS), Mute, ("signal-table arm",)),
+    FaultEntry("clock-jump", (JUMP,), ClockJump, ("UR controller", "signal-table arm")),
     FaultEntry("power-cycle", (JOINT,), PowerCycle, ("CANopen drives",)),
     FaultEntry("heartbeat-stop", (JOINT,), HeartbeatStop, ("CANopen drives",)),
     FaultEntry("over-temperature", (JOINT,), OverTemperature, CAN),

@@ -63,6 +63,7 @@ class TableArm:
 
     Attributes:
         enabled: whether it follows commands.
+        clock_ahead: of the counter or time in its frames [s], before its own time.
         messages: for the terminal, oldest first.
     """
 
@@ -74,6 +75,7 @@ class TableArm:
                 )
         self.arm = arm
         self.enabled = False
+        self.clock_ahead = 0.0
         self.messages: deque[str] = deque(maxlen=100)
         self._settings = settings
         self._names = [joint.name for joint in joints]
@@ -214,7 +216,9 @@ class TableArm:
     def _value(self, signal: Signal, measured: MeasurementLike) -> float:
         low, high = signal.limits
         if signal.quantity in WHOLE_ARM:
-            now = float(self._cycles) if signal.quantity == "counter" else self.arm.time
+            ahead = self.clock_ahead
+            counted = float(self._cycles + round(ahead * self._settings.rate))
+            now = counted if signal.quantity == "counter" else self.arm.time + ahead
             if signal.field.floating:
                 return now
             turn = signal.gain * 2.0**signal.field.length

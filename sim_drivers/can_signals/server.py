@@ -25,6 +25,7 @@ from sim_drivers.can_signals.arm import TableArm
 from sim_drivers.faults import (
     BlockJoint,
     BusOff,
+    ClockJump,
     Drop,
     Fault,
     Freeze,
@@ -238,6 +239,8 @@ class ProprietaryCanServer(BusServer):
             case Garbage(frames):
                 for _ in range(frames):
                     self._model.submit(self._random_frame(), now, own=True)
+            case ClockJump(seconds):
+                self._arm.clock_ahead += seconds
             case OverTemperature(joint):
                 self._arm.fail(joint)
             case Heat(joint, celsius):

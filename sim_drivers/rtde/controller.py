@@ -128,6 +128,7 @@ class Controller:
         self.script: ControlProgram | None = None
         self.safety_mode = NORMAL
         self.refused: set[str] = set()
+        self.clock_ahead = 0.0
         self.messages: deque[str] = deque(maxlen=100)
         self._stopped_at = -math.inf
         self._stop_drift()
@@ -303,7 +304,7 @@ class Controller:
         playing = self.script is not None
         current = measured.current.tolist()
         self.values |= {
-            "timestamp": self.arm.time,
+            "timestamp": self.arm.time + self.clock_ahead,
             "actual_q": measured.position.tolist(),
             "actual_qd": measured.velocity.tolist(),
             "actual_current": current,

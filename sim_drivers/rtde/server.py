@@ -20,6 +20,7 @@ from drivers.core.clock import SYSTEM_CLOCK, Clock, HasFileno
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
 from sim_drivers.faults import (
     BlockJoint,
+    ClockJump,
     Cut,
     Drift,
     Drop,
@@ -274,6 +275,8 @@ class RtdeServer(FaultyServer):
                 self.controller.arm.stick(joint, quantity)
             case Refuse(variable):
                 self.controller.refused.add(variable)
+            case ClockJump(seconds):
+                self.controller.clock_ahead += seconds
             case Drift(joint, velocity):
                 self.controller.drift(joint, velocity)
 

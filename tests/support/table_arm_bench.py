@@ -60,10 +60,10 @@ class Noting(Plant):
 
 
 @contextmanager
-def served(clock: SimulatedClock, robot_file: RobotFile = ROBOT_FILE) -> Iterator[ProprietaryCanServer]:
-    """The arm, from now on; its plant is a `Noting`."""
+def served(clock: SimulatedClock, robot_file: RobotFile = ROBOT_FILE, **more: object) -> Iterator[ProprietaryCanServer]:
+    """The arm, from now on, with `more` keys of its connection; its plant is a `Noting`."""
     plant = Noting(robot_file)
-    server = ProprietaryCanServer(plant, robot_file.robot, keys(), clock=clock)
+    server = ProprietaryCanServer(plant, robot_file.robot, keys(**more), clock=clock)
     plant.talker = server._arm
     with server:
         yield server

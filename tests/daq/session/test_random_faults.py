@@ -1,29 +1,38 @@
-"""Random faults and clocks that jump, in short motions on CAN: the arm ends at rest, the file with the reason."""
+"""Random faults and clocks that jump, in short motions: the arm ends at rest, the file with the reason."""
 
 from __future__ import annotations
 
 import math
 import tempfile
 from collections.abc import Callable, Sequence
-from functools import partial
+from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 from canopen_recording import arm_on_bus
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from rtde_in_process import HOST, NOWHERE, Motions, serving
 from simulated_clock import SimulatedClock, simulated_time
 from table_arm_bench import KEYS, POSE, ROBOT, connection_of, opened, served, session
 from unchecked import unchecked_play
 
 from daq.motion.trajectories import PointToPoint
 from daq.recording.reader import read_recording
+from daq.recording.recorder import Recorder
 from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile, load_robot, parse_robot
 from daq.robot.schema import Robot
-from daq.session.session import SessionReport
+from daq.session.connections import driver_settings
+from daq.session.session import SessionReport, record
+from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Driver
 from drivers.core.arrays import FloatArray
-from sim_drivers.faults import FAULTS, STICKING, ServerKind
+from drivers.rtde.driver import RtdeDriver
+from sim_drivers.faults import FAULTS, STICKING, ServerKind, parse_fault
+from sim_drivers.plant.plant import Plant
+from sim_drivers.rtde.server import RtdeServer
 
 WAY, SHARE = 0.05, 0.9
 """Of two joints [rad]; share of the acceleration limit that the motion uses."""
@@ -32,6 +41,8 @@ LONGEST = 0.4
 MOMENTS = st.floats(-0.9, 0.3).map(lambda seconds: 0.9 + seconds)
 """Of faults after the begin of a session [s]; the arm moves from 0.6 s to 1.2 s, and the simplest is in it."""
 LAST = 1.2
+JUMPS = st.one_of(st.floats(-1.0, 1.0), st.floats(-1e9, 1e9)).filter(lambda jump: jump != 0.0)
+"""Of a clock [s]."""
 SETTLED = 0.5
 ARGUMENTS: dict[str, st.SearchStrategy[object]] = {
     "N": st.integers(1, 40),
@@ -40,6 +51,9 @@ ARGUMENTS: dict[str, st.SearchStrategy[object]] = {
     "JOINT": st.integers(1, 6),
     "QUANTITY": st.sampled_from(STICKING),
     "IDENTIFIER": st.sampled_from(range(0x180, 0x190)),
+    "JUMP": JUMPS,
+    "RAD/S": st.floats(-2.0, 2.0),
+    "VARIABLE": st.sampled_from(("safety_mode", "target_q", "actual_q")),
 }
 Faults = Sequence[tuple[float, str]]
 
@@ -143,9 +157,6 @@ def test_any_faults_of_cia402_drives_end_at_rest_and_with_a_reason(drawn: Faults
         assert_in_order(run.report, run.recording)
 
 
-JUMPS = st.one_of(st.floats(-1.0, 1.0), st.floats(-1e9, 1e9)).filter(lambda jump: jump != 0.0)
-
-
 @settings(max_examples=1)
 @given(st.lists(st.tuples(MOMENTS, JUMPS), min_size=1, max_size=3), st.booleans())
 @example([(0.9, -0.5)], False)
@@ -166,3 +177,89 @@ def test_a_clock_of_day_that_jumps_ends_no_motion(drawn: Sequence[tuple[float, f
     assert report.stopped_by is None
     assert np.all(np.diff(recording.streams["joints"].time) > 0)
     assert np.all(np.diff(recording.streams["joints"].host_time) >= 0)
+
+
+UR_PERIOD = 0.002
+
+
+@cache
+def ur5e() -> RobotFile:
+    """The UR5e, free to move: its first pose, stretched out, is near a table."""
+    return parse_robot(load_robot("ur5e").text.replace("mounting: table", "mounting: free"), where="ur5e", folder=None)
+
+
+def on_ur_arm(drawn: Faults, *, moves: bool = True) -> tuple[SessionReport, Recording]:
+    """The outcome of a motion of a simulated UR5e, or of a recording as long, with faults; its arm is looked at."""
+    robot = ur5e().robot
+    with tempfile.TemporaryDirectory() as folder, simulated_time() as clock:
+        plant = Plant(ur5e(), seed=1)
+        server = RtdeServer(plant, ports=NOWHERE, joints=robot.joints, clock=clock)
+        with serving(server) as network:
+            motions = Motions(clock, network.connect)
+            settings = replace(driver_settings(robot, {"host": HOST}), clock=clock)
+            driver = RtdeDriver(settings, network.connect, motions.take_control)
+            driver.open()
+            commands, begun = Commands(driver, clock), clock.now()
+            for moment, line in drawn:
+                fault = parse_fault(line, "UR controller", robot.joint_names)
+                clock.call_at(begun + moment, partial(server.cause, fault))
+            layouts = driver.streams()
+            recorder = Recorder(Path(folder, "run.h5"), ur5e(), layouts, clock=clock)
+            play = unchecked_play(there_and_back(robot, plant.position.copy()), robot) if moves else None
+            report = record(
+                driver,
+                recorder,
+                Supervisor(Limits.of_robot(robot), layouts),
+                play,
+                None if moves else LAST,
+                clock=clock,
+            )
+            driver.close()
+            clock.sleep_until(begun + LAST + LONGEST)
+            clock.sleep(SETTLED)
+            assert np.max(np.abs(plant.velocity)) < 0.01
+        commands.assert_within_limits(robot, UR_PERIOD)
+        return report, read_recording(Path(folder, "run.h5"))
+
+
+@settings(max_examples=1)
+@given(faults("UR controller"))
+def test_any_faults_of_a_ur_controller_end_at_rest_and_with_a_reason(drawn: Faults) -> None:
+    assert_in_order(*on_ur_arm(drawn))
+
+
+TIME = {"quantity": "time", "id": 0x181, "start": 48, "length": 16, "scale": 0.001, "unit": "s"}
+CLOCKS = st.sampled_from(["counter", "time"])
+
+
+@settings(max_examples=1)
+@given(st.lists(st.tuples(MOMENTS, JUMPS), min_size=1, max_size=3), CLOCKS)
+@example([(0.9, -0.5)], "counter")
+def test_a_counter_or_clock_of_an_arm_on_can_that_jumps_ends_no_motion(
+    drawn: Sequence[tuple[float, float]], kind: str
+) -> None:
+    with tempfile.TemporaryDirectory() as folder, simulated_time() as clock:
+        table = {"signals": [TIME if s["quantity"] == "counter" and kind == "time" else s for s in KEYS["signals"]]}
+        with served(clock, **table) as server, opened(connection_of(server) | table, clock) as driver:
+            commands = Commands(driver, clock)
+            for moment, jump in drawn:
+                clock.call_at(clock.now() + moment, partial(server.obey, f"clock-jump {jump}"))
+            report = session(Path(folder, "run.h5"), driver, clock, unchecked_play(there_and_back(ROBOT, POSE), ROBOT))
+        commands.assert_within_limits(ROBOT, 0.005)
+        recording = read_recording(Path(folder, "run.h5"))
+    assert_in_order(report, recording)
+    assert report.stopped_by is None
+    assert np.all(np.diff(recording.streams["joints"].time) > 0)
+
+
+@settings(max_examples=1)
+@given(st.lists(st.tuples(MOMENTS, JUMPS), min_size=1, max_size=3), st.booleans())
+@example([(0.9, -0.5)], True)
+def test_the_clock_of_a_ur_controller_that_jumps_back_ends_the_session_and_its_stamps_rise(
+    drawn: Sequence[tuple[float, float]], moves: bool
+) -> None:
+    report, recording = on_ur_arm([(moment, f"clock-jump {jump}") for moment, jump in drawn], moves=moves)
+    assert_in_order(report, recording)
+    assert np.all(np.diff(recording.streams["joints"].time) > 0)
+    if all(jump > UR_PERIOD for _, jump in drawn):
+        assert report.stopped_by is None
