@@ -41,8 +41,9 @@ def joint_torque(signal: FloatArray, gains: Sequence[DriveGain], coupling: Float
     if len(factors) < len(gains):
         unknown = [str(number) for number, gain in enumerate(gains, start=1) if gain.gain is None]
         raise ValueError(f"the gain is unknown for joint(s) {', '.join(unknown)}")
-    motor_torque = signal * np.array(factors, dtype=np.float64)
-    return motor_torque if coupling is None else torque_at_joints(motor_torque, coupling)
+    with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file: no number, and refused where it is used
+        motor_torque = signal * np.array(factors, dtype=np.float64)
+        return motor_torque if coupling is None else torque_at_joints(motor_torque, coupling)
 
 
 def torque_at_joints(motor_torque: FloatArray, coupling: FloatArray) -> FloatArray:

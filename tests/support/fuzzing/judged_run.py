@@ -12,6 +12,7 @@ import select
 import signal
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -137,6 +138,10 @@ def _run_and_exit(arguments: Sequence[str], folder: Path, outputs: tuple[Path, P
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_CPU, (CPU_LIMIT, CPU_LIMIT + 5))
         resource.setrlimit(resource.RLIMIT_AS, (2 * MEMORY_LIMIT + 10**9, 2 * MEMORY_LIMIT + 10**9))
+        importlib.reload(warnings)  # pytest keeps those of its process, forked ones included, to itself
+        warnings.resetwarnings()
+        for silent in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
+            warnings.simplefilter("ignore", silent)
         sys.argv = ["dynid", *arguments]
         from dynid.command import main
 
