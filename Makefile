@@ -42,7 +42,7 @@ realtime: $(INSTALLED)
 soak: $(INSTALLED)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/soak $(SOAK)
 
-# Hours: the command of every table of docs/ again, and which tables no longer agree (STUDIES: words of pages or commands).
+# Hours: the commands of docs/measurements again, and which figures no longer agree (STUDIES: words of pages or commands).
 studies-check: $(INSTALLED)
 	$(BIN)/python studies/check.py $(STUDIES)
 

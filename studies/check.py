@@ -1,25 +1,29 @@
-"""Run the commands behind the tables of docs/ again, and name the tables that no longer agree with what they print.
+"""Run the commands behind the figures of docs/measurements again; name what is stale, or write it anew.
 
-    python studies/check.py [--list] [--write] [--seconds S] [WORD…]
+    python studies/check.py [--list] [--write] [--outputs FOLDER] [--seconds S] [WORD…]
 
-A table says how it was measured in a comment above it:
+Tables of figures stand in docs/measurements alone, one page per topic. Each is a block of a page: a Markdown table, or
+what a command prints between ```text and ```. A comment above it says how it was measured, a line below it shows this
+to the reader, with version, commit and date, and ends with a checksum of the block, which no edit by hand keeps:
 
     <!-- measured: python -m studies.payload.payload 40 | skip: CPU s; seconds | within: 3 % -->
     <!-- measured once: a UR10e that is no longer there -->
 
-`skip` names columns that differ from run to run, by their headings: times of computation. `within` is the relative
-difference that is allowed, 2 % where absent; a number may always differ by one of its last digit. A row of the table
-is compared with the printed line of the same words; where there is none, with the one whose numbers are nearest.
-`| anywhere` is for tables of another shape than what is printed, such as ranges over rows: each number must then be
-among the printed ones, rounded. A command is run once, whatever the number of its tables. WORD keeps the tables whose
-page or command contains it; `--list` runs nothing, and also names tables of figures that say nothing. `--write`
-replaces stale rows by the printed ones of a table with the same heading; the text around is the author's to correct.
-Exit status 1 where a table is stale.
+    *`python -m studies.payload.payload 40`; version 0.1.0, commit 5e5a60a, 2026-11-22.* <!-- block 1a2b3c4d -->
 
-Below a table stands when its figures were measured, for readers and for `--list`; `--write` renews it where the figures
-agree or were replaced:
+`--write` replaces a stale block: a table by the printed one of the same heading, a text by all that was printed. It
+renews the line below, also where the figures agree. Settings of the comment:
 
-    *Measured at 0.1.0, commit 5e5a60a, 2026-11-22.*
+- `skip` names columns that differ from run to run, by their headings: times of computation;
+- `within` is the relative difference that is allowed, 2 % where absent; a number may always differ by one of its last
+  digit. A row is compared with the printed line of the same words, else with the one whose numbers are nearest;
+- `part`: the page has a selection of the printed rows; `--write` keeps to it;
+- `anywhere`: the block has another shape than what is printed: each of its numbers must be among the printed ones,
+  rounded. Such a block is compared, never written.
+
+A command is run once, whatever the number of its blocks. WORD keeps the blocks whose page or command contains it.
+`--list` runs nothing. With `--outputs` what each command printed is kept in a folder, with the commit that printed it,
+and what is there is not measured again. Exit status 1 where a block is stale.
 
 All of it takes hours; a command ends after `--seconds` (3600).
 """
@@ -27,6 +31,7 @@ All of it takes hours; a command ends after `--seconds` (3600).
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 import re
 import shlex
@@ -39,9 +44,14 @@ from importlib.metadata import version
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+MEASUREMENTS = Path("docs/measurements")
 
 MARK = re.compile(r"^\s*<!--\s*measured(?P<once> once)?:\s*(?P<text>.*?)\s*-->\s*$")
-AT = re.compile(r"^\*Measured at (?P<at>\S+, commit [0-9a-f]{7,40}, \d{4}-\d\d-\d\d)\.\*$")
+BELOW = re.compile(
+    r"^\*(?:`(?P<command>[^`]+)`; version (?P<at>\S+, commit [0-9a-f]{7,40}, \d{4}-\d\d-\d\d)"
+    r"|Measured once: (?P<reason>.+))\.\* <!-- block (?P<sum>[0-9a-f]{8}) -->$"
+)
+KEPT = re.compile(r"^# (?P<command>[^|]+?) \| (?P<at>\S+, commit [0-9a-f]{7,40}, \d{4}-\d\d-\d\d)")
 NUMBER = re.compile(
     r"(?<![\w.])[−+-]?\d{1,3}(?:[ ,]\d{3})+(?:\.\d+)?(?![\d])|(?<![\w.])[−+-]?\d+(?:\.\d+)?(?:[eE][−+-]?\d+)?"
 )
@@ -61,6 +71,7 @@ class Measurement:
         skip: headings of columns left out.
         within: relative difference that is allowed.
         anywhere: whether the printed lines have another shape, so that numbers are looked for one by one.
+        part: whether the page has a selection of the printed rows.
         reason: why it cannot be measured again.
     """
 
@@ -68,6 +79,7 @@ class Measurement:
     skip: tuple[str, ...] = ()
     within: float = WITHIN
     anywhere: bool = False
+    part: bool = False
     reason: str = ""
 
 
@@ -81,29 +93,50 @@ class Row:
 
 
 @dataclass(frozen=True)
-class DocsTable:
-    """A table of a page.
+class Block:
+    """A table of a page, or what a command printed.
 
     Attributes:
-        page: its name.
-        line: of the heading, from 1.
-        heading: its cells.
+        page: its path below the root.
+        number: its place among the blocks of the page, from 0.
+        line: of the heading, or of the line that opens the text, from 1.
+        heading: its cells; empty of a text.
         rows: below.
+        lines: how many lines the rows take.
         measurement: None where the page does not say.
-        at: version, commit and date of the measurement; empty where the page does not say.
+        below: what the line below it says; None where there is none.
+        checksum: of heading and rows.
     """
 
     page: str
+    number: int
     line: int
     heading: tuple[str, ...]
     rows: tuple[Row, ...]
+    lines: int
     measurement: Measurement | None
-    at: str = ""
+    below: re.Match[str] | None
+    checksum: str
 
     @property
     def place(self) -> str:
         """Page and line."""
-        return f"docs/{self.page}:{self.line}"
+        return f"{self.page}:{self.line}"
+
+    @property
+    def at(self) -> str:
+        """Version, commit and date of the measurement; empty where the page does not say."""
+        return "" if self.below is None else self.below["at"] or ""
+
+    @property
+    def first(self) -> int:
+        """Index of the first row's line in its page."""
+        return self.line + 1 if self.heading else self.line
+
+    @property
+    def end(self) -> int:
+        """Index of the line behind the block in its page."""
+        return self.first + self.lines + (0 if self.heading else 1)
 
     @property
     def of_figures(self) -> bool:
@@ -128,7 +161,7 @@ def measurement_of(line: str) -> Measurement | None:
     if not command.startswith("python -m studies."):
         raise ValueError(f"'{command}' is not the command of a study")
     skip: tuple[str, ...] = ()
-    within, anywhere = WITHIN, False
+    within, anywhere, part = WITHIN, False, False
     for setting in settings:
         key, _, value = (part.strip() for part in setting.partition(":"))
         if key == "skip":
@@ -137,9 +170,11 @@ def measurement_of(line: str) -> Measurement | None:
             within = float(value.removesuffix("%")) / 100.0
         elif key == "anywhere":
             anywhere = True
+        elif key == "part":
+            part = True
         else:
-            raise ValueError(f"'{key}' is none of 'skip', 'within', 'anywhere'")
-    return Measurement(command, skip, within, anywhere)
+            raise ValueError(f"'{key}' is none of 'skip', 'within', 'anywhere', 'part'")
+    return Measurement(command, skip, within, anywhere, part)
 
 
 def cells_of(line: str) -> list[str]:
@@ -158,35 +193,53 @@ def row_of(cells: Sequence[str], skipped: Sequence[int] = ()) -> Row:
     return Row(words, numbers, text)
 
 
-def tables_of(page: str, text: str) -> Iterator[DocsTable]:
-    """Tables of a page, in order.
+def checksum_of(lines: Sequence[str]) -> str:
+    """Eight digits that change with any character of the lines."""
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:8]
+
+
+def blocks_of(page: str, text: str) -> Iterator[Block]:
+    """Tables of a page and texts under a comment, in order.
 
     Raises:
         ValueError: a comment that cannot be read; names the place.
     """
     lines = text.splitlines()
-    for index in range(1, len(lines)):
-        if not (RULE.match(lines[index]) and lines[index - 1].strip().startswith("|")):
+    inside, number = False, 0
+    for index, line in enumerate(lines):
+        if line.startswith("```"):
+            inside = not inside
+        is_table = not inside and bool(RULE.match(line)) and index > 0 and lines[index - 1].strip().startswith("|")
+        is_text = inside and line == "```text"
+        if not (is_table or is_text):
             continue
-        heading = cells_of(lines[index - 1])
+        head = index - 1 if is_table else index
         try:
-            above = [line for line in lines[: index - 1][-2:] if line.strip()]
+            above = [before for before in lines[:head][-2:] if before.strip()]
             measurement = measurement_of(above[-1]) if above else None
         except ValueError as error:
-            raise ValueError(f"docs/{page}:{index - 1}: {error}") from None
+            raise ValueError(f"{page}:{head}: {error}") from None
+        if is_text and measurement is None:
+            continue
+        heading = cells_of(lines[head]) if is_table else []
         skip = () if measurement is None else measurement.skip
         unknown = [name for name in skip if name not in heading]
         if unknown:
-            raise ValueError(f"docs/{page}:{index}: the table has no column '{unknown[0]}'")
-        skipped = [place for place, name in enumerate(heading) if name in skip]
-        rows = []
-        for line in lines[index + 1 :]:
-            if not line.strip().startswith("|"):
+            raise ValueError(f"{page}:{head + 1}: the table has no column '{unknown[0]}'")
+        content = []
+        for following in lines[index + 1 :]:
+            if following.strip().startswith("|") if is_table else following != "```":
+                content.append(following)
+            else:
                 break
-            rows.append(row_of(cells_of(line), skipped))
-        below = [line for line in lines[index + 1 + len(rows) :][:2] if line.strip()]
-        found = AT.match(below[0]) if below else None
-        yield DocsTable(page, index, tuple(heading), tuple(rows), measurement, found["at"] if found else "")
+        skipped = [place for place, name in enumerate(heading) if name in skip]
+        rows = tuple(row_of(cells_of(row) if is_table else [row], skipped) for row in content)
+        end = index + 1 + len(content) + (1 if is_text else 0)
+        behind = [after for after in lines[end : end + 2] if after.strip()]
+        below = BELOW.match(behind[0]) if behind else None
+        checksum = checksum_of([*(lines[head : index + 1] if is_table else []), *content])
+        yield Block(page, number, head + 1, tuple(heading), rows, len(content), measurement, below, checksum)
+        number += 1
 
 
 def printed_rows(output: str, skip: Sequence[str]) -> list[Row]:
@@ -238,7 +291,7 @@ def wrong_numbers(stated: Row, measured: Row, within: float) -> int:
     return sum(not agree(*pair, within) for pair in pairs)
 
 
-def stale_rows(table: DocsTable, printed: Sequence[Row]) -> list[tuple[Row, str]]:
+def stale_rows(table: Block, printed: Sequence[Row]) -> list[tuple[Row, str]]:
     """Rows of the table that differ from what was printed, each with what was compared."""
     assert table.measurement is not None
     measurement, found = table.measurement, []
@@ -282,27 +335,54 @@ def run(command: str, seconds: float) -> tuple[str, str]:
     return done.stdout, ""
 
 
-def rewritten(table: DocsTable, lines: Sequence[str], output: str) -> dict[int, str]:
-    """Lines of a page, by index, that printed rows of a table with the same heading replace, each by its first cells.
+def printed_tables(heading: Sequence[str], output: str) -> list[list[str]]:
+    """Rows of every printed table with this heading."""
+    found: list[list[str]] = []
+    lines = output.splitlines()
+    for index, line in enumerate(lines):
+        if line.strip().startswith("|") and tuple(cells_of(line)) == tuple(heading):
+            rows = []
+            for row in lines[index + 1 :]:
+                if not row.strip().startswith("|"):
+                    break
+                if not RULE.match(row):
+                    rows.append(row)
+            found.append(rows)
+    return found
 
-    Empty where a row has no printed one, or several. `lines` are the page's.
-    """
-    printed: list[tuple[list[str], str]] = []
-    inside = False
-    for line in output.splitlines():
-        cells = cells_of(line) if line.strip().startswith("|") else []
-        inside = bool(cells) and (inside or tuple(cells) == table.heading)
-        if inside and tuple(cells) != table.heading and not RULE.match(line):
-            printed.append((cells, line))
-    places = range(table.line + 1, table.line + 1 + len(table.rows))
+
+def selected(table: Block, lines: Sequence[str], printed: Sequence[str]) -> list[str]:
+    """The printed rows of those of the page, by their first cells; empty where one has none, or several."""
+    places = range(table.first, table.first + table.lines)
     for count in (1, 2, 3):
         by_key: dict[str, list[str]] = {}
-        for cells, line in printed:
-            by_key.setdefault(row_key(cells[:count]), []).append(line)
-        found = {place: by_key.get(row_key(cells_of(lines[place])[:count]), []) for place in places}
-        if all(len(candidates) == 1 for candidates in found.values()):
-            return {place: candidates[0] for place, candidates in found.items()}
-    return {}
+        for line in printed:
+            by_key.setdefault(row_key(cells_of(line)[:count]), []).append(line)
+        found = [by_key.get(row_key(cells_of(lines[place])[:count]), []) for place in places]
+        if all(len(candidates) == 1 for candidates in found):
+            return [candidates[0] for candidates in found]
+    return []
+
+
+def rewritten(table: Block, lines: Sequence[str], output: str, place: tuple[int, int] = (0, 1)) -> list[str]:
+    """Lines that take the place of the block's rows; empty where the output has none.
+
+    Args:
+        table: the block.
+        lines: its page's.
+        output: what the command printed.
+        place: which of the blocks of this command and heading it is, and how many they are: printed in the same order.
+    """
+    assert table.measurement is not None
+    if table.measurement.anywhere:
+        return []
+    if not table.heading:
+        return [line.rstrip() for line in output.strip("\n").splitlines()]
+    printed = printed_tables(table.heading, output)
+    if len(printed) != place[1]:
+        return []
+    rows = printed[place[0]]
+    return selected(table, lines, rows) if table.measurement.part else rows
 
 
 def row_key(cells: Sequence[str]) -> str:
@@ -310,24 +390,38 @@ def row_key(cells: Sequence[str]) -> str:
     return " | ".join(re.sub(r"[`*\\]", "", cell) for cell in cells)
 
 
-def write(table: DocsTable, output: str) -> bool:
-    """Put the printed rows in the table's place; whether that was possible."""
-    page = ROOT / "docs" / table.page
+def reread(table: Block) -> Block:
+    """The same block of its page as it is now."""
+    blocks = blocks_of(table.page, (ROOT / table.page).read_text(encoding="utf-8"))
+    return next(block for block in blocks if block.number == table.number)
+
+
+def write(table: Block, output: str, place: tuple[int, int]) -> bool:
+    """Put what was printed in the block's place; whether that was possible. `place` as of `rewritten`."""
+    page = ROOT / table.page
     lines = page.read_text(encoding="utf-8").split("\n")
-    changed = rewritten(table, lines, output)
-    for place, line in changed.items():
-        lines[place] = line
-    page.write_text("\n".join(lines), encoding="utf-8")
+    changed = rewritten(table, lines, output, place)
+    if changed:
+        lines[table.first : table.first + table.lines] = changed
+        page.write_text("\n".join(lines), encoding="utf-8")
     return bool(changed)
 
 
-def stamp(table: DocsTable, at: str) -> None:
-    """Say below a table when it was measured, in place of what is said there."""
-    page = ROOT / "docs" / table.page
+def stamp(table: Block, at: str) -> None:
+    """Say below a block how and when it was measured, in place of what is said there.
+
+    Args:
+        table: as it is in its page now.
+        at: version, commit and date; ignored of what was measured once.
+    """
+    assert table.measurement is not None
+    page = ROOT / table.page
     lines = page.read_text(encoding="utf-8").split("\n")
-    end = table.line + 1 + len(table.rows)
-    old = next((place for place in (end, end + 1) if place < len(lines) and AT.match(lines[place])), None)
-    lines[end : end if old is None else old + 1] = ["", f"*Measured at {at}.*"]
+    old = next((at for at in (table.end, table.end + 1) if at < len(lines) and BELOW.match(lines[at])), None)
+    said = f"`{table.measurement.command}`; version {at}"
+    if not table.measurement.command:
+        said = f"Measured once: {table.measurement.reason}"
+    lines[table.end : table.end if old is None else old + 1] = ["", f"*{said}.* <!-- block {table.checksum} -->"]
     page.write_text("\n".join(lines), encoding="utf-8")
 
 
@@ -339,23 +433,27 @@ def now() -> str:
     return f"{version('dynid')}, commit {commit.stdout.strip()}, {datetime.now(UTC):%Y-%m-%d}"
 
 
-def all_tables(folder: Path) -> list[DocsTable]:
-    """Tables of all pages."""
-    pages = sorted(folder.glob("*.md"))
-    return [table for page in pages for table in tables_of(page.name, page.read_text(encoding="utf-8"))]
+def all_blocks(root: Path) -> list[Block]:
+    """Blocks of all pages of the measurements."""
+    pages = sorted((root / MEASUREMENTS).glob("*.md"))
+    return [
+        block
+        for page in pages
+        for block in blocks_of(page.relative_to(root).as_posix(), page.read_text(encoding="utf-8"))
+    ]
 
 
-def chosen(tables: Sequence[DocsTable], words: Sequence[str]) -> list[DocsTable]:
+def chosen(tables: Sequence[Block], words: Sequence[str]) -> list[Block]:
     """Those whose page or command contains one of the words; all where there is none."""
 
-    def wanted(table: DocsTable) -> bool:
+    def wanted(table: Block) -> bool:
         command = table.measurement.command if table.measurement else ""
         return not words or any(word in table.page or word in command for word in words)
 
     return [table for table in tables if wanted(table)]
 
 
-def show_list(tables: Sequence[DocsTable]) -> None:
+def show_list(tables: Sequence[Block]) -> None:
     """Commands with their tables, and tables that say nothing."""
     for table in tables:
         when = f"measured at {table.at}" if table.at else "does not say when it was measured"
@@ -368,14 +466,30 @@ def show_list(tables: Sequence[DocsTable]) -> None:
             print(f"{table.place}: measured once: {table.measurement.reason}")
 
 
-def check(tables: Sequence[DocsTable], seconds: float, *, writing: bool = False) -> bool:
+def output_of(command: str, seconds: float, outputs: Path | None) -> tuple[str, str, str]:
+    """What a study printed, now or as kept in `outputs`; what went wrong; version, commit and date."""
+    kept = None if outputs is None else outputs / (re.sub(r"\W+", "_", command) + ".txt")
+    if kept is not None and kept.is_file():
+        first, _, output = kept.read_text(encoding="utf-8").partition("\n")
+        found = KEPT.match(first)
+        if found is not None and found["command"] == command:
+            return output, "", found["at"]
+    at = now()
+    output, failure = run(command, seconds)
+    if kept is not None and not failure:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text(f"# {command} | {at}\n{output}", encoding="utf-8")
+    return output, failure, at
+
+
+def check(tables: Sequence[Block], seconds: float, *, writing: bool = False, outputs: Path | None = None) -> bool:
     """Run, compare, report; whether all agree."""
     commands = dict.fromkeys(t.measurement.command for t in tables if t.measurement and t.measurement.command)
-    good, done = True, list[DocsTable]()
+    good = True
     for command in commands:
         of_command = [t for t in tables if t.measurement and t.measurement.command == command]
         print(f"{command} …", flush=True)
-        output, failure = run(command, seconds)
+        output, failure, at = output_of(command, seconds, outputs)
         for table in of_command:
             assert table.measurement is not None
             stale = stale_rows(table, printed_rows(output, table.measurement.skip))
@@ -384,18 +498,20 @@ def check(tables: Sequence[DocsTable], seconds: float, *, writing: bool = False)
                 print(f"  {table.place}: FAILED ({failure})", flush=True)
             elif stale:
                 print(f"  {table.place}: STALE, {len(stale)} of {len(table.rows)} rows, {table.at}", flush=True)
-                if writing and write(table, output):
+                alike = [other for other in of_command if other.heading == table.heading]
+                if writing and write(reread(table), output, (alike.index(table), len(alike))):
                     print("    written: look at the text around it", flush=True)
-                    done.append(table)
+                    stamp(reread(table), at)
                     continue
                 for row, measured in stale[:OFFERED]:
                     print(f"    docs:    {row.text}\n    printed: {measured}")
             else:
                 print(f"  {table.place}: as printed", flush=True)
-                done.append(table)
-    if writing:
-        for table in sorted(done, key=lambda one: -one.line):  # a stamp may move what is below it
-            stamp(table, now())
+                if writing:
+                    stamp(reread(table), at)
+    for table in tables:
+        if writing and table.measurement is not None and not table.measurement.command:
+            stamp(reread(table), "")
     return good
 
 
@@ -406,17 +522,18 @@ def main() -> int:
     parser.add_argument("words", nargs="*", metavar="WORD", help="pages or commands; all if absent")
     parser.add_argument("--list", action="store_true", help="show the tables and their commands, and run nothing")
     parser.add_argument("--write", action="store_true", help="put printed rows in the place of stale ones where it can")
+    parser.add_argument("--outputs", type=Path, metavar="FOLDER", help="keeps what commands print, for later calls")
     parser.add_argument("--seconds", type=float, default=SECONDS, help="time limit of a command")
     arguments = parser.parse_args()
     try:
-        tables = chosen(all_tables(ROOT / "docs"), arguments.words)
+        tables = chosen(all_blocks(ROOT), arguments.words)
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
     if arguments.list:
         show_list(tables)
         return 0
-    good = check(tables, arguments.seconds, writing=arguments.write)
+    good = check(tables, arguments.seconds, writing=arguments.write, outputs=arguments.outputs)
     show_list([table for table in tables if table.measurement is None])
     return 0 if good else 1
 

@@ -1,4 +1,4 @@
-"""The comparison of docs' tables with what studies print: what agrees, what is stale, what a comment may say."""
+"""Figures of docs/measurements against what studies print: what agrees, what is stale, what a comment may say."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ PRINTED = """some text 12 13 14
 
 
 def stale(check, page: str, printed: str) -> list[str]:
-    (table,) = check.tables_of("page.md", page)
+    (table,) = check.blocks_of("page.md", page)
     rows = check.printed_rows(printed, table.measurement.skip)
     return [row.text.split(" | ")[0] for row, _ in check.stale_rows(table, rows)]
 
@@ -90,40 +90,94 @@ def test_the_tolerance_is_relative(check):
 )
 def test_comments_that_cannot_be_read_name_their_place(check, comment):
     page = "\n".join([comment, *PAGE.splitlines()[2:]])
-    with pytest.raises(ValueError, match=r"docs/page\.md:\d"):
-        list(check.tables_of("page.md", page))
+    with pytest.raises(ValueError, match=r"page\.md:\d"):
+        list(check.blocks_of("page.md", page))
 
 
 def test_a_table_that_cannot_be_measured_again_says_why(check):
-    (table,) = check.tables_of(
+    (table,) = check.blocks_of(
         "page.md", PAGE.replace("measured: python -m studies.folder.a 3 | skip: CPU s", "measured once: by hand")
     )
     assert (table.measurement.command, table.measurement.reason) == ("", "by hand")
 
 
-def test_stale_rows_are_replaced_by_printed_ones_of_the_same_heading(check):
-    (table,) = check.tables_of("page.md", PAGE)
-    lines = PAGE.split("\n")
-    written = check.rewritten(table, lines, PRINTED.replace("6.849", "7.1"))
-    assert [lines[place].split()[1] for place in sorted(written)] == ["`ur10`,", "panda"]
-    assert [line.split("|")[2].strip() for _, line in sorted(written.items())] == ["7.1", "-0.991"]
-    assert check.rewritten(table, lines, PRINTED.replace("kept", "left")) == {}  # another heading
-    assert check.rewritten(table, lines, PRINTED.replace("panda", "kuka")) == {}  # a row less
-    assert check.rewritten(table, lines, PRINTED + "| panda | -0.991 | 42 | 77 |\n") == {}  # which of the two
+def rewritten(check, page: str, printed: str, place: tuple[int, int] = (0, 1)) -> list[str]:
+    (table,) = check.blocks_of("page.md", page)
+    return check.rewritten(table, page.split("\n"), printed, place)
 
 
-def test_a_table_says_when_it_was_measured(check, monkeypatch, tmp_path, capsys):
+def test_a_table_is_replaced_by_the_printed_one_of_the_same_heading(check):
+    more = PRINTED.replace("6.849", "7.1") + "| kuka | 3 | 1 | 2 |\n"
+    assert rewritten(check, PAGE, more) == more.splitlines()[3:]
+    assert rewritten(check, PAGE, PRINTED.replace("kept", "left")) == []  # another heading
+    assert rewritten(check, PAGE, PRINTED + "\n" + PRINTED) == []  # which of the two
+    assert rewritten(check, PAGE, PRINTED + "\n" + more, (1, 2)) == more.splitlines()[3:]
+    assert rewritten(check, PAGE.replace("skip: CPU s", "anywhere"), PRINTED) == []
+
+
+def test_a_selection_of_rows_stays_one(check):
+    page = PAGE.replace("skip: CPU s", "part")
+    more = PRINTED.replace("6.849", "7.1") + "| kuka | 3 | 1 | 2 |\n"
+    assert [row.split()[1] for row in rewritten(check, page, more)] == ["ur10,", "panda"]
+    assert rewritten(check, page, PRINTED.replace("panda", "kuka")) == []  # a row less
+    assert rewritten(check, page, PRINTED + "| panda | -0.991 | 42 | 77 |\n") == []  # which of the two
+
+
+TEXT = """
+<!-- measured: python -m studies.folder.a -->
+
+```text
+ur10    6.85  inside 94.0 %
+```
+"""
+
+
+def test_a_text_is_replaced_by_all_that_was_printed(check):
+    assert stale(check, TEXT, "\nur10    6.85  inside 94.0 %\n") == []
+    assert stale(check, TEXT, "ur10    7.85  inside 94.0 %\n") == ["ur10    6.85  inside 94.0 %"]
+    assert rewritten(check, TEXT, "\ntitle\nur10    7.85  inside 94.0 %  \n") == [
+        "title",
+        "ur10    7.85  inside 94.0 %",
+    ]
+    assert list(check.blocks_of("page.md", TEXT.replace("<!-- measured: python -m studies.folder.a -->", ""))) == []
+
+
+@pytest.mark.parametrize("page", [PAGE, TEXT], ids=["table", "text"])
+def test_writing_renews_figures_checksum_and_the_line_below(check, monkeypatch, tmp_path, capsys, page):
     monkeypatch.setattr(check, "ROOT", tmp_path)
-    page = tmp_path / "docs" / "page.md"
-    page.parent.mkdir()
-    page.write_text(PAGE + "\nText.\n", encoding="utf-8")
-    for at in ("0.1.0, commit 5e5a60a, 2026-11-22", "0.2.0, commit 0123abc, 2027-01-01"):
-        check.stamp(check.all_tables(page.parent)[0], at)
-        (table,) = check.all_tables(page.parent)
-        assert table.at == at
-        assert page.read_text(encoding="utf-8") == f"{PAGE}\n*Measured at {at}.*\n\nText.\n"
-        check.show_list([table])
-        assert capsys.readouterr().out.endswith(f"; measured at {at}\n")
+    path = tmp_path / check.MEASUREMENTS / "page.md"
+    path.parent.mkdir(parents=True)
+    path.write_text(page + "\nText.\n", encoding="utf-8")
+    for figure, at in (("6.85", "0.1.0, commit 5e5a60a, 2026-11-22"), ("9.85", "0.2.0, commit 0123abc, 2027-01-01")):
+        printed = (PRINTED.replace("6.849", figure) if page is PAGE else "ur10    6.85  inside 94.0 %\n").replace(
+            "6.85", figure
+        )
+        monkeypatch.setattr(check, "output_of", lambda command, seconds, outputs, now=(printed, "", at): now)
+        check.check(check.all_blocks(tmp_path), 1.0, writing=True)
+        (block,) = check.all_blocks(tmp_path)
+        assert (block.at, block.below["sum"]) == (at, block.checksum)
+        text = path.read_text(encoding="utf-8")
+        assert figure in text
+        assert text.endswith(f"; version {at}.* <!-- block {block.checksum} -->\n\nText.\n")
+        assert text.count("; version ") == 1
+        path.write_text(text.replace(figure, "5.55"), encoding="utf-8")  # an edit by hand
+        (edited,) = check.all_blocks(tmp_path)
+        assert edited.checksum != edited.below["sum"]
+        path.write_text(text, encoding="utf-8")
+    check.show_list(check.all_blocks(tmp_path))
+    assert capsys.readouterr().out.endswith("; measured at 0.2.0, commit 0123abc, 2027-01-01\n")
+
+
+def test_kept_outputs_are_not_measured_again(check, monkeypatch, tmp_path):
+    runs = []
+    monkeypatch.setattr(check, "run", lambda command, seconds: (runs.append(command), ("1 2\n", ""))[1])
+    monkeypatch.setattr(check, "now", lambda: "0.1.0, commit 5e5a60a, 2026-11-22")
+    command = "python -m studies.folder.a 3"
+    first = check.output_of(command, 1.0, tmp_path)
+    monkeypatch.setattr(check, "now", lambda: "0.1.0, commit 0123abc, 2026-11-23")
+    assert check.output_of(command, 1.0, tmp_path) == first == ("1 2\n", "", "0.1.0, commit 5e5a60a, 2026-11-22")
+    assert check.output_of(command, 1.0, None)[2] == "0.1.0, commit 0123abc, 2026-11-23"
+    assert runs == [command, command]
 
 
 @pytest.mark.parametrize(
@@ -135,12 +189,27 @@ def test_numbers(check, stated, measured, same):
     assert check.agree(stated, measured, 0.02) is same
 
 
-def test_every_comment_of_the_docs_can_be_read_and_names_a_study(check):
-    measured = [table for table in check.all_tables(ROOT / "docs") if table.measurement is not None]
-    assert len(measured) > 50
-    for table in measured:
-        if table.measurement.command:
-            study = table.measurement.command.split()[2].replace(".", "/")
-            assert (ROOT / f"{study}.py").is_file(), table.place
-        else:
-            assert table.measurement.reason, table.place
+def test_every_block_of_the_measurements_says_how_and_when_and_is_as_it_was_written(check):
+    """A figure that was edited by hand changes the checksum: `python studies/check.py --write` writes figures."""
+    blocks = check.all_blocks(ROOT)
+    assert len(blocks) > 50
+    for block in blocks:
+        assert block.measurement is not None, block.place
+        assert block.below is not None, block.place
+        assert block.below["sum"] == block.checksum, block.place
+        assert (block.below["command"] or "") == block.measurement.command, block.place
+        assert (block.below["reason"] or "") == block.measurement.reason, block.place
+        if block.measurement.command:
+            study = block.measurement.command.split()[2].replace(".", "/")
+            assert (ROOT / f"{study}.py").is_file(), block.place
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.name)
+def test_pages_for_users_leave_tables_of_figures_to_the_measurements(check, page):
+    """`<!-- no measurement: … -->` says of a table of numbers that nothing was measured: limits, arithmetic."""
+    text = page.read_text(encoding="utf-8")
+    assert "<!-- measured" not in text
+    lines = text.splitlines()
+    for block in check.blocks_of(page.name, text):
+        above = [line for line in lines[: block.line - 1][-2:] if line.strip()]
+        assert not block.of_figures or above[-1].startswith("<!-- no measurement: "), block.place

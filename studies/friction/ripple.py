@@ -1,4 +1,4 @@
-"""What friction or torque that depends on the position would gain on public recordings: docs/identification.md.
+"""What friction or torque that depends on the position would gain on public recordings: docs/measurements/friction.md.
 
     python -m studies.friction.ripple [NAME…]
 

@@ -1,6 +1,6 @@
 """The SFLA paper on the UP6: Tables 2 to 4 and Figures 5 and 9 to 16 of our own, least squares beside them.
 
-`python -m studies.papers.up6_sfla` prints the tables of docs/swarm.md (20 seeds, about 5 minutes).
+`python -m studies.papers.up6_sfla` prints the tables of docs/measurements/papers.md (20 seeds, about 5 minutes).
 `python -m studies.papers.up6_sfla --page DIR` also writes DIR/figures.html and the reports of `sfla` and `wls`.
 
 Joints 1 to 3 follow the paper's excitation (Table 1) in closed loop under PID controllers, their gains so stiff that

@@ -1,4 +1,4 @@
-"""Faults in recorded signals: least squares against robust least squares; the table of docs/identification.md.
+"""Faults in recorded signals: least squares against robust least squares; the table of docs/measurements/signals.md.
 
     python -m studies.signals.outliers_robust 5
 
