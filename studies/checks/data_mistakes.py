@@ -1,4 +1,4 @@
-"""Mistakes in the data, and what `dynid identify` makes of them: the table of docs/measurements/checks.md.
+"""Mistakes in the data, and what `dynid identify` makes of them (docs/measurements/checks.md).
 
     python -m studies.checks.data_mistakes table ../shared/data
     python -m studies.checks.data_mistakes sound 5

@@ -1,4 +1,4 @@
-"""What is said of a recording after a deliberate mistake: the tables of docs/measurements/checks.md.
+"""What is said of a recording after a deliberate mistake (docs/measurements/checks.md).
 
     python -m studies.checks.mistaken_recordings ../shared/data 40
 

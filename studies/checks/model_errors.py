@@ -1,4 +1,4 @@
-"""Which wrong gains and lengths `dynid identify` names, and which not: the table of docs/measurements/checks.md.
+"""Which wrong gains and lengths `dynid identify` names, and which not (docs/measurements/checks.md).
 
     python -m studies.checks.model_errors 3 ../shared/data
 

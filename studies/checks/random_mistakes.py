@@ -1,4 +1,4 @@
-"""Mistakes in recordings of random arms, and what `dynid identify` makes of them: a table of docs/measurements/checks.md.
+"""Mistakes in recordings of random arms, and what `dynid identify` makes of them (docs/measurements/checks.md).
 
     python -m studies.checks.random_mistakes 12
 

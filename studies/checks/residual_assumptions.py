@@ -1,4 +1,4 @@
-"""False alarms and power of the checks of the residuals: the tables of docs/measurements/checks.md.
+"""False alarms and power of the checks of the residuals (docs/measurements/checks.md).
 
     python -m studies.checks.residual_assumptions 20 ../shared/data
 

@@ -1,4 +1,4 @@
-"""Operations of the C code of `dynid export --c` (docs/measurements/export.md): multiplications, additions, sines and cosines.
+"""Multiplications, additions, sines and cosines of the code of `dynid export --c` (docs/measurements/export.md).
 
 Every base parameter of the arm has a value, as after an identification. "links" leaves out friction and motor inertia;
 "ten per link" takes all standard parameters of the links in place of the base parameters. A few seconds.

@@ -1,4 +1,4 @@
-"""Exports of models of real and simulated arms, read again and simulated: the table of docs/measurements/export.md.
+"""Exports of models of real and simulated arms, read again and simulated (docs/measurements/export.md).
 
     python -m studies.export.exports ../shared/data
 

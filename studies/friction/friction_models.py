@@ -1,4 +1,4 @@
-"""Held-out errors of the friction models on public recordings (their folder in DYNID_DATA): docs/measurements/friction.md.
+"""Held-out errors of the friction models on public recordings in DYNID_DATA (docs/measurements/friction.md).
 
     python -m studies.friction.friction_models [NAME…]
 

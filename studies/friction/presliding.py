@@ -1,4 +1,4 @@
-"""What presliding is worth near velocity reversals: a table of docs/measurements/friction.md.
+"""What presliding is worth near velocity reversals (docs/measurements/friction.md).
 
     python -m studies.friction.presliding [NAME…]
 

@@ -1,4 +1,4 @@
-"""What the rules of the essential model keep and cost on public recordings: a table of docs/measurements/methods.md.
+"""What the rules of the essential model keep and cost on public recordings (docs/measurements/methods.md).
 
     python -m studies.methods.essential_rule [NAME…]
 

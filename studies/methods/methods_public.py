@@ -1,4 +1,4 @@
-"""Held-out errors of every method with every friction model on public recordings: a table of docs/measurements/methods.md.
+"""Held-out errors of every method with every friction model on public recordings (docs/measurements/methods.md).
 
     python -m studies.methods.methods_public [METHODS, separated by commas [RECORDINGS [FRICTION]]]
 

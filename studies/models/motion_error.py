@@ -1,4 +1,4 @@
-"""What a simulator feels of a model's torque error: the table of docs/measurements/methods.md. About 20 s.
+"""What a simulator feels of a model's torque error (docs/measurements/methods.md). About 20 s.
 
 Each built-in arm is identified from 15 s of simulated data and simulated along another motion; the true parameters are
 simulated along the same motion, which shows what noise of the recorded torque and the integration leave of it.

@@ -1,4 +1,4 @@
-"""True friction parameters of a simulated AUBO i5 within their 95 % intervals: a table of docs/measurements/error-bars.md.
+"""True friction parameters of a simulated AUBO i5 within their 95 % intervals (docs/measurements/error-bars.md).
 
     python -m studies.papers.aubo_coverage [seeds [methods, as wls,iirls [Stribeck terms, as 0,0.15]]]
 

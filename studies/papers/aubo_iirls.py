@@ -1,4 +1,4 @@
-"""LS, IRLS and I-IRLS on a simulated AUBO i5 that warms up, as AUBO .3.3 and .3.4: tables of docs/measurements/papers.md.
+"""LS, IRLS and I-IRLS on a simulated AUBO i5 that warms up, as AUBO .3.3 and .3.4 (docs/measurements/papers.md).
 
     python -m studies.papers.aubo_iirls [validation runs [ways, as experiment,estimated]]
 

@@ -1,6 +1,6 @@
 """The WLS-RWPSO paper on the ROCR6: Table 3 and Figure 4 of our own, least squares beside them.
 
-`python -m studies.papers.rocr6_wls_rwpso [SECONDS]` prints the tables of docs/measurements/papers.md (20 seeds); the excitation is
+`python -m studies.papers.rocr6_wls_rwpso [SECONDS]` prints tables of docs/measurements/papers.md; the excitation is
 designed for SECONDS (30). `--page DIR` as the last arguments writes the reports of the methods, too.
 
 The arm has Table 2's values for joints 1 to 3 and the wrist of our robot file. With the printed signs its inertia

@@ -1,4 +1,4 @@
-"""Fig. 2 of the SR400 paper with a simulated arm: velocity steps of the coupled wrist, a table of docs/measurements/friction.md.
+"""Fig. 2 of the SR400 paper with a simulated arm: velocity steps of the coupled wrist (docs/measurements/friction.md).
 
     python -m studies.papers.sr400_friction [SEEDS]
 

@@ -1,4 +1,4 @@
-"""The table of docs/measurements/safety.md: of each class of hostile input, the worst that is known, its time and memory.
+"""Of each class of hostile input, the worst that is known, its time and memory (docs/measurements/safety.md).
 
     python -m studies.safety.hostile_input [SOAK.json …]
 

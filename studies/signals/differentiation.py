@@ -1,4 +1,4 @@
-"""Ways to q̇, q̈ and a smooth torque compared: the tables of docs/measurements/signals.md.
+"""Ways to q̇, q̈ and a smooth torque compared (docs/measurements/signals.md).
 
     python -m studies.signals.differentiation ../shared/data
 

@@ -1,4 +1,4 @@
-"""What outliers do to an identification, and what is left of it where they are replaced: the table of docs/measurements/signals.md.
+"""What outliers do to an identification, and what is left of it where they are replaced (docs/measurements/signals.md).
 
     python -m studies.signals.outliers 5
 

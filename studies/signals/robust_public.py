@@ -1,4 +1,4 @@
-"""Robust methods on public recordings (their folder in DYNID_DATA): a table of docs/measurements/signals.md.
+"""Robust methods on public recordings (their folder in DYNID_DATA) (docs/measurements/signals.md).
 
     python -m studies.signals.robust_public [NAME…]
 

@@ -1,4 +1,4 @@
-"""What ROCR6's Kalman filter of the torques buys: tables of docs/measurements/signals.md.
+"""What ROCR6's Kalman filter of the torques buys (docs/measurements/signals.md).
 
     python -m studies.signals.torque_kalman [SEEDS]
 
