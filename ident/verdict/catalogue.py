@@ -39,7 +39,7 @@ PARAMETERS: tuple[Purpose, ...] = ("simulation", "payload_estimation")
 _RECORDING = (
     _note(
         "recording-not-closed",
-        "the recording was not closed in order",
+        "the recording was not closed properly",
         "Its end may be missing; `dynid recover` rescues what was written.",
     ),
     _note("import-warning", "the import assumed or repaired something", "Read the sentence and import again."),
@@ -456,7 +456,7 @@ _RESIDUALS = (
     ),
     _note(
         "residuals-autocorrelated",
-        "the residuals remember more than the parallel filter does: the model lacks something",
+        "the residuals are autocorrelated beyond the parallel filter: the model lacks something",
         "The error bars take it into account; look for what repeats with position, such as ripple of the gears.",
     ),
     _note(
@@ -475,7 +475,7 @@ _VALIDATION = (
     _note(
         "errors-near-standstill",
         "the validation's errors are larger than the identification's below 0.1 rad/s (or m/s) only",
-        "Friction near standstill is no constant: expect such errors where joints start, stop and reverse.",
+        "Coulomb friction is not well defined near standstill: expect such errors where joints start, stop and reverse.",
     ),
     CheckKind(
         "overfitting",
