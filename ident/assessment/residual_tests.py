@@ -34,7 +34,7 @@ LARGEST_CURVATURE = 0.05
 """Share of a linear model's residual variance that a curve in torque or velocity may explain."""
 
 LARGEST_SPREAD = 1.5
-"""Ratio of the residual's σ between the quarters of the samples where |q̇| and |τ̂| predict the largest and the smallest one."""
+"""Ratio of the residual's σ between the quarters of the samples where |q̇| and |τ̂| predict most and least."""
 
 LARGEST_SHAPE = 0.5
 """Of a normal distribution: the larger of |skewness| and half the |excess kurtosis|."""

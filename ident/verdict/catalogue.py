@@ -475,7 +475,7 @@ _VALIDATION = (
     _note(
         "errors-near-standstill",
         "the validation's errors are larger than the identification's below 0.1 rad/s (or m/s) only",
-        "Coulomb friction is not well defined near standstill: expect such errors where joints start, stop and reverse.",
+        "Coulomb friction is not well defined near standstill: expect such errors at starts, stops and reversals.",
     ),
     CheckKind(
         "overfitting",
