@@ -19,7 +19,8 @@ renews the line below, also where the figures agree. Settings of the comment:
   digit. A row is compared with the printed line of the same words, else with the one whose numbers are nearest;
 - `part`: the page has a selection of the printed rows; `--write` keeps to it;
 - `anywhere`: the block has another shape than what is printed: each of its numbers must be among the printed ones,
-  rounded. Such a block is compared, never written.
+  rounded. It was made by hand; `--write` puts the printed tables, or else all that was printed, in its place, and in
+  that of a table whose heading is no longer printed.
 
 A command is run once, whatever the number of its blocks. WORD keeps the blocks whose page or command contains it.
 `--list` runs nothing. With `--outputs` what each command printed is kept in a folder, with the commit that printed it,
@@ -391,9 +392,10 @@ def row_key(cells: Sequence[str]) -> str:
 
 
 def reread(table: Block) -> Block:
-    """The same block of its page as it is now."""
-    blocks = blocks_of(table.page, (ROOT / table.page).read_text(encoding="utf-8"))
-    return next(block for block in blocks if block.number == table.number)
+    """The same block of its page as it is now, by its comment and heading: those above it may have changed."""
+    blocks = list(blocks_of(table.page, (ROOT / table.page).read_text(encoding="utf-8")))
+    alike = [block for block in blocks if (block.measurement, block.heading) == (table.measurement, table.heading)]
+    return min(alike, key=lambda block: abs(block.number - table.number))
 
 
 def write(table: Block, output: str, place: tuple[int, int]) -> bool:
@@ -405,6 +407,40 @@ def write(table: Block, output: str, place: tuple[int, int]) -> bool:
         lines[table.first : table.first + table.lines] = changed
         page.write_text("\n".join(lines), encoding="utf-8")
     return bool(changed)
+
+
+def new_blocks(command: str, output: str, at: str) -> list[str]:
+    """Lines of a page for what a command printed: its tables, each a block, or a text where it prints none."""
+    lines = [line.rstrip() for line in output.strip("\n").splitlines()]
+    groups: list[list[str]] = []
+    for before, line in zip(["", *lines], lines, strict=False):
+        if line.startswith("|"):
+            if not before.startswith("|"):
+                groups.append([])
+            groups[-1].append(line)
+    tables = [group for group in groups if len(group) > 1 and RULE.match(group[1])]
+    page: list[str] = []
+    for content in tables or [lines]:
+        block = content if tables else ["```text", *content, "```"]
+        below = f"*`{command}`; version {at}.* <!-- block {checksum_of(content)} -->"
+        page += [f"<!-- measured: {command} -->", "", *block, "", below, ""]
+    return page[:-1]
+
+
+def replace_all(blocks: Sequence[Block], output: str, at: str) -> None:
+    """Put what their command printed in the place of the first of these blocks, and take the others away."""
+    for block in sorted(blocks, key=lambda one: (one.page, one.number), reverse=True):
+        assert block.measurement is not None
+        page = ROOT / block.page
+        lines = page.read_text(encoding="utf-8").split("\n")
+        start = max(at for at in range(block.line - 1) if MARK.match(lines[at]))
+        below = [at for at in (block.end, block.end + 1) if at < len(lines) and BELOW.match(lines[at])]
+        end = below[0] + 1 if below else block.end
+        first = block.number == min(one.number for one in blocks) and block.page == min(one.page for one in blocks)
+        if not first and end < len(lines) and not lines[end]:
+            end += 1
+        lines[start:end] = new_blocks(block.measurement.command, output, at) if first else []
+        page.write_text("\n".join(lines), encoding="utf-8")
 
 
 def stamp(table: Block, at: str) -> None:
@@ -490,6 +526,7 @@ def check(tables: Sequence[Block], seconds: float, *, writing: bool = False, out
         of_command = [t for t in tables if t.measurement and t.measurement.command == command]
         print(f"{command} …", flush=True)
         output, failure, at = output_of(command, seconds, outputs)
+        made_by_hand: list[Block] = []
         for table in of_command:
             assert table.measurement is not None
             stale = stale_rows(table, printed_rows(output, table.measurement.skip))
@@ -503,14 +540,18 @@ def check(tables: Sequence[Block], seconds: float, *, writing: bool = False, out
                     print("    written: look at the text around it", flush=True)
                     stamp(reread(table), at)
                     continue
+                made_by_hand.append(table)
                 for row, measured in stale[:OFFERED]:
                     print(f"    docs:    {row.text}\n    printed: {measured}")
             else:
                 print(f"  {table.place}: as printed", flush=True)
                 if writing:
                     stamp(reread(table), at)
-    for table in tables:
-        if writing and table.measurement is not None and not table.measurement.command:
+        if writing and made_by_hand:
+            replace_all([reread(table) for table in made_by_hand], output, at)
+            print("    replaced by what was printed: look at the text around it", flush=True)
+    for table in all_blocks(ROOT) if writing else ():
+        if table.measurement is not None and not table.measurement.command and table.page in {t.page for t in tables}:
             stamp(reread(table), "")
     return good
 

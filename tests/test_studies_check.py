@@ -215,3 +215,34 @@ def test_pages_for_users_leave_tables_of_figures_to_the_measurements(check, page
     for block in check.blocks_of(page.name, text):
         above = [line for line in lines[: block.line - 1][-2:] if line.strip()]
         assert not block.of_figures or above[-1].startswith("<!-- no measurement: "), block.place
+
+
+def test_tables_made_by_hand_give_way_to_what_was_printed(check, monkeypatch, tmp_path):
+    monkeypatch.setattr(check, "ROOT", tmp_path)
+    path = tmp_path / check.MEASUREMENTS / "page.md"
+    path.parent.mkdir(parents=True)
+    hand = PAGE.replace("skip: CPU s", "anywhere")
+    other = PAGE.replace("folder.a 3 | skip: CPU s", "folder.b").replace("panda", "kuka")
+    path.write_text(f"# Page\n{hand}\nBetween.\n{other}\n{hand.replace('6.85', '6.95')}\nEnd.\n", encoding="utf-8")
+    at = "0.1.0, commit 5e5a60a, 2026-11-22"
+
+    def printed(command: str, seconds: float, outputs: object) -> tuple[str, str, str]:
+        return ("ur10 7.1\npanda 2\n" if command.endswith("3") else PRINTED.replace("panda", "kuka")), "", at
+
+    monkeypatch.setattr(check, "output_of", printed)
+    check.check(check.all_blocks(tmp_path), 1.0, writing=True)
+    blocks = check.all_blocks(tmp_path)
+    assert [(block.heading[:1], block.measurement.anywhere) for block in blocks] == [((), False), (("arm",), False)]
+    assert all(block.at == at and block.below["sum"] == block.checksum for block in blocks)
+    text = path.read_text(encoding="utf-8")
+    assert "```text\nur10 7.1\npanda 2\n```" in text
+    assert text.index("7.1") < text.index("Between.") < text.index("kuka") < text.index("End.")
+    assert "6.95" not in text
+    assert check.check(blocks, 1.0)
+
+
+def test_printed_tables_become_blocks_of_their_own(check):
+    lines = check.new_blocks("python -m studies.folder.a", f"{PRINTED}\n{PRINTED}", "0.1.0, commit 5e5a60a, 2026-11-22")
+    blocks = list(check.blocks_of("page.md", "\n".join(lines)))
+    assert [block.lines for block in blocks] == [2, 2]
+    assert all(block.below["sum"] == block.checksum for block in blocks)
