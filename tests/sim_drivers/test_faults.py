@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from drivers.core.errors import UsageError
@@ -114,3 +116,17 @@ def test_a_server_obeys_the_faults_of_its_usage_text_and_no_others(server: Serve
 def test_a_word_or_an_argument_out_of_its_bounds_is_refused(line: str, server: ServerKind) -> None:
     with pytest.raises(UsageError):
         parse_fault(line, server, JOINTS)
+
+
+def test_the_docs_have_every_fault():
+    """A row of docs/faults.md begins with each fault as it is typed; thermometers' with the word `thermometer`."""
+    page = (Path(__file__).parents[2] / "docs" / "faults.md").read_text(encoding="utf-8")
+    table = page.split("## Faults that are typed into")[1]
+    typed = {
+        cell.strip("` ")
+        for row in table.splitlines()
+        if row.startswith("| `")
+        for cell in row.split("|")[1].split(", ")
+    }
+    for entry in FAULTS:
+        assert {entry.usage, f"thermometer {entry.usage}"} & typed, entry.usage
