@@ -91,9 +91,9 @@ def changed(recording: Recording, robot_file: RobotFile, change: Change, seed: i
 
 def simulated(count: int) -> None:
     """Shares of recordings and of joints."""
-    print(
-        "| arm | deviation | recordings | " + " | ".join(ASSUMPTIONS) + " | joints: " + " | ".join(ASSUMPTIONS) + " |"
-    )
+    names = " | ".join(assumption.replace("_", " ") for assumption in ASSUMPTIONS)
+    of_joints = " | ".join(f"of them {assumption.replace('_', ' ')}" for assumption in ASSUMPTIONS)
+    print(f"| arm | deviation | recordings | {names} | joints | {of_joints} |\n|{'---|' * 12}")
     for robot in ROBOTS:
         robot_file = white(robot)
         model = build_model(robot_file)
@@ -117,7 +117,7 @@ def simulated(count: int) -> None:
             print(f"| {robot} | {deviation} | {seed} | {figures} | {tested} | {of_joints} |", flush=True)
 
 
-def shown(tests: list[ResidualTests], names: tuple[str, ...]) -> None:
+def shown(arm: str, tests: list[ResidualTests], names: tuple[str, ...]) -> None:
     """A row per joint."""
     for test in tests:
         cells = []
@@ -127,19 +127,18 @@ def shown(tests: list[ResidualTests], names: tuple[str, ...]) -> None:
                 cells.append("–")
                 continue
             cells.append(f"{one.effect:.2f} (p {one.p_value:.1g}){' ×' if one.violated else ''}")
-        print(f"| {names[test.joint]} | {test.residuals} | {test.independent} | {' | '.join(cells)} |")
+        print(f"| {arm} | {names[test.joint]} | {test.residuals} | {test.independent} | {' | '.join(cells)} |")
 
 
 def public_recordings(folder: Path) -> None:
     """Effects and p-values of each joint."""
+    names = " | ".join(assumption.replace("_", " ") for assumption in ASSUMPTIONS)
+    print(f"\n| arm | joint | residuals | independent | {names} |\n|{'---|' * 8}")
     for name, text, path, choices in arms(folder):
         robot_file = parse_robot(text, where=name, folder=folder)
         recording = import_file(path, robot_file, ImportChoices())
         identification = identify([recording], [], choices)
-        print(
-            f"\n{name}\n| joint | residuals | independent | {' | '.join(ASSUMPTIONS)} |\n|---|---|---|---|---|---|---|"
-        )
-        shown(identification.residual_tests, identification.model.joint_names)
+        shown(name, identification.residual_tests, identification.model.joint_names)
 
 
 if __name__ == "__main__":
