@@ -43,6 +43,7 @@ class DriverSettings:
         coupling: R (n, n) of q_motor = R·q_joint; None where each motor moves its own joint alone.
         folder: what relative paths among the keys start at; None for the current folder.
         clock: the host's, whose monotonic time stamps what arrives.
+        sliding: (n,) whether each joint slides, its positions being in m; all turn where empty.
     """
 
     joints: tuple[str, ...]
@@ -51,6 +52,7 @@ class DriverSettings:
     coupling: FloatArray | None = None
     folder: Path | None = None
     clock: Clock = SYSTEM_CLOCK
+    sliding: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DriverStateError
+from drivers.core.units import joint_unit
 
 FIRST_STEP_LIMIT = 0.1
 """How far [rad or m] a first command may be from the measured position; it would be reached within one period."""
@@ -25,13 +26,16 @@ def finite_position(position: FloatArray, joints: Sequence[str]) -> FloatArray:
     return target
 
 
-def check_first_step(target: FloatArray, measured: FloatArray | None, joints: Sequence[str]) -> None:
+def check_first_step(
+    target: FloatArray, measured: FloatArray | None, joints: Sequence[str], sliding: Sequence[bool] = ()
+) -> None:
     """Refuse a first command that the arm could only reach by a jump.
 
     Args:
         target: (n,) commanded position [rad or m].
         measured: (n,) newest measured position [rad or m]; None before the first sample.
         joints: n names.
+        sliding: n, whether each slides; all turn where empty.
 
     Raises:
         DriverStateError: it is further than `FIRST_STEP_LIMIT` from the measured position, or either of them is
@@ -44,12 +48,13 @@ def check_first_step(target: FloatArray, measured: FloatArray | None, joints: Se
     if np.all(away <= FIRST_STEP_LIMIT):  # false for NaN
         return
     worst = int(np.argmax(np.where(np.isnan(away), np.inf, away)))
+    unit = joint_unit("rad", sliding=bool(sliding) and sliding[worst])
     if np.isfinite(away[worst]):
-        message = f"the first position is {away[worst]:.3f} rad or m away from the measured one"
+        message = f"the first position is {away[worst]:.3f} {unit} away from the measured one"
     else:
         message = f"the first position, {target[worst]:g}, has no distance from the measured one, {measured[worst]:g}"
     raise DriverStateError(
         message,
         where=f"joint {joints[worst]}",
-        hint=f"begin within {FIRST_STEP_LIMIT:g} rad or m of the measured position",
+        hint=f"begin within {FIRST_STEP_LIMIT:g} {unit} of the measured position",
     )

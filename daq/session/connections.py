@@ -69,4 +69,4 @@ def driver_settings(robot: Robot, keys: Mapping[str, object], folder: Path | Non
     drives = [robot.drive(joint) for joint in robot.joint_names]
     gains = tuple(DriveGain(drive.gain, drive.gain_std, drive.signal) for drive in drives)
     coupling = coupling_matrix(robot.model.coupling, robot.joint_names) if robot.model.coupling else None
-    return DriverSettings(robot.joint_names, keys, gains, coupling, folder)
+    return DriverSettings(robot.joint_names, keys, gains, coupling, folder, sliding=robot.sliding)

@@ -54,6 +54,7 @@ class CanFramesDriver:
 
     def __init__(self, settings: DriverSettings) -> None:
         self._joints = settings.joints
+        self._sliding = settings.sliding
         self._clock = settings.clock
         self._settings = parse_settings(settings.connection, settings.joints, settings.folder)
         self._state: State = "closed"
@@ -196,7 +197,7 @@ class CanFramesDriver:
         with self._command_lock:
             table = self._require_movable()
             if self._commander is None:
-                check_first_step(target, self._streams.latest_position, self._joints)
+                check_first_step(target, self._streams.latest_position, self._joints, self._sliding)
                 commander = Commander(table, self._joints)
                 frames = commander.frames(target)  # fits, before anything is enabled
                 self._commander = commander

@@ -62,6 +62,7 @@ class Canopen402Driver:
 
     def __init__(self, settings: DriverSettings) -> None:
         self._joints = settings.joints
+        self._sliding = settings.sliding
         self._coupling = settings.coupling
         self._settings = parse_settings(settings.connection, settings.joints)
         self._ids = tuple(node.id for node in self._settings.nodes)
@@ -258,7 +259,7 @@ class Canopen402Driver:
         with self._motion_lock:
             motion = self._require_movable()
             if not motion.moving and motion.ended_by is None:
-                check_first_step(position, self._latest_position, self._joints)
+                check_first_step(position, self._latest_position, self._joints, self._sliding)
                 motion.enable(self._settings.timeout)
             try:
                 motion.command(self._scaling.counts(position))

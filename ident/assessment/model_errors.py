@@ -116,7 +116,9 @@ def most_likely(refit: Refit, runs: Sequence[Prepared], independent: float, poor
     if after < INDEPENDENT_PER_PARAMETER * width:  # too few to judge by
         return []
     worth = (after - width) / total
-    return [replace(one, likelihood=one.likelihood * worth, std=one.std / float(np.sqrt(worth))) for one in found]
+    return simplest_first(
+        [replace(one, likelihood=one.likelihood * worth, std=one.std / float(np.sqrt(worth))) for one in found]
+    )
 
 
 def _plausible(model: DynamicModel, one: Deviation) -> bool:
@@ -136,12 +138,27 @@ def _far_gains(refit: Refit) -> list[Deviation | None]:
 
 def _other_directions(refit: Refit) -> list[Deviation | None]:
     """Gravity estimated from the two directions of the base's axes that fit best."""
-    if not np.any(refit.model.gravity):
+    if not np.any(refit.model.gravity) or len(refit.used) < 2:
         return []
     once = [(refit.deviation(Unknown("gravity"), 1, direction), direction) for direction in DIRECTIONS]
     known = [(one.likelihood, direction) for one, direction in once if one is not None]
     nearest = sorted(known, key=lambda one: -one[0])[:2]
-    return [refit.deviation(Unknown("gravity"), start=direction) for _, direction in nearest]
+    found = [refit.deviation(Unknown("gravity"), start=direction) for _, direction in nearest]
+    return [*found, refit.opposite_gravity()]
+
+
+def simplest_first(found: Sequence[Deviation]) -> list[Deviation]:
+    """The deviations, best first, but of those that explain as much as the best: a sign, then the smaller turn.
+
+    Arms whose lengths show little give gravity in a mirror, too: which of two such directions fits best is chance.
+    """
+    best = found[0]
+    alike = [
+        one for one in found if one.unknown.kind == "gravity" and one.likelihood > best.likelihood - RIVAL_LIKELIHOOD
+    ]
+    opposite = [one for one in alike if one.std == 0.0]
+    first = opposite or sorted((one for one in alike if best in alike), key=lambda one: one.value)
+    return [*first[:1], *(one for one in found if one not in first[:1])]
 
 
 def model_error_checks(model: DynamicModel, found: Sequence[Deviation]) -> list[Check]:

@@ -172,6 +172,15 @@ class Refit:
             return self._gravity(unknown, relinearisations, None if start is None else np.asarray(start))
         return self._shift(unknown, relinearisations)
 
+    def opposite_gravity(self) -> Deviation:
+        """Gravity exactly opposite to the file's, a sign and no number to be estimated."""
+        model = replace(self.model, gravity=-self.model.gravity)
+        regressor = self.instants.filtered_regressor(RegressorKernel(model, self.columns))
+        solved = self._solved(regressor, self.active)
+        parameters = self._all(solved.parameters)
+        likelihood = self._likelihood(solved)
+        return Deviation(Unknown("gravity"), float(np.pi), 0.0, likelihood, parameters, model, self.columns)
+
     def shifted(self, unknown: Unknown, value: float) -> tuple[DynamicModel, Instants]:
         """Model and instants with a length or a zero changed."""
         if unknown.kind == "zero":
@@ -266,14 +275,18 @@ class Refit:
         return self.instants.filtered_regressor(RegressorKernel(replace(self.model, gravity=gravity), columns))
 
     def _deviation(self, unknown: Unknown, value: float, variance: float, solved: _Solved) -> Deviation:
-        used = self.rows > 0
-        left = np.maximum(solved.sums[used], np.finfo(float).tiny)
-        ratio = float(np.sum(self.rows[used] * np.log(self._file_fit.sums[used] / left)))
         model = self.model
         if unknown.kind == "length":
             model, _ = self.shifted(unknown, value)
         parameters = solved.parameters if unknown.kind == "gravity" else self._all(solved.parameters)
-        return Deviation(unknown, value, float(np.sqrt(variance)), ratio, parameters, model, self.columns)
+        likelihood = self._likelihood(solved)
+        return Deviation(unknown, value, float(np.sqrt(variance)), likelihood, parameters, model, self.columns)
+
+    def _likelihood(self, solved: _Solved) -> float:
+        """Doubled log-likelihood ratio against the file's values."""
+        used = self.rows > 0
+        left = np.maximum(solved.sums[used], np.finfo(float).tiny)
+        return float(np.sum(self.rows[used] * np.log(self._file_fit.sums[used] / left)))
 
     def _all(self, active: FloatArray) -> FloatArray:
         parameters = np.zeros(len(self.columns))

@@ -76,19 +76,22 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     """All checks that the recordings and the identification raise."""
     several = len(recordings) > 1
     checks = [check for one in recordings for check in recording_checks(one, label=one.label if several else "")]
+    # What else fits data of another unit or filled with zeros is chance.
+    unsound = any(check.severity == "serious" for check in checks)
+    mistakes = [] if unsound else _mistake_checks(identification)
     torque = np.concatenate([run.signals.torque for run in identification.runs])
     levels = torque_level_checks(identification.robot_file.robot, identification.model, torque)
-    checks += levels
+    # A torque beyond its limit that is another joint's is explained.
+    checks += [] if any(one.name.endswith("s-exchanged") for one in mistakes) else levels
     checks += delay_checks(identification.delay)
     checks += cutoff_checks(identification.lowered)
-    checks += burst_checks(identification)
+    checks += [] if unsound or any(one.severity == "serious" for one in mistakes) else burst_checks(identification)
     checks += _size_checks(identification)
     checks += _convergence_checks(identification)
     checks += _experiment_checks(identification)
     checks += _excitation_checks(identification)
     checks += sign_checks(identification.base, identification.solution.parameters, identification.std)
     idle = _idle_joint_checks(identification)
-    mistakes = _mistake_checks(identification)
     # Static friction of resting joints looks like a number of the robot file that is off.
     model_errors = ("inconsistent-gain", "inconsistent-length", "joint-zero", "gravity-direction")
     checks += [*idle, *(one for one in mistakes if not idle or one.name not in model_errors)]

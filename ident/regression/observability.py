@@ -18,6 +18,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, IdentificationError, UsageError
+from drivers.core.units import common_unit
 from ident.linear_algebra.triangular import QrAccumulator
 from ident.model.base_parameters import (
     STATES_PER_PARAMETER,
@@ -60,22 +61,11 @@ class ExperimentChoices:
         locked: names of joints that must not move; other joints at rest are detected from the data.
         torques_of: names of the joints whose motors' torques are used; all that turn where empty.
         rest_tolerance: range of positions within which a joint counts as locked [rad or m].
-
-    Raises:
-        UsageError: the tolerance is not within 0 and `LARGEST_REST_TOLERANCE`.
     """
 
     locked: tuple[str, ...] = ()
     torques_of: tuple[str, ...] = ()
     rest_tolerance: float = REST_TOLERANCE
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.rest_tolerance <= LARGEST_REST_TOLERANCE:
-            raise UsageError(
-                f"a joint that moves over {self.rest_tolerance:g} rad or m is not at rest",
-                where="--rest-tolerance",
-                hint=f"give 0 to {LARGEST_REST_TOLERANCE:g} rad or m",
-            )
 
 
 @dataclass(frozen=True)
@@ -110,8 +100,15 @@ def find_experiment(
 
     Raises:
         DataError: a joint that is declared locked moves.
-        UsageError: a name that no joint has.
+        UsageError: a name that no joint has, or a tolerance that is not within 0 and `LARGEST_REST_TOLERANCE`.
     """
+    if not 0.0 <= choices.rest_tolerance <= LARGEST_REST_TOLERANCE:
+        unit = common_unit("rad", model.sliding)
+        raise UsageError(
+            f"a joint that moves over {choices.rest_tolerance:g} {unit} is not at rest",
+            where="--rest-tolerance",
+            hint=f"give 0 to {LARGEST_REST_TOLERANCE:g} {unit}",
+        )
     named = joint_numbers(model, choices.locked, "--locked")
     spans = [(label, *ranges(position, choices.rest_tolerance)) for label, position in positions]
     still = np.all([moved <= allowed for _, moved, allowed in spans], axis=0)

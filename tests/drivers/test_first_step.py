@@ -37,9 +37,12 @@ def test_a_commanded_position_is_n_finite_numbers(position: np.ndarray) -> None:
 
 
 def test_the_joint_that_is_worst_is_named() -> None:
-    with pytest.raises(DriverStateError, match=r"0\.300 rad or m away") as caught:
+    with pytest.raises(DriverStateError, match=r"0\.300 rad away") as caught:
         check_first_step(np.array([0.2, -0.3, 0.0]), np.zeros(3), JOINTS)
     assert caught.value.where == "joint elbow"
+    with pytest.raises(DriverStateError, match=r"0\.300 m away") as caught:
+        check_first_step(np.array([0.2, -0.3, 0.0]), np.zeros(3), JOINTS, (False, True, False))
+    assert caught.value.hint == "begin within 0.1 m of the measured position"
     with pytest.raises(DriverStateError, match="measured one, nan") as caught:
         check_first_step(np.array([0.2, 0.0, 0.0]), np.array([0.0, 0.0, np.nan]), JOINTS)
     assert caught.value.where == "joint wrist"

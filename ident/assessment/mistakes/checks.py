@@ -98,6 +98,7 @@ def _clause(model: DynamicModel, one: Mistake) -> str:
 
 
 _CLAUSES = {
+    "gravity-opposite": "gravity has the opposite sign",
     "torques-opposite": "all torques have the opposite sign",
     "positions-opposite": "all positions have the opposite sign",
     "torque-sign": "the torque of {joints} has the opposite sign",
@@ -108,6 +109,7 @@ _CLAUSES = {
     "joints-exchanged": "positions and torques of {joints} are exchanged",
 }
 _REMEDIES = {
+    "gravity-opposite": "check `model.gravity`, how the arm is mounted, and the signs of the drive gains",
     "torques-opposite": "change the sign of all drive gains, or of the torque columns",
     "positions-opposite": "change the sign of the position columns, or the joints' axes in the robot file",
     "torque-sign": "check the sign of its drive gain",

@@ -16,7 +16,7 @@ from drivers.core.arrays import FloatArray
 from ident.assessment.instants import BLOCKS, Columns, Instants
 from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions, moving_joints
 from ident.assessment.mistakes.equations import Equations, Fit, equations
-from ident.assessment.mistakes.hypotheses import Mistake, as_recorded, mistakes
+from ident.assessment.mistakes.hypotheses import Mistake, as_recorded, mistakes, opposite_gravity
 from ident.assessment.refit import Deviation, in_unknown_gravity
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
@@ -75,21 +75,23 @@ class Competition:
         self.instants = instants
         self.joints = moving_joints(model, experiment)
         self._kernel = RegressorKernel(model, base.columns)
+        self._opposite = RegressorKernel(replace(model, gravity=-model.gravity), base.columns)
         self._inertia = inertia_conditions(model, experiment, base)[:, self.active]
-        self._equations: dict[Columns, tuple[Equations, FloatArray]] = {}
+        self._equations: dict[tuple[Columns, bool], tuple[Equations, FloatArray]] = {}
         self.recorded = as_recorded(model.dof)
 
-    def system(self, positions: Columns) -> tuple[Equations, FloatArray]:
-        """Equations with these positions, and their conditions (c, a)."""
-        if positions not in self._equations:
-            moved = self.instants.with_positions(positions)
-            regressor = moved.regressor(self._kernel)
+    def system(self, mistake: Mistake) -> tuple[Equations, FloatArray]:
+        """Equations with a mistake's positions and gravity, and their conditions (c, a)."""
+        key = mistake.positions, mistake.signal == "gravity"
+        if key not in self._equations:
+            moved = self.instants.with_positions(mistake.positions)
+            regressor = moved.regressor(self._opposite if mistake.signal == "gravity" else self._kernel)
             friction = friction_conditions(self.model, self.base, moved, regressor)[:, self.active]
             conditions = np.vstack([self._inertia, friction])
             conditions = conditions[np.any(conditions != 0.0, axis=1)]
             system = equations(regressor[:, self.active], moved, self.experiment.torques)
-            self._equations[positions] = system, conditions
-        return self._equations[positions]
+            self._equations[key] = system, conditions
+        return self._equations[key]
 
     def regressor(self, positions: Columns) -> FloatArray:
         """(n, a, N) of the active columns with these positions."""
@@ -97,11 +99,11 @@ class Competition:
 
     def free(self, mistake: Mistake) -> Fit | None:
         """The fit without conditions."""
-        return self.system(mistake.positions)[0].fit(mistake.torques)
+        return self.system(mistake)[0].fit(mistake.torques)
 
     def bound(self, mistake: Mistake, blocks: Sequence[int] | None = None) -> Fit | None:
         """The fit under the conditions, to some blocks or all."""
-        system, conditions = self.system(mistake.positions)
+        system, conditions = self.system(mistake)
         return system.fit(mistake.torques, conditions, blocks)
 
     def well_explained(self) -> bool:
@@ -146,12 +148,12 @@ class Competition:
         fit = self.bound(mistake, [other for other in range(BLOCKS) if other != block])
         if fit is None:
             return np.inf
-        system, _ = self.system(mistake.positions)
+        system, _ = self.system(mistake)
         return float(np.sum(system.levels(mistake.torques, fit.parameters, [block])))
 
     def error(self, one: Explanation) -> float:
         """Relative error of the whole arm."""
-        return _whole(self.system(one.mistake.positions)[0], one.mistake.torques, one.fit)
+        return _whole(self.system(one.mistake)[0], one.mistake.torques, one.fit)
 
     def with_deviation(self, deviation: Deviation) -> tuple[Fit, float] | None:
         """The fit under the conditions with a number of the robot file changed, and the whole arm's relative error."""
@@ -200,7 +202,10 @@ def explanations(competition: Competition, deviations: Sequence[Deviation]) -> l
     recorded = competition.bound(competition.recorded)
     if recorded is None:
         return []
-    found = competition.best(mistakes(competition.model.dof, competition.joints))
+    tried = mistakes(competition.model.dof, competition.joints)
+    if np.any(competition.model.gravity):
+        tried.append(opposite_gravity(competition.model.dof))
+    found = competition.best(tried)
     if not found or not competition.explains(found[0], recorded):
         return []
     lowest = found[0].fit.level

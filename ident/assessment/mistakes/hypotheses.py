@@ -9,7 +9,7 @@ from typing import Literal
 
 from ident.assessment.instants import Columns
 
-Signal = Literal["torque", "position", "both"]
+Signal = Literal["torque", "position", "both", "gravity"]
 
 
 MOST_JOINTS = 7
@@ -18,7 +18,7 @@ MOST_JOINTS = 7
 
 @dataclass(frozen=True)
 class Mistake:
-    """A sign or a pair of columns that is wrong.
+    """A sign or a pair of columns that is wrong, or gravity's sign.
 
     Attributes:
         name: of the check that names it; empty for the recording as it is.
@@ -37,6 +37,11 @@ class Mistake:
 def as_recorded(count: int) -> Mistake:
     """No mistake."""
     return Mistake("", "both", (), _kept(count), _kept(count))
+
+
+def opposite_gravity(count: int) -> Mistake:
+    """Gravity of the opposite sign, and the columns as recorded."""
+    return Mistake("gravity-opposite", "gravity", (), _kept(count), _kept(count))
 
 
 def mistakes(count: int, joints: Sequence[int]) -> list[Mistake]:

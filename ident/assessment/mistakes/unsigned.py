@@ -44,7 +44,7 @@ def unsigned_torques(competition: Competition, runs: Sequence[Prepared]) -> list
         return []
     recorded = competition.bound(competition.recorded)
     instants, positions = competition.instants, competition.recorded.positions
-    _, conditions = competition.system(positions)
+    _, conditions = competition.system(competition.recorded)
     regressor = competition.regressor(positions)
     size = np.abs(instants.torque)
     used = competition.experiment.torques

@@ -334,7 +334,7 @@ def test_the_arm_is_enabled_commanded_and_stopped(
     with pytest.raises(DriverStateError, match="no position of the arm is known"):
         driver.command(np.array([0.1, -0.2]))
     read_for(driver, 0.1)
-    with pytest.raises(DriverStateError, match=r"0\.110 rad or m away"):
+    with pytest.raises(DriverStateError, match=r"0\.110 rad away"):
         driver.command(np.array([0.1, -0.31]))
     assert made.heard == []
     driver.command(np.array([0.1, -0.2]))

@@ -355,7 +355,7 @@ def test_motion_begins_where_the_arm_stands_and_ends_with_stop(clock: SimulatedC
             driver.command(np.zeros(6))
         blocks = list(driver.read(1.0))
         position = blocks[0].values["position"][-1]
-        with pytest.raises(DriverStateError, match=r"0\.200 rad or m away") as caught:
+        with pytest.raises(DriverStateError, match=r"0\.200 rad away") as caught:
             driver.command(position + np.array([0, 0, 0.2, 0, 0, 0]))
         assert caught.value.where == "joint j3"
         assert not motions.made  # nobody took control

@@ -15,12 +15,13 @@ from ident.assessment.mistakes.checks import mistake_checks
 from ident.assessment.mistakes.competition import Competition, explanations
 from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions
 from ident.assessment.mistakes.hypotheses import as_recorded, mistakes
+from ident.assessment.model_errors import simplest_first
 from ident.assessment.refit import Refit, Unknown, tangents
 from ident.assessment.torque_level import weight_checks
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters, random_states
-from ident.model.dynamic_model import build_model
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel
 from ident.model.true_parameters import truth_vector
 from ident.regression.observability import whole_arm
@@ -103,6 +104,28 @@ def test_a_sound_recording_is_explained_as_it_is(found):
     runs = [run.prepared for run in found.runs]
     independent = found.corrected.effective_rows
     assert mistake_checks(found.model, found.experiment, found.base, runs, found.solution, independent) == []
+
+
+def turned_over(found: Identification) -> DynamicModel:
+    """The arm as believed by someone who hung it from the ceiling."""
+    return replace(found.model, gravity=-found.model.gravity)
+
+
+def test_gravity_s_sign_competes_with_the_other_signs_however_few_samples_are_independent(found):
+    believed = turned_over(found)
+    runs = [run.prepared for run in found.runs]
+    (check,) = mistake_checks(believed, found.experiment, found.base, runs, found.solution, 3.0)
+    assert check.name == "gravity-opposite"
+
+
+def test_of_directions_that_explain_alike_a_sign_is_named_and_else_the_smaller_turn(found):
+    refit = Refit(turned_over(found), found.experiment, found.base.columns, light(found), found.solution)
+    exact = refit.opposite_gravity()
+    near, mirrored = (replace(exact, value=angle, std=0.01) for angle in (0.3, np.pi - 0.3))
+    assert simplest_first([replace(mirrored, likelihood=exact.likelihood + 5.0), exact])[0] is exact
+    assert simplest_first([replace(mirrored, likelihood=near.likelihood + 5.0), near])[0] is near
+    far_better = replace(mirrored, likelihood=near.likelihood + 50.0)
+    assert simplest_first([far_better, near, exact])[0] is far_better
 
 
 def test_noise_alone_is_explained_by_nothing(found):

@@ -24,7 +24,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
 from ident.model.true_parameters import truth_vector
 from ident.regression import least_squares
-from ident.regression.observability import ExperimentChoices
+from ident.regression.observability import ExperimentChoices, find_experiment
 from ident.regression.velocity_reversals import STICKING_SHARE
 from ident.result.schema import Result
 from ident.signals.pipeline import PreprocessChoices
@@ -312,8 +312,14 @@ def test_a_joint_that_sags_on_its_brake_is_locked_within_the_tolerance(three_joi
 
 @pytest.mark.parametrize("tolerance", [-1e-3, 0.2, float("nan")])
 def test_a_rest_tolerance_that_is_a_motion_is_refused(tolerance):
-    with pytest.raises(UsageError, match="is not at rest"):
-        ExperimentChoices(rest_tolerance=tolerance)
+    choices = ExperimentChoices(rest_tolerance=tolerance)
+    with pytest.raises(UsageError, match=r"moves over \S+ rad is not at rest"):
+        find_experiment(build_model(load_robot("ur5e")), [], choices)
+    row = "{joint: s, type: prismatic, alpha: 0, d: 0, r: 0}"
+    text = f"name: a\nmodel: {{mdh: [{row}]}}\njoints: [{{name: s, position: [0, 1], velocity: 1}}]"
+    slides = parse_robot(text, where="a", folder=None)
+    with pytest.raises(UsageError, match=r"moves over \S+ m is not at rest"):
+        find_experiment(build_model(slides), [], choices)
 
 
 def test_recordings_that_were_not_closed_are_warned_of(recorded):

@@ -17,6 +17,7 @@ from daq.robot.loops import Loop
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
+from drivers.core.units import joint_unit
 from ident.model.kinematics.joints import Joint, Placement
 from ident.model.kinematics.linkages.closed_loops import ClosedLoops
 from ident.model.kinematics.linkages.closing_chain import ClosingChain, closing_chain
@@ -81,11 +82,12 @@ def build_closed_loops(
     count = sum(chain.rows for chain in chains) + len(linear[1])
     raw = LoopEquations(motors.active, passive, chains, *linear, np.eye(count), 1.0)
     wanted = _wanted_start(robot, loops, names)
-    start = _closed_start(raw, wanted, names, where)
+    units = [joint_unit("rad", sliding=joint.prismatic) for joint in joints]
+    start = _closed_start(raw, wanted, names, units, where)
     equations = _independent(raw, start, names, where)
     _check_travel(robot, equations, start, names, where)
     targets = _targets(robot, equations, motors.active)
-    known = _followed_everywhere(equations, start, targets, names, where)
+    known = _followed_everywhere(equations, start, targets, names, units, where)
     follow = equations.at(known).follow()
     whole = np.zeros((len(joints), len(motors.active), known.shape[1]))
     whole[list(passive)] = follow
@@ -130,7 +132,9 @@ def _wanted_start(robot: Robot, loops: Sequence[Loop], names: tuple[str, ...]) -
     return tree
 
 
-def _closed_start(equations: LoopEquations, wanted: FloatArray, names: tuple[str, ...], where: str) -> FloatArray:
+def _closed_start(
+    equations: LoopEquations, wanted: FloatArray, names: tuple[str, ...], units: Sequence[str], where: str
+) -> FloatArray:
     """The tree position (n,) next to `wanted` at which all loops close, motors where they are."""
     passive = list(equations.passive)
     with np.errstate(all="ignore"):  # lengths beyond all numbers
@@ -146,8 +150,8 @@ def _closed_start(equations: LoopEquations, wanted: FloatArray, names: tuple[str
     for index in passive:
         if abs(away[index]) > START_AWAY and any(index in chain.joints for chain in equations.chains):
             raise RobotFileError(
-                f"the loop of {names[index]} closes only {abs(away[index]):.3g} rad or m away from the start that "
-                f"'passive' gives: at {names[index]} = {start[index]:.4g}, in place of {wanted[index]:.4g} "
+                f"the loop of {names[index]} closes only {abs(away[index]):.3g} {units[index]} away from the start "
+                f"that 'passive' gives: at {names[index]} = {start[index]:.4g}, in place of {wanted[index]:.4g} "
                 f"({_at(equations, start, names)})",
                 where=where,
                 hint="give the start of the assembly that is meant more exactly",
@@ -267,7 +271,12 @@ def _targets(robot: Robot, equations: LoopEquations, active: tuple[int, ...]) ->
 
 
 def _followed_everywhere(
-    equations: LoopEquations, start: FloatArray, targets: FloatArray, names: tuple[str, ...], where: str
+    equations: LoopEquations,
+    start: FloatArray,
+    targets: FloatArray,
+    names: tuple[str, ...],
+    units: Sequence[str],
+    where: str,
 ) -> FloatArray:
     """Tree positions (n, K) that close at the targets (a, K), on one branch whatever the way."""
     followed = equations.followed(start, targets)
@@ -281,12 +290,13 @@ def _followed_everywhere(
     short = np.flatnonzero(other.reached < 1.0)
     if short.size:
         raise _refused(equations, other.tree[:, short], np.roll(targets, 1, axis=1)[:, short], names, where)
-    apart = np.abs(other.tree - expected).max(axis=0)
-    worst = int(np.argmax(apart))
-    if apart[worst] > SAME:
+    apart = np.abs(other.tree - expected)
+    joint, worst = divmod(int(np.argmax(apart)), apart.shape[1])
+    if apart[joint, worst] > SAME:
         raise RobotFileError(
             f"the loops close in another way depending on how the arm gets there: at "
-            f"{_at(equations, expected[:, worst], names)} two ways end {apart[worst]:.3g} rad or m apart",
+            f"{_at(equations, expected[:, worst], names)} two ways end with {names[joint]} {apart[joint, worst]:.3g} "
+            f"{units[joint]} apart",
             where=where,
             hint="narrow the position limits to one side of the dead point between them",
         )

@@ -61,7 +61,7 @@ def test_a_jump_and_a_blind_start_are_refused() -> None:
         with pytest.raises(DriverStateError, match="no position of the arm is known"):
             one.driver.command(np.zeros(3))
         one.read_rows(2)
-        with pytest.raises(DriverStateError, match=r"0\.200 rad or m away") as caught:
+        with pytest.raises(DriverStateError, match=r"0\.200 rad away") as caught:
             one.driver.command(one.position + np.array([0.0, 0.0, 0.2]))
         assert caught.value.where == "joint elbow"
         for wrong in (np.zeros(2), np.full(3, np.nan), np.full(3, np.inf), np.zeros((3, 1))):

@@ -20,7 +20,7 @@ REFUSED = {
     ),
     "another assembly": (
         {START: "{coupler: -1, rocker: 0.3}"},
-        r"closes only .* rad or m away from the start that 'passive' gives: at coupler = .*, in place of -1",
+        r"closes only .* rad away from the start that 'passive' gives: at coupler = .*, in place of -1",
         "the assembly that is meant",
     ),
     "axes that are not parallel": (
